@@ -1,0 +1,1 @@
+"""The command line, the process table, the supervisor and the scenario model."""

@@ -1,0 +1,141 @@
+"""The command `cpnet`."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+import yaml
+from rich.console import Console
+
+from cpnet import doctor as checks
+from cpnet import scenario as scenarios
+from cpnet.up import Options, up
+from protocol.errors import CpnetError
+from studies.report import print_report
+from studies.summary import summarise
+
+app = typer.Typer(
+    help="Cooperative perception for traffic signals: real bytes, real detection, real delay.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+_console = Console()
+_errors = Console(stderr=True)
+
+Override = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE")]
+
+
+@app.command("up")
+def up_command(  # noqa: PLR0913 - one parameter per option of the command
+    scenario: Annotated[str, typer.Argument(help="built-in name or YAML file")] = "t_junction",
+    *,
+    mode: Annotated[str | None, typer.Option(help="lockstep or realtime")] = None,
+    duration: Annotated[float | None, typer.Option(help="simulated seconds")] = None,
+    seed: Annotated[int | None, typer.Option(help="of traffic, CAVs, scene and noise")] = None,
+    cav_rate: Annotated[float | None, typer.Option(help="share of vehicles with LiDAR")] = None,
+    cv_rate: Annotated[float | None, typer.Option(help="share that reports its pose only")] = None,
+    net: Annotated[Path | None, typer.Option(help="your own .net.xml")] = None,
+    sumocfg: Annotated[Path | None, typer.Option(help="your own .sumocfg")] = None,
+    tls: Annotated[str | None, typer.Option(help="id of the signal in that net")] = None,
+    set_: Override = None,
+    out: Annotated[Path | None, typer.Option(help="run folder; default runs/NAME-TIME")] = None,
+    only: Annotated[str | None, typer.Option(metavar="ROLE,...", help="roles to run here")] = None,
+    listen: Annotated[list[str] | None, typer.Option(metavar="HOST:PORT")] = None,
+    connect: Annotated[list[str] | None, typer.Option(metavar="HOST:PORT")] = None,
+) -> None:
+    """Run the loop: world, sensors, edge, signal, record; then print the summary."""
+    named = {
+        "mode": mode,
+        "duration_s": duration,
+        "seed": seed,
+        "traffic.cav_rate": cav_rate,
+        "traffic.cv_rate": cv_rate,
+        "traffic.net": _absolute(net),
+        "traffic.sumocfg": _absolute(sumocfg),
+        "traffic.tls": tls,
+    }
+    own = net or sumocfg
+    if own is not None:
+        named["name"] = own.name.split(".")[0]
+    overrides: dict[str, Any] = {k: v for k, v in named.items() if v is not None}
+    overrides |= dict(scenarios.parse_assignment(text) for text in set_ or [])
+    options = Options(scenario, overrides, only, listen or [], connect or [], out)
+    status, run_dir = up(options, _console)
+    if (run_dir / "run.sqlite").is_file():
+        print_report(summarise(run_dir), _console)
+    raise typer.Exit(status)
+
+
+@app.command("report")
+def report_command(
+    run: Annotated[Path, typer.Argument(help="run folder")],
+    *,
+    as_json: Annotated[bool, typer.Option("--json", help="stable keys, for programs")] = False,
+) -> None:
+    """Print the summary of a run."""
+    summary = summarise(run)
+    if as_json:
+        typer.echo(json.dumps(summary, indent=2))
+    else:
+        print_report(summary, _console)
+
+
+@app.command("draw")
+def draw_command(
+    run: Annotated[Path, typer.Argument(help="run folder")],
+    *,
+    png: Annotated[Path, typer.Option(help="picture to write")] = Path("frame.png"),
+    frame: Annotated[int | None, typer.Option(help="a recorded frame; default the last")] = None,
+) -> None:
+    """Draw the merged cloud of a frame with its boxes over the lanes."""
+    from studies.draw import draw_frame  # noqa: PLC0415 - matplotlib is an extra
+
+    draw_frame(run, frame, png)
+    _console.print(f"wrote {png}", highlight=False)
+
+
+@app.command("scenario")
+def scenario_command(
+    name: Annotated[str, typer.Argument(help="built-in name or YAML file")] = "t_junction",
+    set_: Override = None,
+) -> None:
+    """Print a scenario with every key and its value, ready to be edited."""
+    overrides = dict(scenarios.parse_assignment(text) for text in set_ or [])
+    data = scenarios.load(name, overrides).model_dump(mode="json")
+    typer.echo(yaml.safe_dump(data, sort_keys=False), nl=False)
+
+
+@app.command("doctor")
+def doctor_command(
+    *,
+    packages: Annotated[
+        bool, typer.Option("--packages", help="print the missing system packages only")
+    ] = False,
+) -> None:
+    """Check this machine: system libraries, packages, bus, disk."""
+    if packages:
+        typer.echo(" ".join(checks.missing_packages()))
+        return
+    findings = checks.examine()
+    checks.print_findings(findings, _console)
+    raise typer.Exit(0 if all(finding.ok for finding in findings) else 1)
+
+
+def main() -> None:
+    """Runs the command; a user's mistake ends with one clear message and status 2."""
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
+    try:
+        app()
+    except CpnetError as error:
+        _errors.print(f"[bold red]error[/] {error}", highlight=False, markup=True, soft_wrap=True)
+        sys.exit(2)
+
+
+def _absolute(path: Path | None) -> str | None:
+    return str(path.resolve()) if path is not None else None

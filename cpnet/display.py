@@ -1,0 +1,82 @@
+"""Live progress in the terminal: a table that is redrawn, or a line now and then in a log."""
+
+from __future__ import annotations
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from protocol.messages import Progress
+
+LINE_EVERY_FRAMES_S = 10.0
+MAX_AGENTS = 12
+
+
+class Display:
+    """Shows each `Progress`; a context manager."""
+
+    def __init__(self, console: Console, duration_s: float) -> None:
+        self._console = console
+        self._duration_s = duration_s
+        self._live = Live(console=console, transient=True, auto_refresh=False)
+        self._told_s = -LINE_EVERY_FRAMES_S
+
+    def __enter__(self) -> Display:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()
+
+    def show(self, progress: Progress) -> None:
+        """Draws the newest state of the run."""
+        if self._console.is_terminal:
+            self._live.update(_panel(progress, self._duration_s), refresh=True)
+        elif progress.sim_time_ns / 1e9 - self._told_s >= LINE_EVERY_FRAMES_S:
+            self._told_s = progress.sim_time_ns / 1e9
+            self._console.print(_line(progress), highlight=False, soft_wrap=True)
+
+
+def _line(progress: Progress) -> str:
+    total_mbps = sum(progress.mbps.values())
+    return (
+        f"frame {progress.frame}  {progress.sim_time_ns / 1e9:.1f} s  "
+        f"x{progress.real_time_factor:.2f}  {progress.vehicles} vehicles, {progress.cavs} CAVs, "
+        f"{progress.detections} detected  {total_mbps:.1f} Mbit/s from {len(progress.mbps)} agents"
+        f"  {progress.end_to_end_ms:.0f} ms end to end  {progress.state}"
+    )
+
+
+def _panel(progress: Progress, duration_s: float) -> RenderableType:
+    time_s = progress.sim_time_ns / 1e9
+    table = Table.grid(padding=(0, 3))
+    table.add_row("frame", f"{progress.frame}", "simulated", f"{time_s:.1f} of {duration_s:g} s")
+    table.add_row(
+        "real-time factor",
+        f"{progress.real_time_factor:.2f}",
+        "end to end",
+        f"{progress.end_to_end_ms:.0f} ms",
+    )
+    table.add_row(
+        "vehicles",
+        f"{progress.vehicles} ({progress.cavs} CAVs, {progress.cvs} CVs)",
+        "detected",
+        f"{progress.detections}",
+    )
+    table.add_row("signal", _signal(progress.state), "dropped", f"{progress.drops}")
+    agents = Table.grid(padding=(0, 3))
+    for name, mbps in sorted(progress.mbps.items())[:MAX_AGENTS]:
+        agents.add_row(Text(name, "cyan"), f"{mbps:.2f} Mbit/s")
+    bar = ProgressBar(total=duration_s, completed=min(time_s, duration_s), width=60)
+    return Group(bar, table, Text("uplink", "bold"), agents)
+
+
+def _signal(state: str) -> Text:
+    colours = {"g": "green", "y": "yellow", "r": "red"}
+    text = Text()
+    for letter in state:
+        text.append("●", colours.get(letter.lower(), "white"))
+    return text

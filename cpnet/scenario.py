@@ -1,0 +1,185 @@
+"""The scenario: every number of a run, each with a default; YAML, a built-in name or neither."""
+
+from __future__ import annotations
+
+import difflib
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, Field, ValidationError
+
+from edge_server.config import EdgeConfig
+from protocol.config import Section
+from protocol.errors import ConfigError
+from recorder.config import RecordConfig
+from sensing.config import LidarConfig, Mount, PoseErrorConfig, SceneConfig, UploadConfig
+from signal_controller.config import SignalConfig
+from sim_host.config import CabinetConfig, TrafficConfig
+
+
+class LidarPair(Section):
+    """The two kinds of LiDAR."""
+
+    vehicle: LidarConfig = Field(LidarConfig(), description="on every CAV")
+    roadside: LidarConfig = Field(LidarConfig(), description="on every roadside mount")
+
+
+class ProcessConfig(Section):
+    """How the work is spread."""
+
+    vehicle: int = Field(
+        2, ge=1, le=64, description="vehicle processes; CAVs are spread over those that live"
+    )
+
+
+class Scenario(Section):
+    """A whole run. Its sections belong to the roles that read them."""
+
+    name: str = Field("t_junction", description="what the run is called in reports")
+    seed: int = Field(1, ge=0, lt=2**31, description="traffic, CAVs, scene and noise follow from it")
+    mode: Literal["lockstep", "realtime"] = Field(
+        "lockstep",
+        description="lockstep: the world waits for each frame's request, the same results on any "
+        "machine; realtime: the world runs on the wall clock, late frames are used as they are",
+    )
+    duration_s: float = Field(60.0, gt=0, le=86_400, description="simulated time after warm-up")
+    frame_period_s: float = Field(
+        0.1, gt=0, le=60, description="one perception frame; a multiple of traffic.step_s"
+    )
+    region: str = Field(
+        "r0", pattern=r"^[A-Za-z0-9_.-]+$", description="part of the city this edge serves"
+    )
+    traffic: TrafficConfig = TrafficConfig()
+    cabinet: CabinetConfig = CabinetConfig()
+    lidar: LidarPair = LidarPair()
+    roadside_mounts: list[Mount] = Field([Mount()], description="posts with a LiDAR; may be empty")
+    scene: SceneConfig = SceneConfig()
+    pose: PoseErrorConfig = PoseErrorConfig()
+    upload: UploadConfig = UploadConfig()
+    edge: EdgeConfig = EdgeConfig()
+    signal: SignalConfig = SignalConfig()
+    record: RecordConfig = RecordConfig()
+    processes: ProcessConfig = ProcessConfig()
+
+
+def builtin_names() -> list[str]:
+    """Returns the names of the scenarios that come with the package."""
+    folder = resources.files("cpnet").joinpath("scenarios")
+    return sorted(f.name.removesuffix(".yaml") for f in folder.iterdir() if f.name.endswith(".yaml"))
+
+
+def load(name_or_file: str, overrides: dict[str, Any]) -> Scenario:
+    """Reads a built-in or a YAML file and lays the overrides (dotted keys) over it.
+
+    Raises:
+        ConfigError: no such scenario, unreadable YAML, an unknown key or a value out of range.
+    """
+    source, data = _read(name_or_file)
+    for key, value in overrides.items():
+        _put(data, key, value)
+    return validate(data, source)
+
+
+def validate(data: dict[str, Any], source: str) -> Scenario:
+    """Checks a scenario's data; `source` says in errors where it came from."""
+    try:
+        scenario = Scenario.model_validate(data)
+    except ValidationError as error:
+        lines = [_explain(data, dict(item)) for item in error.errors()[:8]]
+        raise ConfigError(f"{source}: " + "\n".join(lines)) from None
+    _check_period(scenario, source)
+    return scenario
+
+
+def parse_assignment(text: str) -> tuple[str, Any]:
+    """Reads `key=value` of `--set`; the value is YAML."""
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise ConfigError(f"--set {text!r}: needs key=value, such as traffic.cav_rate=0.1")
+    try:
+        return key.strip(), yaml.safe_load(value)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"--set {key}: the value {value!r} is not YAML: {error}") from None
+
+
+def _read(name_or_file: str) -> tuple[str, dict[str, Any]]:
+    if name_or_file in builtin_names():
+        text = resources.files("cpnet").joinpath(f"scenarios/{name_or_file}.yaml").read_text("utf-8")
+    else:
+        path = Path(name_or_file)
+        if not path.is_file():
+            raise ConfigError(
+                f"there is no scenario {name_or_file!r}: neither a file nor one of the built-in "
+                f"{', '.join(builtin_names())}"
+            )
+        try:
+            text = path.read_text("utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(f"{path}: cannot be read: {error}") from None
+    try:
+        data = yaml.safe_load(text) or {}
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{name_or_file}: not YAML: {error}") from None
+    if not isinstance(data, dict):
+        raise ConfigError(f"{name_or_file}: holds a {type(data).__name__}, needs keys and values")
+    return name_or_file, data
+
+
+def _put(data: dict[str, Any], dotted: str, value: object) -> None:
+    *path, last = _split(dotted)
+    here = data
+    for key in path:
+        below = here.setdefault(key, {})
+        if not isinstance(below, dict):
+            raise ConfigError(f"{dotted}: {key} is no section")
+        here = below
+    here[last] = value
+
+
+def _split(dotted: str) -> list[str]:
+    """Splits a key, but leaves what follows a mapping's name whole: edge ids may hold dots."""
+    parts = dotted.split(".")
+    model: Any = Scenario
+    for depth, part in enumerate(parts):
+        field = model.model_fields.get(part) if _is_section(model) else None
+        if field is None:
+            return [*parts[:depth], ".".join(parts[depth:])] if not _is_section(model) else parts
+        model = field.annotation
+    return parts
+
+
+def _is_section(annotation: object) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+
+
+def _explain(data: dict[str, Any], item: dict[str, Any]) -> str:
+    where = ".".join(str(part) for part in item["loc"])
+    if item["type"] != "extra_forbidden":
+        return f"{where}: {item['msg'].removeprefix('Value error, ')} (got {item['input']!r:.80})"
+    *path, key = item["loc"]
+    allowed = _keys_at(path)
+    close = difflib.get_close_matches(str(key), allowed, n=1)
+    hint = f"; did you mean {close[0]}?" if close else ""
+    section = f"section {'.'.join(map(str, path))}" if path else "a scenario"
+    return f"unknown key {where}{hint} {section} allows: {', '.join(allowed)}"
+
+
+def _keys_at(path: list[int | str]) -> list[str]:
+    model: Any = Scenario
+    for part in path:
+        if isinstance(part, int):
+            model = model.__args__[0]
+        else:
+            model = model.model_fields[part].annotation
+    return list(model.model_fields)
+
+
+def _check_period(scenario: Scenario, source: str) -> None:
+    ratio = scenario.frame_period_s / scenario.traffic.step_s
+    if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
+        raise ConfigError(
+            f"{source}: frame_period_s is {scenario.frame_period_s} s, "
+            f"it must be a multiple of traffic.step_s, {scenario.traffic.step_s} s"
+        )

@@ -1,0 +1,143 @@
+"""Starts a run's processes, notices when one dies, and leaves none behind."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from cpnet.endpoints import Endpoints, connecting
+from cpnet.processes import ProcessEntry
+from protocol.bus import Endpoint
+from protocol.topics import BusName
+
+GRACE_S = 3.0  # between the request to stop and SIGKILL: within the 5 s that users wait
+TAIL_LINES = 12
+
+
+@dataclass(slots=True, eq=False)
+class Child:
+    """A running process with its log."""
+
+    entry: ProcessEntry
+    process: subprocess.Popen[bytes]
+    log_path: Path
+    log: IO[bytes]
+
+
+@dataclass(frozen=True, slots=True)
+class Death:
+    """A process that ended before the run did."""
+
+    id: str
+    how: str
+    tail: str
+
+
+class Supervisor:
+    """Holds the processes of one machine; a context manager that ends them all."""
+
+    def __init__(self, run_dir: Path, endpoints: Endpoints) -> None:
+        self._run_dir = run_dir
+        self._endpoints = endpoints
+        self._children: list[Child] = []
+
+    def __enter__(self) -> Supervisor:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def start(self, entries: list[ProcessEntry]) -> None:
+        """Starts the processes; their standard error goes to `logs/ID.log` of the run folder."""
+        folder = self._run_dir / "logs"
+        folder.mkdir(parents=True, exist_ok=True)
+        for entry in entries:
+            path = folder / f"{entry.id}.log"
+            log = path.open("wb")
+            process = subprocess.Popen(
+                self._command(entry),
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,  # Ctrl-C reaches the supervisor, which stops in order
+            )
+            self._children.append(Child(entry, process, path, log))
+
+    def death(self, expected: Collection[str] = ()) -> Death | None:
+        """Returns a process that ended on its own, unless it was expected to end well.
+
+        Of several the one that a signal killed comes first: it is the cause, not a consequence.
+        """
+        dead = [
+            (status, child)
+            for child in self._children
+            if (status := child.process.poll()) is not None
+            and not (status == 0 and child.entry.id in expected)
+        ]
+        if not dead:
+            return None
+        status, child = min(dead, key=lambda one: one[0])
+        return Death(child.entry.id, _how(status), tail(child.log_path))
+
+    def running(self, *roles: str) -> bool:
+        """Whether a process of one of these roles still runs here."""
+        return any(
+            child.process.poll() is None for child in self._children if child.entry.role.role in roles
+        )
+
+    def stop(self) -> list[str]:
+        """Ends all processes: SIGINT, a grace period, SIGKILL. Returns who had to be killed."""
+        for child in reversed(self._children):
+            if child.process.poll() is None:
+                child.process.send_signal(signal.SIGINT)
+        give_up_ns = time.monotonic_ns() + int(GRACE_S * 1e9)
+        killed = []
+        for child in reversed(self._children):
+            left_s = max(0.0, (give_up_ns - time.monotonic_ns()) / 1e9)
+            try:
+                child.process.wait(left_s)
+            except subprocess.TimeoutExpired:
+                child.process.kill()
+                child.process.wait()
+                killed.append(child.entry.id)
+            _release(child)
+        self._children.clear()
+        return killed
+
+    def _command(self, entry: ProcessEntry) -> list[str]:
+        command = [sys.executable, "-m", entry.role.module, "--supervised", "--id", entry.id]
+        command += ["--setup", str(self._run_dir / "setup.msgpack"), "--run", str(self._run_dir)]
+        for bus in BusName:
+            command += [f"--{bus.value}", str(self._endpoint(bus, entry))]
+        return command
+
+    def _endpoint(self, bus: BusName, entry: ProcessEntry) -> Endpoint:
+        endpoint = self._endpoints[bus]
+        return endpoint if entry.role.hosts is bus else connecting(endpoint)
+
+
+def tail(path: Path, lines: int = TAIL_LINES) -> str:
+    """Returns the last lines of a log."""
+    try:
+        text = path.read_text("utf-8", errors="replace")
+    except OSError as error:
+        return f"(no log: {error})"
+    return "\n".join(text.splitlines()[-lines:]) or "(its log is empty)"
+
+
+def _how(status: int) -> str:
+    if status >= 0:
+        return f"ended with status {status}"
+    return f"was killed by {signal.Signals(-status).name}"
+
+
+def _release(child: Child) -> None:
+    if child.process.stdin is not None:
+        child.process.stdin.close()
+    child.log.close()

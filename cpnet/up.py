@@ -1,0 +1,174 @@
+"""`cpnet up`: from options to a run that ends well, or that says what went wrong."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import threading
+import time
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from cpnet import scenario as scenarios
+from cpnet.display import Display
+from cpnet.endpoints import Endpoints, connecting, resolve
+from cpnet.processes import choose_roles, processes_of
+from cpnet.supervisor import Death, Supervisor
+from cpnet.watch import Watch
+from protocol.bus import fetch
+from protocol.errors import ConfigError
+from protocol.messages import Setup
+from protocol.topics import BusName
+from protocol.wire import encode
+
+POLL_S = 0.1
+OVERTAKEN_S = 0.5
+OTHERS_LEAVE_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the user asked `cpnet up` for."""
+
+    scenario: str
+    overrides: dict[str, Any]
+    only: str | None
+    listen: list[str]
+    connect: list[str]
+    out: Path | None
+
+
+def up(options: Options, console: Console) -> tuple[int, Path]:
+    """Runs the roles of this machine to the end; returns the exit status and the run folder.
+
+    Raises:
+        ConfigError: the options or the scenario cannot be.
+        BusError: the other side cannot be reached.
+    """
+    roles = choose_roles(options.only)
+    names = [row.role for row in roles]
+    endpoints = resolve(options.listen, options.connect, {r.hosts for r in roles if r.hosts})
+    asked = None
+    if "sim" in names:
+        asked = scenarios.load(options.scenario, options.overrides)
+    elif options.overrides:
+        raise ConfigError(
+            f"{', '.join(options.overrides)}: the scenario is decided where the role sim runs"
+        )
+    run_dir = _make_run_dir(options.out, asked.name if asked else "-".join(names))
+    setup, scenario = _setup(asked, endpoints, run_dir)
+    (run_dir / "setup.msgpack").write_bytes(encode(setup))
+    (run_dir / "scenario.json").write_text(json.dumps(setup.scenario, indent=2) + "\n", "utf-8")
+    console.print(f"[bold]{scenario.name}[/]: {', '.join(names)} → {run_dir}", highlight=False)
+    with Interruption() as interruption, Supervisor(run_dir, endpoints) as supervisor:
+        supervisor.start(processes_of(roles, scenario))
+        status = _attend(supervisor, endpoints, scenario, interruption, console)
+    return status, run_dir
+
+
+class Interruption:
+    """Turns SIGINT and SIGTERM into an event while a run goes on."""
+
+    def __init__(self) -> None:
+        self.event = threading.Event()
+        self.number = 0
+
+    def __enter__(self) -> Interruption:
+        self._before = {n: signal.signal(n, self._take) for n in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _take(self, number: int, _: object) -> None:
+        self.number = number
+        self.event.set()
+
+
+def _setup(
+    asked: scenarios.Scenario | None, endpoints: Endpoints, run_dir: Path
+) -> tuple[Setup, scenarios.Scenario]:
+    if asked is not None:
+        # SUMO is needed only where the world runs.
+        from sim_host.setup import build_setup  # noqa: PLC0415
+
+        try:
+            return build_setup(asked.model_dump(mode="json"), run_dir), asked
+        except ConfigError:
+            shutil.rmtree(run_dir, ignore_errors=True)
+            raise
+    world = connecting(endpoints[BusName.WORLD])
+    setup = fetch(BusName.WORLD, world, "setup", Setup)
+    return setup, scenarios.validate(setup.scenario, "the scenario of the other side")
+
+
+def _make_run_dir(out: Path | None, name: str) -> Path:
+    if out is None:
+        stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
+        out = Path("runs") / f"{name}-{stamp}"
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ConfigError(f"--out {out}: it exists and is not an empty folder")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--out {out}: {error.strerror}") from None
+    return out.resolve()
+
+
+def _attend(
+    supervisor: Supervisor,
+    endpoints: Endpoints,
+    scenario: scenarios.Scenario,
+    interruption: Interruption,
+    console: Console,
+) -> int:
+    death = _wait_for_world(supervisor, interruption)
+    if death is None and not interruption.event.is_set():
+        world = connecting(endpoints[BusName.WORLD])
+        with Watch(world) as watch, Display(console, scenario.duration_s) as display:
+            death = _follow(supervisor, watch, display, interruption)
+    if interruption.event.is_set():
+        console.print(f"stopping ({signal.Signals(interruption.number).name})")
+        return 128 + interruption.number
+    if death is not None:
+        console.print(f"[bold red]{death.id} {death.how}[/]; the last lines of its log:")
+        console.print(death.tail, highlight=False, markup=False)
+        return 1
+    return 0
+
+
+def _wait_for_world(supervisor: Supervisor, interruption: Interruption) -> Death | None:
+    """Gives a local router the moment it needs, noticing a process that cannot start."""
+    for _ in range(3):
+        if interruption.event.wait(POLL_S):
+            break
+        if death := supervisor.death():
+            return death
+    return None
+
+
+def _follow(
+    supervisor: Supervisor, watch: Watch, display: Display, interruption: Interruption
+) -> Death | None:
+    ended_ns = 0
+    while not interruption.event.is_set():
+        if watch.update(POLL_S) and watch.progress:
+            display.show(watch.progress)
+        if supervisor.death() and watch.end is None:
+            watch.update(OVERTAKEN_S)  # the end may still be on its way
+        if death := supervisor.death({"sim", "record"} if watch.end else ()):
+            return death
+        if watch.end is None and watch.gone("sim"):
+            return Death("sim", "left the other machine before the run ended", "(no log here)")
+        if watch.end is not None:
+            ended_ns = ended_ns or time.monotonic_ns()
+            late = time.monotonic_ns() - ended_ns > OTHERS_LEAVE_S * 1e9
+            if not supervisor.running("sim", "record") and (late or not watch.here("record")):
+                return None
+    return None

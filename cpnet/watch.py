@@ -1,0 +1,56 @@
+"""What the supervisor hears of a run over the world bus: progress, its end, who is there."""
+
+from __future__ import annotations
+
+from protocol.bus import Endpoint, open_bus
+from protocol.inbox import Envelope, Inbox, Presence
+from protocol.messages import End, Progress
+from protocol.topics import BusName
+
+
+class Watch:
+    """A listener that disturbs nobody; a context manager."""
+
+    def __init__(self, world: Endpoint) -> None:
+        self._inbox = Inbox()
+        self._bus = open_bus(BusName.WORLD, world, self._inbox)
+        self.progress: Progress | None = None
+        self.end: End | None = None
+        self.present: set[tuple[str, str]] = set()
+        self.left: set[tuple[str, str]] = set()
+        for topic in ("progress", "end"):
+            self._bus.subscribe(topic)
+        self._bus.watch()
+
+    def __enter__(self) -> Watch:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bus.close()
+
+    def update(self, timeout_s: float) -> bool:
+        """Takes what has come, waiting at most this long; returns whether progress was new."""
+        before = self.progress
+        item = self._inbox.get(timeout_s)
+        while item is not None:
+            self._take(item)
+            item = self._inbox.get()
+        return self.progress is not before
+
+    def here(self, role: str) -> bool:
+        """Whether a process of this role lives on any machine."""
+        return any(present == role for present, _ in self.present)
+
+    def gone(self, role: str) -> bool:
+        """Whether processes of this role were there and all have left."""
+        return not self.here(role) and any(left == role for left, _ in self.left)
+
+    def _take(self, item: Envelope | Presence) -> None:
+        if isinstance(item, Presence):
+            who = (item.role, item.id)
+            (self.present.add if item.alive else self.present.discard)(who)
+            (self.left.discard if item.alive else self.left.add)(who)
+        elif isinstance(item.message, Progress):
+            self.progress = item.message
+        elif isinstance(item.message, End):
+            self.end = item.message

@@ -1,0 +1,1 @@
+"""A LiDAR on a post at the roadside."""

@@ -1,0 +1,1 @@
+"""All that crosses a process boundary: messages, topics, wire, codec, geometry, bus."""

@@ -1,0 +1,222 @@
+"""The two buses over Zenoh. The only module that imports it.
+
+One process of the system hosts a bus's router and listens; all others connect to it as clients.
+Shared memory is off on the V2X bus: bytes that never cross the socket could not be counted.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeVar, cast
+
+import zenoh
+
+from protocol.errors import BusError
+from protocol.inbox import Envelope, Inbox, Presence, Sealed
+from protocol.messages import Message
+from protocol.tcpinfo import sent_bytes
+from protocol.topics import ALIVE, TOPICS, BusName, Delivery, Topic
+from protocol.wire import decode, encode
+
+__all__ = ["Bus", "Endpoint", "Envelope", "Inbox", "Presence", "ZenohBus", "fetch", "open_bus"]
+
+M = TypeVar("M", bound=Message)
+
+CONNECT_TIMEOUT_MS = 20_000
+_PRIORITY = {
+    Delivery.BULK: zenoh.Priority.DATA,
+    Delivery.PROMPT: zenoh.Priority.INTERACTIVE_HIGH,
+    Delivery.TELEMETRY: zenoh.Priority.DATA_LOW,
+}
+
+
+class Bus(Protocol):
+    """What a role needs of a bus; what arrives goes to the inbox it was made with."""
+
+    def publish(self, topic_name: str, message: Message, **parts: str) -> int:
+        """Sends a message; the parts fill the topic's key. Returns its size in bytes."""
+
+    def subscribe(self, topic_name: str, **parts: str) -> None:
+        """Asks for a topic; parts that are left out match everything."""
+
+    def announce(self, role: str, process_id: str) -> None:
+        """Shows the others that this process lives, until it ends."""
+
+    def watch(self) -> None:
+        """Asks for the presence of all processes, those already there included."""
+
+    def wire_bytes(self) -> int:
+        """Returns the bytes that TCP has sent for this bus, 0 if it is not one connection."""
+
+    def close(self) -> None:
+        """Ends the bus; its tokens vanish."""
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """How to reach a bus: `listen` hosts its router at the locator, otherwise connect to it."""
+
+    locator: str
+    listen: bool
+
+    def __str__(self) -> str:
+        return f"{'listen' if self.listen else 'connect'}:{self.locator}"
+
+    @classmethod
+    def parse(cls, text: str) -> Endpoint:
+        """Reads `listen:tcp/HOST:PORT` or `connect:tcp/HOST:PORT`."""
+        verb, _, locator = text.partition(":")
+        if verb not in ("listen", "connect") or not locator:
+            raise BusError(f"endpoint {text!r}: needs listen:LOCATOR or connect:LOCATOR")
+        return cls(locator, verb == "listen")
+
+
+class ZenohBus:
+    """A bus over one Zenoh session."""
+
+    def __init__(self, session: zenoh.Session, name: BusName, inbox: Inbox) -> None:
+        self._session = session
+        self._name = name
+        self._inbox = inbox
+        self._kept: list[object] = []
+
+    def publish(self, topic_name: str, message: Message, **parts: str) -> int:
+        """See `Bus.publish`; blocks while the link is full."""
+        topic = self._topic(topic_name)
+        data = encode(message)
+        self._session.put(
+            topic.key(**parts),
+            data,
+            priority=_PRIORITY[topic.delivery],
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            express=topic.delivery is Delivery.PROMPT,
+        )
+        return len(data)
+
+    def subscribe(self, topic_name: str, **parts: str) -> None:
+        """See `Bus.subscribe`."""
+        topic = self._topic(topic_name)
+
+        def take(sample: zenoh.Sample) -> None:
+            arrived_ns = time.monotonic_ns()
+            key = str(sample.key_expr)
+            self._inbox.put(Sealed(topic, key, sample.payload.to_bytes(), arrived_ns))
+
+        self._kept.append(self._session.declare_subscriber(topic.key(**parts), take))
+
+    def announce(self, role: str, process_id: str) -> None:
+        """See `Bus.announce`."""
+        key = f"{ALIVE}/{role}/{process_id}"
+        self._kept.append(self._session.liveliness().declare_token(key))
+
+    def watch(self) -> None:
+        """See `Bus.watch`."""
+
+        def take(sample: zenoh.Sample) -> None:
+            role, process_id = str(sample.key_expr).split("/")[-2:]
+            alive = sample.kind == zenoh.SampleKind.PUT
+            self._inbox.put(Presence(role, process_id, alive))
+
+        subscriber = self._session.liveliness().declare_subscriber(
+            f"{ALIVE}/*/*", take, history=True
+        )
+        self._kept.append(subscriber)
+
+    def serve(self, topic_name: str, message: Message) -> None:
+        """Answers whoever asks for this topic with this message."""
+        data = encode(message)
+        key = self._topic(topic_name).key()
+        self._kept.append(
+            self._session.declare_queryable(key, lambda query: query.reply(key, data))
+        )
+
+    def wire_bytes(self) -> int:
+        """See `Bus.wire_bytes`."""
+        links = self._session.info.links()
+        return sent_bytes(str(links[0].src)) if len(links) == 1 else 0
+
+    def close(self) -> None:
+        """See `Bus.close`."""
+        self._session.close()  # type: ignore[no-untyped-call]  # zenoh annotates arguments only
+
+    def _topic(self, name: str) -> Topic:
+        topic = TOPICS[name]
+        if topic.bus is not self._name:
+            raise BusError(f"topic {name} belongs to the {topic.bus.value} bus")
+        return topic
+
+
+def open_bus(name: BusName, endpoint: Endpoint, inbox: Inbox) -> ZenohBus:
+    """Opens a bus, as its router's host or as a client.
+
+    Raises:
+        BusError: the port is in use, or nothing answers there within 20 s.
+    """
+    return ZenohBus(_open_session(name, endpoint), name, inbox)
+
+
+def fetch(name: BusName, endpoint: Endpoint, topic_name: str, message: type[M]) -> M:
+    """Asks a bus for the message that its router's host serves.
+
+    Raises:
+        BusError: nobody answered.
+        ProtocolError: the answer is not such a message.
+    """
+    session = _open_session(name, endpoint)
+    try:
+        give_up_ns = time.monotonic_ns() + CONNECT_TIMEOUT_MS * 1_000_000
+        while time.monotonic_ns() < give_up_ns:
+            for reply in session.get(TOPICS[topic_name].key(), timeout=2.0):
+                if reply.ok is not None:
+                    return decode(reply.ok.payload.to_bytes(), message)
+        raise BusError(f"{endpoint.locator} is up, but nobody there serves {topic_name}")
+    finally:
+        session.close()  # type: ignore[no-untyped-call]
+
+
+def _open_session(name: BusName, endpoint: Endpoint) -> zenoh.Session:
+    try:
+        return zenoh.open(_config(name, endpoint))
+    except zenoh.ZError as error:
+        raise BusError(_explain(name, endpoint, str(error))) from None
+
+
+def _config(name: BusName, endpoint: Endpoint) -> zenoh.Config:
+    config = zenoh.Config()
+    settings = {
+        "mode": "router" if endpoint.listen else "client",
+        "listen/endpoints": [endpoint.locator] if endpoint.listen else [],
+        "connect/endpoints": [] if endpoint.listen else [endpoint.locator],
+        "connect/timeout_ms": CONNECT_TIMEOUT_MS,
+        "connect/exit_on_failure": True,
+        "connect/retry": {"period_init_ms": 50, "period_max_ms": 400, "period_increase_factor": 2},
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": name is BusName.WORLD,
+    }
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def _explain(name: BusName, endpoint: Endpoint, error: str) -> str:
+    if "in use" in error:
+        return (
+            f"cannot listen at {endpoint.locator} for the {name.value} bus: the port is in use; "
+            "stop what uses it or choose another with --listen"
+        )
+    if not endpoint.listen:
+        return (
+            f"nothing answers at {endpoint.locator} for the {name.value} bus "
+            f"(waited {CONNECT_TIMEOUT_MS // 1000} s); is the other side up?"
+        )
+    return (
+        f"cannot listen at {endpoint.locator} for the {name.value} bus: {error.split(' at /')[0]}"
+    )
+
+
+OpenBus = Callable[[], Bus]
+_: type[Bus] = cast("type[Bus]", ZenohBus)

@@ -1,0 +1,38 @@
+"""The one exception tree of cpnet.
+
+CpnetError
+├── ConfigError         the user asked for something that cannot be; says what is allowed
+├── ProtocolError       bytes that came over a bus are not what they claim
+│   ├── VersionError    another protocol version; names both
+│   ├── MessageError    malformed, truncated, oversized or non-finite
+│   └── CodecError      a scan payload that does not decode
+└── BusError            the transport cannot be opened or was lost
+"""
+
+
+class CpnetError(Exception):
+    """Root of every error that cpnet raises on purpose."""
+
+
+class ConfigError(CpnetError):
+    """A user's mistake: the text names the file or key, the value and what is allowed."""
+
+
+class ProtocolError(CpnetError):
+    """Bad bytes from a bus: counted and dropped by the receiver, never fatal."""
+
+
+class VersionError(ProtocolError):
+    """The sender speaks another protocol version."""
+
+
+class MessageError(ProtocolError):
+    """A message that is truncated, oversized, of the wrong kind or invalid."""
+
+
+class CodecError(ProtocolError):
+    """A scan that cannot be encoded within its bound or a payload that does not decode."""
+
+
+class BusError(CpnetError):
+    """A bus that cannot be opened or that lost its router."""

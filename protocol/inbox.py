@@ -1,0 +1,88 @@
+"""Where a process finds all that came in, from every bus, in order of arrival."""
+
+from __future__ import annotations
+
+import logging
+import queue
+from collections import Counter
+from dataclasses import dataclass
+
+from protocol.errors import ProtocolError
+from protocol.messages import Message
+from protocol.topics import Topic
+from protocol.wire import decode
+
+CAPACITY = 4096
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Envelope:
+    """A message with its topic's name, the parts of its key and when its bytes arrived."""
+
+    topic: str
+    parts: dict[str, str]
+    message: Message
+    received_ns: int
+    size_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Presence:
+    """A process appeared on a bus or left it, by its liveliness token."""
+
+    role: str
+    id: str
+    alive: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sealed:
+    """Bytes as they came, not yet read."""
+
+    topic: Topic
+    key: str
+    data: bytes
+    received_ns: int
+
+
+class Inbox:
+    """A bounded queue; a bad message is dropped, counted in `drops`, and logged once a key."""
+
+    def __init__(self, capacity: int = CAPACITY) -> None:
+        self._queue: queue.Queue[Sealed | Presence] = queue.Queue(capacity)
+        self._told: set[tuple[str, str]] = set()
+        self.drops: Counter[str] = Counter()
+
+    def put(self, item: Sealed | Presence) -> None:
+        """Takes an item from a transport's thread; a full inbox counts and drops it."""
+        try:
+            self._queue.put_nowait(item)
+        except queue.Full:
+            self.drops["inbox_full"] += 1
+
+    def get(self, timeout_s: float = 0.0) -> Envelope | Presence | None:
+        """Returns the next item that can be read, or None when the time is over."""
+        try:
+            item = self._queue.get(timeout_s > 0, timeout_s or None)
+        except queue.Empty:
+            return None
+        return item if isinstance(item, Presence) else self._open(item)
+
+    def refuse(self, key: str, error: ProtocolError) -> None:
+        """Counts a message that a later stage found to be bad."""
+        reason = type(error).__name__
+        self.drops[reason] += 1
+        if (key, reason) not in self._told and len(self._told) < CAPACITY:
+            self._told.add((key, reason))
+            _log.warning("dropped a message on %s: %s (later ones are only counted)", key, error)
+
+    def _open(self, sealed: Sealed) -> Envelope | None:
+        try:
+            message = decode(sealed.data, sealed.topic.message)
+            parts = sealed.topic.parts(sealed.key)
+        except ProtocolError as error:
+            self.refuse(sealed.key, error)
+            return None
+        size = len(sealed.data)
+        return Envelope(sealed.topic.name, parts, message, sealed.received_ns, size)

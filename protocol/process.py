@@ -1,0 +1,153 @@
+"""The life of a role's process: arguments, buses, log, signals, one loop.
+
+    python -m edge_server --id edge --setup RUN/setup.msgpack --run RUN
+                          --v2x listen:tcp/127.0.0.1:7447 --world connect:tcp/127.0.0.1:7448
+
+A process ends when its role sets `stop`, on SIGINT or SIGTERM, or when its standard input
+closes: a supervisor that dies takes its processes with it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from protocol.bus import Bus, Endpoint, ZenohBus, open_bus
+from protocol.errors import CpnetError
+from protocol.inbox import Envelope, Inbox, Presence
+from protocol.messages import Setup
+from protocol.topics import BusName
+from protocol.wire import decode
+
+POLL_S = 0.02
+MAX_BATCH = 256  # so that a flood cannot keep a role from acting
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Context:
+    """What a role is handed. `open_v2x` opens one more V2X session, with its own connection."""
+
+    id: str
+    setup: Setup
+    run_dir: Path
+    world: Bus
+    v2x: Bus
+    inbox: Inbox
+    stop: threading.Event
+    open_v2x: Callable[[], Bus]
+
+    def announce(self, role: str) -> None:
+        """Shows this process on both buses: it is ready."""
+        self.world.announce(role, self.id)
+        self.v2x.announce(role, self.id)
+
+
+class Role(Protocol):
+    """A pure class behind a process: it knows messages, not transports."""
+
+    def on(self, item: Envelope | Presence) -> None:
+        """Takes what arrived."""
+
+    def poll(self) -> None:
+        """Is called when all that had come in was taken, and at least every 20 ms."""
+
+    def close(self) -> None:
+        """Writes and releases what it holds."""
+
+
+def run(role_name: str, build: Callable[[Context], Role]) -> None:
+    """Runs a role until it is told to stop; exits 0, or 1 with the reason in the log."""
+    arguments = _parse(role_name)
+    logging.basicConfig(
+        level=logging.INFO,
+        stream=sys.stderr,
+        format=f"%(asctime)s {arguments.id} %(levelname)s %(name)s: %(message)s",
+    )
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    if arguments.supervised:
+        threading.Thread(target=_stop_at_end_of_input, args=(stop,), daemon=True).start()
+    try:
+        _live(arguments, build, stop)
+    except CpnetError as error:
+        _log.error("%s", error)
+        sys.exit(1)
+
+
+def read_setup(path: Path) -> Setup:
+    """Reads the setup file that the supervisor wrote."""
+    return decode(path.read_bytes(), Setup)
+
+
+def _live(
+    arguments: argparse.Namespace, build: Callable[[Context], Role], stop: threading.Event
+) -> None:
+    inbox = Inbox()
+    setup = read_setup(arguments.setup)
+    world = open_bus(BusName.WORLD, arguments.world, inbox)
+    v2x = open_bus(BusName.V2X, arguments.v2x, inbox)
+    if arguments.world.listen:
+        world.serve("setup", setup)
+    extra = Endpoint(arguments.v2x.locator, listen=False)
+    context = Context(
+        arguments.id,
+        setup,
+        arguments.run,
+        world,
+        v2x,
+        inbox,
+        stop,
+        lambda: open_bus(BusName.V2X, extra, inbox),
+    )
+    try:
+        role = build(context)
+        try:
+            loop(role, inbox, stop)
+        finally:
+            role.close()
+    finally:
+        _close(v2x, world)
+
+
+def loop(role: Role, inbox: Inbox, stop: threading.Event) -> None:
+    """Hands all that came in to the role, then lets it act, until `stop` is set."""
+    while not stop.is_set():
+        item = inbox.get(POLL_S)
+        taken = 0
+        while item is not None:
+            role.on(item)
+            taken += 1
+            item = inbox.get() if taken < MAX_BATCH else None
+        role.poll()
+
+
+def _close(*buses: ZenohBus) -> None:
+    for bus in buses:
+        bus.close()
+
+
+def _stop_at_end_of_input(stop: threading.Event) -> None:
+    while os.read(0, 1):
+        pass
+    stop.set()
+
+
+def _parse(role_name: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog=f"python -m {role_name}", description=__doc__)
+    parser.add_argument("--id", required=True, help="the process's own name, such as vehicle-0")
+    parser.add_argument("--setup", required=True, type=Path, help="setup file of the run")
+    parser.add_argument("--run", required=True, type=Path, help="run folder")
+    parser.add_argument("--world", required=True, type=Endpoint.parse, help="listen:… or connect:…")
+    parser.add_argument("--v2x", required=True, type=Endpoint.parse, help="listen:… or connect:…")
+    parser.add_argument("--supervised", action="store_true", help="stop when standard input closes")
+    return parser.parse_args()

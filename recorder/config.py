@@ -1,0 +1,22 @@
+"""What of a run is kept."""
+
+from pydantic import Field
+
+from protocol.config import Section
+
+
+class RecordConfig(Section):
+    """Counts, phases, trips, uploads and stages are always kept; these are the large ones."""
+
+    snapshot_period_s: float = Field(
+        10.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="Keep every upload of one frame this often in simulated seconds, so that its "
+        "cloud can be drawn later; 0 keeps none.",
+    )
+    truth: bool = Field(
+        True,
+        description="Keep where every vehicle truly was in each frame; E-CVPR needs it. About "
+        "100 bytes per vehicle and frame.",
+    )

@@ -1,0 +1,36 @@
+"""When a run is over: the world has ended and what the others say of its last frame has come."""
+
+from __future__ import annotations
+
+from recorder.ledger import Ledger
+
+PATIENCE_NS = 2_000_000_000
+SILENCE_NS = 150_000_000
+LAST_TO_SPEAK = frozenset({"edge", "signal"})
+
+
+class Ending:
+    """Waits for stragglers: topics of two buses and many processes keep no common order."""
+
+    def __init__(self) -> None:
+        self._began_ns: int | None = None
+        self._heard_ns = 0
+
+    def begin(self, now_ns: int) -> None:
+        """The world has said that it stops."""
+        self._began_ns = now_ns
+
+    def heard(self, now_ns: int) -> None:
+        """Something was said."""
+        self._heard_ns = max(self._heard_ns, now_ns)
+
+    def is_over(self, now_ns: int, ledger: Ledger) -> bool:
+        """Whether the last frame is whole and all are silent, or patience has run out."""
+        if self._began_ns is None:
+            return False
+        if now_ns - self._began_ns >= PATIENCE_NS:
+            return True
+        last = ledger.get(ledger.newest_tick)
+        if last is None or not last.heard >= LAST_TO_SPEAK or last.detections is None:
+            return False
+        return now_ns - self._heard_ns >= SILENCE_NS

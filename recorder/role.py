@@ -1,0 +1,195 @@
+"""The record role: hears both buses and writes one database."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from protocol import messages as m
+from protocol.errors import MessageError
+from protocol.inbox import Envelope, Presence
+from protocol.process import Context
+from protocol.topics import TOPICS, BusName
+from recorder import rows, tables
+from recorder.config import RecordConfig
+from recorder.database import Database
+from recorder.ending import Ending
+from recorder.glance import Glance
+from recorder.ledger import Ledger
+
+COMMIT_NS = 1_000_000_000
+COMMIT_ROWS = 5_000
+PROGRESS_NS = 1_000_000_000
+
+
+class RecordRole:
+    """Writes what the run says of itself; never in the way of a frame."""
+
+    def __init__(self, context: Context) -> None:
+        """Opens the database and subscribes.
+
+        Raises:
+            ConfigError: the run folder cannot take a recording.
+        """
+        scenario = context.setup.scenario
+        self._context = context
+        self._config = RecordConfig.model_validate(scenario.get("record", {}))
+        self._frame_period_ns = round(float(scenario.get("frame_period_s", 0.1)) * 1e9)
+        self._database = Database(context.run_dir)
+        self._ledger = Ledger()
+        self._glance = Glance()
+        self._ending = Ending()
+        self._drops: dict[str, dict[str, int]] = {}
+        self._committed_ns = self._told_ns = time.monotonic_ns()
+        self._handlers = self._routes()
+        self._begin(scenario)
+
+    @classmethod
+    def build(cls, context: Context) -> RecordRole:
+        """Makes the role and announces that it listens."""
+        role = cls(context)
+        for name in role._handlers:
+            bus = context.world if TOPICS[name].bus is BusName.WORLD else context.v2x
+            bus.subscribe(name)
+        for bus in (context.world, context.v2x):
+            bus.announce("record", context.id)
+        return role
+
+    def on(self, item: Envelope | Presence) -> None:
+        """Takes a message; one that contradicts itself is counted and dropped."""
+        if isinstance(item, Presence) or item.topic not in self._handlers:
+            return
+        try:
+            self._handlers[item.topic](item.message, item.received_ns)
+        except MessageError as error:
+            self._context.inbox.refuse(item.topic, error)
+        self._ending.heard(item.received_ns)
+
+    def poll(self) -> None:
+        """Commits and reports when it is time, and stops once the run is written."""
+        now_ns = time.monotonic_ns()
+        due = now_ns - self._committed_ns >= COMMIT_NS
+        if due or self._database.pending_rows >= COMMIT_ROWS:
+            self._commit(now_ns)
+        if now_ns - self._told_ns >= PROGRESS_NS:
+            self._tell(now_ns)
+        if self._ending.is_over(now_ns, self._ledger):
+            self._context.stop.set()
+
+    def close(self) -> None:
+        """Writes the rest and leaves one plain file."""
+        self._commit(time.monotonic_ns())
+        self._database.close()
+
+    def _routes(self) -> dict[str, Callable[[Any, int], None]]:
+        routes: dict[str, Callable[[Any, int], None]] = {
+            "tick": self._on_tick,
+            "trips": self._on_trips,
+            "metrics": self._on_metrics,
+            "end": self._on_end,
+            "state": self._on_state,
+            "request": self._on_request,
+            "detections": self._on_detections,
+            "lanes": self._on_lanes,
+        }
+        if self._config.truth:
+            routes["truth"] = self._on_truth
+        if self._config.snapshot_period_s:
+            routes["scan"] = self._on_scan
+        return routes
+
+    def _on_tick(self, tick: m.Tick, received_ns: int) -> None:
+        note = self._ledger.tick(tick.frame)
+        self._glance.ticked(tick, received_ns)
+        note.sim_time_ns, note.tick_ns = tick.sim_time_ns, received_ns
+        note.vehicles, note.cavs, note.cvs = (
+            self._glance.vehicles,
+            self._glance.cavs,
+            self._glance.cvs,
+        )
+
+    def _on_truth(self, truth: m.Truth, _: int) -> None:
+        self._ledger.check(truth.frame)
+        self._database.add(tables.TruthRow, rows.truth_rows(truth))
+
+    def _on_trips(self, trips: m.Trips, _: int) -> None:
+        self._database.add(tables.TripRow, rows.trip_rows(trips))
+
+    def _on_metrics(self, metrics: m.Metrics, _: int) -> None:
+        note = self._ledger.note(metrics.frame)
+        note.measured(metrics)
+        self._drops[metrics.process] = metrics.drops
+        self._glance.measured(metrics)
+        if note.end_to_end_ns is not None:
+            self._glance.end_to_end_ns = note.end_to_end_ns
+        self._database.add(tables.StageRow, rows.stage_rows(metrics))
+
+    def _on_end(self, end: m.End, received_ns: int) -> None:
+        self._ending.begin(received_ns)
+        facts = {"end_frames": str(end.frames), "end_reason": end.reason}
+        self._database.add(tables.MetaRow, facts.items())
+
+    def _on_state(self, state: m.SignalState, _: int) -> None:
+        self._ledger.check(state.frame)
+        self._glance.state = state.state
+        self._database.add(tables.PhaseRow, [rows.phase_row(state)])
+
+    def _on_request(self, request: m.SignalRequest, received_ns: int) -> None:
+        self._ledger.note(request.frame).request_ns = received_ns
+        self._database.add(tables.RequestRow, [rows.request_row(request)])
+
+    def _on_detections(self, detections: m.Detections, _: int) -> None:
+        note = self._ledger.note(detections.frame)
+        self._database.add(tables.DetectionRow, rows.detection_rows(detections))
+        note.detections = self._glance.detections = len(detections.boxes)
+
+    def _on_lanes(self, lanes: m.LaneCounts, _: int) -> None:
+        note = self._ledger.note(lanes.frame)
+        note.complete, note.agents = lanes.complete, len(lanes.agents)
+        self._database.add(tables.CountRow, rows.count_rows(lanes))
+
+    def _on_scan(self, scan: m.Scan, _: int) -> None:
+        self._ledger.check(scan.frame)
+        period_ns = round(self._config.snapshot_period_s * 1e9)
+        if scan.sim_time_ns % period_ns < self._frame_period_ns:
+            self._database.add(tables.CloudRow, [rows.cloud_row(scan)])
+
+    def _begin(self, scenario: dict[str, Any]) -> None:
+        facts = {
+            "scenario": json.dumps(scenario),
+            "version": _version(),
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        }
+        self._database.add(tables.MetaRow, facts.items())
+        self._commit(time.monotonic_ns())
+
+    def _commit(self, now_ns: int) -> None:
+        for note in self._ledger.take_changed():
+            self._database.add(tables.FrameRow, [note.row()])
+            self._database.add(tables.UploadRow, note.upload_rows())
+        for process, drops in self._all_drops().items():
+            self._database.add(tables.DropRow, rows.drop_rows(process, drops))
+        self._database.commit()
+        self._committed_ns = now_ns
+
+    def _tell(self, now_ns: int) -> None:
+        drops = sum(sum(reasons.values()) for reasons in self._all_drops().values())
+        self._context.world.publish("progress", self._glance.report(now_ns, drops))
+        self._told_ns = now_ns
+
+    def _all_drops(self) -> dict[str, dict[str, int]]:
+        own = dict(self._context.inbox.drops)
+        if self._database.refused_rows:
+            own["refused_row"] = self._database.refused_rows
+        return {**self._drops, self._context.id: own}
+
+
+def _version() -> str:
+    try:
+        return version("cpnet-edge")
+    except PackageNotFoundError:  # run from a checkout that was never installed
+        return "unknown"

@@ -1,0 +1,127 @@
+"""Messages as rows. Lists of one message that disagree in length raise MessageError."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sized
+from typing import Any
+
+from protocol.errors import MessageError
+from protocol.messages import (
+    Detections,
+    LaneCounts,
+    Message,
+    Metrics,
+    Scan,
+    SignalRequest,
+    SignalState,
+    Trips,
+    Truth,
+)
+from recorder.tables import (
+    CloudRow,
+    CountRow,
+    DetectionRow,
+    DropRow,
+    PhaseRow,
+    RequestRow,
+    StageRow,
+    TripRow,
+    TruthRow,
+)
+
+
+def detection_rows(message: Detections) -> Iterator[DetectionRow]:
+    """Returns a row per box, numbered as in the message."""
+    boxes = message.boxes.astype(float).tolist()
+    scores, distances = message.scores.tolist(), message.distances_m.tolist()
+    _check_lengths(message, boxes, scores, message.lanes, distances, message.sources)
+    columns = zip(boxes, scores, message.lanes, distances, message.sources, strict=True)
+    return (
+        DetectionRow._make((message.frame, index, *box, score, lane, distance_m, source))
+        for index, (box, score, lane, distance_m, source) in enumerate(columns)
+    )
+
+
+def count_rows(message: LaneCounts) -> Iterator[CountRow]:
+    """Returns a row per lane and side of the stop bar."""
+    sides = {"upstream": message.upstream, "downstream": message.downstream}
+    return (
+        CountRow(message.frame, lane, side, vehicles)
+        for side, lanes in sides.items()
+        for lane, vehicles in lanes.items()
+    )
+
+
+def phase_row(message: SignalState) -> PhaseRow:
+    """Returns the signal's state in a frame."""
+    m = message
+    return PhaseRow(m.frame, m.tls, m.sim_time_ns, m.state, m.stage, m.green, m.source)
+
+
+def request_row(message: SignalRequest) -> RequestRow:
+    """Returns a policy's wish in a frame."""
+    pressures = json.dumps(message.pressures)
+    return RequestRow(message.frame, message.tls, message.state, message.policy, pressures)
+
+
+def truth_rows(message: Truth) -> Iterator[TruthRow]:
+    """Returns a row per vehicle."""
+    poses, equipment = message.poses.tolist(), message.equipment.tolist()
+    speeds, positions = message.speeds_mps.tolist(), message.lane_positions_m.tolist()
+    columns = (message.ids, message.types, equipment, poses, speeds, message.lanes, positions)
+    _check_lengths(message, *columns)
+    return (
+        TruthRow._make((message.frame, vehicle, kind, carries, *pose, speed_mps, lane, position_m))
+        for vehicle, kind, carries, pose, speed_mps, lane, position_m in zip(*columns, strict=True)
+    )
+
+
+def trip_rows(message: Trips) -> Iterator[TripRow]:
+    """Returns a row per journey."""
+    return (
+        TripRow(
+            trip.vehicle,
+            int(trip.equipment),
+            trip.depart_s,
+            trip.arrive_s,
+            trip.time_loss_s,
+            int(trip.teleported),
+        )
+        for trip in message.trips
+    )
+
+
+def stage_rows(message: Metrics) -> Iterator[StageRow]:
+    """Returns a row per span."""
+    return (
+        StageRow(
+            message.frame,
+            message.process,
+            span.agent,
+            span.stage,
+            span.start_ns,
+            span.end_ns - span.start_ns,
+        )
+        for span in message.spans
+    )
+
+
+def drop_rows(process: str, drops: dict[str, int]) -> list[DropRow]:
+    """Returns a row per reason."""
+    return [DropRow(process, reason, count) for reason, count in drops.items()]
+
+
+def cloud_row(message: Scan) -> CloudRow:
+    """Returns an upload as it went over the bus."""
+    pose = message.sensor_pose.tolist()
+    payload = message.payload.tobytes()
+    return CloudRow._make(
+        (message.frame, message.agent, message.chunk, message.points, *pose, payload)
+    )
+
+
+def _check_lengths(message: Message, *columns: Sized) -> None:
+    lengths: list[Any] = [len(column) for column in columns]
+    if len(set(lengths)) > 1:
+        raise MessageError(f"{type(message).__name__}: lists have lengths {lengths}, need one")

@@ -1,0 +1,117 @@
+"""The reading side: a run folder, opened read-only, whether it ended, was killed or still runs."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeVar
+
+from protocol.errors import ConfigError, ProtocolError
+from protocol.messages import Setup
+from protocol.wire import decode
+from recorder.database import FILE_NAME
+from recorder.tables import SCHEMA_VERSION, TABLES, CloudRow, MetaRow
+
+SETUP_NAME = "setup.msgpack"
+R = TypeVar("R", bound=tuple[Any, ...])
+
+
+class Run:
+    """A recorded run; use it as a context manager."""
+
+    def __init__(self, run_dir: Path) -> None:
+        """Opens the database.
+
+        Raises:
+            ConfigError: there is no run, or it was written by another version.
+        """
+        self.dir = run_dir
+        path = run_dir / FILE_NAME
+        if not path.is_file():
+            raise ConfigError(f"{run_dir} is not a run: it has no {FILE_NAME}")
+        self._connection = _connect(path)
+        self._check_version(path)
+
+    def __enter__(self) -> Run:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Lets the database go."""
+        self._connection.close()
+
+    def rows(self, row: type[R]) -> Iterator[R]:
+        """Yields all rows of a table, in the order of their keys."""
+        table = TABLES[row]
+        yield from map(table.row._make, self._connection.execute(table.select))
+
+    def query(self, sql: str, *parameters: object) -> list[tuple[Any, ...]]:
+        """Returns what a SELECT gives; see `recorder.tables` for the columns."""
+        return self._connection.execute(sql, parameters).fetchall()
+
+    def clouds(self, frame: int) -> list[CloudRow]:
+        """Returns the kept uploads of a frame."""
+        found = self.query("SELECT * FROM clouds WHERE frame = ? ORDER BY agent, chunk", frame)
+        return [CloudRow._make(values) for values in found]
+
+    @cached_property
+    def meta(self) -> dict[str, str]:
+        """Facts about the run: schema_version, scenario, version, started, end_reason …."""
+        return dict(self.rows(MetaRow))
+
+    @cached_property
+    def scenario(self) -> dict[str, Any]:
+        """The resolved scenario."""
+        result: dict[str, Any] = json.loads(self.meta.get("scenario", "{}"))
+        return result
+
+    @cached_property
+    def setup(self) -> Setup:
+        """What every process was given: the road, vehicle types, meshes.
+
+        Raises:
+            ConfigError: the folder lacks it or it is damaged.
+        """
+        path = self.dir / SETUP_NAME
+        try:
+            return decode(path.read_bytes(), Setup)
+        except FileNotFoundError:
+            raise ConfigError(f"{self.dir} is not a whole run: it has no {SETUP_NAME}") from None
+        except ProtocolError as error:
+            raise ConfigError(f"{path} cannot be read: {error}") from None
+
+    def _check_version(self, path: Path) -> None:
+        try:
+            found = self.meta.get("schema_version")
+        except sqlite3.DatabaseError as error:
+            self.close()
+            raise ConfigError(f"{path} is not a run's database: {error}") from None
+        if found != str(SCHEMA_VERSION):
+            self.close()
+            raise ConfigError(
+                f"{path} has schema version {found}, this side reads {SCHEMA_VERSION}"
+            )
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    uri = path.resolve().as_uri()
+    connection = sqlite3.connect(f"{uri}?mode=ro", uri=True)
+    try:
+        connection.execute("SELECT 1 FROM sqlite_master")
+    except sqlite3.OperationalError:  # a write-ahead log without its index, on a read-only medium
+        connection.close()
+        connection = sqlite3.connect(f"{uri}?immutable=1", uri=True)
+    except sqlite3.DatabaseError:
+        pass  # not a database: the caller finds out and says so
+    return connection

@@ -1,0 +1,240 @@
+"""The tables of a run: one row type each, from which both the writing and the reading side work.
+
+A column's unit is the end of its name. `_ns` without `sim_time` is a process's monotonic clock.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, get_args, get_type_hints
+
+SCHEMA_VERSION = 1
+_SQL_TYPES = {int: "INTEGER", float: "REAL", str: "TEXT", bytes: "BLOB"}
+
+
+class MetaRow(NamedTuple):
+    """A fact about the whole run."""
+
+    key: str
+    value: str
+
+
+class FrameRow(NamedTuple):
+    """One frame; NULL is what was never heard of. `agents` are those whose uploads were used."""
+
+    frame: int
+    sim_time_ns: int | None
+    vehicles: int | None
+    cavs: int | None
+    cvs: int | None
+    agents: int | None
+    points: int | None
+    detections: int | None
+    complete: int | None
+    tick_ns: int | None
+    request_ns: int | None
+    end_to_end_ns: int | None
+
+
+class UploadRow(NamedTuple):
+    """One chunk: what its sender said of it, then what the edge said."""
+
+    frame: int
+    agent: str
+    chunk: int
+    points: int | None
+    payload_bytes: int | None
+    wire_bytes: int | None
+    sense_start_ns: int | None
+    sense_end_ns: int | None
+    encode_end_ns: int | None
+    sent_ns: int | None
+    received_ns: int | None
+    decoded_ns: int | None
+
+
+class StageRow(NamedTuple):
+    """One stage of one frame in one process."""
+
+    frame: int
+    process: str
+    agent: str
+    stage: str
+    start_ns: int
+    duration_ns: int
+
+
+class DetectionRow(NamedTuple):
+    """One detected vehicle: its box's centre, size and heading in the map frame."""
+
+    frame: int
+    detection: int
+    x_m: float
+    y_m: float
+    z_m: float
+    length_m: float
+    width_m: float
+    height_m: float
+    yaw_rad: float
+    score: float
+    lane: str
+    distance_m: float
+    source: str
+
+
+class CountRow(NamedTuple):
+    """Vehicles counted on a lane; `side` of the stop bar is "upstream" or "downstream"."""
+
+    frame: int
+    lane: str
+    side: str
+    vehicles: int
+
+
+class PhaseRow(NamedTuple):
+    """What the signal showed, and who asked for it."""
+
+    frame: int
+    tls: str
+    sim_time_ns: int
+    state: str
+    stage: str
+    green: str
+    source: str
+
+
+class RequestRow(NamedTuple):
+    """What a policy asked for; `pressures` is a JSON list in vehicles."""
+
+    frame: int
+    tls: str
+    state: str
+    policy: str
+    pressures: str
+
+
+class TruthRow(NamedTuple):
+    """Where a vehicle truly was: footprint centre on the ground, in the map frame."""
+
+    frame: int
+    vehicle: str
+    type: str
+    equipment: int
+    x_m: float
+    y_m: float
+    z_m: float
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+    speed_mps: float
+    lane: str
+    lane_position_m: float
+
+
+class TripRow(NamedTuple):
+    """One vehicle's journey; `arrive_s` is NULL if the run ended before it did."""
+
+    vehicle: str
+    equipment: int
+    depart_s: float
+    arrive_s: float | None
+    time_loss_s: float
+    teleported: int
+
+
+class DropRow(NamedTuple):
+    """How often a process dropped input for one reason, since its start."""
+
+    process: str
+    reason: str
+    times: int
+
+
+class CloudRow(NamedTuple):
+    """One upload of a snapshot frame as it went over the bus; `sensor_*` is `map_SE3_sensor`."""
+
+    frame: int
+    agent: str
+    chunk: int
+    points: int
+    sensor_x_m: float
+    sensor_y_m: float
+    sensor_z_m: float
+    sensor_roll_rad: float
+    sensor_pitch_rad: float
+    sensor_yaw_rad: float
+    payload: bytes
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: its row type, how many leading columns identify a row, and how it is stored.
+
+    `is_result` marks tables that hold no reading of a real clock and no measured byte, so that two
+    lockstep runs of one scenario and seed agree in every row.
+    """
+
+    name: str
+    row: type[NamedTuple]
+    keys: int
+    is_result: bool = False
+    rowid: bool = False
+
+    @cached_property
+    def columns(self) -> tuple[str, ...]:
+        """Column names in row order."""
+        return tuple(self.row._fields)
+
+    @cached_property
+    def create(self) -> str:
+        """The statement that makes the table."""
+        parts = [f"{name} {sql}" for name, sql in zip(self.columns, self._types, strict=True)]
+        if self.keys:
+            parts.append(f"PRIMARY KEY ({', '.join(self.columns[: self.keys])})")
+        storage = "" if self.rowid or not self.keys else " WITHOUT ROWID"
+        return f"CREATE TABLE {self.name} ({', '.join(parts)}){storage}"
+
+    @cached_property
+    def insert(self) -> str:
+        """The statement that writes a row; a row with the same keys is replaced."""
+        marks = ", ".join("?" * len(self.columns))
+        return f"INSERT OR REPLACE INTO {self.name} VALUES ({marks})"
+
+    @cached_property
+    def select(self) -> str:
+        """The statement that reads all rows, in the order of their keys."""
+        order = ", ".join(self.columns[: self.keys]) or "rowid"
+        return f"SELECT {', '.join(self.columns)} FROM {self.name} ORDER BY {order}"
+
+    @property
+    def _types(self) -> list[str]:
+        hints = get_type_hints(self.row)
+        return [_sql_type(hints[name]) for name in self.columns]
+
+
+def _sql_type(hint: object) -> str:
+    kinds = get_args(hint) or (hint,)
+    optional = type(None) in kinds
+    kind = next(k for k in kinds if k is not type(None))
+    return _SQL_TYPES[kind] + ("" if optional else " NOT NULL")
+
+
+TABLES: dict[type, Table] = {
+    table.row: table
+    for table in (
+        Table("meta", MetaRow, 1),
+        Table("frames", FrameRow, 1),
+        Table("uploads", UploadRow, 3),
+        Table("stages", StageRow, 0),
+        Table("detections", DetectionRow, 2, is_result=True),
+        Table("counts", CountRow, 3, is_result=True),
+        Table("phases", PhaseRow, 2, is_result=True),
+        Table("requests", RequestRow, 2, is_result=True),
+        Table("truth", TruthRow, 2, is_result=True),
+        Table("trips", TripRow, 1, is_result=True),
+        Table("drops", DropRow, 2),
+        Table("clouds", CloudRow, 3, rowid=True),
+    )
+}
+"""Every table by its row type."""

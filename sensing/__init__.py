@@ -1,0 +1,1 @@
+"""Simulated sensors: the scene, LiDAR scans of it, and how well an agent knows its pose."""

@@ -1,0 +1,146 @@
+"""Configuration of sensors, of the scene they see and of what agents know about themselves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from protocol.codec import ScanPattern
+from protocol.config import Section
+
+MAX_COLUMNS = 8192
+
+
+class LidarConfig(Section):
+    """A spinning LiDAR, with the attributes of CARLA's `sensor.lidar.ray_cast` by their names."""
+
+    channels: int = Field(64, ge=1, le=256, description="Number of lasers. CARLA: 32.")
+    range: float = Field(
+        120.0, gt=1, le=500, description="Farthest return in m. CARLA: 10; here a 64-ring LiDAR's."
+    )
+    points_per_second: int = Field(
+        1_152_000,
+        gt=0,
+        description="Rays of all lasers per second. CARLA: 56000; here 64 x 1800 x 10.",
+    )
+    rotation_frequency: float = Field(
+        10.0, gt=0, le=100, description="Revolutions per second; one scan is one. CARLA: 10."
+    )
+    upper_fov: float = Field(
+        2.0, ge=-90, le=90, description="Elevation of the uppermost laser in deg. CARLA: 10."
+    )
+    lower_fov: float = Field(
+        -24.9, ge=-90, le=90, description="Elevation of the lowest laser in deg. CARLA: -30."
+    )
+    atmosphere_attenuation_rate: float = Field(
+        0.004, ge=0, le=1, description="Intensity is exp(-rate * range); per m. CARLA: 0.004."
+    )
+    dropoff_general_rate: float = Field(
+        0.1,
+        ge=0,
+        le=1,
+        description="Share of rays that return nothing, whatever they hit. CARLA: 0.45, which "
+        "halves the scan to spare a GPU; a real 64-ring LiDAR loses about a tenth.",
+    )
+    dropoff_intensity_limit: float = Field(
+        0.8, gt=0, le=1, description="Returns of more than this intensity stay. CARLA: 0.8."
+    )
+    dropoff_zero_intensity: float = Field(
+        0.4, ge=0, le=1, description="Share of returns of intensity 0 that are lost. CARLA: 0.4."
+    )
+    noise_stddev: float = Field(
+        0.02,
+        ge=0,
+        le=1,
+        description="Standard deviation of range noise along the ray in m. CARLA: 0; here a real "
+        "LiDAR's 2 cm.",
+    )
+
+    @property
+    def columns(self) -> int:
+        """Rays of one laser in one revolution."""
+        return round(self.points_per_second / (self.rotation_frequency * self.channels))
+
+    @property
+    def pattern(self) -> ScanPattern:
+        """The firing pattern as the scan codec knows it."""
+        return ScanPattern(self.channels, self.columns, self.upper_fov, self.lower_fov)
+
+    @model_validator(mode="after")
+    def _check_pattern(self) -> Self:
+        if not 1 <= self.columns <= MAX_COLUMNS:
+            raise ValueError(
+                f"points_per_second / (rotation_frequency * channels) is {self.columns} rays a "
+                f"revolution and laser; allowed are 1 to {MAX_COLUMNS}"
+            )
+        if self.lower_fov > self.upper_fov:
+            raise ValueError(
+                f"lower_fov {self.lower_fov} deg lies above upper_fov {self.upper_fov} deg"
+            )
+        return self
+
+
+class Mount(Section):
+    """A roadside sensor's place, relative to the centre of the junction."""
+
+    id: str = Field(
+        "rsu-0", pattern=r"^[A-Za-z0-9_.-]+$", max_length=64, description="Name of the agent."
+    )
+    x_m: float = Field(0.0, ge=-500, le=500, description="East of the junction's centre, m.")
+    y_m: float = Field(0.0, ge=-500, le=500, description="North of the junction's centre, m.")
+    height_m: float = Field(3.0, gt=0, le=30, description="Above the ground at that place, m.")
+    yaw_deg: float = Field(0.0, ge=-360, le=360, description="Heading, deg CCW from east.")
+
+
+class SceneConfig(Section):
+    """The static world around the road, drawn by the scenario's seed."""
+
+    terrain_amplitude_m: float = Field(
+        0.12, ge=0, le=1, description="Largest undulation of the ground, up or down, m."
+    )
+    kerb_height_m: float = Field(0.12, ge=0, le=0.5, description="Height of kerbs; 0 for none, m.")
+    sidewalk_width_m: float = Field(2.0, ge=0.3, le=10, description="Width behind the kerb, m.")
+    building_setback_m: float = Field(
+        9.0, ge=2, le=100, description="From the road's edge to the fronts, m."
+    )
+    building_density: float = Field(
+        0.65, ge=0, le=1, description="Share of the road's frontage that is built up."
+    )
+    pole_spacing_m: float = Field(30.0, ge=5, description="Between street lights, m.")
+    trees_per_100m: float = Field(4.0, ge=0, le=20, description="Trees per 100 m of road's edge.")
+    polygons: Path | None = Field(
+        None, description="SUMO .poly.xml file whose buildings replace those drawn by seed."
+    )
+
+
+class PoseErrorConfig(Section):
+    """How far agents' knowledge of their own pose is from the truth."""
+
+    position_std_m: float = Field(
+        0.05, ge=0, le=10, description="CAV: standard deviation along x and y, m."
+    )
+    height_std_m: float = Field(0.05, ge=0, le=10, description="CAV: the same along z, m.")
+    heading_std_deg: float = Field(
+        0.1, ge=0, le=45, description="CAV: standard deviation of yaw, deg."
+    )
+    tilt_std_deg: float = Field(
+        0.05, ge=0, le=45, description="CAV: standard deviation of roll and of pitch, deg."
+    )
+    cv_position_std_m: float = Field(
+        1.5, ge=0, le=50, description="CV, with satellite positioning alone: the same for x and y."
+    )
+    cv_height_std_m: float = Field(3.0, ge=0, le=50, description="CV: the same for z, m.")
+    cv_heading_std_deg: float = Field(
+        2.0, ge=0, le=90, description="CV: standard deviation of yaw, deg."
+    )
+
+
+class UploadConfig(Section):
+    """What agents send of a scan."""
+
+    max_error_m: float = Field(
+        0.02, ge=0.001, le=1, description="Farthest that encoding may move a point, m."
+    )
+    intensity: bool = Field(False, description="Whether intensities are sent, a byte a ray.")

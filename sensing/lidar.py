@@ -1,0 +1,155 @@
+"""A spinning LiDAR: one scan of the static scene and of the bodies in it."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from protocol.codec import RangeScan
+from protocol.geometry import SE3, Floats
+from sensing.candidates import gather, keep_nearest, place, turn, windows
+from sensing.config import LidarConfig
+from sensing.embree import Caster
+from sensing.mesh import TriangleMesh
+from sensing.returns import returns
+from sensing.shapes import VehicleShapes
+
+Floats32 = npt.NDArray[np.float32]
+
+_KEPT_VIEWS = 32  # of sensors that stand still: 0.5 MB each
+
+
+@dataclass(slots=True)
+class _Rays:
+    """Buffers that grow, and are used again from scan to scan."""
+
+    origins: Floats32 = field(default_factory=lambda: np.empty((0, 3), np.float32))
+    directions: Floats32 = field(default_factory=lambda: np.empty((0, 3), np.float32))
+    limits: Floats32 = field(default_factory=lambda: np.empty(0, np.float32))
+    beams: npt.NDArray[np.int32] = field(default_factory=lambda: np.empty(0, np.int32))
+
+    def reserve(self, count: int) -> None:
+        if count > len(self.limits):
+            self.origins = np.empty((count, 3), np.float32)
+            self.directions = np.empty((count, 3), np.float32)
+            self.limits = np.empty(count, np.float32)
+            self.beams = np.empty(count, np.int32)
+
+
+class Lidar:
+    """Casts scans; one object serves any number of sensors of one kind.
+
+    The static scene and each unit mesh are built into Embree once. A frame's bodies cost only the
+    rays that pass through their boxes, and no search tree is built again. The view of the static
+    scene is kept for sensors that have not moved since.
+    """
+
+    def __init__(self, config: LidarConfig, scene: TriangleMesh, shapes: VehicleShapes) -> None:
+        self._config = config
+        self._pattern = config.pattern
+        self._shapes = shapes
+        self._static = Caster(scene)
+        self._casters = [Caster(mesh) for mesh in shapes.meshes]
+        self._bounds = np.array(
+            [[*m.vertices.min(axis=0), *m.vertices.max(axis=0)] for m in shapes.meshes], np.float64
+        ).reshape(-1, 6)
+        self._rays, self._wide = _Rays(), _Rays()
+        self._wide.reserve(self._pattern.channels * self._pattern.columns)
+        self._views: OrderedDict[bytes, Floats32] = OrderedDict()
+
+    def scan(
+        self,
+        map_SE3_sensor: SE3,  # noqa: N803 - frames are named as they are read
+        poses: Floats,
+        types: Sequence[str],
+        own: int | None,
+        rng: np.random.Generator,
+    ) -> RangeScan:
+        """Returns one revolution, cast at one instant.
+
+        Args:
+            map_SE3_sensor: where the sensor truly is.
+            poses: all bodies' (N, 6), footprint's centre on the ground, in the map frame.
+            types: their types (N,).
+            own: index of the body that carries the sensor and is not seen; None at the roadside.
+            rng: for loss and noise; keyed by agent and frame.
+
+        Raises:
+            MessageError: a type that the set-up did not announce.
+        """
+        distance_m = self.distances(map_SE3_sensor, poses, types, own)
+        range_m, intensity = returns(distance_m, self._config, rng)
+        return RangeScan(self._pattern, range_m, intensity)
+
+    def distances(
+        self,
+        map_SE3_sensor: SE3,  # noqa: N803
+        poses: Floats,
+        types: Sequence[str],
+        own: int | None,
+    ) -> Floats32:
+        """Returns the clean distances (channels, columns); the range's end where nothing is."""
+        distance_m = self._static_view(map_SE3_sensor).copy()
+        if len(poses):
+            self._add_bodies(distance_m, map_SE3_sensor, poses, types, own)
+        return distance_m
+
+    def _static_view(self, map_SE3_sensor: SE3) -> Floats32:  # noqa: N803
+        key = map_SE3_sensor.translation.tobytes() + map_SE3_sensor.rotation.tobytes()
+        view = self._views.get(key)
+        if view is None:
+            view = self._cast_static(map_SE3_sensor)
+            self._views[key] = view
+            if len(self._views) > _KEPT_VIEWS:
+                self._views.popitem(last=False)
+        self._views.move_to_end(key)
+        return view
+
+    def _cast_static(self, map_SE3_sensor: SE3) -> Floats32:  # noqa: N803
+        pattern, rays = self._pattern, self._wide
+        rotation = np.array(map_SE3_sensor.rotation)
+        turn(pattern.directions.reshape(-1, 3), rotation, rays.directions)
+        rays.origins[:] = map_SE3_sensor.translation
+        view = np.full((pattern.channels, pattern.columns), self._config.range, np.float32)
+        self._static.cast(rays.origins, rays.directions, view.reshape(-1))
+        return view
+
+    def _add_bodies(
+        self,
+        distance_m: Floats32,
+        map_SE3_sensor: SE3,  # noqa: N803
+        poses: Floats,
+        types: Sequence[str],
+        own: int | None,
+    ) -> None:
+        bodies = self._shapes.bodies(types)
+        bounds = self._bounds[bodies.mesh]
+        placed = np.empty((len(poses), 12, 3))
+        rotation, translation = map_SE3_sensor.rotation.copy(), map_SE3_sensor.translation.copy()
+        place(np.array(poses, np.float64), bodies.size_m, bounds, rotation, translation, placed)
+        parts = np.empty((len(poses), 4), np.int64)
+        pattern = self._pattern
+        fov_rad = np.radians([pattern.upper_fov_deg, pattern.lower_fov_deg])
+        windows(
+            placed, fov_rad, pattern.channels, pattern.columns, float(self._config.range), parts
+        )
+        if own is not None:
+            parts[own] = 0
+        sizes = (parts[:, 1] - parts[:, 0]) * parts[:, 3]
+        for index, caster in enumerate(self._casters):
+            members = np.flatnonzero((bodies.mesh == index) & (sizes > 0))
+            if not len(members):
+                continue
+            rays = self._rays
+            rays.reserve(int(sizes[members].sum()))
+            buffers = rays.origins, rays.directions, rays.limits, rays.beams
+            count = gather(
+                pattern.directions, distance_m, placed, bounds, parts, members, *buffers
+            )
+            origins, directions, limits, beams = (buffer[:count] for buffer in buffers)
+            caster.cast(origins, directions, limits)
+            keep_nearest(distance_m.reshape(-1), beams, limits)

@@ -1,0 +1,1 @@
+"""The SUMO world, its scenarios, the signal cabinet, the clock and the truth."""

@@ -1,0 +1,153 @@
+"""The signal cabinet at the kerb: it takes wishes and shows only what is safe.
+
+A change from one green to another runs through yellow and all-red, which nothing cuts short.
+Links that are green before and after it keep their green through it, as in real cabinets; so
+"all-red" holds for the links that lost their green. While a change runs its goal stands: a wish
+that comes meanwhile waits until the new green has lasted its minimum.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from protocol.errors import ConfigError
+from protocol.messages import SignalRequest, SignalState
+from protocol.roadmap import Signal
+from sim_host.config import CabinetConfig
+
+PLAN = "plan"
+
+
+class SignalCabinet:
+    """One signal. Times are simulated ns that never run backwards.
+
+    Raises:
+        ConfigError: the plan itself gives two conflicting links the right of way.
+    """
+
+    def __init__(self, signal: Signal, config: CabinetConfig) -> None:
+        self._signal = signal
+        self._size = len(signal.plan[0].state)
+        self._shown = _shown_together(signal)
+        self._durations_ns = {
+            "green": _ns(config.min_green_s),
+            "yellow": _ns(config.yellow_s),
+            "all_red": _ns(config.all_red_s),
+        }
+        self._stale_ns = _ns(config.stale_after_s)
+        self.refusals: Counter[str] = Counter()
+        self._request: SignalRequest | None = None
+        self._stage = "all_red"
+        self._since_ns: int | None = None
+        self._state = self._green = "r" * self._size
+        self._source = self._green_source = PLAN
+
+    def request(self, request: SignalRequest, now_ns: int) -> str | None:
+        """Takes a wish; returns None, or why it was refused.
+
+        A refused wish changes nothing: the last accepted one stands until it is stale.
+        """
+        reason = self._judge(request, now_ns)
+        if reason is None:
+            self._request = request
+        else:
+            self.refusals[reason] += 1
+        return reason
+
+    def advance(self, now_ns: int) -> str:
+        """Returns the state to show from now until the next call."""
+        if self._since_ns is None:
+            self._since_ns = now_ns
+        wish, self._source = self._wish(now_ns)
+        while now_ns - self._since_ns >= self._durations_ns[self._stage]:
+            if self._stage == "green" and wish == self._green:
+                self._green_source = self._source
+                break
+            self._leave_stage(wish)
+            self._since_ns = now_ns
+        return self._state
+
+    def spat(self, frame: int, now_ns: int) -> SignalState:
+        """Returns phase and timing; within a change, `green` is what it leads to."""
+        since_ns = now_ns if self._since_ns is None else self._since_ns
+        return SignalState(
+            frame=frame,
+            sim_time_ns=now_ns,
+            tls=self._signal.tls,
+            state=self._state,
+            stage=self._stage,
+            green=self._green,
+            source=self._green_source,
+            earliest_change_ns=max(now_ns, since_ns + self._durations_ns[self._stage]),
+        )
+
+    def _leave_stage(self, wish: str) -> None:
+        if self._stage == "green":
+            losing = [a in "Gg" and b not in "Gg" for a, b in zip(self._state, wish, strict=True)]
+            self._stage = "yellow" if any(losing) else "green"
+            self._state = self._over(losing, "y") if any(losing) else wish
+            self._green, self._green_source = wish, self._source
+        elif self._stage == "yellow":
+            self._stage = "all_red"
+            self._state = self._state.replace("y", "r")
+        else:
+            if "g" not in self._green.lower():  # the first green after the start
+                self._green, self._green_source = wish, self._source
+            self._stage = "green"
+            self._state = self._green
+
+    def _over(self, where: list[bool], colour: str) -> str:
+        return "".join(
+            colour if hit else old for hit, old in zip(where, self._state, strict=True)
+        )
+
+    def _wish(self, now_ns: int) -> tuple[str, str]:
+        request = self._request
+        if request is not None and now_ns - request.sim_time_ns <= self._stale_ns:
+            return request.state, request.policy
+        return self._signal.planned_green(now_ns / 1e9), PLAN
+
+    def _judge(self, request: SignalRequest, now_ns: int) -> str | None:
+        # Age is told by simulated time, not by frame: a forged frame number must not lock others
+        # out for ever.
+        last = self._request
+        checks = (
+            ("wrong_tls", request.tls != self._signal.tls),
+            ("wrong_length", len(request.state) != self._size),
+            ("bad_alphabet", not set(request.state) <= set("rgG")),
+            ("no_green", not set(request.state) & set("gG")),
+            ("from_the_future", request.sim_time_ns > now_ns),
+            ("stale", now_ns - request.sim_time_ns > self._stale_ns),
+            ("replayed", last is not None and request.sim_time_ns <= last.sim_time_ns),
+        )
+        failed = next((reason for reason, bad in checks if bad), None)
+        return failed or ("conflict" if self._conflicts(request.state) else None)
+
+    def _conflicts(self, state: str) -> bool:
+        return any(
+            state[a] in "Gg" and state[b] in "Gg" and (a, b, state[a], state[b]) not in self._shown
+            for a, b in self._signal.conflicts
+        )
+
+
+def _shown_together(signal: Signal) -> set[tuple[int, int, str, str]]:
+    """Returns what the plan shows to conflicting links at once, and the same with less right.
+
+    The plan says who of the two yields, so a `G` and a `g` may not be swapped.
+    """
+    shown: set[tuple[int, int, str, str]] = set()
+    for green in signal.greens:
+        for a, b in signal.conflicts:
+            one, other = green[a], green[b]
+            if one == other == "G":
+                raise ConfigError(
+                    f"signal {signal.tls}: the plan's phase {green} gives G to links {a} and {b}, "
+                    "which conflict; one of them must be g"
+                )
+            if one in "Gg" and other in "Gg":
+                shown |= {(a, b, x, y) for x in {one, "g"} for y in {other, "g"}}
+    return shown
+
+
+def _ns(seconds: float) -> int:
+    return round(seconds * 1e9)

@@ -1,0 +1,93 @@
+"""What a user may say about traffic and about the signal cabinet."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from protocol.config import Section
+
+MeshName = Literal["car", "microcargo", "minibus", "box"]
+
+
+class VehicleSpec(Section):
+    """One kind of vehicle of the generated demand."""
+
+    name: str = Field("car", description="name of the SUMO vType", pattern=r"^[A-Za-z0-9_\-]+$")
+    mesh: MeshName = Field("car", description="shape that sensors see, scaled to the sizes below")
+    length_m: float = Field(4.5, description="bumper to bumper", gt=0.5, le=30)
+    width_m: float = Field(1.8, description="without mirrors", gt=0.3, le=3)
+    height_m: float = Field(1.5, description="ground to roof", gt=0.3, le=5)
+    share: float = Field(1.0, description="weight among all kinds", gt=0)
+
+
+def _default_vehicles() -> list[VehicleSpec]:
+    # All pass the size filter of Chen et al. 2022: no longer than 6 m, no higher than 2 m.
+    return [
+        VehicleSpec(name="small", length_m=3.9, width_m=1.7, height_m=1.45, share=0.3),
+        VehicleSpec(name="sedan", length_m=4.5, width_m=1.8, height_m=1.5, share=0.4),
+        VehicleSpec(name="estate", length_m=4.8, width_m=1.9, height_m=1.7, share=0.2),
+        VehicleSpec(
+            name="van", mesh="microcargo", length_m=4.9, width_m=1.9, height_m=1.95, share=0.1
+        ),
+    ]
+
+
+class TrafficConfig(Section):
+    """Roads and demand. Without `net` and `sumocfg` the built-in T junction is used."""
+
+    net: str | None = Field(None, description="a SUMO .net.xml; demand is generated for it")
+    sumocfg: str | None = Field(None, description="a .sumocfg with a net and a demand of its own")
+    tls: str | None = Field(
+        None, description="id of the signal to control; may be left out if the net has one only"
+    )
+    step_s: float = Field(0.1, description="SUMO step; milliseconds count", ge=0.01, le=1)
+    warmup_s: float = Field(
+        60, description="time on the fixed plan, without sensors, before frame 0", ge=0, le=7200
+    )
+    demand_vph_per_lane: dict[str, float] = Field(
+        {}, description="vehicles per hour and lane by id of the edge that ends at the signal"
+    )
+    default_demand_vph_per_lane: float = Field(
+        500, description="the same for edges not named (t_junction: its side road has 360)", ge=0
+    )
+    vehicles: list[VehicleSpec] = Field(
+        default_factory=_default_vehicles, description="vehicle mix of the demand", min_length=1
+    )
+    cav_rate: float = Field(0.05, description="share of vehicles with LiDAR and radio", ge=0, le=1)
+    cv_rate: float = Field(0.0, description="share of vehicles with a radio alone", ge=0, le=1)
+    reach_m: float = Field(
+        450, description="vehicles farther from the signal exist for SUMO alone", ge=50, le=5000
+    )
+    start_timeout_s: float = Field(
+        120, description="how long to wait until all processes are there", gt=0
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.net and self.sumocfg:
+            raise ValueError("give net or sumocfg, not both: a sumocfg names its own net")
+        if self.cav_rate + self.cv_rate > 1:
+            raise ValueError(f"cav_rate {self.cav_rate} + cv_rate {self.cv_rate} is more than 1")
+        for edge, rate in self.demand_vph_per_lane.items():
+            if not 0 <= rate <= 3600:
+                raise ValueError(f"demand_vph_per_lane.{edge} is {rate}, allowed: 0 to 3600")
+        names = [spec.name for spec in self.vehicles]
+        if len(set(names)) < len(names):
+            raise ValueError(f"vehicles have the names {names}, each may stand once")
+        return self
+
+
+class CabinetConfig(Section):
+    """Times that the signal cabinet keeps, whatever is asked of it."""
+
+    min_green_s: float = Field(5, description="a green lasts at least this long", ge=0, le=120)
+    yellow_s: float = Field(4, description="yellow after a green", gt=0, le=20)
+    all_red_s: float = Field(1, description="red before the next green", ge=0, le=20)
+    stale_after_s: float = Field(
+        3, description="simulated time without a valid request until the fixed plan runs", gt=0
+    )
+    request_timeout_s: float = Field(
+        60, description="lockstep: wall time to wait for a frame's request before giving up", gt=0
+    )

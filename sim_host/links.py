@@ -1,0 +1,145 @@
+"""A signal as its net describes it: links, conflicts and the fixed plan."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from protocol.errors import ConfigError
+from protocol.roadmap import Link, PlanPhase, Signal
+from sim_host.netfile import Net, NetConnection, NetJunction
+
+_LISTED = 20
+_KEY = re.compile(r"[^/*$?#\s]+")  # what may stand in a topic's key
+# Lights off (o, O) leave it to the drivers, who then yield; a stop sign's arrow (s) and red-yellow
+# (u) count as red; Y is no state of today's SUMO but of its older nets.
+_PLAIN = str.maketrans({"o": "g", "O": "g", "s": "r", "u": "r", "Y": "y"})
+
+
+def read_signal(net: Net, tls: str | None) -> Signal:
+    """Returns the signal `tls`, or the net's only one if that is None.
+
+    Raises:
+        ConfigError: there is no such signal, its id cannot stand in a topic, or no phase is green.
+    """
+    tls = _choose(net, tls)
+    controlled = sorted((c for c in net.connections if c.tls == tls), key=lambda c: c.link)
+    offset_s, phases = net.programs[tls]
+    foes, yields = _relations(net, controlled)
+    plan = [
+        PlanPhase(duration_s=phase.duration_s, state=_yielding(phase.state, yields))
+        for phase in phases
+    ]
+    _check_plan(net, tls, plan, controlled)
+    links = [
+        Link(index=c.link, from_lane=c.from_lane, to_lane=c.to_lane)
+        for c in controlled
+        if c.from_lane in net.lanes and net.lanes[c.from_lane].drivable
+    ]
+    if not links:
+        raise ConfigError(f"signal {tls} in {net.path} controls no lane for road vehicles")
+    return Signal(
+        tls=tls,
+        links=links,
+        conflicts=sorted({(min(pair), max(pair)) for pair in foes}),
+        plan=plan,
+        offset_s=offset_s,
+    )
+
+
+def junctions_of(net: Net, tls: str) -> list[NetJunction]:
+    """Returns the junctions that the signal stands at, sorted by id."""
+    at = _positions(net)
+    controlled = [c for c in net.connections if c.tls == tls]
+    found = {place[0] for c in controlled if (place := _place(net, c, at))}
+    return [net.junctions[name] for name in sorted(found)]
+
+
+def _choose(net: Net, tls: str | None) -> str:
+    known = sorted({c.tls for c in net.connections if c.tls} & set(net.programs))
+    if not known:
+        raise ConfigError(f"net {net.path} has no signal; it needs a <tlLogic> with connections")
+    if tls is None and len(known) == 1:
+        return known[0]
+    if tls not in known:
+        more = f" and {len(known) - _LISTED} more" if len(known) > _LISTED else ""
+        raise ConfigError(
+            f"traffic.tls is {tls!r}, net {net.path} has: {', '.join(known[:_LISTED])}{more}"
+        )
+    if not _KEY.fullmatch(tls):
+        raise ConfigError(f"traffic.tls {tls!r} holds one of / * $ ? # or a space; rename it")
+    return tls
+
+
+def _check_plan(
+    net: Net, tls: str, plan: list[PlanPhase], controlled: list[NetConnection]
+) -> None:
+    needed = 1 + max(c.link for c in controlled)
+    lengths = {len(phase.state) for phase in plan}
+    if len(lengths) > 1 or any(length < needed for length in lengths):
+        raise ConfigError(
+            f"signal {tls} in {net.path}: phases have {sorted(lengths)} characters, "
+            f"its links need {needed}"
+        )
+    if not any(phase.is_green for phase in plan) or sum(p.duration_s for p in plan) <= 0:
+        raise ConfigError(f"signal {tls} in {net.path}: no phase of its plan is green")
+
+
+def _yielding(state: str, yields: set[tuple[int, int]]) -> str:
+    """Returns the state in plain letters; who must yield to another green gets `g` for `G`."""
+    plain = state.translate(_PLAIN)
+    minor = {
+        link
+        for link, other in yields
+        if max(link, other) < len(plain) and plain[link] == plain[other] == "G"
+    }
+    return "".join("g" if link in minor else c for link, c in enumerate(plain))
+
+
+def _relations(
+    net: Net, controlled: list[NetConnection]
+) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
+    """Returns (link, link) pairs that cross or merge, and (link, other) where link yields."""
+    at = _positions(net)
+    links_at: dict[tuple[str, int], list[int]] = {}
+    for connection in controlled:
+        place = _place(net, connection, at)
+        if place is not None:
+            links_at.setdefault(place, []).append(connection.link)
+    foes: set[tuple[int, int]] = set()
+    yields: set[tuple[int, int]] = set()
+    for (junction, request), links in links_at.items():
+        for bits, into in (
+            (net.junctions[junction].foes.get(request, ""), foes),
+            (net.junctions[junction].responses.get(request, ""), yields),
+        ):
+            others = (o for index in _ones(bits) for o in links_at.get((junction, index), []))
+            into.update((link, other) for other in others for link in links if link != other)
+    # A pair of which neither yields would be two G at once: then both yield.
+    silent = {(a, b) for a, b in foes if (a, b) not in yields and (b, a) not in yields}
+    return foes, yields | silent
+
+
+def _ones(bits: str) -> Iterator[int]:
+    return (index for index, bit in enumerate(reversed(bits)) if bit == "1")
+
+
+def _positions(net: Net) -> dict[str, tuple[str, int]]:
+    """Maps an internal lane to its junction and request index: `intLanes` is in that order."""
+    return {
+        lane: (junction.id, index)
+        for junction in net.junctions.values()
+        for index, lane in enumerate(junction.internal_lanes)
+    }
+
+
+def _place(
+    net: Net, connection: NetConnection, at: dict[str, tuple[str, int]]
+) -> tuple[str, int] | None:
+    """Finds a connection's request: by its internal lane, or a later one if that is split."""
+    lane = connection.via or connection.to_lane  # a pedestrian crossing is its own internal lane
+    seen: set[str] = set()
+    while lane and lane not in at and lane not in seen:
+        seen.add(lane)
+        lane = next((c.via for c in net.connections if c.from_lane == lane and c.via), "")
+    return at.get(lane)

@@ -1,0 +1,193 @@
+"""A SUMO .net.xml as plain records.
+
+Parsed here and not by sumolib, whose `readNet(withPrograms=True)` fails on the `<param>` inside
+`<tlLogic>` that nets made from OpenDRIVE have.
+"""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO
+from xml.etree import ElementTree
+
+from protocol.errors import ConfigError
+from protocol.roadmap import PlanPhase
+
+Point = tuple[float, float, float]
+_WALKS = {"crossing", "walkingarea"}
+_ROAD_CLASSES = {"passenger", "private", "taxi", "bus", "coach", "delivery", "truck", "trailer"}
+
+
+@dataclass(frozen=True, slots=True)
+class NetLane:
+    """One `<lane>`; `drivable` is False for rails, paths and pavements."""
+
+    id: str
+    edge: str
+    width_m: float
+    speed_mps: float
+    length_m: float
+    shape: list[Point]
+    internal: bool
+    drivable: bool
+    passenger: bool
+
+
+@dataclass(frozen=True, slots=True)
+class NetConnection:
+    """One `<connection>` between lanes; `tls` is empty where no signal controls it."""
+
+    from_lane: str
+    to_lane: str
+    via: str
+    tls: str
+    link: int
+
+
+@dataclass(frozen=True, slots=True)
+class NetJunction:
+    """One `<junction>`; `foes[i]` and `responses[i]` are bit strings, link 0 rightmost."""
+
+    id: str
+    centre: Point
+    shape: list[Point]
+    internal_lanes: list[str]
+    foes: dict[int, str]
+    responses: dict[int, str]
+
+
+@dataclass(slots=True)
+class Net:
+    """Everything of a net file that cpnet uses."""
+
+    path: Path
+    lanes: dict[str, NetLane] = field(default_factory=dict)
+    edges: dict[str, list[str]] = field(default_factory=dict)
+    connections: list[NetConnection] = field(default_factory=list)
+    junctions: dict[str, NetJunction] = field(default_factory=dict)
+    programs: dict[str, tuple[float, list[PlanPhase]]] = field(default_factory=dict)
+
+
+def read_net(path: Path) -> Net:
+    """Reads a net file, gzipped or not.
+
+    Raises:
+        ConfigError: the file is missing, is not XML or holds no net.
+    """
+    if not path.is_file():
+        raise ConfigError(f"net file {path} does not exist; expected a SUMO .net.xml")
+    net = Net(path)
+    try:
+        with _open(path) as stream:
+            for element in _children(stream, path):
+                _take(net, element)
+    except (ElementTree.ParseError, OSError, EOFError, zlib.error) as error:
+        raise ConfigError(f"net file {path} cannot be read as XML: {error}") from None
+    except (KeyError, ValueError) as error:
+        raise ConfigError(f"net file {path} is not a valid SUMO net: {error!r}") from None
+    if not net.lanes:
+        raise ConfigError(f"net file {path} holds no lanes; expected a SUMO .net.xml")
+    return net
+
+
+def _open(path: Path) -> IO[bytes]:
+    if path.suffix == ".gz":
+        return gzip.open(path, "rb")  # type: ignore[return-value]
+    return path.open("rb")
+
+
+def _children(stream: IO[bytes], path: Path) -> Iterator[ElementTree.Element]:
+    """Yields the root's children as they are complete, and frees them: city nets are large."""
+    depth = 0
+    root: ElementTree.Element | None = None
+    for event, element in ElementTree.iterparse(stream, ("start", "end")):
+        depth += 1 if event == "start" else -1
+        if root is None:
+            root = element
+            if root.tag != "net":
+                raise ConfigError(f"file {path} holds <{root.tag}>, expected a SUMO <net>")
+        elif event == "end" and depth == 1:
+            yield element
+            root.clear()
+
+
+def _take(net: Net, element: ElementTree.Element) -> None:
+    if element.tag == "edge" and element.get("function") not in _WALKS:
+        lanes = [_lane(lane, element) for lane in element.iter("lane")]
+        net.lanes.update((lane.id, lane) for lane in lanes)
+        net.edges[element.attrib["id"]] = [lane.id for lane in lanes]
+    elif element.tag == "connection":
+        net.connections.append(_connection(element))
+    elif element.tag == "junction" and element.get("type") != "internal":
+        junction = _junction(element)
+        net.junctions[junction.id] = junction
+    elif element.tag == "tlLogic":
+        phases = [
+            PlanPhase(duration_s=float(phase.attrib["duration"]), state=phase.attrib["state"])
+            for phase in element.iter("phase")
+        ]
+        net.programs[element.attrib["id"]] = (_number(element.get("offset")), phases)
+
+
+def _lane(lane: ElementTree.Element, edge: ElementTree.Element) -> NetLane:
+    allowed = _allowed(lane)
+    return NetLane(
+        id=lane.attrib["id"],
+        edge=edge.attrib["id"],
+        width_m=float(lane.get("width", "3.2")),  # SUMO's default
+        speed_mps=float(lane.attrib["speed"]),
+        length_m=float(lane.attrib["length"]),
+        shape=_shape(lane.attrib["shape"]),
+        internal=edge.get("function") == "internal",
+        drivable=bool(allowed),
+        passenger="passenger" in allowed,
+    )
+
+
+def _allowed(lane: ElementTree.Element) -> set[str]:
+    """Returns the road classes that may use the lane."""
+    if "allow" in lane.attrib:
+        words = set(lane.attrib["allow"].split())
+        return _ROAD_CLASSES if "all" in words else _ROAD_CLASSES & words
+    words = set(lane.get("disallow", "").split())
+    return set() if "all" in words else _ROAD_CLASSES - words
+
+
+def _connection(element: ElementTree.Element) -> NetConnection:
+    a = element.attrib
+    return NetConnection(
+        from_lane=f"{a['from']}_{a['fromLane']}",
+        to_lane=f"{a['to']}_{a['toLane']}",
+        via=a.get("via", ""),
+        tls=a.get("tl", ""),
+        link=int(a.get("linkIndex", -1)),
+    )
+
+
+def _junction(element: ElementTree.Element) -> NetJunction:
+    a = element.attrib
+    requests = list(element.iter("request"))
+    return NetJunction(
+        id=a["id"],
+        centre=(float(a["x"]), float(a["y"]), _number(a.get("z"))),
+        shape=_shape(a.get("shape", "")),
+        internal_lanes=a.get("intLanes", "").split(),
+        foes={int(r.attrib["index"]): r.attrib["foes"] for r in requests},
+        responses={int(r.attrib["index"]): r.attrib["response"] for r in requests},
+    )
+
+
+def _shape(text: str) -> list[Point]:
+    points = []
+    for word in text.split():
+        x, y, *z = (float(number) for number in word.split(","))
+        points.append((x, y, z[0] if z else 0.0))
+    return points
+
+
+def _number(text: str | None) -> float:
+    return float(text) if text else 0.0

@@ -1,0 +1,109 @@
+"""The built-in T junction, after the one of Chen et al. 2022 (CARLA's Town04, signal 1368).
+
+A main road with 4 lanes each way runs west-east; a side road with 2 lanes comes from the north,
+one-way. Its left lane opens into all four lanes of the eastern exit, its right lane turns into the
+western exit. The main road climbs gently at its eastern end. The junction's centre is (0, 0, 0).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+from sim_host.sumo import netconvert
+
+TLS = "J"
+SPEED_MPS = 13.89
+LANE_WIDTH_M = 3.5
+DEMAND_VPH_PER_LANE = {"north_in": 360.0}  # the paper's side road; 500 elsewhere
+_HALF_M = 20.0  # from the centre to the stop bars of the main road
+_NORTH_STOP_M = 27.0
+_WEST_M, _EAST_M, _NORTH_M = 193.0, 237.0, 431.0  # lengths of the approaches
+_CLIMB_FROM_M, _CLIMB_M = 80.0, 2.0
+
+Row = dict[str, str | int | float]
+
+
+def write_net(folder: Path) -> Path:
+    """Writes `t_junction.net.xml` into the folder, by way of netconvert.
+
+    Raises:
+        ConfigError: netconvert is missing or fails.
+    """
+    parts = {
+        "node": ("nod", _nodes()),
+        "edge": ("edg", _edges()),
+        "connection": ("con", _connections()),
+    }
+    arguments = []
+    for tag, (suffix, rows) in parts.items():
+        path = folder / f"t_junction.{suffix}.xml"
+        path.write_text(_xml(f"{tag}s", [(tag, row) for row in rows]), encoding="utf-8")
+        arguments += [f"--{tag}-files", str(path)]
+    signal = folder / "t_junction.tll.xml"
+    signal.write_text(_signal_xml(), encoding="utf-8")
+    net = folder / "t_junction.net.xml"
+    netconvert([*arguments, "--tllogic-files", str(signal), "--output-file", str(net)])
+    return net
+
+
+def _nodes() -> list[Row]:
+    return [
+        {"id": TLS, "x": 0, "y": 0, "z": 0, "type": "traffic_light", "tl": TLS},
+        {"id": "west", "x": -_HALF_M - _WEST_M, "y": 0, "z": 0},
+        {"id": "east", "x": _HALF_M + _EAST_M, "y": 0, "z": _CLIMB_M},
+        {"id": "north", "x": 0, "y": _NORTH_STOP_M + _NORTH_M, "z": 0},
+    ]
+
+
+def _edges() -> list[Row]:
+    east = [(_HALF_M + _EAST_M, _CLIMB_M), (_CLIMB_FROM_M, 0.0), (0.0, 0.0)]
+    inward = " ".join(f"{x},0,{z}" for x, z in east)
+    outward = " ".join(f"{x},0,{z}" for x, z in reversed(east))
+    stops = {"west": _HALF_M, "east": _HALF_M, "north": _NORTH_STOP_M}
+    rows: list[Row] = []
+    for arm, lanes in (("west", 4), ("east", 4), ("north", 2)):
+        common: Row = {"numLanes": lanes, "speed": SPEED_MPS, "width": LANE_WIDTH_M}
+        rows.append({"id": f"{arm}_in", "from": arm, "to": TLS, **common})
+        rows[-1]["endOffset"] = 0
+        if arm != "north":  # the side road is one-way
+            rows.append({"id": f"{arm}_out", "from": TLS, "to": arm, **common})
+        if arm == "east":
+            rows[-2]["shape"], rows[-1]["shape"] = inward, outward
+    assert stops
+    return rows
+
+
+def _connections() -> list[Row]:
+    pairs = [("north_in", 0, "west_out", 0)]
+    pairs += [("north_in", 1, "east_out", lane) for lane in range(4)]
+    pairs += [("east_in", lane, "west_out", lane) for lane in range(4)]
+    pairs += [("west_in", lane, "east_out", lane) for lane in range(4)]
+    return [{"from": a, "fromLane": b, "to": c, "toLane": d} for a, b, c, d in pairs]
+
+
+def _signal_xml() -> str:
+    """The side road's five links come first, then the main road's eight."""
+    phases = [
+        (41, "rrrrrGGGGGGGG"),
+        (4, "rrrrryyyyyyyy"),
+        (1, "rrrrrrrrrrrrr"),
+        (39, "GGGGGrrrrrrrr"),
+        (4, "yyyyyrrrrrrrr"),
+        (1, "rrrrrrrrrrrrr"),
+    ]
+    body = "".join(f'<phase duration="{s}" state="{state}"/>' for s, state in phases)
+    links = [
+        ("connection", {**row, "tl": TLS, "linkIndex": link})
+        for link, row in enumerate(_connections())
+    ]
+    logic = f'<tlLogic id="{TLS}" type="static" programID="0" offset="0">{body}</tlLogic>'
+    return _xml("tlLogics", links, logic)
+
+
+def _xml(root: str, rows: list[tuple[str, Row]], before: str = "") -> str:
+    lines = [
+        f"  <{tag} " + " ".join(f"{k}={quoteattr(str(v))}" for k, v in row.items()) + "/>"
+        for tag, row in rows
+    ]
+    return "\n".join([f"<{root}>", before, *lines, f"</{root}>", ""])

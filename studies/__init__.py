@@ -1,0 +1,1 @@
+"""What recorded runs say: figures of merit, summaries, pictures."""

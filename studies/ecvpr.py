@@ -1,0 +1,87 @@
+"""E-CVPR: which penetration rate of connected vehicles perception is worth.
+
+Chen et al. 2022: in each frame, the true detections over the vehicles present within 200 m upstream
+and 100 m downstream of the stop bar.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from operator import attrgetter
+from typing import TypeVar
+
+import numpy as np
+
+from protocol.messages import VehicleType
+from recorder.run import Run
+from recorder.tables import DetectionRow, TruthRow
+from studies.matching import MARGIN_M, match
+from studies.reach import Reach
+
+R = TypeVar("R", TruthRow, DetectionRow)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameScore:
+    """One frame: vehicles present, those of them that were detected, detections of nothing."""
+
+    frame: int
+    present: int
+    true: int
+    false: int
+
+    @property
+    def e_cvpr(self) -> float | None:
+        """The equivalent penetration rate, 0 to 1; None in an empty frame."""
+        return self.true / self.present if self.present else None
+
+
+def score(run: Run, reach: Reach | None = None, margin_m: float = MARGIN_M) -> list[FrameScore]:
+    """Returns the score of every frame that has truth and was perceived.
+
+    Raises:
+        ConfigError: the run folder lacks its setup.
+    """
+    reach = reach or Reach(run.setup.road_map)
+    types = {kind.name: kind for kind in run.setup.vehicle_types}
+    perceived = {n for (n,) in run.query("SELECT frame FROM frames WHERE detections IS NOT NULL")}
+    detections = _by_frame(run.rows(DetectionRow))
+    waiting = next(detections, None)
+    scores = []
+    for frame, vehicles in _by_frame(run.rows(TruthRow)):
+        while waiting is not None and waiting[0] < frame:
+            waiting = next(detections, None)
+        found = waiting[1] if waiting is not None and waiting[0] == frame else []
+        if frame in perceived:
+            scores.append(score_frame(frame, found, vehicles, types, reach, margin_m))
+    return scores
+
+
+def score_frame(
+    frame: int,
+    detections: list[DetectionRow],
+    vehicles: list[TruthRow],
+    types: dict[str, VehicleType],
+    reach: Reach,
+    margin_m: float = MARGIN_M,
+) -> FrameScore:
+    """Returns the score of one frame. A vehicle outside the reach is neither true nor false."""
+    centres = np.array([(d.x_m, d.y_m) for d in detections], np.float64).reshape(-1, 2)
+    poses = np.array([(v.x_m, v.y_m, v.yaw_rad) for v in vehicles], np.float64).reshape(-1, 3)
+    sizes = np.array([_size(types, v.type) for v in vehicles], np.float64).reshape(-1, 2)
+    pairs = match(centres, poses, sizes, margin_m)
+    present = {i for i, v in enumerate(vehicles) if reach.contains(v.lane, v.lane_position_m)}
+    true = sum(vehicle in present for _, vehicle in pairs)
+    return FrameScore(frame, len(present), true, len(detections) - len(pairs))
+
+
+def _size(types: dict[str, VehicleType], name: str) -> tuple[float, float]:
+    kind = types.get(name)
+    return (kind.length_m, kind.width_m) if kind else (0.0, 0.0)
+
+
+def _by_frame(rows: Iterator[R]) -> Iterator[tuple[int, list[R]]]:
+    for frame, group in groupby(rows, key=attrgetter("frame")):
+        yield frame, list(group)

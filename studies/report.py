@@ -1,0 +1,110 @@
+"""A summary as tables for one screen."""
+
+from __future__ import annotations
+
+from rich.columns import Columns
+from rich.console import Console
+from rich.table import Table
+
+from studies.latency import STAGES
+from studies.summary import Summary
+
+_MOST_AGENTS = 8
+_BLANK = "–"
+
+
+def print_report(summary: Summary, console: Console) -> None:
+    """Prints the summary; a figure that the run does not yield is a dash."""
+    console.print(_headline(summary))
+    console.print(Columns([_result_table(summary), _latency_table(summary)]))
+    if summary["agents"]:
+        console.print(_agent_table(summary))
+    if summary["drops"]:
+        console.print(_drop_table(summary))
+
+
+def _headline(summary: Summary) -> str:
+    ended = summary["ended"] or "cut off"
+    return (
+        f"[bold]{summary['scenario'] or 'run'}[/bold]  {summary['mode'] or ''}  "
+        f"seed {summary['seed']}  [dim]({ended})[/dim]"
+    )
+
+
+def _result_table(summary: Summary) -> Table:
+    vehicles, seen = summary["vehicles"], summary["detections_per_frame"]
+    e_cvpr, delay = summary["e_cvpr"], summary["delay_s"]
+    facts = [
+        ("frames", f"{summary['frames']} ({summary['frames_incomplete']} incomplete)"),
+        ("simulated time", f"{summary['sim_duration_s']:.1f} s"),
+        ("real-time factor", _number(summary["real_time_factor"], 2)),
+        ("E-CVPR", _spread(e_cvpr, 100, 1, " %")),
+        ("delay per vehicle", _spread(delay, 1, 1, " s")),
+        ("vehicles inserted", str(vehicles["inserted"])),
+        ("  finished", str(vehicles["finished"])),
+        ("  teleported", str(vehicles["teleported"])),
+        ("present per frame", _number(seen["present"], 1)),
+        ("  truly detected", _number(seen["true"], 1)),
+        ("  false detections", _number(seen["false"], 1)),
+        ("phase switches", str(summary["phases"]["switches"])),
+        ("drops", str(summary["drops"])),
+    ]
+    table = Table("result", "")
+    table.columns[1].justify = "right"
+    for name, value in facts:
+        table.add_row(name, value)
+    return table
+
+
+def _latency_table(summary: Summary) -> Table:
+    table = _numeric("latency in ms", "p50", "p95", "p99")
+    latency = summary["latency_ms"]
+    for stage in (*STAGES, *(stage for stage in latency if stage not in STAGES)):
+        style = "bold" if stage == "end_to_end" else None
+        figures = [_number(latency[stage][p], 2) for p in ("p50", "p95", "p99")]
+        table.add_row(stage.replace("_", " "), *figures, style=style)
+    return table
+
+
+def _agent_table(summary: Summary) -> Table:
+    table = _numeric("agent", "frames", "points", "kB per frame", "Mbit/s", "Mbit/s on the wire")
+    agents = sorted(summary["agents"].items(), key=lambda item: (-item[1]["frames"], item[0]))
+    for agent, figures in agents[:_MOST_AGENTS]:
+        table.add_row(
+            agent,
+            str(figures["frames"]),
+            _number(figures["points_per_frame"], 0),
+            _number(figures["bytes_per_frame"] / 1e3, 1),
+            _number(figures["mbps"], 2),
+            _number(figures["wire_mbps"], 2),
+        )
+    if len(agents) > _MOST_AGENTS:
+        rest = agents[_MOST_AGENTS:]
+        table.add_row(f"and {len(rest)} more", str(sum(a["frames"] for _, a in rest)))
+    return table
+
+
+def _drop_table(summary: Summary) -> Table:
+    table = _numeric("dropped by", "times")
+    for process, reasons in summary["drops_by_reason"].items():
+        for reason, times in reasons.items():
+            table.add_row(f"{process}: {reason}", str(times))
+    return table
+
+
+def _numeric(first: str, *others: str) -> Table:
+    table = Table(first)
+    for name in others:
+        table.add_column(name, justify="right")
+    return table
+
+
+def _number(value: float | None, digits: int) -> str:
+    return _BLANK if value is None else f"{value:.{digits}f}"
+
+
+def _spread(figures: dict[str, float | None], factor: float, digits: int, unit: str) -> str:
+    mean, std = figures["mean"], figures["std"]
+    if mean is None or std is None:
+        return _BLANK
+    return f"{mean * factor:.{digits}f} ± {std * factor:.{digits}f}{unit}"

@@ -1,0 +1,106 @@
+"""The buses over real Zenoh sessions on loopback."""
+
+import socket
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from protocol import bus as buses
+from protocol.bus import Endpoint, ZenohBus, fetch, open_bus
+from protocol.errors import BusError
+from protocol.inbox import Envelope, Inbox, Presence
+from protocol.messages import End, Roster
+from protocol.topics import BusName
+from tests.protocol.test_wire import SCAN
+
+WAIT_S = 5.0
+
+
+@pytest.fixture
+def locator() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def edge_inbox() -> Inbox:
+    return Inbox()
+
+
+@pytest.fixture
+def router(locator: str, edge_inbox: Inbox) -> Iterator[ZenohBus]:
+    bus = open_bus(BusName.V2X, Endpoint(locator, listen=True), edge_inbox)
+    yield bus
+    bus.close()
+
+
+@pytest.fixture
+def client(locator: str, router: ZenohBus) -> Iterator[ZenohBus]:
+    bus = open_bus(BusName.V2X, Endpoint(locator, listen=False), Inbox())
+    yield bus
+    bus.close()
+
+
+def test_a_scan_crosses_tcp_and_its_bytes_are_counted(router, client, edge_inbox):
+    router.subscribe("scan", region="r0")
+    big = SCAN.model_copy(update={"payload": np.arange(300_000, dtype=np.uint8)})
+    before = client.wire_bytes()
+    size = client.publish("scan", big, region="r0", agent="rsu-0", chunk="0")
+    item = edge_inbox.get(WAIT_S)
+    assert isinstance(item, Envelope)
+    assert np.array_equal(item.message.payload, big.payload)
+    assert size <= client.wire_bytes() - before < 1.01 * size + 2000
+
+
+def test_presence_comes_and_goes(router, locator, edge_inbox):
+    router.watch()
+    guest = open_bus(BusName.V2X, Endpoint(locator, listen=False), Inbox())
+    guest.announce("vehicle", "vehicle-0")
+    assert edge_inbox.get(WAIT_S) == Presence("vehicle", "vehicle-0", alive=True)
+    guest.close()
+    assert edge_inbox.get(WAIT_S) == Presence("vehicle", "vehicle-0", alive=False)
+
+
+def test_a_port_in_use_is_named(router, locator):
+    with pytest.raises(BusError, match=f"{locator} for the v2x bus: the port is in use"):
+        open_bus(BusName.V2X, Endpoint(locator, listen=True), Inbox())
+
+
+def test_a_silent_place_is_named(locator, monkeypatch):
+    monkeypatch.setattr(buses, "CONNECT_TIMEOUT_MS", 200)
+    with pytest.raises(BusError, match=f"nothing answers at {locator}"):
+        open_bus(BusName.V2X, Endpoint(locator, listen=False), Inbox())
+
+
+def test_the_setup_can_be_fetched(locator):
+    end = End(frames=3, reason="finished")
+    with_setup = open_bus(BusName.WORLD, Endpoint(locator, listen=True), Inbox())
+    with_setup.serve("end", end)
+    assert fetch(BusName.WORLD, Endpoint(locator, listen=False), "end", End) == end
+    with_setup.close()
+
+
+def test_a_topic_of_the_other_bus_is_refused(router):
+    with pytest.raises(BusError, match="topic tick belongs to the world bus"):
+        router.subscribe("tick")
+
+
+def test_small_messages_of_one_sender_keep_their_order(router, client, edge_inbox):
+    router.subscribe("roster", region="r0")
+    for frame in range(200):
+        roster = Roster(frame=frame, process="p", agents=[], scanning=[])
+        client.publish("roster", roster, region="r0", process="p")
+    frames = []
+    for _ in range(200):
+        item = edge_inbox.get(WAIT_S)
+        assert isinstance(item, Envelope)
+        frames.append(item.message.frame)
+    assert frames == list(range(200))
+
+
+@pytest.mark.parametrize("text", ["tcp/127.0.0.1:1", "listen:", "join:tcp/1.2.3.4:5"])
+def test_an_endpoint_that_says_neither_listen_nor_connect_is_refused(text):
+    with pytest.raises(BusError, match="needs listen:LOCATOR or connect:LOCATOR"):
+        Endpoint.parse(text)

@@ -1,0 +1,75 @@
+import logging
+
+import numpy as np
+import pytest
+
+from protocol.inbox import Envelope, Inbox, Presence, Sealed
+from protocol.local import LocalNetwork
+from protocol.messages import End, Roster
+from protocol.topics import TOPICS
+from protocol.wire import encode
+
+ROSTER = Roster(frame=1, process="p", agents=[], scanning=[])
+
+
+def sealed(data: bytes) -> Sealed:
+    return Sealed(TOPICS["roster"], "cpnet/v1/r0/roster/p", data, 0)
+
+
+def test_a_bad_message_is_counted_logged_once_and_dropped(caplog: pytest.LogCaptureFixture):
+    inbox = Inbox()
+    other_version = bytearray(encode(ROSTER))
+    other_version[4] = 9
+    for data in (b"", b"junk" * 9, bytes(other_version), encode(End(frames=1, reason="x"))):
+        inbox.put(sealed(data))
+    with caplog.at_level(logging.WARNING):
+        assert [inbox.get() for _ in range(4)] == [None] * 4
+    assert inbox.drops == {"MessageError": 3, "VersionError": 1}
+    assert len(caplog.records) == 2
+    assert "cpnet/v1/r0/roster/p" in caplog.text
+
+
+def test_a_full_inbox_counts_what_it_cannot_take():
+    inbox = Inbox(capacity=2)
+    for _ in range(5):
+        inbox.put(Presence("edge", "edge", alive=True))
+    assert inbox.drops == {"inbox_full": 3}
+
+
+def test_messages_come_out_in_the_order_they_came_with_the_parts_of_their_key():
+    inbox = Inbox()
+    bus = LocalNetwork().bus(inbox)
+    bus.subscribe("roster", region="r0")
+    for process in ("a", "b"):
+        bus.publish("roster", ROSTER, region="r0", process=process)
+    bus.publish("roster", ROSTER, region="elsewhere", process="c")
+    got = [inbox.get(), inbox.get()]
+    assert [item.parts["process"] for item in got if isinstance(item, Envelope)] == ["a", "b"]
+    assert inbox.get() is None
+
+
+def test_presence_is_told_to_those_who_watch_even_late():
+    network = LocalNetwork()
+    early = network.bus(Inbox())
+    early.announce("edge", "edge")
+    inbox = Inbox()
+    network.bus(inbox).watch()
+    early.close()
+    assert inbox.get() == Presence("edge", "edge", alive=True)
+    assert inbox.get() == Presence("edge", "edge", alive=False)
+
+
+def test_waiting_ends_when_the_time_is_over():
+    assert Inbox().get(0.01) is None
+
+
+def test_a_message_holds_what_was_published():
+    inbox = Inbox()
+    bus = LocalNetwork().bus(inbox)
+    bus.subscribe("roster")
+    size = bus.publish("roster", ROSTER, region="r0", process="p")
+    item = inbox.get()
+    assert isinstance(item, Envelope)
+    assert item.message == ROSTER
+    assert item.size_bytes == size == bus.wire_bytes()
+    assert np.isfinite(item.received_ns)

@@ -1,0 +1,260 @@
+import struct
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from protocol import messages as m
+from protocol import wire
+from protocol.errors import MessageError, ProtocolError, VersionError
+from protocol.roadmap import Lane, Link, PlanPhase, RoadMap, Signal
+
+SCAN = m.Scan(
+    frame=7,
+    sim_time_ns=700_000_000,
+    agent="rsu-0",
+    chunk=0,
+    chunks=1,
+    points=3,
+    sensor_pose=np.arange(6.0),
+    sense_start_ns=1,
+    sense_end_ns=2,
+    encode_end_ns=3,
+    payload=np.arange(5, dtype=np.uint8),
+)
+ROAD = RoadMap(
+    name="one lane",
+    centre=(0, 0, 0),
+    lanes=[
+        Lane(
+            id="in_0",
+            edge="in",
+            width_m=3.5,
+            speed_mps=13.89,
+            length_m=50,
+            centreline=[(-50, 0, 0), (0, 0, 0)],
+            successors=["out_0"],
+        )
+    ],
+    signal=Signal(
+        tls="J",
+        links=[Link(index=0, from_lane="in_0", to_lane="out_0")],
+        conflicts=[],
+        plan=[PlanPhase(duration_s=30, state="G"), PlanPhase(duration_s=4, state="y")],
+    ),
+    junction=[(0, 0), (1, 0), (1, 1)],
+)
+EXAMPLES: list[m.Message] = [
+    m.Setup(
+        scenario={"seed": 1},
+        road_map=ROAD,
+        vehicle_types=[m.VehicleType(name="car", mesh="car", length_m=4.5, width_m=1.8, height_m=1.5)],
+        meshes=[m.MeshPart(name="car", vertices=3, triangles=1)],
+        mesh_vertices=np.eye(3, dtype=np.float32),
+        mesh_triangles=np.array([[0, 1, 2]], np.int32),
+    ),
+    m.Tick(
+        frame=1,
+        sim_time_ns=100_000_000,
+        processes=["vehicle-0"],
+        ids=["a", "b"],
+        types=["car", "car"],
+        poses=np.arange(12.0).reshape(2, 6),
+        speeds_mps=np.array([1, 2], np.float32),
+        equipment=np.array([0, 1], np.uint8),
+        hosts=np.array([-1, 0], np.int32),
+    ),
+    m.Truth(
+        frame=1,
+        sim_time_ns=100_000_000,
+        ids=["a"],
+        types=["car"],
+        lanes=["in_0"],
+        poses=np.zeros((1, 6)),
+        speeds_mps=np.zeros(1, np.float32),
+        lane_positions_m=np.ones(1, np.float32),
+        equipment=np.zeros(1, np.uint8),
+    ),
+    m.Trips(
+        frame=3,
+        trips=[
+            m.Trip(
+                vehicle="a",
+                equipment=m.Equipment.CV,
+                depart_s=1.0,
+                arrive_s=None,
+                time_loss_s=2.5,
+            )
+        ],
+    ),
+    m.End(frames=600, reason="finished"),
+    m.SignalState(
+        frame=1,
+        sim_time_ns=1,
+        tls="J",
+        state="G",
+        stage="green",
+        green="G",
+        source="plan",
+        earliest_change_ns=5,
+    ),
+    m.SignalRequest(frame=1, sim_time_ns=1, tls="J", state="G", policy="max_pressure", pressures=[3]),
+    m.Roster(frame=1, process="vehicle-0", agents=["a"], scanning=[]),
+    m.AgentPose(
+        frame=1,
+        sim_time_ns=1,
+        agent="a",
+        equipment=m.Equipment.CAV,
+        pose=np.zeros(6),
+        length_m=4.5,
+        width_m=1.8,
+        height_m=1.5,
+        position_std_m=0.05,
+    ),
+    SCAN,
+    m.Detections(
+        frame=1,
+        sim_time_ns=1,
+        agents=["a"],
+        boxes=np.ones((1, 7), np.float32),
+        scores=np.ones(1, np.float32),
+        lanes=["in_0"],
+        distances_m=np.ones(1, np.float32),
+        sources=["lidar"],
+    ),
+    m.LaneCounts(
+        frame=1,
+        sim_time_ns=1,
+        tls="J",
+        agents=["a"],
+        complete=True,
+        upstream={"in_0": 2},
+        downstream={"out_0": 0},
+    ),
+    m.Metrics(
+        process="edge",
+        frame=1,
+        sim_time_ns=1,
+        spans=[m.Span(stage="merge", start_ns=1, end_ns=2)],
+        arrivals=[m.Arrival(agent="a", chunk=0, received_ns=1, decoded_ns=2)],
+    ),
+    m.Progress(
+        frame=1,
+        sim_time_ns=1,
+        real_time_factor=1.5,
+        vehicles=2,
+        cavs=1,
+        cvs=0,
+        detections=2,
+        mbps={"a": 5.0},
+        end_to_end_ms=60,
+        state="G",
+        drops=0,
+    ),
+]
+GOLDEN = Path(__file__).parent / "golden"
+
+
+def as_data(message: m.Message) -> dict:
+    data = message.model_dump()
+    return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in data.items()}
+
+
+def test_there_is_an_example_of_every_message():
+    assert [type(example) for example in EXAMPLES] == list(m.MESSAGES.values())
+
+
+@pytest.mark.parametrize("message", EXAMPLES, ids=lambda e: type(e).__name__)
+def test_a_message_comes_back_as_it_was(message):
+    assert as_data(wire.decode(wire.encode(message), type(message))) == as_data(message)
+
+
+@pytest.mark.parametrize("message", EXAMPLES, ids=lambda e: type(e).__name__)
+def test_the_bytes_of_a_message_are_those_of_version_1(message):
+    golden = (GOLDEN / f"{type(message).__name__}.bin").read_bytes()
+    assert wire.encode(message) == golden
+
+
+@pytest.mark.parametrize("message", EXAMPLES, ids=lambda e: type(e).__name__)
+def test_a_message_cut_anywhere_raises_a_message_error(message):
+    data = wire.encode(message)
+    for cut in {*range(0, len(data), max(1, len(data) // 60)), len(data) - 1}:
+        with pytest.raises(MessageError):
+            wire.decode(data[:cut], type(message))
+
+
+@given(st.binary(max_size=300), st.sampled_from(list(m.MESSAGES.values())))
+def test_random_bytes_raise_one_kind_of_error(data, expected):
+    with pytest.raises(ProtocolError):
+        wire.decode(data, expected)
+
+
+@settings(max_examples=400)
+@given(st.data())
+def test_a_damaged_message_decodes_or_raises_one_kind_of_error(data):
+    message = data.draw(st.sampled_from(EXAMPLES))
+    damaged = bytearray(wire.encode(message))
+    for _ in range(data.draw(st.integers(1, 3))):
+        damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        wire.decode(bytes(damaged), type(message))
+    except ProtocolError:
+        return
+
+
+def test_another_version_is_refused_with_both_named():
+    data = bytearray(wire.encode(SCAN))
+    struct.pack_into("<H", data, 4, 9)
+    with pytest.raises(VersionError, match="version 9, this side 1"):
+        wire.decode(bytes(data), m.Scan)
+
+
+def test_a_length_over_the_limit_is_refused_with_the_numbers():
+    head = wire.PREFIX.pack(wire.MAGIC, 1, m.Scan.kind, 100, 1 << 30)
+    with pytest.raises(MessageError, match="body has length 1073741824, limit 16777216"):
+        wire.decode(head, m.Scan)
+
+
+def test_an_oversized_message_is_not_even_sent():
+    big = SCAN.model_copy(update={"payload": np.zeros(wire.MAX_BODY_BYTES + 1, np.uint8)})
+    with pytest.raises(MessageError, match="limit"):
+        wire.encode(big)
+
+
+def test_a_message_on_the_wrong_topic_is_named():
+    with pytest.raises(MessageError, match="message is Scan, this topic carries Tick"):
+        wire.decode(wire.encode(SCAN), m.Tick)
+
+
+def test_unknown_fields_are_tolerated():
+    message = m.End(frames=1, reason="finished")
+    header = msgpack.packb({**message.model_dump(), "colour": "red"})
+    data = wire.PREFIX.pack(wire.MAGIC, 1, message.kind, len(header), 0) + header
+    assert wire.decode(data, m.End) == message
+
+
+def test_a_pose_that_is_not_finite_is_refused():
+    data = wire.encode(SCAN)
+    nan = struct.pack("<d", float("nan"))
+    damaged = data.replace(struct.pack("<d", 5.0), nan)
+    with pytest.raises(MessageError, match="not finite"):
+        wire.decode(damaged, m.Scan)
+
+
+@pytest.mark.parametrize("shape", [[2**40], [-1], [3, 3], "many", [1.5], [True]])
+def test_an_array_that_lies_about_its_shape_is_refused(shape):
+    fields = SCAN.model_dump(exclude={"payload"}) | {"payload": shape, "sensor_pose": [6]}
+    header = msgpack.packb(fields)
+    body = SCAN.sensor_pose.tobytes()
+    data = wire.PREFIX.pack(wire.MAGIC, 1, m.Scan.kind, len(header), len(body)) + header + body
+    with pytest.raises(MessageError):
+        wire.decode(data, m.Scan)
+
+
+def test_decoded_arrays_cannot_be_changed():
+    back = wire.decode(wire.encode(SCAN), m.Scan)
+    with pytest.raises(ValueError, match="read-only"):
+        back.payload[0] = 1

@@ -1,0 +1,149 @@
+"""The database file: killed writers, foreign files, comparison of runs."""
+
+import multiprocessing
+import os
+import signal
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from protocol.errors import ConfigError
+from recorder.compare import RESULTS, differences, results_digest
+from recorder.database import FILE_NAME, Database
+from recorder.run import Run
+from recorder.tables import TABLES, CountRow, FrameRow, StageRow
+
+
+def record(run_dir: Path, counts: list[CountRow], clock_ns: int = 0) -> None:
+    run_dir.mkdir()
+    database = Database(run_dir)
+    database.add(CountRow, counts)
+    database.add(StageRow, [StageRow(0, "edge", "", "merge", clock_ns, clock_ns)])
+    database.close()
+
+
+def _write_until_killed(run_dir: Path, ready) -> None:
+    database = Database(run_dir)
+    database.add(CountRow, [(0, "a", "upstream", 1)])
+    database.commit()
+    database.add(CountRow, [(1, "a", "upstream", 1)])
+    ready.send(None)
+    signal.pause()
+
+
+def kill_a_writer(run_dir: Path) -> None:
+    context = multiprocessing.get_context("spawn")
+    receive, send = context.Pipe(duplex=False)
+    writer = context.Process(target=_write_until_killed, args=(run_dir, send))
+    writer.start()
+    receive.recv()
+    os.kill(writer.pid, signal.SIGKILL)
+    writer.join()
+
+
+def test_a_killed_writer_leaves_all_that_it_committed(tmp_path: Path) -> None:
+    kill_a_writer(tmp_path)
+    assert (tmp_path / f"{FILE_NAME}-wal").exists()
+    with Run(tmp_path) as run:
+        assert list(run.rows(CountRow)) == [(0, "a", "upstream", 1)]
+
+
+def test_a_running_recording_can_be_read(tmp_path: Path) -> None:
+    database = Database(tmp_path)
+    database.add(CountRow, [(0, "a", "upstream", 1)])
+    database.commit()
+    with Run(tmp_path) as run:
+        assert len(list(run.rows(CountRow))) == 1
+    database.close()
+
+
+def test_a_closed_recording_is_one_file(tmp_path: Path) -> None:
+    Database(tmp_path).close()
+    assert [p.name for p in tmp_path.iterdir()] == [FILE_NAME]
+
+
+def test_column_names_carry_units_and_results_carry_no_clock() -> None:
+    for table in RESULTS:
+        clocks = [c for c in table.columns if c.endswith("_ns") and c != "sim_time_ns"]
+        assert not clocks, table.name
+    assert len({table.name for table in TABLES.values()}) == len(TABLES)
+
+
+def test_a_row_with_the_same_keys_is_replaced(tmp_path: Path) -> None:
+    database = Database(tmp_path)
+    for points in (None, 5):
+        database.add(FrameRow, [FrameRow(3, *(None,) * 5, points, *(None,) * 5)])
+        database.commit()
+    database.close()
+    with Run(tmp_path) as run:
+        assert [r.points for r in run.rows(FrameRow)] == [5]
+
+
+def test_a_row_that_does_not_fit_costs_itself_alone(tmp_path: Path) -> None:
+    database = Database(tmp_path)
+    database.add(CountRow, [(0, "a", "upstream", 1 << 70), (1, "a", "upstream", 1)])
+    database.close()
+    assert database.refused_rows == 1
+    with Run(tmp_path) as run:
+        assert list(run.rows(CountRow)) == [(1, "a", "upstream", 1)]
+
+
+def test_runs_that_differ_only_in_clocks_have_the_same_results(tmp_path: Path) -> None:
+    rows = [CountRow(frame, "a", "upstream", frame) for frame in range(5)]
+    record(tmp_path / "a", rows, clock_ns=1)
+    record(tmp_path / "b", rows[::-1], clock_ns=2)
+    assert differences(tmp_path / "a", tmp_path / "b") == []
+    assert results_digest(tmp_path / "a") == results_digest(tmp_path / "b")
+
+
+def test_a_differing_row_is_named(tmp_path: Path) -> None:
+    rows = [CountRow(frame, "a", "upstream", frame) for frame in range(5)]
+    record(tmp_path / "a", rows)
+    record(tmp_path / "b", [*rows[:3], CountRow(3, "a", "upstream", 9)])
+    (difference,) = differences(tmp_path / "a", tmp_path / "b")
+    assert (difference.table, difference.rows_a, difference.rows_b) == ("counts", 5, 4)
+    assert difference.differing == 2
+    assert difference.first_b == (3, "a", "upstream", 9)
+    assert "counts: 2 rows differ" in str(difference)
+    assert results_digest(tmp_path / "a") != results_digest(tmp_path / "b")
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is not a run"):
+        Run(tmp_path / "nowhere")
+    (tmp_path / FILE_NAME).write_bytes(b"something else entirely" * 100)
+    with pytest.raises(ConfigError, match="not a run's database"):
+        Run(tmp_path)
+
+
+def test_foreign_databases_and_versions_are_refused(tmp_path: Path) -> None:
+    for name, statement in {"other": "CREATE TABLE x (y)", "newer": None}.items():
+        run_dir = tmp_path / name
+        run_dir.mkdir()
+        if statement is None:
+            Database(run_dir).close()
+            statement = "UPDATE meta SET value = '99' WHERE key = 'schema_version'"
+        connection = sqlite3.connect(run_dir / FILE_NAME)
+        connection.execute(statement)
+        connection.commit()
+        connection.close()
+    with pytest.raises(ConfigError, match="not a run's database"):
+        Run(tmp_path / "other")
+    with pytest.raises(ConfigError, match="version 99, this side reads 1"):
+        Run(tmp_path / "newer")
+
+
+def test_a_missing_or_damaged_setup_is_named(tmp_path: Path) -> None:
+    Database(tmp_path).close()
+    with Run(tmp_path) as run:
+        with pytest.raises(ConfigError, match=r"no setup\.msgpack"):
+            _ = run.setup
+        (tmp_path / "setup.msgpack").write_bytes(b"CPNT")
+        with pytest.raises(ConfigError, match="cannot be read"):
+            _ = run.setup
+
+
+def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be written"):
+        Database(tmp_path / "missing")

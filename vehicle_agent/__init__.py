@@ -1,0 +1,1 @@
+"""CAVs sense, encode and upload; CVs report where they are."""
