@@ -94,7 +94,7 @@ def draw_command(
     frame: Annotated[int | None, typer.Option(help="a recorded frame; default the last")] = None,
 ) -> None:
     """Draw the merged cloud of a frame with its boxes over the lanes."""
-    from studies.draw import draw_frame  # noqa: PLC0415 - matplotlib is an extra
+    from studies.draw import draw_frame
 
     draw_frame(run, frame, png)
     _console.print(f"wrote {png}", highlight=False)

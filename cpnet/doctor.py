@@ -95,7 +95,9 @@ def _parts() -> list[Finding]:
     result = []
     for module, package in PARTS.items():
         found = importlib.util.find_spec(module) is not None
-        result.append(Finding(f"package {package}", found, "" if found else f"pip install {package}"))
+        result.append(
+            Finding(f"package {package}", found, "" if found else f"pip install {package}")
+        )
     return result
 
 

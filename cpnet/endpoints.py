@@ -9,7 +9,9 @@ from protocol.bus import Endpoint
 from protocol.errors import ConfigError
 from protocol.topics import BusName
 
-_LOCATOR = re.compile(r"(?:(?P<bus>v2x|world)=)?(?:tcp/)?(?P<host>\[[^\]]+\]|[^:/\s]+):(?P<port>\d+)")
+_LOCATOR = re.compile(
+    r"(?:(?P<bus>v2x|world)=)?(?:tcp/)?(?P<host>\[[^\]]+\]|[^:/\s]+):(?P<port>\d+)"
+)
 Endpoints = dict[BusName, Endpoint]
 
 

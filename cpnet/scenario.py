@@ -9,13 +9,13 @@ from typing import Any, Literal
 
 import yaml
 from pydantic import BaseModel, Field, ValidationError
+from signal_controller.config import SignalConfig
 
 from edge_server.config import EdgeConfig
 from protocol.config import Section
 from protocol.errors import ConfigError
 from recorder.config import RecordConfig
 from sensing.config import LidarConfig, Mount, PoseErrorConfig, SceneConfig, UploadConfig
-from signal_controller.config import SignalConfig
 from sim_host.config import CabinetConfig, TrafficConfig
 
 
@@ -38,7 +38,9 @@ class Scenario(Section):
     """A whole run. Its sections belong to the roles that read them."""
 
     name: str = Field("t_junction", description="what the run is called in reports")
-    seed: int = Field(1, ge=0, lt=2**31, description="traffic, CAVs, scene and noise follow from it")
+    seed: int = Field(
+        1, ge=0, lt=2**31, description="traffic, CAVs, scene and noise follow from it"
+    )
     mode: Literal["lockstep", "realtime"] = Field(
         "lockstep",
         description="lockstep: the world waits for each frame's request, the same results on any "
@@ -54,6 +56,9 @@ class Scenario(Section):
     traffic: TrafficConfig = TrafficConfig()
     cabinet: CabinetConfig = CabinetConfig()
     lidar: LidarPair = LidarPair()
+    sensor_height_m: float = Field(
+        2.4, gt=0, le=10, description="of a CAV's LiDAR, above the centre of its footprint"
+    )
     roadside_mounts: list[Mount] = Field([Mount()], description="posts with a LiDAR; may be empty")
     scene: SceneConfig = SceneConfig()
     pose: PoseErrorConfig = PoseErrorConfig()
@@ -67,7 +72,9 @@ class Scenario(Section):
 def builtin_names() -> list[str]:
     """Returns the names of the scenarios that come with the package."""
     folder = resources.files("cpnet").joinpath("scenarios")
-    return sorted(f.name.removesuffix(".yaml") for f in folder.iterdir() if f.name.endswith(".yaml"))
+    return sorted(
+        f.name.removesuffix(".yaml") for f in folder.iterdir() if f.name.endswith(".yaml")
+    )
 
 
 def load(name_or_file: str, overrides: dict[str, Any]) -> Scenario:
@@ -87,7 +94,7 @@ def validate(data: dict[str, Any], source: str) -> Scenario:
     try:
         scenario = Scenario.model_validate(data)
     except ValidationError as error:
-        lines = [_explain(data, dict(item)) for item in error.errors()[:8]]
+        lines = [_explain(dict(item)) for item in error.errors()[:8]]
         raise ConfigError(f"{source}: " + "\n".join(lines)) from None
     _check_period(scenario, source)
     return scenario
@@ -106,7 +113,9 @@ def parse_assignment(text: str) -> tuple[str, Any]:
 
 def _read(name_or_file: str) -> tuple[str, dict[str, Any]]:
     if name_or_file in builtin_names():
-        text = resources.files("cpnet").joinpath(f"scenarios/{name_or_file}.yaml").read_text("utf-8")
+        text = (
+            resources.files("cpnet").joinpath(f"scenarios/{name_or_file}.yaml").read_text("utf-8")
+        )
     else:
         path = Path(name_or_file)
         if not path.is_file():
@@ -154,7 +163,7 @@ def _is_section(annotation: object) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
-def _explain(data: dict[str, Any], item: dict[str, Any]) -> str:
+def _explain(item: dict[str, Any]) -> str:
     where = ".".join(str(part) for part in item["loc"])
     if item["type"] != "extra_forbidden":
         return f"{where}: {item['msg'].removeprefix('Value error, ')} (got {item['input']!r:.80})"
@@ -169,10 +178,8 @@ def _explain(data: dict[str, Any], item: dict[str, Any]) -> str:
 def _keys_at(path: list[int | str]) -> list[str]:
     model: Any = Scenario
     for part in path:
-        if isinstance(part, int):
-            model = model.__args__[0]
-        else:
-            model = model.model_fields[part].annotation
+        in_list = isinstance(part, int)
+        model = model.__args__[0] if in_list else model.model_fields[part].annotation
     return list(model.model_fields)
 
 

@@ -88,7 +88,9 @@ class Supervisor:
     def running(self, *roles: str) -> bool:
         """Whether a process of one of these roles still runs here."""
         return any(
-            child.process.poll() is None for child in self._children if child.entry.role.role in roles
+            child.process.poll() is None
+            for child in self._children
+            if child.entry.role.role in roles
         )
 
     def stop(self) -> list[str]:

@@ -96,7 +96,7 @@ def _setup(
 ) -> tuple[Setup, scenarios.Scenario]:
     if asked is not None:
         # SUMO is needed only where the world runs.
-        from sim_host.setup import build_setup  # noqa: PLC0415
+        from sim_host.setup import build_setup
 
         try:
             return build_setup(asked.model_dump(mode="json"), run_dir), asked

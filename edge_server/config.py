@@ -28,18 +28,22 @@ class GroundConfig(Section):
 
     runs: int = Field(2, ge=0, le=5, description="planes removed, one after the other")
     distance_m: float = Field(0.2, gt=0, le=1, description="points this close to a plane are on it")
-    max_iterations: int = Field(3000, ge=1, le=100_000, description="hypotheses at most, of 3 points")
+    max_iterations: int = Field(
+        3000, ge=1, le=100_000, description="hypotheses at most, of 3 points"
+    )
     tile_m: float | None = Field(
         20.0,
         ge=5,
         description="ours: planes are fitted for each square tile of this side, because a road "
         "climbs and bends; null for planes over the whole cloud, as in the paper",
     )
-    max_slope_deg: float = Field(15.0, gt=0, le=45, description="ours: steeper planes are no ground")
+    max_slope_deg: float = Field(
+        15.0, gt=0, le=45, description="ours: steeper planes are no ground"
+    )
     max_offset_m: float = Field(
         0.5,
         gt=0,
-        description="ours: a tile's plane farther than this from the road map's height is no ground",
+        description="ours: a tile's plane farther from the road map's height is no ground",
     )
 
 

@@ -56,22 +56,35 @@ def remove_ground(
 
 def _tiles(points: Floats32, tile_m: float | None) -> tuple[Ints, int]:
     """Returns each point's tile (N,) and how many there are; their edges are fixed in the map."""
+    tile_of = np.zeros(len(points), np.int64)
     if tile_m is None:
-        return np.zeros(len(points), np.int64), 1
-    cells = np.floor(points[:, :2] * np.float32(1 / tile_m)).astype(np.int64)
-    cells -= cells.min(axis=0)
-    columns = int(cells[:, 0].max()) + 1
-    return cells[:, 1] * columns + cells[:, 0], columns * (int(cells[:, 1].max()) + 1)
+        return tile_of, 1
+    x, y = points[:, 0], points[:, 1]
+    first_column, first_row = int(x.min() // tile_m), int(y.min() // tile_m)
+    columns = int(x.max() // tile_m) - first_column + 1
+    rows = int(y.max() // tile_m) - first_row + 1
+    _assign(points, np.array([first_column, first_row, columns, rows]), tile_m, tile_of)
+    return tile_of, columns * rows
 
 
-@njit("int64(uint64[::1])", cache=True, inline="always")
+@njit("void(float32[:,::1], int64[::1], float64, int64[::1])", cache=True)
+def _assign(points: Floats32, grid: Ints, tile_m: float, tile_of: Ints) -> None:
+    first_column, first_row, columns, rows = grid
+    for index in range(points.shape[0]):
+        column = int(np.floor(points[index, 0] / tile_m)) - first_column
+        row = int(np.floor(points[index, 1] / tile_m)) - first_row
+        column, row = min(max(column, 0), columns - 1), min(max(row, 0), rows - 1)
+        tile_of[index] = row * columns + column
+
+
+@njit("int64(uint64[::1])", cache=True)
 def _draw(state: Ints) -> int:
     """Splitmix64: the next number of a sequence that any machine repeats."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
     z = state[0]
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return np.int64((z ^ (z >> np.uint64(31))) >> np.uint64(2))
+    return int((z ^ (z >> np.uint64(31))) >> np.uint64(2))
 
 
 @njit("int64(float32[:,::1], float64, float64, float64, float64)", cache=True, fastmath=True)
@@ -79,16 +92,14 @@ def _support(sample: Floats32, a: float, b: float, c: float, reach_m: float) -> 
     """Counts the points of a sample (3, K) within reach of z = a x + b y + c."""
     slope_x, slope_y, height = np.float32(a), np.float32(b), np.float32(c)
     reach = np.float32(reach_m)
-    count = np.int32(0)
+    count = 0
     for index in range(sample.shape[1]):
         off = sample[2, index] - slope_x * sample[0, index] - slope_y * sample[1, index] - height
-        count += np.int32(abs(off) <= reach)
+        count += abs(off) <= reach
     return count
 
 
-@njit(
-    f"{_CHANCE}(float32[:,::1], float64, float64, float64, float64)", cache=True, fastmath=True
-)
+@njit(f"{_CHANCE}(float32[:,::1], float64, float64, float64, float64)", cache=True, fastmath=True)
 def _refine(
     sample: Floats32, a: float, b: float, c: float, reach_m: float
 ) -> tuple[float, float, float, int]:

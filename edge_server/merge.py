@@ -31,9 +31,7 @@ def merge(
         else:
             reference = pieces[0].sensor_pose if reference_pose is None else reference_pose
             map_se3_sensor = by_angle_differences(piece.sensor_pose, reference)
-        _move(
-            piece.points, map_se3_sensor.rotation, map_se3_sensor.translation, points[start:end]
-        )
+        _move(piece.points, map_se3_sensor.rotation, map_se3_sensor.translation, points[start:end])
         start = end
     return points
 

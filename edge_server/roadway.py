@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from edge_server.arrays import Bools, Bytes, Floats, Floats32
+from edge_server.arrays import Bools, Bytes, Floats, Floats32, Ints
 from protocol.roadmap import RoadMap
 
 CELL_M = 0.5
@@ -43,7 +43,9 @@ class Roadway:
         _draw(segments, low, cell_m, margin_m, inside, height_m, yaw_rad)
         return cls((float(low[0]), float(low[1])), cell_m, inside, height_m, yaw_rad)
 
-    def crop(self, points: Floats32, *, below_m: float, above_m: float) -> tuple[Floats32, Floats32]:
+    def crop(
+        self, points: Floats32, *, below_m: float, above_m: float
+    ) -> tuple[Floats32, Floats32]:
         """Keeps the points (N, 3), map frame, that lie on the road or over it.
 
         The paper geofences detections; no point elsewhere can be part of a vehicle that counts, so
@@ -64,12 +66,12 @@ class Roadway:
         rows, columns, known = self._cells(points)
         return np.where(known, self.yaw_rad[rows, columns], 0.0)
 
-    def _cells(self, points: Floats) -> tuple[Floats, Floats, Bools]:
+    def _cells(self, points: Floats) -> tuple[Ints, Ints, Bools]:
         cells = np.floor((points[:, :2] - self.origin_m) / self.cell_m)
         shape = np.array(self.inside.shape[::-1])
-        known = ((cells >= 0) & (cells < shape)).all(axis=1)
-        cells = np.clip(cells, 0, shape - 1).astype(np.int64)
-        return cells[:, 1], cells[:, 0], known
+        known: Bools = np.asarray(((cells >= 0) & (cells < shape)).all(axis=1))
+        places = np.clip(cells, 0, shape - 1).astype(np.int64)
+        return places[:, 1], places[:, 0], known
 
 
 def lane_segments(road_map: RoadMap) -> Floats:

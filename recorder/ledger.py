@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from protocol.errors import MessageError
-from protocol.messages import Arrival, Metrics, Upload
+from protocol.messages import Arrival, Metrics, Span, Upload
 from recorder.tables import FrameRow, UploadRow
 
 OPEN_FRAMES = 256
@@ -31,7 +31,7 @@ class FrameNote:
     complete: bool | None = None
     tick_ns: int | None = None
     request_ns: int | None = None
-    actuate_end_ns: int | None = None
+    actuate: Span | None = None
     uploads: dict[tuple[str, int], Upload] = field(default_factory=dict)
     arrivals: dict[tuple[str, int], Arrival] = field(default_factory=dict)
     heard: set[str] = field(default_factory=set)
@@ -44,21 +44,22 @@ class FrameNote:
         if metrics.process == "edge":
             self.points = metrics.points
         if metrics.process == "sim":
-            ends = [span.end_ns for span in metrics.spans if span.stage == "actuate"]
-            self.actuate_end_ns = max(ends, default=self.actuate_end_ns)
+            acts = [span for span in metrics.spans if span.stage == "actuate"]
+            self.actuate = acts[-1] if acts else self.actuate
 
     @property
     def end_to_end_ns(self) -> int | None:
         """From the first sensing (without any, the tick) until the signal cabinet has acted.
 
-        None if that is not between 0 and 60 s: the clocks are then those of different machines.
+        None if the request came before the frame was sensed, for it then answers an earlier one,
+        or if a minute lies between, for the clocks are then those of different machines.
         """
         senses = [upload.sense_start_ns for upload in self.uploads.values()]
         start_ns = min(senses, default=self.tick_ns)
-        if start_ns is None or self.actuate_end_ns is None:
+        if start_ns is None or self.actuate is None or self.actuate.start_ns < start_ns:
             return None
-        took_ns = self.actuate_end_ns - start_ns
-        return took_ns if 0 <= took_ns <= _LONGEST_NS else None
+        took_ns = self.actuate.end_ns - start_ns
+        return took_ns if took_ns <= _LONGEST_NS else None
 
     def row(self) -> FrameRow:
         """Returns the frame as a row."""

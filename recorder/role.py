@@ -55,8 +55,7 @@ class RecordRole:
         for name in role._handlers:
             bus = context.world if TOPICS[name].bus is BusName.WORLD else context.v2x
             bus.subscribe(name)
-        for bus in (context.world, context.v2x):
-            bus.announce("record", context.id)
+        context.announce("record")
         return role
 
     def on(self, item: Envelope | Presence) -> None:

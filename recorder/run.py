@@ -14,7 +14,7 @@ from protocol.errors import ConfigError, ProtocolError
 from protocol.messages import Setup
 from protocol.wire import decode
 from recorder.database import FILE_NAME
-from recorder.tables import SCHEMA_VERSION, TABLES, CloudRow, MetaRow
+from recorder.tables import SCHEMA_VERSION, TABLES, MetaRow
 
 SETUP_NAME = "setup.msgpack"
 R = TypeVar("R", bound=tuple[Any, ...])
@@ -60,10 +60,12 @@ class Run:
         """Returns what a SELECT gives; see `recorder.tables` for the columns."""
         return self._connection.execute(sql, parameters).fetchall()
 
-    def clouds(self, frame: int) -> list[CloudRow]:
-        """Returns the kept uploads of a frame."""
-        found = self.query("SELECT * FROM clouds WHERE frame = ? ORDER BY agent, chunk", frame)
-        return [CloudRow._make(values) for values in found]
+    def of_frame(self, row: type[R], frame: int) -> list[R]:
+        """Returns a table's rows of one frame, in the order of their keys."""
+        table = TABLES[row]
+        order = ", ".join(table.columns[: table.keys]) or "rowid"
+        sql = f"SELECT * FROM {table.name} WHERE frame = ? ORDER BY {order}"
+        return list(map(table.row._make, self.query(sql, frame)))
 
     @cached_property
     def meta(self) -> dict[str, str]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, get_args, get_type_hints
+from typing import Any, NamedTuple, get_args, get_type_hints
 
 SCHEMA_VERSION = 1
 _SQL_TYPES = {int: "INTEGER", float: "REAL", str: "TEXT", bytes: "BLOB"}
@@ -176,7 +176,7 @@ class Table:
     """
 
     name: str
-    row: type[NamedTuple]
+    row: type[Any]
     keys: int
     is_result: bool = False
     rowid: bool = False

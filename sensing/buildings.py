@@ -96,5 +96,4 @@ def _cleaned(corners: Sequence[tuple[float, float]]) -> Floats:
     outline = np.array(corners, np.float64).reshape(-1, 2)
     differs = np.abs(outline - np.roll(outline, -1, axis=0)).max(axis=1, initial=0) > 1e-3
     outline = outline[differs]
-    return outline[::-1] if signed_area_m2(outline) < 0 else outline
-
+    return np.asarray(outline[::-1] if signed_area_m2(outline) < 0 else outline)

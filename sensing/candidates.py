@@ -150,7 +150,7 @@ def windows(
     "int32[::1])",
     cache=True,
 )
-def gather(
+def gather(  # noqa: PLR0913, PLR0917 - a kernel takes plain arrays
     pattern: Floats32,
     range_m: Floats32,
     placed: Floats,
@@ -203,8 +203,7 @@ def gather(
 def keep_nearest(range_m: Floats32, beams: Ints32, found_m: Floats32) -> None:
     """Lowers the range of each beam to what was found on it."""
     for k in range(len(beams)):
-        if found_m[k] < range_m[beams[k]]:
-            range_m[beams[k]] = found_m[k]
+        range_m[beams[k]] = min(range_m[beams[k]], found_m[k])
 
 
 @njit(
@@ -216,6 +215,4 @@ def turn(directions: Floats32, rotation: Floats, result: Floats32) -> None:
     for n in range(len(directions)):
         x, y, z = directions[n, 0], directions[n, 1], directions[n, 2]
         for axis in range(3):
-            result[n, axis] = (
-                rotation[axis, 0] * x + rotation[axis, 1] * y + rotation[axis, 2] * z
-            )
+            result[n, axis] = rotation[axis, 0] * x + rotation[axis, 1] * y + rotation[axis, 2] * z

@@ -31,7 +31,7 @@ def ground(terrain: Terrain, road: RoadArea) -> TriangleMesh:
             terrain.nodes[row, column],
         ]
     )
-    return TriangleMesh(vertices, renamed.reshape(-1, 3))
+    return TriangleMesh.of(vertices, renamed.reshape(-1, 3))
 
 
 def _levels(terrain: Terrain, road: RoadArea, shape: tuple[int, int]) -> Blocks:
@@ -71,7 +71,7 @@ def _ring(blocks: Blocks, row: int, column: int) -> list[tuple[int, int]]:
 
     def is_fine(r: int, c: int) -> bool:
         within = 0 <= r < blocks.shape[0] and 0 <= c < blocks.shape[1]
-        return within and blocks[r, c] == _FINE
+        return within and int(blocks[r, c]) == _FINE
 
     steps = {side: 1 if is_fine(row + side[0], column + side[1]) else _BLOCK for side in _SIDES}
     south, east, north, west = (range(0, _BLOCK, steps[side]) for side in _SIDES)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -23,21 +22,29 @@ Floats32 = npt.NDArray[np.float32]
 _KEPT_VIEWS = 32  # of sensors that stand still: 0.5 MB each
 
 
-@dataclass(slots=True)
+_Buffers = tuple[Floats32, Floats32, Floats32, npt.NDArray[np.int32]]
+
+
 class _Rays:
-    """Buffers that grow, and are used again from scan to scan."""
+    """Buffers for origins, directions, limits and beams, used again from scan to scan."""
 
-    origins: Floats32 = field(default_factory=lambda: np.empty((0, 3), np.float32))
-    directions: Floats32 = field(default_factory=lambda: np.empty((0, 3), np.float32))
-    limits: Floats32 = field(default_factory=lambda: np.empty(0, np.float32))
-    beams: npt.NDArray[np.int32] = field(default_factory=lambda: np.empty(0, np.int32))
+    def __init__(self) -> None:
+        self._buffers = self._made(0)
 
-    def reserve(self, count: int) -> None:
-        if count > len(self.limits):
-            self.origins = np.empty((count, 3), np.float32)
-            self.directions = np.empty((count, 3), np.float32)
-            self.limits = np.empty(count, np.float32)
-            self.beams = np.empty(count, np.int32)
+    def reserved(self, count: int) -> _Buffers:
+        """Returns buffers for at least this many rays."""
+        if count > len(self._buffers[2]):
+            self._buffers = self._made(count)
+        return self._buffers
+
+    @staticmethod
+    def _made(count: int) -> _Buffers:
+        return (
+            np.empty((count, 3), np.float32),
+            np.empty((count, 3), np.float32),
+            np.empty(count, np.float32),
+            np.empty(count, np.int32),
+        )
 
 
 class Lidar:
@@ -57,13 +64,15 @@ class Lidar:
         self._bounds = np.array(
             [[*m.vertices.min(axis=0), *m.vertices.max(axis=0)] for m in shapes.meshes], np.float64
         ).reshape(-1, 6)
-        self._rays, self._wide = _Rays(), _Rays()
-        self._wide.reserve(self._pattern.channels * self._pattern.columns)
+        self._rays = _Rays()
+        beams = self._pattern.channels * self._pattern.columns
+        self._origins = np.empty((beams, 3), np.float32)
+        self._directions = np.empty((beams, 3), np.float32)
         self._views: OrderedDict[bytes, Floats32] = OrderedDict()
 
     def scan(
         self,
-        map_SE3_sensor: SE3,  # noqa: N803 - frames are named as they are read
+        map_SE3_sensor: SE3,
         poses: Floats,
         types: Sequence[str],
         own: int | None,
@@ -87,7 +96,7 @@ class Lidar:
 
     def distances(
         self,
-        map_SE3_sensor: SE3,  # noqa: N803
+        map_SE3_sensor: SE3,
         poses: Floats,
         types: Sequence[str],
         own: int | None,
@@ -98,7 +107,7 @@ class Lidar:
             self._add_bodies(distance_m, map_SE3_sensor, poses, types, own)
         return distance_m
 
-    def _static_view(self, map_SE3_sensor: SE3) -> Floats32:  # noqa: N803
+    def _static_view(self, map_SE3_sensor: SE3) -> Floats32:
         key = map_SE3_sensor.translation.tobytes() + map_SE3_sensor.rotation.tobytes()
         view = self._views.get(key)
         if view is None:
@@ -109,19 +118,19 @@ class Lidar:
         self._views.move_to_end(key)
         return view
 
-    def _cast_static(self, map_SE3_sensor: SE3) -> Floats32:  # noqa: N803
-        pattern, rays = self._pattern, self._wide
-        rotation = np.array(map_SE3_sensor.rotation)
-        turn(pattern.directions.reshape(-1, 3), rotation, rays.directions)
-        rays.origins[:] = map_SE3_sensor.translation
+    def _cast_static(self, map_SE3_sensor: SE3) -> Floats32:
+        pattern = self._pattern
+        rotation = map_SE3_sensor.rotation.copy()
+        turn(pattern.directions.reshape(-1, 3), rotation, self._directions)
+        self._origins[:] = map_SE3_sensor.translation
         view = np.full((pattern.channels, pattern.columns), self._config.range, np.float32)
-        self._static.cast(rays.origins, rays.directions, view.reshape(-1))
+        self._static.cast(self._origins, self._directions, view.reshape(-1))
         return view
 
     def _add_bodies(
         self,
         distance_m: Floats32,
-        map_SE3_sensor: SE3,  # noqa: N803
+        map_SE3_sensor: SE3,
         poses: Floats,
         types: Sequence[str],
         own: int | None,
@@ -142,14 +151,11 @@ class Lidar:
         sizes = (parts[:, 1] - parts[:, 0]) * parts[:, 3]
         for index, caster in enumerate(self._casters):
             members = np.flatnonzero((bodies.mesh == index) & (sizes > 0))
-            if not len(members):
-                continue
-            rays = self._rays
-            rays.reserve(int(sizes[members].sum()))
-            buffers = rays.origins, rays.directions, rays.limits, rays.beams
-            count = gather(
-                pattern.directions, distance_m, placed, bounds, parts, members, *buffers
-            )
-            origins, directions, limits, beams = (buffer[:count] for buffer in buffers)
-            caster.cast(origins, directions, limits)
-            keep_nearest(distance_m.reshape(-1), beams, limits)
+            if len(members):
+                buffers = self._rays.reserved(int(sizes[members].sum()))
+                count = gather(
+                    pattern.directions, distance_m, placed, bounds, parts, members, *buffers
+                )
+                origins, directions, limits, beams = buffers
+                caster.cast(origins[:count], directions[:count], limits[:count])
+                keep_nearest(distance_m.reshape(-1), beams[:count], limits[:count])

@@ -32,6 +32,11 @@ class TriangleMesh:
                 f"the mesh has {len(self.vertices)}"
             )
 
+    @classmethod
+    def of(cls, vertices: npt.ArrayLike, triangles: npt.ArrayLike) -> TriangleMesh:
+        """Builds a mesh from arrays of any number type."""
+        return cls(np.asarray(vertices, np.float32), np.asarray(triangles, np.int32))
+
     @property
     def corners(self) -> Vertices:
         """The triangles' corners (T, 3, 3)."""
@@ -82,10 +87,10 @@ def extrude(
         np.array(roof, np.int64).reshape(-1, 3) + count,
     ]
     vertices = np.vstack([_at_height(base, bottom_m), _at_height(top, top_m)])
-    return TriangleMesh(vertices, np.concatenate(triangles))
+    return TriangleMesh.of(vertices, np.concatenate(triangles))
 
 
-def regular_polygon(centre: Sequence[float], radius_m: float, sides: int) -> npt.NDArray[np.float64]:
+def regular_polygon(centre: npt.ArrayLike, radius_m: float, sides: int) -> npt.NDArray[np.float64]:
     """Returns the corners (sides, 2) of a regular polygon around a point."""
     angle = np.arange(sides) * (2 * np.pi / sides)
     ring = np.stack([np.cos(angle), np.sin(angle)], -1) * radius_m
@@ -99,7 +104,7 @@ def strip(profiles: npt.NDArray[np.float64]) -> TriangleMesh:
     a, b = node[:-1, :-1].ravel(), node[1:, :-1].ravel()
     c, d = node[1:, 1:].ravel(), node[:-1, 1:].ravel()
     triangles = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
-    return TriangleMesh(profiles.reshape(-1, 3), triangles)
+    return TriangleMesh.of(profiles.reshape(-1, 3), triangles)
 
 
 def _at_height(outline: npt.NDArray[np.float64], height_m: float) -> npt.NDArray[np.float64]:

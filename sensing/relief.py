@@ -83,9 +83,7 @@ def _spread(weight: Floats, total: Floats) -> Floats:
 def _halved(grid: Floats) -> Floats:
     rows, columns = grid.shape
     even = np.pad(grid, ((0, rows % 2), (0, columns % 2)))
-    return np.asarray(
-        even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]
-    )
+    return np.asarray(even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2])
 
 
 def _doubled(coarse: Floats, rows: int) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -72,7 +73,7 @@ class RoadArea:
 def resample(line: Floats, step_m: float) -> Floats:
     """Returns points on a polyline (K, 2), at most `step_m` apart, its bends kept."""
     parts = [line[:1]]
-    for a, b in zip(line[:-1], line[1:], strict=True):
+    for a, b in pairwise(line):
         pieces = max(1, int(np.ceil(np.hypot(*(b - a)) / step_m)))
         share = np.arange(1, pieces + 1)[:, None] / pieces
         parts.append(a + (b - a) * share)

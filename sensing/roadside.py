@@ -113,5 +113,5 @@ def _tree(
     spread *= radius_m * np.sqrt(rng.uniform(0.2, 1.0, (_LEAVES, 1)))
     corners = rng.uniform(-_LEAF_M, _LEAF_M, (_LEAVES, 3, 3))
     vertices = (middle + spread)[:, None, :] + corners
-    crown = TriangleMesh(vertices.reshape(-1, 3), np.arange(_LEAVES * 3))
+    crown = TriangleMesh.of(vertices.reshape(-1, 3), np.arange(_LEAVES * 3))
     return merge([trunk, crown])

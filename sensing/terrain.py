@@ -79,9 +79,9 @@ def _height(nodes: Floats, origin: Floats, cell_m: float, x: float, y: float) ->
     low, high = nodes[i, j], nodes[i + 1, j + 1]
     if u >= v:
         corner = nodes[i, j + 1]
-        return low + u * (corner - low) + v * (high - corner)
+        return float(low + u * (corner - low) + v * (high - corner))
     corner = nodes[i + 1, j]
-    return low + v * (corner - low) + u * (high - corner)
+    return float(low + v * (corner - low) + u * (high - corner))
 
 
 @njit(f"void({_GRID}, float64[:,::1], float64[::1])", cache=True)

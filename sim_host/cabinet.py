@@ -30,7 +30,7 @@ class SignalCabinet:
         self._size = len(signal.plan[0].state)
         self._shown = _shown_together(signal)
         self._durations_ns = {
-            "green": _ns(config.min_green_s),
+            "green": max(1, _ns(config.min_green_s)),  # a green is shown before it is left
             "yellow": _ns(config.yellow_s),
             "all_red": _ns(config.all_red_s),
         }
@@ -97,9 +97,7 @@ class SignalCabinet:
             self._state = self._green
 
     def _over(self, where: list[bool], colour: str) -> str:
-        return "".join(
-            colour if hit else old for hit, old in zip(where, self._state, strict=True)
-        )
+        return "".join(colour if hit else old for hit, old in zip(where, self._state, strict=True))
 
     def _wish(self, now_ns: int) -> tuple[str, str]:
         request = self._request

@@ -71,9 +71,7 @@ def _choose(net: Net, tls: str | None) -> str:
     return tls
 
 
-def _check_plan(
-    net: Net, tls: str, plan: list[PlanPhase], controlled: list[NetConnection]
-) -> None:
+def _check_plan(net: Net, tls: str, plan: list[PlanPhase], controlled: list[NetConnection]) -> None:
     needed = 1 + max(c.link for c in controlled)
     lengths = {len(phase.state) for phase in plan}
     if len(lengths) > 1 or any(length < needed for length in lengths):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -67,9 +68,7 @@ def _read_obj(path: Path) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int32
             vertices.append([float(word) for word in words[1:4]])
         elif words[:1] == ["f"]:
             corners = [int(word.split("/")[0]) - 1 for word in words[1:]]
-            triangles += [
-                (corners[0], b, c) for b, c in zip(corners[1:], corners[2:], strict=False)
-            ]
+            triangles += [(corners[0], b, c) for b, c in pairwise(corners[1:])]
     return np.array(vertices), np.array(triangles, np.int32)
 
 

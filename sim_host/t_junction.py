@@ -16,9 +16,9 @@ TLS = "J"
 SPEED_MPS = 13.89
 LANE_WIDTH_M = 3.5
 DEMAND_VPH_PER_LANE = {"north_in": 360.0}  # the paper's side road; 500 elsewhere
-_HALF_M = 20.0  # from the centre to the stop bars of the main road
-_NORTH_STOP_M = 27.0
-_WEST_M, _EAST_M, _NORTH_M = 193.0, 237.0, 431.0  # lengths of the approaches
+_CORNER_RADIUS_M = 12.0
+_STOP_M = {"west": 19.0, "east": 12.0, "north": 26.0}  # where netconvert then puts the stop bars
+_LENGTH_M = {"west": 193.0, "east": 237.0, "north": 431.0}  # of the approaches
 _CLIMB_FROM_M, _CLIMB_M = 80.0, 2.0
 
 Row = dict[str, str | int | float]
@@ -47,31 +47,32 @@ def write_net(folder: Path) -> Path:
     return net
 
 
+def _end_m(arm: str) -> float:
+    return _STOP_M[arm] + _LENGTH_M[arm]
+
+
 def _nodes() -> list[Row]:
+    junction: Row = {"id": TLS, "x": 0, "y": 0, "z": 0, "type": "traffic_light", "tl": TLS}
     return [
-        {"id": TLS, "x": 0, "y": 0, "z": 0, "type": "traffic_light", "tl": TLS},
-        {"id": "west", "x": -_HALF_M - _WEST_M, "y": 0, "z": 0},
-        {"id": "east", "x": _HALF_M + _EAST_M, "y": 0, "z": _CLIMB_M},
-        {"id": "north", "x": 0, "y": _NORTH_STOP_M + _NORTH_M, "z": 0},
+        {**junction, "radius": _CORNER_RADIUS_M},
+        {"id": "west", "x": -_end_m("west"), "y": 0, "z": 0},
+        {"id": "east", "x": _end_m("east"), "y": 0, "z": _CLIMB_M},
+        {"id": "north", "x": 0, "y": _end_m("north"), "z": 0},
     ]
 
 
 def _edges() -> list[Row]:
-    east = [(_HALF_M + _EAST_M, _CLIMB_M), (_CLIMB_FROM_M, 0.0), (0.0, 0.0)]
-    inward = " ".join(f"{x},0,{z}" for x, z in east)
-    outward = " ".join(f"{x},0,{z}" for x, z in reversed(east))
-    stops = {"west": _HALF_M, "east": _HALF_M, "north": _NORTH_STOP_M}
-    rows: list[Row] = []
-    for arm, lanes in (("west", 4), ("east", 4), ("north", 2)):
-        common: Row = {"numLanes": lanes, "speed": SPEED_MPS, "width": LANE_WIDTH_M}
-        rows.append({"id": f"{arm}_in", "from": arm, "to": TLS, **common})
-        rows[-1]["endOffset"] = 0
-        if arm != "north":  # the side road is one-way
-            rows.append({"id": f"{arm}_out", "from": TLS, "to": arm, **common})
-        if arm == "east":
-            rows[-2]["shape"], rows[-1]["shape"] = inward, outward
-    assert stops
-    return rows
+    slope = [f"{_end_m('east')},0,{_CLIMB_M}", f"{_CLIMB_FROM_M},0,0", "0,0,0"]
+    main: Row = {"numLanes": 4, "speed": SPEED_MPS, "width": LANE_WIDTH_M}
+    east: Row = {**main, "id": "east_in", "from": "east", "to": TLS, "shape": " ".join(slope)}
+    slope.reverse()
+    return [
+        {**main, "id": "west_in", "from": "west", "to": TLS},
+        {**main, "id": "west_out", "from": TLS, "to": "west"},
+        east,
+        {**main, "id": "east_out", "from": TLS, "to": "east", "shape": " ".join(slope)},
+        {**main, "id": "north_in", "from": "north", "to": TLS, "numLanes": 2},
+    ]
 
 
 def _connections() -> list[Row]:

@@ -20,7 +20,7 @@ _LONGEST_NS = 60_000_000_000
 _FROM_UPLOADS = {
     "sense": "sense_end_ns - sense_start_ns",
     "encode": "encode_end_ns - sense_end_ns",
-    "link": "received_ns - sent_ns",
+    "link": "received_ns - encode_end_ns",
     "decode": "decoded_ns - received_ns",
 }
 

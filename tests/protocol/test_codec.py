@@ -78,7 +78,7 @@ def test_a_coordinate_out_of_reach_is_refused(bad):
 
 
 def test_a_range_beyond_the_steps_of_the_form_is_refused_with_the_limit():
-    with pytest.raises(CodecError, match="the form ends at 13.1 m"):
+    with pytest.raises(CodecError, match="the form ends at 13.0 m"):
         encode_scan(scan_of(np.full((4, 16), 50, np.float32)), 0.0001)
 
 

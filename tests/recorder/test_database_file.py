@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import signal
 import sqlite3
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
@@ -23,7 +24,7 @@ def record(run_dir: Path, counts: list[CountRow], clock_ns: int = 0) -> None:
     database.close()
 
 
-def _write_until_killed(run_dir: Path, ready) -> None:
+def _write_until_killed(run_dir: Path, ready: Connection) -> None:
     database = Database(run_dir)
     database.add(CountRow, [(0, "a", "upstream", 1)])
     database.commit()

@@ -35,7 +35,7 @@ PERIOD_NS = 100_000_000
 MS = 1_000_000
 
 
-def setup_message(**record) -> m.Setup:
+def setup_message(**record: object) -> m.Setup:
     signal = Signal(tls="t", links=[], conflicts=[], plan=[])
     road_map = RoadMap(name="t", centre=(0, 0, 0), lanes=[], signal=signal, junction=[])
     return m.Setup(
@@ -51,7 +51,7 @@ def setup_message(**record) -> m.Setup:
 class Rig:
     """A record role on local buses, and the others' mouths."""
 
-    def __init__(self, run_dir: Path, **record) -> None:
+    def __init__(self, run_dir: Path, **record: object) -> None:
         world, v2x = LocalNetwork(), LocalNetwork()
         self.inbox, self.seen = Inbox(), Inbox()
         self.stop = threading.Event()
@@ -129,7 +129,7 @@ class Rig:
         )  # fmt: skip
         self.world.publish("truth", truth)
 
-    def metrics(self, process: str, frame: int, **fields) -> None:
+    def metrics(self, process: str, frame: int, **fields: object) -> None:
         metrics = m.Metrics(process=process, frame=frame, sim_time_ns=frame * PERIOD_NS, **fields)
         self.world.publish("metrics", metrics, process=process)
 
@@ -190,7 +190,7 @@ def test_only_snapshot_frames_keep_their_uploads(rig: Rig, tmp_path: Path) -> No
     with Run(tmp_path) as run:
         kept = [(c.frame, c.agent, c.payload) for c in run.rows(CloudRow)]
         assert kept == [(f, a, b"payload") for f in (0, 2, 4) for a in ("car-0", "rsu-0")]
-        assert run.clouds(2)[0].sensor_yaw_rad == 5.0
+        assert run.of_frame(CloudRow, 2)[0].sensor_yaw_rad == 5.0
 
 
 def test_truth_and_snapshots_can_be_left_out(tmp_path: Path) -> None:
@@ -210,7 +210,7 @@ def test_contradictory_messages_are_counted_and_dropped(rig: Rig, tmp_path: Path
         distances_m=np.zeros(0), sources=[],
     )  # fmt: skip
     rig.v2x.publish("detections", crooked, region="r0")
-    rig.metrics("edge", 1 << 62)
+    rig.metrics("edge", 1 << 35)
     rig.world.publish("trips", m.Trips(frame=0, trips=[
         m.Trip(vehicle="x", equipment=0, depart_s=0, arrive_s=None, time_loss_s=float("nan")),
         m.Trip(vehicle="y", equipment=0, depart_s=0, arrive_s=None, time_loss_s=1.0),
@@ -270,7 +270,8 @@ def test_memory_holds_a_bounded_number_of_frames(rig: Rig, tmp_path: Path) -> No
         rig.metrics("infra-0", max(frame - 1, 0))
         tick = m.Tick(
             frame=frame, sim_time_ns=frame, processes=[], ids=[], types=[],
-            poses=np.zeros((0, 6)), speeds_mps=np.zeros(0), equipment=np.zeros(0), hosts=np.zeros(0),
+            poses=np.zeros((0, 6)), speeds_mps=np.zeros(0), equipment=np.zeros(0),
+            hosts=np.zeros(0),
         )  # fmt: skip
         rig.world.publish("tick", tick)
         rig.drain()

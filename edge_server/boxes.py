@@ -1,0 +1,162 @@
+"""Boxes: one oriented box per cluster, completed to a vehicle's size, then the size filter.
+
+The direction is searched by the closeness criterion of Zhang et al. 2017 ("Efficient L-shape
+fitting for vehicle detection using laser scanners"), with the road's direction as a prior; where
+a few points tell no direction, the road's is taken.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from edge_server.arrays import Bools, Floats, Floats32, Ints, Ints32
+from edge_server.config import BoxConfig
+from edge_server.roadway import Roadway
+from edge_server.vehicles import Vehicles
+
+FIT_POINTS = 160  # of a cluster at most: more do not change the direction
+FEW_POINTS = 12  # fewer tell none
+STEPS = 15  # of 3 degrees, to either side
+PRIOR = 0.35  # how much less a direction counts that is 45 degrees off the road's
+EDGE_M = 0.08  # points this close to an edge lie on it
+WIDE_M = 2.6  # no vehicle that fits a lane is wider: its length and width are taken for each other
+CERTAIN_POINTS = 25.0  # about two thirds of full score
+
+
+def fit_boxes(
+    points: Floats32,
+    ground_m: Floats32,
+    labels: Ints32,
+    *,
+    roadway: Roadway,
+    sensors: Floats,
+    config: BoxConfig,
+) -> Vehicles:
+    """Boxes clusters of points (N, 3), map frame, over ground at the heights (N,).
+
+    A box stands on the ground and reaches up to its highest point. `sensors` (S, 3) are the places
+    the points were seen from.
+    """
+    order = np.argsort(labels, kind="stable")
+    order = order[np.searchsorted(labels[order], 0) :]
+    if len(order) == 0:
+        return Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
+    members = np.bincount(labels[order])
+    starts = np.concatenate([[0], np.cumsum(members)])
+    grouped = points[order]
+    middles = np.add.reduceat(grouped.astype(np.float64), starts[:-1], axis=0) / members[:, None]
+    yaws = roadway.yaw_at(middles)
+    extents = np.empty((len(members), 2, 3))
+    _fit(grouped, starts, middles, yaws, extents)
+    fits = _fits(extents[:, 1] - extents[:, 0], config)
+    if config.complete:
+        _complete(extents, middles, yaws, sensors, config)
+        floor_m = np.add.reduceat(ground_m[order].astype(np.float64), starts[:-1]) / members
+        extents[:, 0, 2] = floor_m
+        extents[:, 1, 2] = np.maximum(extents[:, 1, 2], floor_m + config.usual_height_m)
+    scores = 1.0 - np.exp(-members / CERTAIN_POINTS)
+    return Vehicles.from_lidar(_boxes(extents, middles, yaws), scores).take(fits)
+
+
+def _fits(sizes_m: Floats, config: BoxConfig) -> Bools:
+    """The size filter, on what was measured: the longer side of a box is its length.
+
+    A box that will be completed may be as narrow as it likes: it is a vehicle's side.
+    """
+    length_m, width_m = sizes_m[:, :2].max(axis=1), sizes_m[:, :2].min(axis=1)
+    min_width_m = 0.0 if config.complete else config.min_width_m
+    fits: Bools = (length_m >= config.min_length_m) & (length_m <= config.max_length_m)
+    fits &= (width_m >= min_width_m) & (width_m <= config.max_width_m)
+    fits &= (sizes_m[:, 2] >= config.min_height_m) & (sizes_m[:, 2] <= config.max_height_m)
+    return fits
+
+
+def _complete(
+    extents: Floats, middles: Floats, yaws: Floats, sensors: Floats, config: BoxConfig
+) -> None:
+    """Widens boxes to the usual footprint: the side turned to the nearest sensor stays in place."""
+    if len(sensors) == 0:
+        sensors = np.full((1, 3), np.inf)
+    off = sensors[None, :, :2] - middles[:, None, :2]
+    nearest = off[np.arange(len(off)), np.argmin((off**2).sum(axis=2), axis=1)]
+    cos, sin = np.cos(yaws), np.sin(yaws)
+    seen_from = np.stack(
+        [cos * nearest[:, 0] + sin * nearest[:, 1], cos * nearest[:, 1] - sin * nearest[:, 0]], -1
+    )
+    for axis, usual_m in enumerate((config.usual_length_m, config.usual_width_m)):
+        low, high = extents[:, 0, axis], extents[:, 1, axis]
+        missing_m = np.maximum(usual_m - (high - low), 0.0)
+        ahead = np.where(seen_from[:, axis] > high, 0.0, 0.5)
+        ahead = np.where(seen_from[:, axis] < low, 1.0, ahead)
+        extents[:, 1, axis] = high + ahead * missing_m
+        extents[:, 0, axis] = low - (1.0 - ahead) * missing_m
+
+
+def _boxes(extents: Floats, middles: Floats, yaws: Floats) -> Floats:
+    """Returns boxes (C, 7) from extents (C, 2, 3) along their own axes about their middles."""
+    along, across, up = ((extents[:, 0] + extents[:, 1]) / 2).T
+    cos, sin = np.cos(yaws), np.sin(yaws)
+    x = middles[:, 0] + cos * along - sin * across
+    y = middles[:, 1] + sin * along + cos * across
+    return np.column_stack([x, y, up, extents[:, 1] - extents[:, 0], yaws])
+
+
+@njit(
+    "void(float32[:,::1], int64[::1], float64[:,::1], float64[::1], float64[:,:,::1])", cache=True
+)
+def _fit(points: Floats32, starts: Ints, middles: Floats, yaws: Floats, extents: Floats) -> None:
+    """Turns each cluster's yaw to the best one and writes its extents along the box's axes."""
+    local = np.empty((points.shape[0], 2))
+    for index in range(middles.shape[0]):
+        first, end = starts[index], starts[index + 1]
+        for i in range(first, end):
+            local[i, 0] = points[i, 0] - middles[index, 0]
+            local[i, 1] = points[i, 1] - middles[index, 1]
+        if end - first >= FEW_POINTS:
+            step = max((end - first) // FIT_POINTS, 1)
+            yaws[index] = _direction(local[first:end:step].copy(), yaws[index])
+        _measure(local[first:end], yaws[index], extents[index])
+        sizes = extents[index, 1] - extents[index, 0]
+        if sizes[1] > WIDE_M and sizes[1] > sizes[0]:
+            yaws[index] += np.pi / 2
+            _measure(local[first:end], yaws[index], extents[index])
+        low, high = np.inf, -np.inf
+        for i in range(first, end):
+            low, high = min(low, points[i, 2]), max(high, points[i, 2])
+        extents[index, 0, 2], extents[index, 1, 2] = low, high
+
+
+@njit("void(float64[:,::1], float64, float64[:,::1])", cache=True)
+def _measure(local: Floats, yaw: float, extents: Floats) -> None:
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    extents[0, :2], extents[1, :2] = np.inf, -np.inf
+    for i in range(local.shape[0]):
+        along = cos * local[i, 0] + sin * local[i, 1]
+        across = cos * local[i, 1] - sin * local[i, 0]
+        extents[0, 0], extents[1, 0] = min(extents[0, 0], along), max(extents[1, 0], along)
+        extents[0, 1], extents[1, 1] = min(extents[0, 1], across), max(extents[1, 1], across)
+
+
+@njit("float64(float64[:,::1], float64)", cache=True)
+def _direction(local: Floats, road_yaw: float) -> float:
+    """Returns the yaw, within 45 degrees of the road's, whose box has most points on its edges."""
+    extents = np.zeros((2, 3))
+    best, best_yaw = -1.0, road_yaw
+    for turn in range(-STEPS, STEPS + 1):
+        yaw = road_yaw + turn * np.pi / 4 / STEPS
+        _measure(local, yaw, extents)
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        score = 0.0
+        for i in range(local.shape[0]):
+            along = cos * local[i, 0] + sin * local[i, 1]
+            across = cos * local[i, 1] - sin * local[i, 0]
+            off_m = min(
+                min(along - extents[0, 0], extents[1, 0] - along),
+                min(across - extents[0, 1], extents[1, 1] - across),
+            )
+            score += 1.0 / max(off_m, EDGE_M)
+        score *= 1.0 - PRIOR * abs(turn) / STEPS
+        if score > best:
+            best, best_yaw = score, yaw
+    return best_yaw

@@ -1,0 +1,216 @@
+"""Clustering: DBSCAN (Ester et al. 1996), exact, on a grid.
+
+Cells have the side eps / sqrt(3), so that points of one cell are always neighbours: a cell with
+`min_points` holds core points only, and cells are joined whole. Occupied cells lie sorted; for
+half of the surrounding columns of cells a window walks along with them, which finds all
+neighbouring pairs without a hash table.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from edge_server.arrays import Bytes, Floats, Floats32, Ints, Ints32
+from edge_server.config import ClusterConfig
+
+NOISE = -1
+_SHRINK = 0.9999  # keeps float32 rounding from making two points of a cell no neighbours
+
+
+def cluster(points: Floats32, *, config: ClusterConfig) -> Ints32:
+    """Returns the cluster of each point (N,), numbered by their first points; -1 is noise.
+
+    A border point goes to the cluster of its nearest core point.
+    """
+    if len(points) == 0:
+        return np.zeros(0, np.int32)
+    side_m = config.eps_m / np.sqrt(3) * _SHRINK
+    places = np.floor((points - points.min(axis=0)) / np.float32(side_m)).astype(np.int64)
+    span = places.max(axis=0) + 5  # room for two cells on either side: no offset wraps around
+    stride = np.array([span[1] * span[2], span[2], 1])
+    keys = places @ stride
+    order = np.argsort(keys, kind="stable")
+    cells, starts = np.unique(keys[order], return_index=True)
+    starts = np.append(starts, len(points)).astype(np.int64)
+    square_m2 = config.eps_m**2
+    ordered = np.ascontiguousarray(points[order])
+    labels = _label(ordered, cells, starts, _windows(stride), square_m2, config.min_points)
+    result = np.empty(len(points), np.int32)
+    result[order] = labels
+    _renumber(result)
+    return result
+
+
+def _windows(stride: Ints) -> Ints:
+    """Returns the first and last key difference (13, 2) to half of the cells within two steps.
+
+    A column's cells lie side by side: there are 12 columns ahead, and the cells above one's own.
+    """
+    steps = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3), indexing="ij"), -1)
+    columns = steps.reshape(-1, 2) @ stride[:2]
+    ahead = columns[columns > 0]
+    return np.concatenate([[[1, 2]], np.stack([ahead - 2, ahead + 2], -1)])
+
+
+@njit("int64(int64[::1], int64)", cache=True)
+def _root(parents: Ints, cell: int) -> int:
+    while parents[cell] != cell:
+        parents[cell] = parents[parents[cell]]
+        cell = parents[cell]
+    return cell
+
+
+@njit("float64(float32[:,::1], int64, int64)", cache=True)
+def _apart(points: Floats32, i: int, j: int) -> float:
+    """Returns the squared distance between two points."""
+    x = np.float64(points[i, 0]) - points[j, 0]
+    y = np.float64(points[i, 1]) - points[j, 1]
+    z = np.float64(points[i, 2]) - points[j, 2]
+    return float(x * x + y * y + z * z)
+
+
+@njit("int64[:,::1](int64[::1], int64[:,::1])", cache=True)
+def _pairs(cells: Ints, windows: Ints) -> Ints:
+    """Returns all pairs (P, 2) of occupied cells that may hold neighbours."""
+    pairs = np.empty((8 * cells.size + 16, 2), np.int64)
+    count = 0
+    for window in range(windows.shape[0]):
+        first = 0
+        for cell in range(cells.size):
+            low, high = cells[cell] + windows[window, 0], cells[cell] + windows[window, 1]
+            while first < cells.size and cells[first] < low:
+                first += 1
+            other = first
+            while other < cells.size and cells[other] <= high:
+                if count == pairs.shape[0]:
+                    more = np.empty((2 * count, 2), np.int64)
+                    more[:count] = pairs
+                    pairs = more
+                pairs[count, 0], pairs[count, 1] = cell, other
+                count += 1
+                other += 1
+    return pairs[:count].copy()
+
+
+@njit(
+    "uint8[::1](float32[:,::1], int64[::1], int64[:,::1], float64, int64)",
+    cache=True,
+)
+def _core(points: Floats32, starts: Ints, pairs: Ints, square_m2: float, min_points: int) -> Bytes:
+    """Marks the points with enough neighbours; only thin cells need counting."""
+    neighbours = np.zeros(points.shape[0], np.int64)
+    for cell in range(starts.size - 1):
+        neighbours[starts[cell] : starts[cell + 1]] = starts[cell + 1] - starts[cell]
+    for pair in range(pairs.shape[0]):
+        a, b = pairs[pair]
+        if starts[a + 1] - starts[a] >= min_points and starts[b + 1] - starts[b] >= min_points:
+            continue
+        for i in range(starts[a], starts[a + 1]):
+            for j in range(starts[b], starts[b + 1]):
+                if _apart(points, i, j) <= square_m2:
+                    neighbours[i] += 1
+                    neighbours[j] += 1
+    return (neighbours >= min_points).astype(np.uint8)
+
+
+@njit(
+    "boolean(float32[:,::1], uint8[::1], int64, int64, int64, int64, float64)",
+    cache=True,
+)
+def _touch(
+    points: Floats32, core: Bytes, a: int, a_end: int, b: int, b_end: int, square_m2: float
+) -> bool:
+    """Whether two cells have core points that are neighbours."""
+    for i in range(a, a_end):
+        if core[i]:
+            for j in range(b, b_end):
+                if core[j] and _apart(points, i, j) <= square_m2:
+                    return True
+    return False
+
+
+@njit(
+    "void(float32[:,::1], uint8[::1], int64[::1], int64[::1], int64, int32[::1], float64[::1])",
+    cache=True,
+)
+def _adopt(
+    points: Floats32,
+    core: Bytes,
+    cell: Ints,
+    other: Ints,
+    root: int,
+    labels: Ints32,
+    nearest_m2: Floats,
+) -> None:
+    """Gives a cell's border points to the other cell's cluster where its core points are nearer."""
+    for i in range(cell[0], cell[1]):
+        if core[i]:
+            continue
+        for j in range(other[0], other[1]):
+            apart_m2 = _apart(points, i, j)
+            nearer = apart_m2 < nearest_m2[i] or (labels[i] == NOISE and apart_m2 <= nearest_m2[i])
+            if core[j] and nearer:
+                labels[i], nearest_m2[i] = root, apart_m2
+
+
+@njit(
+    "int32[::1](float32[:,::1], int64[::1], int64[::1], int64[:,::1], float64, int64)",
+    cache=True,
+)
+def _label(
+    points: Floats32,
+    cells: Ints,
+    starts: Ints,
+    windows: Ints,
+    square_m2: float,
+    min_points: int,
+) -> Ints32:
+    """Returns the cell that stands for each point's cluster, or -1; points lie cell by cell."""
+    pairs = _pairs(cells, windows)
+    core = _core(points, starts, pairs, square_m2, min_points)
+    parents = np.arange(cells.size)
+    for pair in range(pairs.shape[0]):
+        a, b = pairs[pair]
+        root_a, root_b = _root(parents, a), _root(parents, b)
+        if root_a != root_b and _touch(
+            points, core, starts[a], starts[a + 1], starts[b], starts[b + 1], square_m2
+        ):
+            parents[max(root_a, root_b)] = min(root_a, root_b)
+    labels = np.full(points.shape[0], NOISE, np.int32)
+    nearest_m2 = np.full(points.shape[0], square_m2)
+    for cell in range(cells.size):
+        parents[cell] = _root(parents, cell)
+        for i in range(starts[cell], starts[cell + 1]):
+            if core[i]:
+                labels[i] = parents[cell]
+        _adopt(
+            points,
+            core,
+            starts[cell : cell + 2],
+            starts[cell : cell + 2],
+            parents[cell],
+            labels,
+            nearest_m2,
+        )
+    for pair in range(pairs.shape[0]):
+        a, b = pairs[pair]
+        cell_a, cell_b = starts[a : a + 2], starts[b : b + 2]
+        _adopt(points, core, cell_a, cell_b, _root(parents, b), labels, nearest_m2)
+        _adopt(points, core, cell_b, cell_a, _root(parents, a), labels, nearest_m2)
+    return labels
+
+
+@njit("void(int32[::1])", cache=True)
+def _renumber(labels: Ints32) -> None:
+    """Numbers clusters from 0 in the order of their first points."""
+    new = np.full(labels.size, NOISE, np.int32)
+    following = 0
+    for index in range(labels.size):
+        label = labels[index]
+        if label == NOISE:
+            continue
+        if new[label] == NOISE:
+            new[label] = following
+            following += 1
+        labels[index] = new[label]

@@ -1,0 +1,101 @@
+"""Fusion: agents' own poses are detections too, and two detections of one vehicle become one.
+
+Chen et al. 2022 call two detections closer than a vehicle's length duplicates and drop the one
+farther from the junction. Lanes are 3.5 m wide, so that a radius of 4.5 m swallows the neighbour in
+the next lane of a queue; the default rule looks along and across the vehicle separately. The
+paper's radius is the named option.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from edge_server.arrays import Bools, Floats, Ints
+from edge_server.config import FusionConfig
+from edge_server.vehicles import Vehicles
+from protocol.messages import AgentPose, Equipment
+
+CERTAIN_STD_M = 0.5  # poses better than this say by themselves which box is the agent's
+
+
+def fuse(
+    found: Vehicles, poses: list[AgentPose], *, centre: Floats, config: FusionConfig
+) -> Vehicles:
+    """Joins what the LiDARs found with the agents' own poses; the order of either is no matter.
+
+    A pose wins over a LiDAR's box; one that may be metres off, a CV's, stands for the nearest box
+    only. Of two boxes the one nearer to the junction's centre (2 or 3,) stays. The result has poses first, sorted by agent, then boxes, nearest first.
+    """
+    own = from_poses(poses)
+    found = found.take(_ranked(found, centre))
+    left = found.take(~_claimed(own, found, config))
+    both = own + left
+    gone = np.zeros(len(both), np.bool_)
+    for index in range(len(both)):
+        if not gone[index] and both.position_std_m[index] <= CERTAIN_STD_M:
+            same = _same(both.boxes[index], both.boxes, config)
+            same[: max(len(own), index + 1)] = False
+            gone |= same
+    return both.take(~gone)
+
+
+def from_poses(poses: list[AgentPose]) -> Vehicles:
+    """Returns the vehicles among the agents as detections of themselves, sorted by agent."""
+    vehicles = [p for p in poses if p.equipment is not Equipment.NONE]
+    vehicles = sorted(vehicles, key=lambda p: p.agent)
+    boxes = [
+        (
+            *p.pose[:2],
+            p.pose[2] + p.height_m / 2,
+            p.length_m,
+            p.width_m,
+            p.height_m,
+            p.pose[5],
+        )
+        for p in vehicles
+    ]
+    return Vehicles(
+        np.array(boxes, np.float64).reshape(-1, 7),
+        np.ones(len(vehicles)),
+        [p.agent for p in vehicles],
+        np.array([p.position_std_m for p in vehicles], np.float64),
+    )
+
+
+def _ranked(found: Vehicles, centre: Floats) -> Ints:
+    """Orders boxes by their distance from the centre, then by all their numbers."""
+    distance_m = np.linalg.norm(found.boxes[:, :2] - centre[:2], axis=1)
+    keys = [found.scores, *found.boxes.T[::-1], distance_m]
+    return np.asarray(np.lexsort(keys))
+
+
+def _claimed(own: Vehicles, found: Vehicles, config: FusionConfig) -> Bools:
+    """Marks the boxes that belong to agents whose poses are uncertain: the nearest for each.
+
+    Pairs are made nearest first, up to a standard deviation more than the rule allows.
+    """
+    claimed = np.zeros(len(found), np.bool_)
+    pairs: list[tuple[float, int, int]] = []
+    for index in range(len(own)):
+        std_m = float(own.position_std_m[index])
+        if std_m > CERTAIN_STD_M:
+            near = _same(own.boxes[index], found.boxes, config, slack_m=std_m)
+            gaps_m = np.linalg.norm(found.boxes[:, :2] - own.boxes[index, :2], axis=1)
+            pairs += [(float(gaps_m[box]), index, int(box)) for box in np.flatnonzero(near)]
+    served: set[int] = set()
+    for _, index, box in sorted(pairs):
+        if index not in served and not claimed[box]:
+            served.add(index)
+            claimed[box] = True
+    return claimed
+
+
+def _same(box: Floats, others: Floats, config: FusionConfig, *, slack_m: float = 0.0) -> Bools:
+    """Whether each of the others (N, 7) is the same vehicle as this box (7,)."""
+    off = others[:, :2] - box[:2]
+    if config.rule == "radius":
+        return np.asarray(np.hypot(off[:, 0], off[:, 1]) < config.duplicate_m + slack_m)
+    cos, sin = np.cos(box[6]), np.sin(box[6])
+    along = np.abs(cos * off[:, 0] + sin * off[:, 1])
+    across = np.abs(cos * off[:, 1] - sin * off[:, 0])
+    return np.asarray((along < config.duplicate_m + slack_m) & (across < config.across_m + slack_m))

@@ -1,0 +1,205 @@
+"""Lanes: which one a vehicle is on, how far it is from the stop bar, and how many there are."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge_server.arrays import Bools, Floats, Ints
+from protocol.roadmap import RoadMap
+
+LEVEL_M = 3.5  # a lane farther below or above is on another level: it counts as farther away
+ACROSS_M = 1.75  # a lane at right angles to the vehicle counts as this much farther away
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """Where vehicles are: index into the map's lanes (N,), -1 off the road; metres along (N,)."""
+
+    lane: Ints
+    along_m: Floats
+
+    def take(self, chosen: Bools) -> Place:
+        """Returns some of them, by mask."""
+        return Place(self.lane[chosen], self.along_m[chosen])
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """How a lane relates to the signal.
+
+    `counts_for` is the incoming lane it leads to, or the outgoing lane it belongs to. `start_m` is
+    the distance of the lane's start to the stop bar, negative behind it.
+    """
+
+    counts_for: str
+    start_m: float
+
+
+class LaneIndex:
+    """The road map, prepared for questions about many points at once."""
+
+    def __init__(self, road_map: RoadMap) -> None:
+        self._map = road_map
+        self._lengths_m = {lane.id: _length_m(lane.points) for lane in road_map.lanes}
+        rows, owners, starts = [], [], []
+        for index, lane in enumerate(road_map.lanes):
+            points = lane.points
+            steps_m = np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1)
+            rows.append(np.column_stack([points[:-1], points[1:]]))
+            owners.append(np.full(len(steps_m), index))
+            starts.append(np.concatenate([[0.0], np.cumsum(steps_m)[:-1]]))
+        self._segments = np.concatenate(rows)
+        self._owners = np.concatenate(owners)
+        self._starts_m = np.concatenate(starts)
+        self._half_m = np.array([lane.width_m / 2 for lane in road_map.lanes])[self._owners]
+        self.upstream = self._reach_upstream()
+        self.downstream = self._reach_downstream()
+
+    def locate(self, boxes: Floats, *, margin_m: Floats) -> Place:
+        """Finds the lane under each box (N, 7): the nearest that runs along the box.
+
+        A box is on the road if its centre is at most its margin (N,) beyond the edge of a lane.
+        """
+        if len(boxes) == 0:
+            return Place(np.zeros(0, np.int64), np.zeros(0))
+        start, end = self._segments[:, :3], self._segments[:, 3:]
+        run = end[:, :2] - start[:, :2]
+        square = np.maximum((run**2).sum(axis=1), 1e-12)
+        off = boxes[:, None, :2] - start[None, :, :2]
+        share = np.clip((off * run).sum(axis=2) / square, 0.0, 1.0)
+        gap_m = np.linalg.norm(off - share[:, :, None] * run, axis=2)
+        height_m = start[:, 2] + share * (end[:, 2] - start[:, 2])
+        turned = np.abs(np.sin(boxes[:, None, 6] - np.arctan2(run[:, 1], run[:, 0])))
+        cost_m = gap_m + ACROSS_M * turned
+        cost_m += np.maximum(np.abs(boxes[:, None, 2] - height_m) - LEVEL_M, 0.0)
+        cost_m[gap_m > self._half_m + margin_m[:, None]] = np.inf
+        best = np.argmin(cost_m, axis=1)
+        row = np.arange(len(boxes))
+        lane = np.where(np.isfinite(cost_m[row, best]), self._owners[best], -1)
+        return Place(lane, self._starts_m[best] + share[row, best] * np.sqrt(square[best]))
+
+    def names(self, place: Place) -> list[str]:
+        """Returns the lanes' ids, an empty string off the road."""
+        return [self._map.lanes[i].id if i >= 0 else "" for i in place.lane]
+
+    def distances_m(self, place: Place) -> Floats:
+        """Returns the way to the stop bar (N,), negative behind it; 0 where no way leads there."""
+        result = np.zeros(len(place.lane))
+        for index, name in enumerate(self.names(place)):
+            reach = self.upstream.get(name) or self.downstream.get(name)
+            if reach is not None:
+                result[index] = reach.start_m - place.along_m[index]
+        return result
+
+    def count(
+        self, place: Place, *, upstream_m: float, downstream_m: float
+    ) -> tuple[dict[str, int], dict[str, int]]:
+        """Counts vehicles per incoming lane before the stop bar, and per outgoing lane behind it.
+
+        A vehicle farther up counts for the incoming lane that its own lane leads to; where there
+        are several, for the one with the shortest way, so that nobody counts twice. One inside the
+        junction counts for the lane it is about to leave by.
+        """
+        before = dict.fromkeys(self._map.incoming, 0)
+        behind = dict.fromkeys(self._map.outgoing, 0)
+        for name, along_m in zip(self.names(place), place.along_m, strict=True):
+            reach = self.upstream.get(name)
+            if reach and reach.start_m - along_m <= upstream_m:
+                before[reach.counts_for] += 1
+            reach = self.downstream.get(name)
+            if reach and along_m - reach.start_m <= downstream_m:
+                behind[reach.counts_for] += 1
+        return before, behind
+
+    def _reach_upstream(self) -> dict[str, Reach]:
+        """Follows the lanes back from the stop bars; the junction's own lanes lie behind them."""
+        inside = {name for name, _, _ in self._through_junction()}
+        known = [name for name in self._map.incoming if name in self._map.by_id]
+        found = _shortest(
+            [(0.0, name, name) for name in known],
+            lambda name: self._map.predecessors[name],
+            self._lengths_m,
+            barred=inside | set(self._map.outgoing) - set(known),
+        )
+        return {
+            name: Reach(owner, way_m + self._lengths_m[name])
+            for name, (way_m, owner) in found.items()
+        }
+
+    def _reach_downstream(self) -> dict[str, Reach]:
+        """Follows the lanes on from the stop bars, through the junction."""
+        inside = self._through_junction()
+        result: dict[str, Reach] = {}
+        exits: dict[str, float] = dict.fromkeys(self._map.outgoing, np.inf)
+        for name, owner, way_m in inside:
+            if name not in result or way_m < -result[name].start_m:
+                result[name] = Reach(owner, -way_m)
+            exits[owner] = min(exits[owner], way_m + self._lengths_m[name])
+        starts = [
+            (way_m if np.isfinite(way_m) else 0.0, name, name)
+            for name, way_m in exits.items()
+            if name in self._map.by_id
+        ]
+        found = _shortest(
+            starts,
+            self._successors,
+            self._lengths_m,
+            barred={name for name, _, _ in inside} | set(self._map.incoming) - set(exits),
+        )
+        return result | {name: Reach(owner, -way_m) for name, (way_m, owner) in found.items()}
+
+    def _through_junction(self) -> list[tuple[str, str, float]]:
+        """Returns the junction's own lanes, the exit each leads to and the way to its start."""
+        found: list[tuple[str, str, float]] = []
+        for link in self._map.signal.links:
+            todo: list[tuple[str, float, tuple[tuple[str, float], ...]]] = [
+                (name, 0.0, ()) for name in self._successors(link.from_lane)
+            ]
+            while todo:
+                name, way_m, passed = todo.pop()
+                if name == link.to_lane:
+                    found += [(inner, link.to_lane, start_m) for inner, start_m in passed]
+                elif self._map.by_id[name].internal and len(passed) < 8:
+                    further_m = way_m + self._lengths_m[name]
+                    path = (*passed, (name, way_m))
+                    todo += [(after, further_m, path) for after in self._successors(name)]
+        return found
+
+    def _successors(self, name: str) -> list[str]:
+        lane = self._map.by_id.get(name)
+        return [after for after in lane.successors if after in self._map.by_id] if lane else []
+
+
+def _shortest(
+    starts: list[tuple[float, str, str]],
+    following: Callable[[str], list[str]],
+    lengths_m: dict[str, float],
+    *,
+    barred: set[str],
+) -> dict[str, tuple[float, str]]:
+    """Returns for each lane in reach the shortest way to it and the start it came from.
+
+    Of equal ways the start that is listed first wins (Dijkstra with the list's order as tie).
+    """
+    rank = {owner: index for index, (_, _, owner) in enumerate(starts)}
+    heap = [(way_m, rank[owner], name) for way_m, name, owner in starts]
+    owners = [owner for _, _, owner in starts]
+    heapq.heapify(heap)
+    found: dict[str, tuple[float, str]] = {}
+    while heap:
+        way_m, order, name = heapq.heappop(heap)
+        if name in found:
+            continue
+        found[name] = (way_m, owners[order])
+        for after in following(name):
+            if after not in found and after not in barred:
+                heapq.heappush(heap, (way_m + lengths_m[name], order, after))
+    return found
+
+
+def _length_m(points: Floats) -> float:
+    return float(np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1).sum())

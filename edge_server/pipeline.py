@@ -1,0 +1,116 @@
+"""From scans and poses to counts per lane, as in Chen et al. 2022. Knows no network."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge_server.arrays import Floats
+from edge_server.boxes import fit_boxes
+from edge_server.cluster import cluster
+from edge_server.config import EdgeConfig
+from edge_server.frame import Frame
+from edge_server.fuse import fuse
+from edge_server.ground import remove_ground
+from edge_server.lanes import LaneIndex, Place
+from edge_server.merge import merge
+from edge_server.roadway import Roadway
+from edge_server.spans import Spans
+from edge_server.vehicles import Vehicles
+from protocol.messages import Detections, LaneCounts, Span
+from protocol.roadmap import RoadMap
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """What a frame gave: messages to publish, the time of each stage, the points merged."""
+
+    detections: Detections
+    counts: LaneCounts
+    spans: list[Span]
+    points: int
+
+
+class Pipeline:
+    """The stages and what they know about the road. No frame depends on another."""
+
+    def __init__(self, road_map: RoadMap, config: EdgeConfig, *, seed: int) -> None:
+        self._map = road_map
+        self._config = config
+        self._seed = [seed, zlib.crc32(b"ground")]
+        self._roadway = Roadway.of(road_map, margin_m=config.geofence.margin_m)
+        self._lanes = LaneIndex(road_map)
+        self._centre = np.array(road_map.centre)
+
+    def run(self, frame: Frame) -> Result:
+        """Finds and counts the vehicles of one frame."""
+        config, spans = self._config, Spans()
+        rng = np.random.default_rng([*self._seed, frame.frame])
+        with spans.stage("merge"):
+            points = merge(frame.pieces, method=config.merge, reference_pose=_reference(frame))
+            near, road_m = self._roadway.crop(
+                points, below_m=config.geofence.below_m, above_m=config.geofence.above_m
+            )
+        with spans.stage("ground"):
+            above, ground_m = remove_ground(near, road_m, config=config.ground, rng=rng)
+        with spans.stage("detect"):
+            labels = cluster(above, config=config.cluster)
+            found = fit_boxes(
+                above,
+                ground_m,
+                labels,
+                roadway=self._roadway,
+                sensors=_sensors(frame),
+                config=config.boxes,
+            )
+        with spans.stage("fuse"):
+            vehicles = fuse(found, frame.poses, centre=self._centre, config=config.fusion)
+            place = self._lanes.locate(
+                vehicles.boxes, margin_m=config.geofence.margin_m + vehicles.position_std_m
+            )
+            on_road = place.lane >= 0
+            vehicles, place = vehicles.take(on_road), place.take(on_road)
+        with spans.stage("count"):
+            detections = self._detections(frame, vehicles, place)
+            counts = self._counts(frame, place)
+        return Result(detections, counts, spans.done, len(points))
+
+    def _detections(self, frame: Frame, vehicles: Vehicles, place: Place) -> Detections:
+        return Detections(
+            frame=frame.frame,
+            sim_time_ns=frame.sim_time_ns,
+            agents=frame.agents,
+            boxes=vehicles.boxes.astype(np.float32),
+            scores=vehicles.scores.astype(np.float32),
+            lanes=self._lanes.names(place),
+            distances_m=self._lanes.distances_m(place).astype(np.float32),
+            sources=vehicles.sources,
+        )
+
+    def _counts(self, frame: Frame, place: Place) -> LaneCounts:
+        upstream, downstream = self._lanes.count(
+            place, upstream_m=self._config.upstream_m, downstream_m=self._config.downstream_m
+        )
+        return LaneCounts(
+            frame=frame.frame,
+            sim_time_ns=frame.sim_time_ns,
+            tls=self._map.signal.tls,
+            agents=frame.agents,
+            complete=frame.complete,
+            upstream=upstream,
+            downstream=downstream,
+        )
+
+
+def _sensors(frame: Frame) -> Floats:
+    return np.array([piece.sensor_pose[:3] for piece in frame.pieces]).reshape(-1, 3)
+
+
+def _reference(frame: Frame) -> Floats | None:
+    """Returns the pose of the paper's reference LiDAR: a roadside one, else the first."""
+    driving = {pose.agent for pose in frame.poses}
+    standing = [piece for piece in frame.pieces if piece.agent not in driving]
+    reference = (standing or frame.pieces)[:1]
+    return reference[0].sensor_pose if reference else None

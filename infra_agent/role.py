@@ -1,0 +1,53 @@
+"""The infra role: one LiDAR on a post, whose place was surveyed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from protocol.geometry import SE3
+from protocol.messages import Tick
+from protocol.process import Context, Envelope, Presence
+from protocol.roadmap import RoadMap
+from sensing.config import Mount
+from sensing.station import Station
+from sensing.terrain import Terrain
+
+
+class InfraRole:
+    """Plays the mount whose place in the scenario's list is the number in the process's id."""
+
+    def __init__(self, context: Context) -> None:
+        number = int(context.id.rpartition("-")[2])
+        mount = Mount.model_validate(context.setup.scenario["roadside_mounts"][number])
+        self._station = Station(context, "roadside")
+        self._map_SE3_sensor = mounted(mount, context.setup.road_map, self._station.terrain)
+        self._uplink = self._station.uplink(mount.id, context.v2x)
+        self._station.open("infra")
+
+    def on(self, item: Envelope | Presence) -> None:
+        """Takes a tick or the end."""
+        self._station.take(item)
+
+    def poll(self) -> None:
+        """Plays the newest frame."""
+        if tick := self._station.pop():
+            self._play(tick)
+
+    def close(self) -> None:
+        """Holds nothing of its own."""
+
+    def _play(self, tick: Tick) -> None:
+        agent, pose = self._uplink.agent, self._map_SE3_sensor
+        self._station.publish_roster(tick, [agent], [agent])
+        upload, spans = self._uplink.sense_and_send(
+            tick, map_SE3_sensor=pose, believed_SE3_sensor=pose, own=None
+        )
+        self._station.publish_metrics(tick, [upload], spans)
+
+
+def mounted(mount: Mount, road_map: RoadMap, terrain: Terrain) -> SE3:
+    """Returns `map_SE3_sensor` of a mount: upright, its height above the ground at its place."""
+    x_m, y_m = road_map.centre[0] + mount.x_m, road_map.centre[1] + mount.y_m
+    ground_m = float(terrain.height_m(np.array([[x_m, y_m]]))[0])
+    yaw_rad = float(np.radians(mount.yaw_deg))
+    return SE3.from_pose([x_m, y_m, ground_m + mount.height_m, 0, 0, yaw_rad])

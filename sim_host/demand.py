@@ -1,0 +1,137 @@
+"""Demand for a net without one of its own: flows over the signal, by lane and hour."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+from protocol.errors import ConfigError
+from protocol.roadmap import Signal
+from sim_host.config import TrafficConfig, VehicleSpec
+from sim_host.netfile import Net
+
+UPSTREAM_M = 200.0
+DOWNSTREAM_M = 100.0
+MIX = "mix"
+
+
+@dataclass(frozen=True, slots=True)
+class Movement:
+    """A flow from one edge over the signal into another; `route` holds all its edges."""
+
+    from_edge: str
+    to_edge: str
+    route: list[str]
+    vph: float
+
+
+def write_demand(path: Path, net: Net, signal: Signal, config: TrafficConfig) -> None:
+    """Writes vehicle types, routes and flows with exponential headways as a SUMO route file."""
+    lines = ["<routes>", *_types(config.vehicles)]
+    for movement in movements(net, signal, config):
+        name = quoteattr(f"{movement.from_edge}-to-{movement.to_edge}")
+        edges = quoteattr(" ".join(movement.route))
+        lines.append(f"  <route id={name} edges={edges}/>")
+        if movement.vph > 0:
+            lines.append(
+                f'  <flow id={name} route={name} type="{MIX}" begin="0" end="1e7" '
+                f'period="exp({movement.vph / 3600:.9f})" departLane="best" departSpeed="max"/>'
+            )
+    path.write_text("\n".join([*lines, "</routes>", ""]), encoding="utf-8")
+
+
+def movements(net: Net, signal: Signal, config: TrafficConfig) -> list[Movement]:
+    """Returns the flows: each lane's rate is split evenly over the edges it serves.
+
+    Routes begin at least 200 m before the stop bar and end at least 100 m behind the junction,
+    where the net allows.
+
+    Raises:
+        ConfigError: a demand is given for an edge that does not end at the signal.
+    """
+    targets = _targets(net, signal)
+    incoming = list(dict.fromkeys(net.lanes[lane].edge for lane in targets))
+    for edge in config.demand_vph_per_lane:
+        if edge not in incoming:
+            raise ConfigError(
+                f"traffic.demand_vph_per_lane names edge {edge!r}, which does not end at signal "
+                f"{signal.tls}; allowed: {', '.join(incoming)}"
+            )
+    roads = _Roads(net)
+    result = []
+    for edge in incoming:
+        rate = config.demand_vph_per_lane.get(edge, config.default_demand_vph_per_lane)
+        shares: dict[str, float] = {}
+        for lane, exits in targets.items():
+            if net.lanes[lane].edge == edge:
+                for to_edge in exits:
+                    shares[to_edge] = shares.get(to_edge, 0.0) + 1 / len(exits)
+        before = roads.upstream(edge, set(incoming))
+        for to_edge, share in shares.items():
+            after = roads.downstream(to_edge, set(before))
+            result.append(Movement(edge, to_edge, before + after, rate * share))
+    return result
+
+
+def _targets(net: Net, signal: Signal) -> dict[str, list[str]]:
+    """Maps each lane before the signal that cars may use to the edges it leads to."""
+    result: dict[str, list[str]] = {}
+    for link in signal.links:
+        if net.lanes[link.from_lane].passenger and net.lanes[link.to_lane].passenger:
+            exits = result.setdefault(link.from_lane, [])
+            to_edge = net.lanes[link.to_lane].edge
+            if to_edge not in exits:
+                exits.append(to_edge)
+    if not result:
+        raise ConfigError(f"signal {signal.tls} in {net.path} controls no lane for passenger cars")
+    return result
+
+
+def _types(specs: list[VehicleSpec]) -> list[str]:
+    rows = [
+        f'    <vType id="{spec.name}" vClass="passenger" length="{spec.length_m}" '
+        f'width="{spec.width_m}" height="{spec.height_m}" probability="{spec.share}"/>'
+        for spec in specs
+    ]
+    return [f'  <vTypeDistribution id="{MIX}">', *rows, "  </vTypeDistribution>"]
+
+
+class _Roads:
+    """Edges for cars, and how many lanes lead from one into another."""
+
+    def __init__(self, net: Net) -> None:
+        self._net = net
+        self._next: dict[str, Counter[str]] = {}
+        self._previous: dict[str, Counter[str]] = {}
+        for connection in net.connections:
+            lanes = net.lanes.get(connection.from_lane), net.lanes.get(connection.to_lane)
+            if all(lane and lane.passenger and not lane.internal for lane in lanes):
+                a, b = (lane.edge for lane in lanes if lane)
+                self._next.setdefault(a, Counter())[b] += 1
+                self._previous.setdefault(b, Counter())[a] += 1
+
+    def upstream(self, edge: str, barred: set[str]) -> list[str]:
+        """Returns the edges of a route that ends with this edge."""
+        return self._extend(edge, self._previous, UPSTREAM_M, barred)[::-1]
+
+    def downstream(self, edge: str, barred: set[str]) -> list[str]:
+        """Returns the edges of a route that begins with this edge."""
+        return self._extend(edge, self._next, DOWNSTREAM_M, barred)
+
+    def _extend(
+        self, edge: str, beyond: dict[str, Counter[str]], enough_m: float, barred: set[str]
+    ) -> list[str]:
+        route = [edge]
+        while sum(self._length_m(e) for e in route) < enough_m:
+            taken = barred | set(route)
+            choices = [e for e in beyond.get(route[-1], Counter()) if e not in taken]
+            if not choices:
+                break
+            lanes = beyond[route[-1]]
+            route.append(min(choices, key=lambda e: (-lanes[e], -self._length_m(e), e)))
+        return route
+
+    def _length_m(self, edge: str) -> float:
+        return self._net.lanes[self._net.edges[edge][0]].length_m

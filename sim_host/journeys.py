@@ -1,0 +1,129 @@
+"""Who is under way: names, types and equipment of vehicles, and how their journeys end."""
+
+from __future__ import annotations
+
+import re
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+from protocol.messages import Equipment, Setup, Trip, VehicleType
+from sim_host.equipment import draw_equipment
+from sim_host.setup import traffic_config
+from sim_host.vehicles import sized
+
+_UNSAFE = re.compile(r"[/*$?#\s]")
+
+
+@dataclass(slots=True)
+class Journey:
+    """One vehicle, from when it first came within reach."""
+
+    name: str
+    type: VehicleType
+    equipment: Equipment
+    depart_s: float
+    time_loss_s: float = 0.0
+    teleported: bool = False
+
+    def trip(self, arrive_s: float | None) -> Trip:
+        """Returns the journey as a message."""
+        return Trip(
+            vehicle=self.name,
+            equipment=self.equipment,
+            depart_s=self.depart_s,
+            arrive_s=arrive_s,
+            time_loss_s=self.time_loss_s,
+            teleported=self.teleported,
+        )
+
+
+class Journeys:
+    """The journeys under way, by SUMO's vehicle id, and those that ended."""
+
+    def __init__(self, setup: Setup, seed: int, sumo: Any) -> None:  # noqa: ANN401 - libsumo is untyped
+        self._traffic = traffic_config(setup.scenario)
+        self._types = {kind.name: kind for kind in setup.vehicle_types}
+        self._seed = seed
+        self._sumo = sumo
+        self._fallbacks: dict[str, VehicleType] = {}
+        self._under_way: dict[str, Journey] = {}
+        self._ended: list[Trip] = []
+
+    def of(self, vehicle: str) -> Journey:
+        """Returns a vehicle's journey; it begins here if it is new."""
+        journey = self._under_way.get(vehicle)
+        if journey is None:
+            journey = self._under_way[vehicle] = self._begin(vehicle)
+        return journey
+
+    def note_losses(self) -> None:
+        """Reads the time that each has lost so far: once arrived, SUMO no longer knows it."""
+        api = self._sumo.vehicle
+        for vehicle in api.getIDList():
+            journey = self._under_way.get(vehicle)
+            if journey is not None:
+                journey.time_loss_s = api.getTimeLoss(vehicle)
+
+    def note_teleport(self, vehicle: str) -> None:
+        """SUMO moved a vehicle that was stuck or had collided."""
+        if vehicle in self._under_way:
+            self._under_way[vehicle].teleported = True
+
+    def end(self, vehicle: str, arrive_s: float) -> None:
+        """The vehicle has arrived."""
+        journey = self._under_way.pop(vehicle, None)
+        if journey is not None:
+            self._ended.append(journey.trip(arrive_s))
+
+    def take_ended(self) -> list[Trip]:
+        """Returns the journeys that ended since the last call."""
+        ended, self._ended = self._ended, []
+        return ended
+
+    def unfinished(self) -> list[Trip]:
+        """Returns the journeys under way, sorted by vehicle."""
+        return [self._under_way[vehicle].trip(None) for vehicle in sorted(self._under_way)]
+
+    def _begin(self, vehicle: str) -> Journey:
+        api, traffic = self._sumo.vehicle, self._traffic
+        kind = self._type(api.getTypeID(vehicle))
+        drawn = draw_equipment(self._seed, vehicle, traffic.cav_rate, traffic.cv_rate)
+        motor = kind.mesh != "box"  # trams and bicycles carry nothing
+        return Journey(
+            name=_safe(vehicle),
+            type=kind,
+            equipment=drawn if motor else Equipment.NONE,
+            depart_s=api.getDeparture(vehicle),
+            time_loss_s=api.getTimeLoss(vehicle),
+        )
+
+    def _type(self, name: str) -> VehicleType:
+        """Returns a type of the setup: the one of this name, or the nearest in shape and size."""
+        base = name.split("@")[0]  # SUMO's copy of a type that was changed for one vehicle
+        known = self._types.get(name) or self._types.get(base) or self._fallbacks.get(name)
+        return known or self._fallbacks.setdefault(name, self._nearest(name))
+
+    def _nearest(self, name: str) -> VehicleType:
+        api = self._sumo.vehicletype
+        given = {
+            "length": str(api.getLength(name)),
+            "width": str(api.getWidth(name)),
+            "height": str(api.getHeight(name)),
+        }
+        wanted = sized(name, api.getVehicleClass(name), given)
+        return min(
+            (self._types[key] for key in sorted(self._types)),
+            key=lambda kind: (
+                kind.mesh != wanted.mesh,
+                abs(kind.length_m - wanted.length_m)
+                + abs(kind.width_m - wanted.width_m)
+                + abs(kind.height_m - wanted.height_m),
+            ),
+        )
+
+
+def _safe(vehicle: str) -> str:
+    """Returns the id, or one in its place that may stand in a topic's key."""
+    clean = _UNSAFE.sub("_", vehicle)
+    return vehicle if clean == vehicle else f"{clean}~{zlib.crc32(vehicle.encode()):08x}"

@@ -1,0 +1,240 @@
+"""The sim role: waits for the others, warms traffic up, then plays frame after frame."""
+
+from __future__ import annotations
+
+import logging
+import time
+from enum import Enum
+from typing import Any
+
+from protocol.errors import BusError, CpnetError
+from protocol.inbox import Envelope, Presence
+from protocol.messages import End, Metrics, SignalRequest, Span, Trips
+from protocol.process import Context
+from sensing.config import SceneConfig
+from sensing.terrain import Terrain
+from sim_host.broadcast import tick_of, truth_of
+from sim_host.cabinet import SignalCabinet
+from sim_host.clock import Beat
+from sim_host.config import CabinetConfig
+from sim_host.fleet import Fleet
+from sim_host.roll_call import RollCall, expected_processes
+from sim_host.setup import traffic_config
+from sim_host.world import World
+
+_SLICE_NS = 50_000_000  # how long warm-up may keep the loop from hearing a stop
+_NAP_NS = 20_000_000
+_log = logging.getLogger(__name__)
+
+
+class Stage(Enum):
+    """Where in its life the role is."""
+
+    ROLL_CALL = "roll call"
+    WARM_UP = "warm-up"
+    REST = "rest"
+    FRAME = "frame"
+    OVER = "over"
+
+
+class SimRole:
+    """Owns the world, the cabinet and the clock.
+
+    REST lies between frames: a tick follows. FRAME waits for what ends the frame: in lockstep its
+    request, in realtime the clock. The signal state of a tick is what was shown until then; what
+    follows is decided when the frame ends, so that no change begins on an older frame's request.
+    """
+
+    def __init__(self, context: Context, world: World) -> None:
+        scenario = context.setup.scenario
+        self._context = context
+        self._world = world
+        self._signal = context.setup.road_map.signal
+        self._traffic = traffic_config(scenario)
+        self._cabinet_config = CabinetConfig.model_validate(scenario["cabinet"])
+        self._cabinet = SignalCabinet(self._signal, self._cabinet_config)
+        self._fleet = Fleet()
+        self._roll_call = RollCall(
+            expected_processes(scenario), self._traffic.start_timeout_s
+        )
+        self._lockstep = scenario["mode"] == "lockstep"
+        self._frames = max(1, round(scenario["duration_s"] / scenario["frame_period_s"]))
+        self._steps = max(1, round(scenario["frame_period_s"] / self._traffic.step_s))
+        self._beat = Beat(round(scenario["frame_period_s"] * 1e9))
+        self._stage = Stage.ROLL_CALL
+        self._since_ns = 0
+        self._warm_ns = world.time_ns + round(self._traffic.warmup_s * 1e9)
+        self._frame = 0
+        self._tick_ns = 0
+        self._request: Envelope | None = None
+        self._out_of_turn = 0
+
+    @classmethod
+    def build(cls, context: Context) -> SimRole:
+        """Starts SUMO and announces the role.
+
+        Raises:
+            ConfigError: SUMO cannot be started with this scenario.
+        """
+        setup = context.setup
+        scene = SceneConfig.model_validate(setup.scenario["scene"])
+        seed: int = setup.scenario["seed"]
+        world = World(setup, context.run_dir, Terrain(setup.road_map, scene, seed))
+        world.start(seed)
+        role = cls(context, world)
+        context.v2x.subscribe("request", tls=setup.road_map.signal.tls)
+        context.world.watch()
+        context.v2x.watch()
+        context.announce("sim")
+        return role
+
+    def on(self, item: Envelope | Presence) -> None:
+        """Takes a presence, or the newest request; in lockstep only the present frame's counts."""
+        if isinstance(item, Presence):
+            self._hear(item)
+        elif isinstance(item.message, SignalRequest):
+            if self._lockstep and item.message.frame != self._frame:
+                self._out_of_turn += 1
+            else:
+                self._request = item
+
+    def poll(self) -> None:
+        """Goes on with what is due.
+
+        Raises:
+            BusError: processes or a request did not come in time.
+            ConfigError: SUMO gave up.
+        """
+        try:
+            self._go_on()
+        except CpnetError:
+            self._end("failed")
+            raise
+
+    def _go_on(self) -> None:
+        if self._stage is Stage.ROLL_CALL and self._roll_call.is_complete():
+            _log.info("all processes are there; %g s of warm-up", self._traffic.warmup_s)
+            self._stage = Stage.WARM_UP
+        if self._stage is Stage.WARM_UP:
+            self._warm_up()
+        if self._stage is Stage.FRAME and self._frame_is_over():
+            self._finish_frame()
+        if self._stage is Stage.REST:
+            self._begin_frame()
+
+    def close(self) -> None:
+        """Ends the run, if it has not ended by itself."""
+        try:
+            if self._stage is not Stage.OVER:
+                self._end("stopped")
+        finally:
+            self._world.close()
+
+    def _hear(self, presence: Presence) -> None:
+        self._roll_call.hear(presence)
+        if presence.role == "vehicle":
+            (self._fleet.join if presence.alive else self._fleet.leave)(presence.id)
+
+    def _warm_up(self) -> None:
+        until_ns = time.monotonic_ns() + _SLICE_NS
+        while self._world.time_ns < self._warm_ns and time.monotonic_ns() < until_ns:
+            self._step()
+        if self._world.time_ns >= self._warm_ns:
+            self._world.take_trips()  # of vehicles that no frame has seen
+            _log.info("%d vehicles inserted; frame 0", self._world.counts.inserted)
+            self._stage = Stage.REST
+
+    def _begin_frame(self) -> None:
+        frame, now_ns, bodies = self._frame, self._world.time_ns, self._world.bodies()
+        self._tick_ns = now_ns
+        self._request = None
+        self._since_ns = time.monotonic_ns()
+        self._beat.strike(self._since_ns)
+        self._stage = Stage.FRAME
+        state = self._cabinet.spat(frame, now_ns)
+        self._context.v2x.publish("state", state, tls=self._signal.tls)
+        self._context.world.publish("tick", tick_of(frame, now_ns, bodies, self._fleet))
+        self._context.world.publish("truth", truth_of(frame, now_ns, bodies))
+
+    def _frame_is_over(self) -> bool:
+        now_ns = time.monotonic_ns()
+        if not self._lockstep:
+            return self._clock_struck(now_ns)
+        waited_ns = now_ns - self._since_ns
+        if self._request is None and waited_ns > self._cabinet_config.request_timeout_s * 1e9:
+            raise BusError(
+                f"no request for frame {self._frame} within cabinet.request_timeout_s, "
+                f"{self._cabinet_config.request_timeout_s:g} s: edge or signal hangs"
+            )
+        return self._request is not None
+
+    def _clock_struck(self, now_ns: int) -> bool:
+        """Tells whether the frame's time is over; sleeps the last bit, so that ticks keep time."""
+        wait_ns = self._beat.wait_ns(now_ns)
+        if wait_ns > _NAP_NS:
+            return False
+        time.sleep(wait_ns / 1e9)
+        while (item := self._context.inbox.get()) is not None:
+            self.on(item)
+        return True
+
+    def _finish_frame(self) -> None:
+        spans = self._actuate()
+        start_ns = time.monotonic_ns()
+        for _ in range(self._steps):
+            self._step()
+        spans.append(Span(stage="world", start_ns=start_ns, end_ns=time.monotonic_ns()))
+        self._publish_trips(with_unfinished=False)
+        self._publish_metrics(spans)
+        self._frame += 1
+        self._stage = Stage.REST
+        if self._frame == self._frames:
+            self._end("finished")
+
+    def _actuate(self) -> list[Span]:
+        """Hands the request to the cabinet and shows what it makes of it."""
+        if self._request is None:
+            return []
+        request: Any = self._request.message
+        reason = self._cabinet.request(request, self._world.time_ns)
+        if reason is not None:
+            if self._cabinet.refusals[reason] == 1:
+                _log.warning("request %r refused: %s (then only counted)", request.state, reason)
+            return []
+        self._world.set_signal(self._cabinet.advance(self._world.time_ns))
+        start_ns = self._request.received_ns
+        return [Span(stage="actuate", start_ns=start_ns, end_ns=time.monotonic_ns())]
+
+    def _step(self) -> None:
+        self._world.set_signal(self._cabinet.advance(self._world.time_ns))
+        self._world.step()
+
+    def _publish_trips(self, *, with_unfinished: bool) -> None:
+        trips = self._world.take_trips()
+        if with_unfinished:
+            trips += self._world.unfinished_trips()
+        if trips:
+            frame = min(self._frame, self._frames - 1)
+            self._context.world.publish("trips", Trips(frame=frame, trips=trips))
+
+    def _publish_metrics(self, spans: list[Span]) -> None:
+        message = Metrics(
+            process=self._context.id,
+            frame=self._frame,
+            sim_time_ns=self._tick_ns,
+            spans=spans,
+            drops=self._drops(),
+        )
+        self._context.world.publish("metrics", message, process=self._context.id)
+
+    def _drops(self) -> dict[str, int]:
+        refused = {f"request_{why}": n for why, n in self._cabinet.refusals.items()}
+        own = {"request_out_of_turn": self._out_of_turn, "late": self._beat.late}
+        return {**self._context.inbox.drops, **refused, **{k: n for k, n in own.items() if n}}
+
+    def _end(self, reason: str) -> None:
+        self._stage = Stage.OVER
+        self._publish_trips(with_unfinished=True)
+        self._context.world.publish("end", End(frames=self._frame, reason=reason))
+        _log.info("%s after %d frames; %s", reason, self._frame, self._world.counts)
+        self._context.stop.set()

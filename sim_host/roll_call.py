@@ -1,0 +1,54 @@
+"""Who must be there before the world begins."""
+
+from __future__ import annotations
+
+import logging
+import time
+from typing import Any
+
+from protocol.errors import BusError
+from protocol.inbox import Presence
+
+_REMIND_NS = 5_000_000_000
+_log = logging.getLogger(__name__)
+
+
+def expected_processes(scenario: dict[str, Any]) -> list[str]:
+    """Returns the ids of all processes that a frame needs, the world's own excepted."""
+    vehicles = [f"vehicle-{i}" for i in range(scenario["processes"]["vehicle"])]
+    posts = [f"infra-{i}" for i in range(len(scenario["roadside_mounts"]))]
+    return ["edge", "signal", "record", *posts, *vehicles]
+
+
+class RollCall:
+    """Hears who appears and who vanishes."""
+
+    def __init__(self, expected: list[str], timeout_s: float) -> None:
+        self._expected = expected
+        self._timeout_s = timeout_s
+        self._here: set[str] = set()
+        self._since_ns = self._reminded_ns = time.monotonic_ns()
+
+    def hear(self, presence: Presence) -> None:
+        """Notes a presence."""
+        if presence.alive:
+            self._here.add(presence.id)
+        else:
+            self._here.discard(presence.id)
+
+    def is_complete(self) -> bool:
+        """Tells whether all are there, and says in the log who is missing.
+
+        Raises:
+            BusError: somebody did not come in time; the text says who.
+        """
+        missing = ", ".join(name for name in self._expected if name not in self._here)
+        now_ns = time.monotonic_ns()
+        if missing and now_ns - self._since_ns > self._timeout_s * 1e9:
+            raise BusError(
+                f"{missing} did not appear within traffic.start_timeout_s, {self._timeout_s:g} s"
+            )
+        if missing and now_ns - self._reminded_ns > _REMIND_NS:
+            self._reminded_ns = now_ns
+            _log.info("waiting for %s", missing)
+        return not missing

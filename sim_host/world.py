@@ -1,0 +1,171 @@
+"""SUMO behind a clean face: one world per process, for libsumo keeps its state globally."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from protocol.errors import ConfigError
+from protocol.messages import Setup, Trip
+from sim_host.journeys import Journeys
+from sim_host.setup import config_file, traffic_config
+from sim_host.sumo import load_libsumo
+
+Floats = npt.NDArray[np.float64]
+
+
+class Ground(Protocol):
+    """What bodies stand on."""
+
+    def body_poses(self, x: Floats, y: Floats, yaw: Floats) -> Floats:
+        """Returns poses (N, 6) of footprint centres at x, y (N,) in m, heading yaw (N,) in rad."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bodies:
+    """The vehicles around the signal, sorted by id. Poses are of footprint centres."""
+
+    ids: list[str]
+    types: list[str]
+    lanes: list[str]
+    poses: Floats
+    speeds_mps: npt.NDArray[np.float32]
+    lane_positions_m: npt.NDArray[np.float32]
+    equipment: npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """Vehicles since SUMO's start, those of the warm-up and beyond the reach included."""
+
+    inserted: int = 0
+    finished: int = 0
+    teleported: int = 0
+
+
+class World:
+    """The simulated world. `start` must come first and `close` last."""
+
+    def __init__(self, setup: Setup, run_dir: Path, ground: Ground) -> None:
+        self._traffic = traffic_config(setup.scenario)
+        self._config = config_file(self._traffic, run_dir)
+        self._ground = ground
+        self._tls = setup.road_map.signal.tls
+        self._centre = np.array(setup.road_map.centre[:2])
+        self._setup = setup
+        self._shown = ""
+        self._sumo: Any = None
+        self.counts = Counts()
+        self.time_ns = 0
+
+    def start(self, seed: int) -> None:
+        """Loads SUMO with the net and the demand; the same seed gives the same traffic.
+
+        Raises:
+            ConfigError: SUMO's files are missing or SUMO refuses them.
+        """
+        if not self._config.is_file():
+            raise ConfigError(
+                f"SUMO configuration {self._config} is missing: build the setup on the machine "
+                "that runs the role sim"
+            )
+        self._sumo = load_libsumo()
+        self._journeys = Journeys(self._setup, seed, self._sumo)
+        options = {
+            "configuration-file": str(self._config),
+            "step-length": f"{self._traffic.step_s:g}",
+            "seed": str(seed % 2**31),
+            "random": "false",
+            "no-step-log": "true",
+            "duration-log.disable": "true",
+            "xml-validation": "never",
+        }
+        command = ["sumo"] + [word for k, v in options.items() for word in (f"--{k}", v)]
+        try:
+            self._sumo.start(command)
+        except self._errors() as error:
+            raise ConfigError(f"SUMO refuses {self._config}: {error}") from None
+        self._read_clock()
+
+    def step(self) -> None:
+        """Runs one SUMO step and books who departed, arrived and was teleported.
+
+        Raises:
+            ConfigError: SUMO gives up, as on a route file with an invalid route.
+        """
+        simulation = self._sumo.simulation
+        try:
+            self._sumo.simulationStep()
+        except self._errors() as error:
+            raise ConfigError(
+                f"SUMO gave up at {self.time_ns / 1e9:g} s on {self._config}: {error}"
+            ) from None
+        self._read_clock()
+        arrived = simulation.getArrivedIDList()
+        jumped = simulation.getStartingTeleportIDList()
+        self.counts = replace(
+            self.counts,
+            inserted=self.counts.inserted + simulation.getDepartedNumber(),
+            finished=self.counts.finished + len(arrived),
+            teleported=self.counts.teleported + len(jumped),
+        )
+        for name in jumped:
+            self._journeys.note_teleport(name)
+        for name in sorted(arrived):
+            self._journeys.end(name, self.time_ns / 1e9)
+        self._journeys.note_losses()
+
+    def bodies(self) -> Bodies:
+        """Returns where every vehicle within reach is now."""
+        vehicle = self._sumo.vehicle
+        names = sorted(vehicle.getIDList())
+        fronts = np.array([vehicle.getPosition(name) for name in names]).reshape(-1, 2)
+        near = np.linalg.norm(fronts - self._centre, axis=1) <= self._traffic.reach_m
+        names = [name for name, is_near in zip(names, near, strict=True) if is_near]
+        journeys = [self._journeys.of(name) for name in names]
+        yaw = np.radians(90.0 - np.array([vehicle.getAngle(name) for name in names]))
+        half = np.array([journey.type.length_m / 2 for journey in journeys])
+        x, y = fronts[near].T - half * np.array([np.cos(yaw), np.sin(yaw)])
+        return Bodies(
+            ids=[journey.name for journey in journeys],
+            types=[journey.type.name for journey in journeys],
+            lanes=[vehicle.getLaneID(name) for name in names],
+            poses=self._ground.body_poses(x, y, yaw),
+            speeds_mps=np.array([vehicle.getSpeed(name) for name in names], np.float32),
+            lane_positions_m=np.array(
+                [vehicle.getLanePosition(name) for name in names], np.float32
+            ),
+            equipment=np.array([journey.equipment for journey in journeys], np.uint8),
+        )
+
+    def set_signal(self, state: str) -> None:
+        """Shows a state at the signal, one character per link."""
+        if state != self._shown:
+            self._sumo.trafficlight.setRedYellowGreenState(self._tls, state)
+            self._shown = state
+
+    def take_trips(self) -> list[Trip]:
+        """Returns the journeys that ended since the last call."""
+        return self._journeys.take_ended()
+
+    def unfinished_trips(self) -> list[Trip]:
+        """Returns the journeys that are still under way, sorted by vehicle."""
+        return self._journeys.unfinished()
+
+    def close(self) -> None:
+        """Ends SUMO; harmless if it never began."""
+        if self._sumo is not None:
+            self._sumo.close()
+            self._sumo = None
+
+    def _read_clock(self) -> None:
+        self.time_ns = round(self._sumo.simulation.getTime() * 1000) * 1_000_000
+
+    def _errors(self) -> tuple[type[Exception], ...]:
+        module: ModuleType = self._sumo
+        return module.TraCIException, module.FatalTraCIError

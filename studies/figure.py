@@ -1,0 +1,75 @@
+"""The picture of a frame: from above, from a crane, and its figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from studies import palette
+from studies.perspective import draw_perspective
+from studies.plan_view import draw_plan
+from studies.snapshot import Snapshot
+
+HALF_M = 60.0
+_SIZE_INCHES = (16.0, 8.9)
+_DPI = 120
+_NAMED = 7
+
+
+def save_picture(snapshot: Snapshot, path: Path) -> None:
+    """Draws a snapshot into a PNG of about 1900 x 1070 pixels."""
+    figure = Figure(figsize=_SIZE_INCHES, dpi=_DPI, facecolor=palette.BACKGROUND)
+    canvas = FigureCanvasAgg(figure)
+    colours = palette.agent_colours([cloud.agent for cloud in snapshot.clouds])
+    plan = figure.add_axes((0.012, 0.07, 0.4725, 0.85))
+    draw_plan(plan, snapshot, colours, HALF_M)
+    crane = figure.add_axes((0.5, 0.07, 0.488, 0.85))
+    crane.set(xlim=(-0.62, 0.62), ylim=(-0.6, 0.6), facecolor=palette.BACKGROUND)
+    draw_perspective(crane, snapshot, colours)
+    figure.text(0.014, 0.945, _title(snapshot), color=palette.TEXT, fontsize=19, fontweight="bold")
+    figure.text(0.986, 0.948, _figures(snapshot), color=palette.FAINT, fontsize=12.5, ha="right")
+    figure.legend(
+        handles=_legend(snapshot, colours),
+        loc="lower center",
+        ncols=12,
+        frameon=False,
+        labelcolor=palette.TEXT,
+        fontsize=10.5,
+        bbox_to_anchor=(0.5, 0.008),
+    )
+    canvas.print_png(str(path))
+
+
+def _title(snapshot: Snapshot) -> str:
+    time_ns = snapshot.row.sim_time_ns
+    when = f" · {time_ns / 1e9:.1f} s" if time_ns is not None else ""
+    return f"{snapshot.name} · frame {snapshot.row.frame}{when}"
+
+
+def _figures(snapshot: Snapshot) -> str:
+    score, row = snapshot.score, snapshot.row
+    points = sum(len(cloud.points) for cloud in snapshot.clouds)
+    kilobytes = sum(cloud.payload_bytes for cloud in snapshot.clouds) / 1e3
+    facts = [f"{points:,} points in {kilobytes:.0f} kB".replace(",", " ")]
+    if score.present:
+        facts.append(f"{score.true} of {score.present} vehicles detected, {score.false} false")
+    if row.end_to_end_ns is not None:
+        facts.append(f"{row.end_to_end_ns / 1e6:.0f} ms from sensing to signal")
+    return "   |   ".join(facts)
+
+
+def _legend(snapshot: Snapshot, colours: dict[str, str]) -> list[Line2D]:
+    named = snapshot.clouds[:_NAMED]
+    handles = [
+        Line2D([], [], color=colours[c.agent], marker="o", ls="", label=c.agent) for c in named
+    ]
+    if len(snapshot.clouds) > len(named):
+        label = f"and {len(snapshot.clouds) - len(named)} more"
+        handles.append(Line2D([], [], ls="", label=label))
+    handles.append(Line2D([], [], color=palette.BOX, lw=1.8, label="detected"))
+    if len(snapshot.truth.values):
+        handles.append(Line2D([], [], color=palette.TRUTH, lw=0.9, ls="--", label="truth"))
+    return handles

@@ -1,0 +1,52 @@
+"""Outlines in the map frame, for drawing."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from protocol.roadmap import Lane
+
+Floats = npt.NDArray[np.float64]
+
+_CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) / 2
+GROUND_BAND_M = 0.35
+_CELL_M = 1.5
+
+
+def footprints(boxes: Floats) -> Floats:
+    """Returns the corners (N, 4, 2) of boxes (N, 7); the first and the last are the front."""
+    return corners(boxes)[:, :4, :2]
+
+
+def corners(boxes: Floats) -> Floats:
+    """Returns the corners (N, 8, 3) of boxes (N, 7): four below, then four above them."""
+    cos, sin = np.cos(boxes[:, 6, None]), np.sin(boxes[:, 6, None])
+    along, across = _CORNERS[:, 0] * boxes[:, 3, None], _CORNERS[:, 1] * boxes[:, 4, None]
+    x = boxes[:, 0, None] + along * cos - across * sin
+    y = boxes[:, 1, None] + along * sin + across * cos
+    low = np.broadcast_to(boxes[:, 2, None] - boxes[:, 5, None] / 2, x.shape)
+    high = np.broadcast_to(boxes[:, 2, None] + boxes[:, 5, None] / 2, x.shape)
+    return np.concatenate([np.stack([x, y, low], -1), np.stack([x, y, high], -1)], axis=1)
+
+
+def borders(lane: Lane) -> tuple[Floats, Floats]:
+    """Returns a lane's left and right border, each (K, 3) in driving direction."""
+    points = lane.points
+    heading = np.gradient(points[:, :2], axis=0)
+    heading /= np.maximum(np.linalg.norm(heading, axis=1, keepdims=True), 1e-9)
+    left = np.column_stack([-heading[:, 1], heading[:, 0], np.zeros(len(points))])
+    return points + left * lane.width_m / 2, points - left * lane.width_m / 2
+
+
+def stands_out(points: Floats) -> npt.NDArray[np.bool_]:
+    """Tells which points (N, 3) are clearly above the lowest one nearby: things, not ground."""
+    if not len(points):
+        return np.zeros(0, np.bool_)
+    cells = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / _CELL_M).astype(np.int64)
+    keys = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    _, cell = np.unique(keys, return_inverse=True)
+    lowest = np.full(cell.max() + 1, np.inf)
+    np.minimum.at(lowest, cell, points[:, 2])
+    above: npt.NDArray[np.bool_] = points[:, 2] > lowest[cell] + GROUND_BAND_M
+    return above

@@ -1,0 +1,86 @@
+import pytest
+import yaml
+
+from cpnet import scenario as scenarios
+from cpnet.scenario import Scenario, load, parse_assignment
+from protocol.config import Section
+from protocol.errors import ConfigError
+
+
+def sections(model: type[Section]) -> list[type[Section]]:
+    found = [model]
+    for field in model.model_fields.values():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Section):
+            found += sections(field.annotation)
+    return found
+
+
+def test_the_built_in_scenario_is_valid_and_complete_without_a_file():
+    assert load("t_junction", {}) == Scenario()
+
+
+def test_what_the_command_prints_can_be_read_again(tmp_path):
+    scenario = load("t_junction", {"seed": 7, "traffic.cav_rate": 0.2})
+    file = tmp_path / "mine.yaml"
+    file.write_text(yaml.safe_dump(scenario.model_dump(mode="json")))
+    assert load(str(file), {}) == scenario
+
+
+@pytest.mark.parametrize("section", sections(Scenario), ids=lambda s: s.__name__)
+def test_every_key_is_documented(section):
+    for name, field in section.model_fields.items():
+        is_section = isinstance(field.annotation, type) and issubclass(field.annotation, Section)
+        assert field.description or is_section, f"{section.__name__}.{name}"
+
+
+def test_an_unknown_key_is_refused_with_those_that_are_allowed():
+    with pytest.raises(ConfigError, match=r"traffic\.cav_rat; did you mean cav_rate\?.*cv_rate"):
+        load("t_junction", {"traffic.cav_rat": 0.1})
+    with pytest.raises(ConfigError, match="a scenario allows: name, seed, mode"):
+        load("t_junction", {"colour": "red"})
+
+
+def test_a_value_out_of_range_is_refused_with_its_key():
+    with pytest.raises(ConfigError, match=r"traffic\.cav_rate: .*less than or equal to 1.*got 7"):
+        load("t_junction", {"traffic.cav_rate": 7})
+
+
+def test_an_unknown_scenario_is_refused_with_the_built_in_ones():
+    with pytest.raises(ConfigError, match="no scenario 'x_junction'.*built-in t_junction"):
+        load("x_junction", {})
+
+
+@pytest.mark.parametrize("text", ["a: [", "- 1\n- 2", "\x00"])
+def test_a_file_that_is_no_scenario_is_refused_with_its_name(tmp_path, text):
+    file = tmp_path / "broken.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=r"broken\.yaml"):
+        load(str(file), {})
+
+
+def test_a_frame_that_is_no_multiple_of_the_step_is_refused():
+    with pytest.raises(ConfigError, match="multiple of traffic.step_s"):
+        load("t_junction", {"frame_period_s": 0.25})
+
+
+def test_assignments_carry_yaml_values():
+    assert parse_assignment("traffic.cav_rate=0.1") == ("traffic.cav_rate", 0.1)
+    assert parse_assignment("edge.ground.tile_m=null") == ("edge.ground.tile_m", None)
+    for text in ("no-equals", "=1", "a=[1"):
+        with pytest.raises(ConfigError, match="--set"):
+            parse_assignment(text)
+
+
+def test_a_key_may_name_an_edge_whose_id_holds_a_dot():
+    scenario = load("t_junction", {"traffic.demand_vph_per_lane.a.b": 100})
+    assert scenario.traffic.demand_vph_per_lane == {"a.b": 100}
+
+
+def test_a_list_item_with_a_wrong_key_is_named():
+    with pytest.raises(ConfigError, match=r"roadside_mounts\.0\.hight_m; did you mean height_m"):
+        load("t_junction", {"roadside_mounts": [{"hight_m": 3}]})
+
+
+def test_the_name_of_each_built_in_file_is_its_scenarios_name():
+    for name in scenarios.builtin_names():
+        assert load(name, {}).name == name

@@ -1,0 +1,112 @@
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from cpnet.endpoints import resolve
+from cpnet.processes import ROLES, ProcessEntry, RoleEntry, choose_roles, processes_of
+from cpnet.scenario import Scenario
+from cpnet.supervisor import Supervisor
+from protocol.errors import ConfigError
+from protocol.topics import BusName
+
+SLEEPER = """
+import signal, sys, time
+def main():
+    {ignore}
+    print("ready", file=sys.stderr, flush=True)
+    time.sleep(60)
+main()
+"""
+
+
+@pytest.fixture
+def supervisor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Supervisor:
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    return Supervisor(tmp_path, resolve([], [], set(BusName)))
+
+
+def entry(tmp_path: Path, name: str, code: str) -> ProcessEntry:
+    (tmp_path / f"{name}.py").write_text(code)
+    return ProcessEntry(name, RoleEntry(name, name))
+
+
+def wait_for(path: Path, text: str) -> None:
+    """Waits for a line of a child's log; the child writes it or the test times out with it."""
+    for _ in range(200):
+        if path.exists() and text in path.read_text():
+            return
+        os.sched_yield()
+        signal.sigtimedwait([], 0.05)
+    raise AssertionError(f"{path} never said {text!r}")
+
+
+def test_a_process_that_ends_is_named_with_its_log(supervisor, tmp_path):
+    code = "import sys; sys.exit('the cat ate the lidar')"
+    with supervisor:
+        supervisor.start([entry(tmp_path, "short_lived", code)])
+        wait_for(tmp_path / "logs" / "short_lived.log", "lidar")
+        while (death := supervisor.death()) is None:
+            signal.sigtimedwait([], 0.01)
+    assert (death.id, death.how) == ("short_lived", "ended with status 1")
+    assert death.tail == "the cat ate the lidar"
+
+
+def test_a_killed_process_is_named_before_those_that_fell_with_it(supervisor, tmp_path):
+    with supervisor:
+        supervisor.start(
+            [
+                entry(tmp_path, "fell", "raise SystemExit(1)"),
+                entry(tmp_path, "killed", "import os; os.kill(os.getpid(), 9)"),
+            ]
+        )
+        while (death := supervisor.death()) is None or death.id == "fell":
+            signal.sigtimedwait([], 0.01)
+    assert (death.id, death.how) == ("killed", "was killed by SIGKILL")
+
+
+def test_a_process_that_was_expected_to_end_is_no_death(supervisor, tmp_path):
+    with supervisor:
+        supervisor.start([entry(tmp_path, "done", "pass")])
+        while supervisor.running("done"):
+            signal.sigtimedwait([], 0.01)
+        assert supervisor.death({"done"}) is None
+        assert supervisor.death() is not None
+
+
+def test_a_process_that_will_not_stop_is_killed(supervisor, tmp_path, monkeypatch):
+    monkeypatch.setattr("cpnet.supervisor.GRACE_S", 0.2)
+    ignore = "signal.signal(signal.SIGINT, signal.SIG_IGN)"
+    supervisor.start([entry(tmp_path, "stubborn", SLEEPER.format(ignore=ignore))])
+    wait_for(tmp_path / "logs" / "stubborn.log", "ready")
+    assert supervisor.stop() == ["stubborn"]
+
+
+def test_a_process_that_stops_when_asked_is_not_killed(supervisor, tmp_path):
+    supervisor.start([entry(tmp_path, "polite", SLEEPER.format(ignore="pass"))])
+    wait_for(tmp_path / "logs" / "polite.log", "ready")
+    assert supervisor.stop() == []
+
+
+def test_hosts_of_the_buses_start_first():
+    assert [row.role for row in ROLES if row.hosts] == [row.role for row in ROLES[:2]]
+
+
+def test_the_scenario_says_how_many_processes_there_are():
+    scenario = Scenario.model_validate(
+        {"processes": {"vehicle": 3}, "roadside_mounts": [{"id": "a"}, {"id": "b"}]}
+    )
+    ids = [p.id for p in processes_of(choose_roles("vehicle,infra"), scenario)]
+    assert ids == ["infra-0", "infra-1", "vehicle-0", "vehicle-1", "vehicle-2"]
+
+
+def test_an_unknown_role_is_refused_with_the_allowed_ones():
+    with pytest.raises(ConfigError, match="no role 'edgy'; allowed: edge, sim, record"):
+        choose_roles("edge,edgy")
+
+
+def test_every_role_is_a_package_with_a_main_module():
+    root = Path(__file__).parents[2]
+    for row in ROLES:
+        assert (root / row.module / "__main__.py").is_file(), row.module

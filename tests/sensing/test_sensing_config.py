@@ -1,0 +1,37 @@
+"""The options of sensors."""
+
+from __future__ import annotations
+
+import pytest
+from pydantic import ValidationError
+
+from sensing.config import LidarConfig, Mount, PoseErrorConfig, SceneConfig, UploadConfig
+
+
+def test_the_default_pattern_is_64_rings_of_1800() -> None:
+    pattern = LidarConfig().pattern
+    assert (pattern.channels, pattern.columns) == (64, 1800)
+
+
+@pytest.mark.parametrize("wrong", [{"points_per_second": 10}, {"channels": 1}])
+def test_a_pattern_of_too_few_or_too_many_columns_is_refused(wrong: dict[str, int]) -> None:
+    with pytest.raises(ValidationError, match="allowed are 1 to 8192"):
+        LidarConfig(**wrong)
+
+
+def test_a_field_of_view_upside_down_is_refused() -> None:
+    with pytest.raises(ValidationError, match="lies above upper_fov"):
+        LidarConfig(upper_fov=-30)
+
+
+@pytest.mark.parametrize(
+    "section", [LidarConfig, Mount, PoseErrorConfig, SceneConfig, UploadConfig]
+)
+def test_every_option_is_described_and_survives_json(section: type[LidarConfig]) -> None:
+    assert all(field.description for field in section.model_fields.values())
+    assert section.model_validate(section().model_dump(mode="json")) == section()
+
+
+def test_a_mount_whose_name_cannot_stand_in_a_topic_is_refused() -> None:
+    with pytest.raises(ValidationError, match="pattern"):
+        Mount(id="a/b")

@@ -1,0 +1,68 @@
+"""Heights of the ground, and bodies upon it."""
+
+from __future__ import annotations
+
+import numpy as np
+from conftest import SEED, street
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from protocol.geometry import SE3
+from sensing.config import SceneConfig
+from sensing.terrain import Terrain
+
+FLAT = SceneConfig(terrain_amplitude_m=0)
+CLIMB = Terrain(street(climb_m=8.0), FLAT, SEED)
+ROUGH = Terrain(street(climb_m=8.0), SceneConfig(), SEED)
+
+
+def test_the_ground_follows_the_lanes() -> None:
+    x = np.linspace(-140, 140, 57)
+    height_m = CLIMB.height_m(np.column_stack([x, np.full(57, -1.75)]))
+    on_lanes = np.abs(x) > 20
+    assert np.abs(height_m - x / 20)[on_lanes].max() < 0.02
+
+
+def test_the_ground_away_from_the_road_is_smooth() -> None:
+    y = np.linspace(5, 120, 400)
+    height_m = CLIMB.height_m(np.column_stack([np.full(400, 70.0), y]))
+    assert np.abs(np.diff(height_m)).max() < 0.05
+    assert np.abs(height_m).max() <= 8.0
+
+
+def test_undulation_keeps_within_its_amplitude_and_is_not_nothing() -> None:
+    change = ROUGH.nodes - CLIMB.nodes
+    assert np.abs(change).max() <= 0.12
+    assert change.std() > 0.02
+
+
+def test_the_same_seed_gives_the_same_ground_and_another_seed_another() -> None:
+    again = Terrain(street(climb_m=8.0), SceneConfig(), SEED)
+    other = Terrain(street(climb_m=8.0), SceneConfig(), SEED + 1)
+    assert np.array_equal(ROUGH.nodes, again.nodes)
+    assert not np.array_equal(ROUGH.nodes, other.nodes)
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.floats(20, 140), st.floats(-6, 6), st.floats(-10, 10))
+def test_a_bodys_wheels_are_on_the_ground(x: float, y: float, yaw: float) -> None:
+    pose = ROUGH.body_poses([x], [y], [yaw])[0]
+    wheels = np.array([[a, b, 0.0] for a in (1.35, -1.35) for b in (0.75, -0.75)])
+    placed = SE3.from_pose(pose).apply(wheels)
+    assert np.abs(placed[:, 2] - ROUGH.height_m(placed[:, :2])).max() < 0.02
+    assert pose[5] == yaw
+
+
+def test_uphill_means_nose_up() -> None:
+    east, west, north = CLIMB.body_poses([60.0] * 3, [0.0] * 3, [0.0, np.pi, np.pi / 2])
+    assert east[4] < -0.04
+    assert west[4] > 0.04
+    assert north[3] < -0.04  # its left looks west, which is lower
+
+
+def test_places_beyond_the_grid_have_the_height_of_its_border() -> None:
+    assert np.isfinite(CLIMB.height_m([[1e6, -1e6], [-1e6, 0.0]])).all()
+
+
+def test_no_bodies_need_no_ground() -> None:
+    assert CLIMB.body_poses([], [], []).shape == (0, 6)

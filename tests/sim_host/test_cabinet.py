@@ -1,0 +1,224 @@
+"""The cabinet is safe whatever is asked of it, and does what is asked when that is safe."""
+
+from itertools import combinations, pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from protocol.errors import ConfigError
+from protocol.messages import SignalRequest
+from protocol.roadmap import PlanPhase, Signal
+from sim_host.cabinet import SignalCabinet
+from sim_host.config import CabinetConfig
+
+S = 1_000_000_000
+CONFIG = CabinetConfig()
+
+
+def plan(*greens: str) -> list[PlanPhase]:
+    phases = []
+    for green in greens:
+        phases.append(PlanPhase(duration_s=20, state=green))
+        phases.append(PlanPhase(duration_s=5, state="r" * len(green)))
+    return phases
+
+
+TWO = Signal(tls="J", links=[], conflicts=[(0, 1)], plan=plan("Gr", "rG"))
+# Link 0 is straight on, 1 the opposite left turn that yields to it, 2 the crossing road.
+YIELD = Signal(
+    tls="J", links=[], conflicts=[(0, 1), (0, 2), (1, 2)], plan=plan("Ggr", "rGr", "rrG")
+)
+
+
+def wish(state: str, now_ns: int, tls: str = "J", policy: str = "test") -> SignalRequest:
+    return SignalRequest(frame=0, sim_time_ns=now_ns, tls=tls, state=state, policy=policy)
+
+
+def green_cabinet(signal: Signal, state: str) -> SignalCabinet:
+    """Returns a cabinet that shows a green, since 9 s before the time 10 s."""
+    cabinet = SignalCabinet(signal, CONFIG)
+    for second in range(11):
+        cabinet.request(wish(state, second * S), second * S)
+        cabinet.advance(second * S)
+    assert cabinet.advance(10 * S) == state
+    return cabinet
+
+
+def test_a_change_runs_through_yellow_and_all_red() -> None:
+    cabinet = green_cabinet(TWO, "Gr")
+    shown = []
+    for second in range(10, 18):
+        assert cabinet.request(wish("rG", second * S + 1), second * S + 1) is None
+        shown.append(cabinet.advance(second * S + 1))
+    assert shown == ["yr"] * 4 + ["rr"] + ["rG"] * 3
+
+
+def test_a_green_lasts_its_minimum() -> None:
+    cabinet = SignalCabinet(TWO, CONFIG)
+    shown = {}
+    for tenth in range(150):
+        now_ns = tenth * S // 10
+        cabinet.request(wish("Gr" if tenth < 15 else "rG", now_ns), now_ns)
+        shown[tenth] = cabinet.advance(now_ns)
+    assert [tenth for tenth, state in shown.items() if state == "Gr"] == list(range(10, 60))
+
+
+def test_links_green_before_and_after_keep_their_green() -> None:
+    cabinet = green_cabinet(YIELD, "Ggr")
+    cabinet.request(wish("rGr", 10 * S + 1), 10 * S + 1)
+    assert cabinet.advance(10 * S + 1) == "ygr"
+    assert cabinet.advance(14 * S + 1) == "rgr"
+    assert cabinet.advance(15 * S + 1) == "rGr"
+
+
+@pytest.mark.parametrize(
+    ("request_", "reason"),
+    [
+        (wish("Gr", 9 * S, tls="K"), "wrong_tls"),
+        (wish("Grr", 9 * S), "wrong_length"),
+        (wish("Gy", 9 * S), "bad_alphabet"),
+        (wish("rr", 9 * S), "no_green"),
+        (wish("Gr", 11 * S), "from_the_future"),
+        (wish("Gr", 6 * S), "stale"),
+        (wish("Gr", -9 * S), "stale"),
+        (wish("GG", 9 * S), "conflict"),
+        (wish("Gg", 9 * S), "conflict"),
+        (wish("gg", 9 * S), "conflict"),
+    ],
+)
+def test_what_cannot_be_is_refused_and_counted(request_: SignalRequest, reason: str) -> None:
+    cabinet = SignalCabinet(TWO, CONFIG)
+    assert cabinet.request(request_, 10 * S) == reason
+    assert cabinet.refusals == {reason: 1}
+
+
+def test_a_replayed_request_is_refused() -> None:
+    cabinet = SignalCabinet(TWO, CONFIG)
+    assert cabinet.request(wish("Gr", 9 * S), 9 * S) is None
+    assert cabinet.request(wish("Gr", 9 * S), 10 * S) == "replayed"
+    assert cabinet.request(wish("rG", 8 * S), 10 * S) == "replayed"
+
+
+@pytest.mark.parametrize(
+    ("state", "fits"), [("Ggr", True), ("ggr", True), ("gGr", False), ("GGr", False)]
+)
+def test_a_yielding_green_is_taken_only_as_the_plan_shows_it(state: str, fits: bool) -> None:
+    refused = SignalCabinet(YIELD, CONFIG).request(wish(state, 0), 0)
+    assert refused == (None if fits else "conflict")
+
+
+def test_a_plan_with_two_conflicting_rights_of_way_is_a_configuration_error() -> None:
+    with pytest.raises(ConfigError, match="links 0 and 1"):
+        SignalCabinet(Signal(tls="J", links=[], conflicts=[(0, 1)], plan=plan("GG", "rr")), CONFIG)
+
+
+def test_the_plan_runs_when_requests_stop_and_requests_when_they_return() -> None:
+    cabinet = green_cabinet(TWO, "rG")
+    for second in range(11, 31):
+        cabinet.advance(second * S)
+    plan_rules = cabinet.spat(0, 30 * S)
+    assert (plan_rules.source, plan_rules.state) == ("plan", "rG")  # as of 25 s of its cycle
+    for second in range(31, 45):
+        cabinet.request(wish("Gr", second * S), second * S)
+        cabinet.advance(second * S)
+    back = cabinet.spat(0, 44 * S)
+    assert (back.source, back.state) == ("test", "Gr")
+
+
+def test_spat_says_what_is_shown_and_until_when_at_least() -> None:
+    cabinet = green_cabinet(TWO, "Gr")
+    green = cabinet.spat(7, 10 * S)
+    assert (green.frame, green.stage, green.green) == (7, "green", "Gr")
+    assert green.earliest_change_ns == 10 * S
+    cabinet.request(wish("rG", 11 * S), 11 * S)
+    cabinet.advance(11 * S)
+    yellow = cabinet.spat(8, 12 * S)
+    assert (yellow.stage, yellow.state, yellow.green) == ("yellow", "yr", "rG")
+    assert yellow.earliest_change_ns == 15 * S
+
+
+@st.composite
+def signals(draw: st.DrawFn) -> Signal:
+    """Draws conflicts among a few links, and a plan in which the later link of two yields."""
+    size = draw(st.integers(2, 5))
+    pairs = list(combinations(range(size), 2))
+    conflicts = [pair for pair in pairs if draw(st.booleans())]
+    greens = []
+    for _ in range(draw(st.integers(1, 4))):
+        state = ""
+        for link in range(size):
+            foes = [a for a, b in conflicts if b == link and state[a] in "Gg"]
+            state += draw(st.sampled_from("rg" if foes else "rgG"))
+        greens.append(state)
+    kept = [green for green in greens if set(green) & set("gG")] or ["G" + "r" * (size - 1)]
+    return Signal(tls="J", links=[], conflicts=conflicts, plan=plan(*kept))
+
+
+Steps = list[tuple[int, str | None]]
+
+
+def steps(size: int) -> st.SearchStrategy[Steps]:
+    asked = st.none() | st.text(alphabet="rgGy", min_size=size, max_size=size)
+    return st.lists(st.tuples(st.integers(1, 30), asked), min_size=20, max_size=120)
+
+
+@given(st.data(), signals(), st.sampled_from([0.0, 0.5, 5.0]), st.sampled_from([0.0, 1.0]))
+@settings(max_examples=150, deadline=None)
+def test_no_requests_whatever_make_it_unsafe(
+    data: st.DataObject, signal: Signal, min_green_s: float, all_red_s: float
+) -> None:
+    config = CabinetConfig(min_green_s=min_green_s, all_red_s=all_red_s, yellow_s=2)
+    cabinet = SignalCabinet(signal, config)
+    greens = st.sampled_from(signal.greens)
+    history: list[tuple[int, str]] = []
+    now_ns = 0
+    for tenths, asked in data.draw(steps(len(signal.plan[0].state))):
+        now_ns += tenths * S // 10
+        state = asked if asked is None or "y" in asked else data.draw(greens | st.just(asked))
+        if state is not None:
+            cabinet.request(wish(state, now_ns), now_ns)
+        history.append((now_ns, cabinet.advance(now_ns)))
+    check_no_conflict(signal, [state for _, state in history])
+    for link in range(len(signal.plan[0].state)):
+        check_times(link, history, config)
+    for pair in signal.conflicts:
+        check_clearance(pair, history, config)
+
+
+def check_no_conflict(signal: Signal, shown: list[str]) -> None:
+    for state in shown:
+        for a, b in signal.conflicts:
+            if state[a] in "Gg" and state[b] in "Gg":
+                assert state[a] + state[b] != "GG"
+                assert any(g[a] in "Gg" and g[b] in "Gg" for g in signal.greens)
+
+
+def check_times(link: int, history: list[tuple[int, str]], config: CabinetConfig) -> None:
+    """Every green and yellow lasts, and yellow comes after green alone."""
+    stage, since_ns = "r", history[0][0]
+    least_ns = {"g": config.min_green_s * S, "y": config.yellow_s * S, "r": 0}
+    for now_ns, state in history:
+        colour = state[link].lower()
+        if colour != stage:
+            assert (stage, colour) in {("r", "g"), ("g", "y"), ("y", "r")} or (
+                (stage, colour) == ("y", "g") and config.all_red_s == 0
+            )
+            if now_ns != since_ns:
+                assert now_ns - since_ns >= least_ns[stage]
+            stage, since_ns = colour, now_ns
+
+
+def check_clearance(
+    pair: tuple[int, int],
+    history: list[tuple[int, str]],
+    config: CabinetConfig,
+) -> None:
+    """Who lost a green is followed by a foe only after yellow and all-red."""
+    for one, other in (pair, pair[::-1]):
+        lost_ns: int | None = None
+        for (_, before), (now_ns, after) in pairwise(history):
+            if before[one] in "Gg" and after[one] == "y":
+                lost_ns = now_ns
+            if before[other] not in "Gg" and after[other] in "Gg" and lost_ns is not None:
+                assert now_ns - lost_ns >= (config.yellow_s + config.all_red_s) * S

@@ -1,0 +1,228 @@
+"""The sim role on local buses, with the other processes' mouths."""
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import pytest
+
+from protocol import messages as m
+from protocol.errors import BusError
+from protocol.inbox import Envelope, Inbox
+from protocol.local import LocalBus, LocalNetwork
+from protocol.process import Context
+from sim_host.role import SimRole
+from sim_host.setup import build_setup
+
+MAIN, SIDE = "rrrrrGGGGGGGG", "GGGGGrrrrrrrr"
+M = TypeVar("M", bound=m.Message)
+OTHERS = ("edge", "signal", "record", "infra-0", "vehicle-0", "vehicle-1")
+
+
+class Rig:
+    """A sim role and everybody else."""
+
+    def __init__(self, run_dir: Path, mode: str, **more: object) -> None:
+        scenario: dict[str, object] = {
+            "seed": 1,
+            "mode": mode,
+            "duration_s": 0.5,
+            "frame_period_s": 0.1,
+            "traffic": {"warmup_s": 20, "cav_rate": 0.5, "start_timeout_s": 30},
+            "cabinet": {},
+            "scene": {},
+            "roadside_mounts": [{}],
+            "processes": {"vehicle": 2},
+        }
+        setup = build_setup({**scenario, **more}, run_dir)
+        world, v2x = LocalNetwork(), LocalNetwork()
+        self.inbox, self.seen = Inbox(), Inbox()
+        self.stop = threading.Event()
+        own_world, own_v2x = world.bus(self.inbox), v2x.bus(self.inbox)
+        self.listener_world, self.listener_v2x = world.bus(self.seen), v2x.bus(self.seen)
+        for topic in ("tick", "truth", "trips", "end", "metrics"):
+            self.listener_world.subscribe(topic)
+        self.listener_v2x.subscribe("state")
+        self.others: dict[str, LocalBus] = {}
+        self.network = world
+        context = Context(
+            "sim", setup, run_dir, own_world, own_v2x, self.inbox, self.stop, lambda: own_v2x
+        )
+        self.role = SimRole.build(context)
+
+    def appear(self, *names: str) -> None:
+        for name in names:
+            self.others[name] = self.network.bus(Inbox())
+            self.others[name].announce(name.split("-")[0], name)
+
+    def vanish(self, name: str) -> None:
+        self.others.pop(name).close()
+
+    def turn(self) -> list[m.Message]:
+        """Lets the role go on with all that came; returns what it said."""
+        while (item := self.inbox.get()) is not None:
+            self.role.on(item)
+        self.role.poll()
+        said = []
+        while isinstance(item := self.seen.get(), Envelope):
+            said.append(item.message)
+        return said
+
+    def until_frame(self) -> list[m.Message]:
+        for _ in range(100):
+            if said := self.turn():
+                return said
+        raise AssertionError("no frame began")
+
+    def ask(self, tick: m.Tick, state: str, frame: int | None = None) -> None:
+        request = m.SignalRequest(
+            frame=tick.frame if frame is None else frame,
+            sim_time_ns=tick.sim_time_ns,
+            tls="J",
+            state=state,
+            policy="test",
+        )
+        self.listener_v2x.publish("request", request, tls="J")
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[type[Rig]]:
+    rigs: list[Rig] = []
+
+    class Kept(Rig):
+        def __init__(self, mode: str = "lockstep", **more: object) -> None:
+            super().__init__(tmp_path, mode, **more)
+            rigs.append(self)
+
+    yield Kept
+    for rig in rigs:
+        rig.role.close()
+
+
+def only(said: list[m.Message], kind: type[M]) -> list[M]:
+    return [message for message in said if isinstance(message, kind)]
+
+
+def test_nothing_begins_before_all_are_there(make: type[Rig]) -> None:
+    rig = make()
+    rig.appear(*OTHERS[:-1])
+    for _ in range(20):
+        assert rig.turn() == []
+    rig.appear(OTHERS[-1])
+    assert only(rig.until_frame(), m.Tick)
+
+
+def test_lockstep_plays_every_frame_on_its_request_and_ends(make: type[Rig]) -> None:
+    rig = make()
+    rig.appear(*OTHERS)
+    said = rig.until_frame()
+    for frame in range(5):
+        [tick], [truth], [state] = (only(said, k) for k in (m.Tick, m.Truth, m.SignalState))
+        assert tick.frame == truth.frame == state.frame == frame
+        assert tick.sim_time_ns == truth.sim_time_ns == (200 + frame) * 100_000_000
+        assert tick.ids == truth.ids
+        np.testing.assert_array_equal(tick.poses, truth.poses)
+        assert rig.turn() == []  # waits
+        rig.ask(tick, MAIN)
+        said = rig.turn()
+        [metrics] = only(said, m.Metrics)
+        assert (metrics.process, metrics.frame) == ("sim", frame)
+        assert [span.stage for span in metrics.spans] == ["actuate", "world"]
+        assert metrics.drops == {}
+    [end], [trips] = only(said, m.End), only(said, m.Trips)
+    assert (end.frames, end.reason) == (5, "finished")
+    assert trips.frame == 4
+    assert {trip.vehicle for trip in trips.trips} >= set(tick.ids)
+    assert isinstance(said[-1], m.End)
+    assert rig.stop.is_set()
+
+
+def test_vehicles_with_radio_are_spread_and_move_when_a_process_dies(make: type[Rig]) -> None:
+    rig = make()
+    rig.appear(*OTHERS)
+    [tick] = only(rig.until_frame(), m.Tick)
+    assert tick.processes == ["vehicle-0", "vehicle-1"]
+    radio = tick.equipment != m.Equipment.NONE
+    assert radio.any()
+    np.testing.assert_array_equal(tick.hosts >= 0, radio)
+    assert abs(np.subtract(*np.bincount(tick.hosts[radio], minlength=2))) <= 1
+    rig.vanish("vehicle-0")
+    rig.ask(tick, MAIN)
+    [tick] = only(rig.turn(), m.Tick)
+    assert tick.processes == ["vehicle-1"]
+    assert set(tick.hosts.tolist()) == {-1, 0}
+
+
+def test_an_unsafe_request_is_counted_and_the_frame_goes_on(make: type[Rig]) -> None:
+    rig = make()
+    rig.appear(*OTHERS)
+    [tick] = only(rig.until_frame(), m.Tick)
+    rig.ask(tick, MAIN, frame=99)
+    assert rig.turn() == []
+    rig.ask(tick, "G" * 13)
+    [metrics] = only(rig.turn(), m.Metrics)
+    assert metrics.drops == {"request_conflict": 1, "request_out_of_turn": 1}
+    assert [span.stage for span in metrics.spans] == ["world"]
+
+
+def test_who_never_appears_is_named(make: type[Rig]) -> None:
+    rig = make(traffic={"warmup_s": 0, "start_timeout_s": 0.05})
+    rig.appear("edge", "signal", "infra-0", "vehicle-1")
+    rig.turn()
+    time.sleep(0.06)
+    with pytest.raises(BusError, match=r"record, vehicle-0 did not appear within .* 0\.05 s"):
+        rig.turn()
+
+
+def test_a_request_that_never_comes_ends_the_run(make: type[Rig]) -> None:
+    rig = make(cabinet={"request_timeout_s": 0.05})
+    rig.appear(*OTHERS)
+    rig.until_frame()
+    time.sleep(0.06)
+    with pytest.raises(BusError, match="no request for frame 0"):
+        rig.turn()
+    [end] = [item.message for item in iter(rig.seen.get, None) if item.topic == "end"]
+    assert (end.frames, end.reason) == (0, "failed")
+
+
+def test_a_stop_is_quick_and_tells_the_journeys_under_way(make: type[Rig]) -> None:
+    rig = make(traffic={"warmup_s": 7200})
+    rig.appear(*OTHERS)
+    start_ns = time.monotonic_ns()
+    rig.turn()
+    rig.role.close()
+    assert time.monotonic_ns() - start_ns < 1e9
+    assert [item.message.reason for item in iter(rig.seen.get, None) if item.topic == "end"] == [
+        "stopped"
+    ]
+
+
+def test_realtime_keeps_the_clock_without_any_request(make: type[Rig]) -> None:
+    rig = make("realtime")
+    rig.appear(*OTHERS)
+    rig.until_frame()
+    start_ns = time.monotonic_ns()
+    said: list[m.Message] = []
+    while not rig.stop.is_set():
+        said += rig.turn()
+        time.sleep(0.001)
+    assert 0.4 < (time.monotonic_ns() - start_ns) / 1e9 < 2
+    assert [tick.frame for tick in only(said, m.Tick)] == [1, 2, 3, 4]
+    assert only(said, m.End)[0].frames == 5
+    assert {state.source for state in only(said, m.SignalState)} == {"plan"}
+
+
+def test_realtime_takes_the_newest_request(make: type[Rig]) -> None:
+    rig = make("realtime", traffic={"warmup_s": 0})
+    rig.appear(*OTHERS)
+    [tick] = only(rig.until_frame(), m.Tick)
+    rig.ask(tick, MAIN)
+    rig.ask(tick, SIDE)
+    said: list[m.Message] = []
+    while not only(said, m.Metrics):
+        said += rig.turn()
+        time.sleep(0.001)
+    assert [span.stage for span in only(said, m.Metrics)[0].spans] == ["actuate", "world"]

@@ -1,0 +1,74 @@
+"""Vehicle types of a user's own files, and their buildings."""
+
+from pathlib import Path
+
+import pytest
+
+from protocol.errors import ConfigError
+from sim_host.polygons import read_polygons
+from sim_host.vehicles import mesh_for, types_of_files
+
+
+def test_types_are_read_with_sumos_defaults_for_what_is_not_said(tmp_path: Path) -> None:
+    path = tmp_path / "types.rou.xml"
+    path.write_text(
+        '<routes><vTypeDistribution id="d"><vType id="tall" height="1.9" length="4"/>'
+        '</vTypeDistribution><vType id="line5" vClass="bus"/>'
+        '<vehicle id="v" type="tall" depart="0"><route edges="a"/></vehicle></routes>'
+    )
+    types = {kind.name: kind for kind in types_of_files([path])}
+    assert (types["tall"].length_m, types["tall"].width_m, types["tall"].mesh) == (
+        4.0,
+        1.8,
+        "microcargo",
+    )
+    assert (types["line5"].length_m, types["line5"].mesh) == (12.0, "minibus")
+    assert types["DEFAULT_VEHTYPE"].mesh == "car"
+
+
+@pytest.mark.parametrize("v_class", ["tram", "bicycle", "rail_fast", "pedestrian", "ship"])
+def test_what_is_no_car_is_a_box(v_class: str) -> None:
+    assert mesh_for(v_class, 1.5) == "box"
+
+
+@pytest.mark.parametrize("text", ["<routes>", '<routes><vType id="a" length="x"/></routes>'])
+def test_a_broken_route_file_is_a_configuration_error(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "broken.rou.xml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=r"broken\.rou\.xml"):
+        types_of_files([path])
+
+
+POLYGONS = """<additional>
+<poly id="a" type="building.house" shape="0,0 10,0 10,10 0,0"><param key="height" value="6"/></poly>
+<poly id="b" type="building" shape="20,0 30,0 30,10"/>
+<poly id="c" type="landuse.grass" shape="0,0 100,0 100,100"/>
+<poly id="d" type="building" shape="9000,0 9010,0 9010,10"/>
+</additional>"""
+
+
+def test_buildings_near_the_signal_are_read_with_their_heights(tmp_path: Path) -> None:
+    path = tmp_path / "town.poly.xml"
+    path.write_text(POLYGONS)
+    rings, heights = read_polygons(path, (0.0, 0.0, 0.0))
+    assert rings == [[(0, 0), (10, 0), (10, 10)], [(20, 0), (30, 0), (30, 10)]]
+    assert heights == [6.0, 10.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("<additional>", "no SUMO polygon file"),
+        ('<a><poly id="a" shape="1,b 2,3 4,5"/></a>', "no SUMO polygon file"),
+        ('<a><poly id="a" geo="true" shape="1,1 2,3 4,5"/></a>', "polyconvert"),
+    ],
+)
+def test_an_unfit_polygon_file_is_a_configuration_error(
+    tmp_path: Path, text: str, says: str
+) -> None:
+    path = tmp_path / "town.poly.xml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=says):
+        read_polygons(path, (0.0, 0.0, 0.0))
+    with pytest.raises(ConfigError, match="does not exist"):
+        read_polygons(tmp_path / "none.poly.xml", (0.0, 0.0, 0.0))
