@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
+
+import numpy as np
 
 from edge_server.arrays import Floats, Floats32
 from protocol.codec import decode
@@ -16,8 +19,11 @@ class Piece:
     `sensor_pose` (6,) is `map_SE3_sensor` as the agent believes it.
     """
 
+    frame: int
+    sim_time_ns: int
     agent: str
     chunk: int
+    chunks: int
     sensor_pose: Floats
     points: Floats32
     received_ns: int
@@ -29,7 +35,8 @@ class Piece:
 class Frame:
     """A frame as far as it came. `complete` says whether all that was promised is there.
 
-    `agents` and `poses` are sorted by agent, `pieces` by agent and chunk.
+    `agents` and `poses` are sorted by agent, `pieces` by agent and chunk. The first part came at
+    `first_ns`; waiting ended at `ready_ns`.
     """
 
     frame: int
@@ -42,10 +49,32 @@ class Frame:
     ready_ns: int
 
 
-def open_scan(scan: Scan) -> Floats32:
-    """Decodes a chunk's points (N, 3), sensor frame.
+def open_scan(scan: Scan, received_ns: int) -> Piece:
+    """Decodes a chunk.
 
     Raises:
         CodecError: the payload is not a scan.
     """
-    return decode(scan.payload).points
+    start_ns = time.monotonic_ns()
+    return _piece(scan, decode(scan.payload).points, received_ns, start_ns)
+
+
+def spoilt_scan(scan: Scan, received_ns: int) -> Piece:
+    """Returns a chunk without points in place of one that does not decode: it did come."""
+    points = np.zeros((0, 3), np.float32)
+    return _piece(scan, points, received_ns, time.monotonic_ns())
+
+
+def _piece(scan: Scan, points: Floats32, received_ns: int, start_ns: int) -> Piece:
+    return Piece(
+        frame=scan.frame,
+        sim_time_ns=scan.sim_time_ns,
+        agent=scan.agent,
+        chunk=scan.chunk,
+        chunks=scan.chunks,
+        sensor_pose=scan.sensor_pose,
+        points=points,
+        received_ns=received_ns,
+        decode_start_ns=start_ns,
+        decode_end_ns=time.monotonic_ns(),
+    )

@@ -24,7 +24,8 @@ def fuse(
     """Joins what the LiDARs found with the agents' own poses; the order of either is no matter.
 
     A pose wins over a LiDAR's box; one that may be metres off, a CV's, stands for the nearest box
-    only. Of two boxes the one nearer to the junction's centre (2 or 3,) stays. The result has poses first, sorted by agent, then boxes, nearest first.
+    only. Of two boxes the one nearer to the junction's centre (2 or 3,) stays. The result has
+    poses first, sorted by agent, then boxes, nearest first.
     """
     own = from_poses(poses)
     found = found.take(_ranked(found, centre))

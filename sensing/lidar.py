@@ -10,12 +10,13 @@ import numpy.typing as npt
 
 from protocol.codec import RangeScan
 from protocol.geometry import SE3, Floats
-from sensing.candidates import gather, keep_nearest, place, turn, windows
+from sensing.candidates import gather, keep_nearest, place, windows
 from sensing.config import LidarConfig
 from sensing.embree import Caster
-from sensing.mesh import TriangleMesh
 from sensing.returns import returns
+from sensing.scene import Scene
 from sensing.shapes import VehicleShapes
+from sensing.static import StaticWorld
 
 Floats32 = npt.NDArray[np.float32]
 
@@ -55,19 +56,16 @@ class Lidar:
     scene is kept for sensors that have not moved since.
     """
 
-    def __init__(self, config: LidarConfig, scene: TriangleMesh, shapes: VehicleShapes) -> None:
+    def __init__(self, config: LidarConfig, scene: Scene, shapes: VehicleShapes) -> None:
         self._config = config
         self._pattern = config.pattern
         self._shapes = shapes
-        self._static = Caster(scene)
+        self._static = StaticWorld(scene, self._pattern)
         self._casters = [Caster(mesh) for mesh in shapes.meshes]
         self._bounds = np.array(
             [[*m.vertices.min(axis=0), *m.vertices.max(axis=0)] for m in shapes.meshes], np.float64
         ).reshape(-1, 6)
         self._rays = _Rays()
-        beams = self._pattern.channels * self._pattern.columns
-        self._origins = np.empty((beams, 3), np.float32)
-        self._directions = np.empty((beams, 3), np.float32)
         self._views: OrderedDict[bytes, Floats32] = OrderedDict()
 
     def scan(
@@ -111,20 +109,11 @@ class Lidar:
         key = map_SE3_sensor.translation.tobytes() + map_SE3_sensor.rotation.tobytes()
         view = self._views.get(key)
         if view is None:
-            view = self._cast_static(map_SE3_sensor)
+            view = self._static.cast(map_SE3_sensor, self._config.range)
             self._views[key] = view
             if len(self._views) > _KEPT_VIEWS:
                 self._views.popitem(last=False)
         self._views.move_to_end(key)
-        return view
-
-    def _cast_static(self, map_SE3_sensor: SE3) -> Floats32:
-        pattern = self._pattern
-        rotation = map_SE3_sensor.rotation.copy()
-        turn(pattern.directions.reshape(-1, 3), rotation, self._directions)
-        self._origins[:] = map_SE3_sensor.translation
-        view = np.full((pattern.channels, pattern.columns), self._config.range, np.float32)
-        self._static.cast(self._origins, self._directions, view.reshape(-1))
         return view
 
     def _add_bodies(

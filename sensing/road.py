@@ -96,7 +96,10 @@ def _left_normals(line: Floats) -> Floats:
     return np.column_stack([-along[:, 1], along[:, 0]])
 
 
-@njit("void(float64[:,::1], float64[:,::1], float64[:,::1], float64[::1])", cache=True)
+@njit(
+    "void(Array(float64, 2, 'C', readonly=True), float64[:,::1], float64[:,::1], float64[::1])",
+    cache=True,
+)
 def _clearances(places: Floats, strips: Floats, junction: Floats, result: Floats) -> None:
     for n in range(len(places)):
         x, y = places[n, 0], places[n, 1]

@@ -24,7 +24,7 @@ class Station:
         config = LidarConfig.model_validate(scenario["lidar"][lidar])
         scene = scene_of(context.setup, SceneConfig.model_validate(scenario["scene"]), self.seed)
         self.terrain = scene.terrain
-        self._lidar = Lidar(config, scene.mesh, VehicleShapes.from_setup(context.setup))
+        self._lidar = Lidar(config, scene, VehicleShapes.from_setup(context.setup))
         self._upload = UploadConfig.model_validate(scenario["upload"])
         self._tick: Tick | None = None
         self._skipped = 0

@@ -84,7 +84,7 @@ def _height(nodes: Floats, origin: Floats, cell_m: float, x: float, y: float) ->
     return float(low + v * (corner - low) + u * (high - corner))
 
 
-@njit(f"void({_GRID}, float64[:,::1], float64[::1])", cache=True)
+@njit(f"void({_GRID}, Array(float64, 2, 'C', readonly=True), float64[::1])", cache=True)
 def _heights(nodes: Floats, origin: Floats, cell_m: float, xy: Floats, result: Floats) -> None:
     for n in range(len(xy)):
         result[n] = _height(nodes, origin, cell_m, xy[n, 0], xy[n, 1])

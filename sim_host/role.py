@@ -23,7 +23,7 @@ from sim_host.setup import traffic_config
 from sim_host.world import World
 
 _SLICE_NS = 50_000_000  # how long warm-up may keep the loop from hearing a stop
-_NAP_NS = 20_000_000
+_NAP_NS = 30_000_000  # more than the loop's own pause, so that no tick waits for that
 _log = logging.getLogger(__name__)
 
 
@@ -54,9 +54,7 @@ class SimRole:
         self._cabinet_config = CabinetConfig.model_validate(scenario["cabinet"])
         self._cabinet = SignalCabinet(self._signal, self._cabinet_config)
         self._fleet = Fleet()
-        self._roll_call = RollCall(
-            expected_processes(scenario), self._traffic.start_timeout_s
-        )
+        self._roll_call = RollCall(expected_processes(scenario), self._traffic.start_timeout_s)
         self._lockstep = scenario["mode"] == "lockstep"
         self._frames = max(1, round(scenario["duration_s"] / scenario["frame_period_s"]))
         self._steps = max(1, round(scenario["frame_period_s"] / self._traffic.step_s))
@@ -66,6 +64,7 @@ class SimRole:
         self._warm_ns = world.time_ns + round(self._traffic.warmup_s * 1e9)
         self._frame = 0
         self._tick_ns = 0
+        self._ticks = 0
         self._request: Envelope | None = None
         self._out_of_turn = 0
 
@@ -140,7 +139,6 @@ class SimRole:
         while self._world.time_ns < self._warm_ns and time.monotonic_ns() < until_ns:
             self._step()
         if self._world.time_ns >= self._warm_ns:
-            self._world.take_trips()  # of vehicles that no frame has seen
             _log.info("%d vehicles inserted; frame 0", self._world.counts.inserted)
             self._stage = Stage.REST
 
@@ -154,6 +152,7 @@ class SimRole:
         state = self._cabinet.spat(frame, now_ns)
         self._context.v2x.publish("state", state, tls=self._signal.tls)
         self._context.world.publish("tick", tick_of(frame, now_ns, bodies, self._fleet))
+        self._ticks += 1
         self._context.world.publish("truth", truth_of(frame, now_ns, bodies))
 
     def _frame_is_over(self) -> bool:
@@ -235,6 +234,6 @@ class SimRole:
     def _end(self, reason: str) -> None:
         self._stage = Stage.OVER
         self._publish_trips(with_unfinished=True)
-        self._context.world.publish("end", End(frames=self._frame, reason=reason))
-        _log.info("%s after %d frames; %s", reason, self._frame, self._world.counts)
+        self._context.world.publish("end", End(frames=self._ticks, reason=reason))
+        _log.info("%s after %d frames; %s", reason, self._ticks, self._world.counts)
         self._context.stop.set()

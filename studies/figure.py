@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -13,24 +14,24 @@ from studies.perspective import draw_perspective
 from studies.plan_view import draw_plan
 from studies.snapshot import Snapshot
 
-HALF_M = 60.0
-_SIZE_INCHES = (16.0, 8.9)
+_WIDTH, _HEIGHT = 16.0, 7.9  # inches
 _DPI = 120
-_NAMED = 7
+_NAMED = 6
+_PANELS = ((0.01, 0.075, 0.487, 0.84), (0.503, 0.075, 0.487, 0.84))
 
 
 def save_picture(snapshot: Snapshot, path: Path) -> None:
-    """Draws a snapshot into a PNG of about 1900 x 1070 pixels."""
-    figure = Figure(figsize=_SIZE_INCHES, dpi=_DPI, facecolor=palette.BACKGROUND)
+    """Draws a snapshot into a PNG of 1920 x 948 pixels."""
+    figure = Figure(figsize=(_WIDTH, _HEIGHT), dpi=_DPI, facecolor=palette.BACKGROUND)
     canvas = FigureCanvasAgg(figure)
     colours = palette.agent_colours([cloud.agent for cloud in snapshot.clouds])
-    plan = figure.add_axes((0.012, 0.07, 0.4725, 0.85))
-    draw_plan(plan, snapshot, colours, HALF_M)
-    crane = figure.add_axes((0.5, 0.07, 0.488, 0.85))
-    crane.set(xlim=(-0.62, 0.62), ylim=(-0.6, 0.6), facecolor=palette.BACKGROUND)
+    plan, crane = (_panel(figure, place) for place in _PANELS)
+    aspect = _PANELS[0][2] * _WIDTH / (_PANELS[0][3] * _HEIGHT)
+    draw_plan(plan, snapshot, colours, aspect)
+    crane.set(xlim=(-0.6, 0.6), ylim=(-0.6 / aspect - 0.03, 0.6 / aspect - 0.03))
     draw_perspective(crane, snapshot, colours)
-    figure.text(0.014, 0.945, _title(snapshot), color=palette.TEXT, fontsize=19, fontweight="bold")
-    figure.text(0.986, 0.948, _figures(snapshot), color=palette.FAINT, fontsize=12.5, ha="right")
+    figure.text(0.012, 0.941, _title(snapshot), color=palette.TEXT, fontsize=19, fontweight="bold")
+    figure.text(0.988, 0.945, _figures(snapshot), color=palette.FAINT, fontsize=12.5, ha="right")
     figure.legend(
         handles=_legend(snapshot, colours),
         loc="lower center",
@@ -38,9 +39,19 @@ def save_picture(snapshot: Snapshot, path: Path) -> None:
         frameon=False,
         labelcolor=palette.TEXT,
         fontsize=10.5,
-        bbox_to_anchor=(0.5, 0.008),
+        bbox_to_anchor=(0.5, 0.006),
+        columnspacing=1.6,
+        handletextpad=0.5,
     )
     canvas.print_png(str(path))
+
+
+def _panel(figure: Figure, place: tuple[float, float, float, float]) -> Axes:
+    axes = figure.add_axes(place, facecolor=palette.BACKGROUND)
+    axes.set(xticks=[], yticks=[])
+    for spine in axes.spines.values():
+        spine.set(color=palette.MARKING, linewidth=0.8)
+    return axes
 
 
 def _title(snapshot: Snapshot) -> str:
@@ -72,4 +83,9 @@ def _legend(snapshot: Snapshot, colours: dict[str, str]) -> list[Line2D]:
     handles.append(Line2D([], [], color=palette.BOX, lw=1.8, label="detected"))
     if len(snapshot.truth.values):
         handles.append(Line2D([], [], color=palette.TRUTH, lw=0.9, ls="--", label="truth"))
+    sides = (("counted upstream", palette.TEXT), ("downstream", palette.FAINT))
+    handles += [
+        Line2D([], [], color=colour, marker="$7$", markersize=8, ls="", label=label)
+        for label, colour in sides
+    ]
     return handles

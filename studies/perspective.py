@@ -10,10 +10,12 @@ from matplotlib.collections import LineCollection, PolyCollection
 
 from protocol.roadmap import RoadMap
 from studies import palette
-from studies.shapes import Floats, borders, corners, stands_out
+from studies.outlines import Floats, borders, corners, resampled, stands_out
 from studies.snapshot import Boxes, Snapshot
 
+_BACK_M, _UP_M, _AHEAD_M, _TURN_RAD = 46.0, 27.0, 8.0, -0.3
 _NEAR_M = 6.0
+_CLEAR_M = 28.0  # nothing nearer is drawn of the clouds: walls before the lens
 _EDGES = (
     (0, 1),
     (1, 2),
@@ -67,56 +69,54 @@ def view_azimuth(road_map: RoadMap) -> float:
 
 def draw_perspective(axes: Axes, snapshot: Snapshot, colours: dict[str, str]) -> None:
     """Draws the snapshot; the axes keep the limits that they were given."""
-    target = np.array(snapshot.road_map.centre)
-    camera = Camera.towards(target, view_azimuth(snapshot.road_map) - 0.35, 46.0, 27.0)
-    axes.axis("off")
+    azimuth_rad = view_azimuth(snapshot.road_map) + _TURN_RAD
+    ahead = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
+    target = np.array(snapshot.road_map.centre) + _AHEAD_M * ahead
+    camera = Camera.towards(target, azimuth_rad, _BACK_M, _UP_M)
     _draw_road(axes, snapshot.road_map, camera)
     for cloud in snapshot.clouds:
         _draw_points(axes, cloud.points, camera, colours[cloud.agent])
-    _draw_boxes(axes, snapshot.truth, camera, [palette.TRUTH] * len(snapshot.truth.sources), 0.5, 0)
-    edges = [colours.get(source, palette.BOX) for source in snapshot.detections.sources]
-    _draw_boxes(axes, snapshot.detections, camera, edges, 1.3, 0.14)
+    truth, detections = snapshot.truth, snapshot.detections
+    _draw_boxes(axes, truth, camera, [palette.TRUTH] * len(truth.sources), 0.6)
+    edges = [colours.get(source, palette.BOX) for source in detections.sources]
+    _draw_boxes(axes, detections, camera, edges, 1.3)
 
 
 def _draw_road(axes: Axes, road_map: RoadMap, camera: Camera) -> None:
-    outlines = []
+    rings = [_ring(*borders(lane)) for lane in road_map.lanes]
+    if len(road_map.junction) > 2:
+        level_m = np.full((len(road_map.junction), 1), road_map.centre[2])
+        rings.append(np.hstack([road_map.junction, level_m]))
+    surfaces = []
+    for ring in rings:
+        places, depth = camera.project(ring)
+        surfaces.append(places[depth > _NEAR_M])
+    axes.add_collection(PolyCollection(surfaces, facecolors=palette.ASPHALT, zorder=1))
+    lines = []
     for lane in road_map.lanes:
-        left, right = borders(lane)
-        steps = np.linspace(0, 1, 120)
-        own = np.linspace(0, 1, len(left))
-        sides = [
-            np.column_stack([np.interp(steps, own, side[:, i]) for i in range(3)])
-            for side in (left, right[::-1])
-        ]
-        places, depth = camera.project(np.concatenate(sides))
-        if (depth > _NEAR_M).any():
-            outlines.append(places[depth > _NEAR_M])
-    axes.add_collection(PolyCollection(outlines, facecolors=palette.ASPHALT, zorder=1))
+        for side in () if lane.internal else borders(lane):
+            places, depth = camera.project(resampled(side))
+            lines.append(places[depth > _NEAR_M])
+    axes.add_collection(LineCollection(lines, colors=palette.MARKING, linewidths=0.6, zorder=2))
+
+
+def _ring(left: Floats, right: Floats) -> Floats:
+    return np.concatenate([resampled(left), resampled(right[::-1])])
 
 
 def _draw_points(axes: Axes, points: Floats, camera: Camera, colour: str) -> None:
     places, depth = camera.project(points)
     high = stands_out(points)
-    shown = (depth > _NEAR_M) & (np.abs(places).max(axis=1) < 1.2)
-    for part, scale, alpha in ((~high, 35.0, 0.28), (high, 75.0, 0.75)):
-        chosen = shown & part
-        sizes = np.clip(scale / depth[chosen], 0.1, 3.0)
-        axes.scatter(*places[chosen].T, s=sizes, color=colour, alpha=alpha, linewidths=0, zorder=3)
+    shown = (depth > _CLEAR_M) & (np.abs(places).max(axis=1) < 1.2)
+    for part, scale, alpha in ((~high, 35.0, 0.28), (high, 70.0, 0.7)):
+        x, y = places[shown & part].T
+        sizes = np.clip(scale / depth[shown & part], 0.1, 3.0)
+        axes.scatter(x, y, s=sizes, color=colour, alpha=alpha, linewidths=0, zorder=3)
 
 
-def _draw_boxes(
-    axes: Axes, boxes: Boxes, camera: Camera, edges: list[str], width: float, fill: float
-) -> None:
-    if not len(boxes.values):
-        return
-    solid = corners(boxes.values)
-    places, depth = camera.project(solid.reshape(-1, 3))
-    places, depth = places.reshape(-1, 8, 2), depth.reshape(-1, 8)
-    for place, near, colour in zip(places, depth.min(axis=1), edges, strict=True):
-        if near <= _NEAR_M:
-            continue
+def _draw_boxes(axes: Axes, boxes: Boxes, camera: Camera, edges: list[str], width: float) -> None:
+    places, depth = camera.project(corners(boxes.values).reshape(-1, 3))
+    seen = depth.reshape(-1, 8).min(axis=1) > _NEAR_M
+    for place, colour in zip(places.reshape(-1, 8, 2)[seen], np.array(edges)[seen], strict=True):
         lines = [place[list(edge)] for edge in _EDGES]
-        axes.add_collection(LineCollection(lines, colors=colour, linewidths=width, zorder=6))
-        if fill:
-            top = PolyCollection([place[4:]], facecolors=colour, alpha=fill, zorder=5)
-            axes.add_collection(top)
+        axes.add_collection(LineCollection(lines, colors=str(colour), linewidths=width, zorder=6))

@@ -72,7 +72,7 @@ def load_snapshot(run: Run, frame: int | None) -> Snapshot:
         name=str(run.scenario.get("name", "")),
         road_map=run.setup.road_map,
         row=rows[0] if rows else FrameRow(frame, *(None,) * 11),
-        clouds=_clouds(run.of_frame(CloudRow, frame)),
+        clouds=_clouds(run.of_frame(CloudRow, frame), {t.vehicle for t in truth}),
         detections=_boxes(
             [
                 (d.x_m, d.y_m, d.z_m, d.length_m, d.width_m, d.height_m, d.yaw_rad)
@@ -104,11 +104,13 @@ def _choose(run: Run, frame: int | None) -> int:
     return kept[-1] if frame is None else frame
 
 
-def _clouds(rows: list[CloudRow]) -> list[AgentCloud]:
+def _clouds(rows: list[CloudRow], vehicles: set[str]) -> list[AgentCloud]:
+    """Returns a cloud per agent, those that stand at the roadside first."""
     by_agent: dict[str, list[CloudRow]] = defaultdict(list)
     for row in rows:
         by_agent[row.agent].append(row)
-    return [_cloud(agent, chunks) for agent, chunks in by_agent.items()]
+    order = sorted(by_agent, key=lambda agent: (agent in vehicles, agent))
+    return [_cloud(agent, by_agent[agent]) for agent in order]
 
 
 def _cloud(agent: str, chunks: list[CloudRow]) -> AgentCloud:

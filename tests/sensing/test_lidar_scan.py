@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import SEED
@@ -29,6 +31,11 @@ Traffic = tuple[NDArray[np.float64], list[str]]
 
 def on_roof(pose: NDArray[np.float64]) -> SE3:
     return SE3.from_pose(pose) @ SE3(np.eye(3), np.array([0.0, 0.0, 2.4]))
+
+
+def bare(scene: Scene) -> Scene:
+    nothing = merge([])
+    return replace(scene, kerbs=nothing, buildings=nothing, poles=nothing, trees=nothing)
 
 
 def brute_force(
@@ -59,7 +66,7 @@ def test_a_scan_equals_a_cast_into_everything_at_once(
         sensor = sensor @ SE3.from_pose([0.1, 0.2, 0.3, 0.06, -0.08, 2.5])
     if place == "roadside":
         sensor, own = SE3.from_pose([0.0, 0.0, 3.1, 0.0, 0.0, 0.7]), None
-    lidar = Lidar(CONFIG, scene.mesh, shapes)
+    lidar = Lidar(CONFIG, scene, shapes)
     found = lidar.distances(sensor, *traffic, own)
     expected = brute_force(sensor, scene, shapes, traffic, own)
     wrong = np.abs(found - expected) > 1e-3 + 1e-4 * expected
@@ -73,14 +80,14 @@ def test_a_sensor_amid_a_body_that_is_not_its_own_sees_that_body_all_around(
 ) -> None:
     pose = scene.terrain.body_poses([-40.0], [-1.75], [0.0])
     sensor = SE3.from_pose([-40.0, -1.75, pose[0, 2] + 1.0, 0.0, 0.0, 0.0])
-    lidar = Lidar(CONFIG, scene.mesh, shapes)
+    lidar = Lidar(CONFIG, scene, shapes)
     found = lidar.distances(sensor, pose, ["bus"], None)
     assert found.max() < 15
 
 
 def test_a_vehicle_does_not_see_itself(scene: Scene, shapes: VehicleShapes) -> None:
     pose = scene.terrain.body_poses([-40.0], [-1.75], [0.3])
-    lidar = Lidar(CONFIG, scene.mesh, shapes)
+    lidar = Lidar(CONFIG, scene, shapes)
     alone = lidar.distances(on_roof(pose[0]), NOBODY, [], None)
     assert np.array_equal(lidar.distances(on_roof(pose[0]), pose, ["bus"], 0), alone)
     assert not np.array_equal(lidar.distances(on_roof(pose[0]), pose, ["bus"], None), alone)
@@ -90,7 +97,7 @@ def test_a_scan_does_not_depend_on_what_was_scanned_before(
     scene: Scene, shapes: VehicleShapes, traffic: Traffic
 ) -> None:
     sensor = on_roof(traffic[0][0])
-    used, fresh = Lidar(CONFIG, scene.mesh, shapes), Lidar(CONFIG, scene.mesh, shapes)
+    used, fresh = Lidar(CONFIG, scene, shapes), Lidar(CONFIG, scene, shapes)
     for k in range(40):
         used.scan(on_roof(traffic[0][k]), *traffic, k, stream(SEED, k))
     used.scan(sensor, *traffic, 0, stream(SEED, "again"))
@@ -105,7 +112,7 @@ def test_bodies_may_come_in_any_order(
 ) -> None:
     poses, types = traffic
     order = np.random.default_rng(1).permutation(len(poses))
-    lidar = Lidar(CONFIG, scene.mesh, shapes)
+    lidar = Lidar(CONFIG, scene, shapes)
     sensor = on_roof(poses[0])
     one = lidar.distances(sensor, poses, types, None)
     other = lidar.distances(sensor, poses[order], [types[k] for k in order], None)
@@ -114,7 +121,7 @@ def test_bodies_may_come_in_any_order(
 
 def test_points_lie_where_the_ground_is(scene: Scene, shapes: VehicleShapes) -> None:
     sensor = on_roof(scene.terrain.body_poses([-60.0], [-1.75], [1.0])[0])
-    scan = Lidar(CLEAN, scene.ground, shapes).scan(sensor, NOBODY, [], None, stream(SEED))
+    scan = Lidar(CLEAN, bare(scene), shapes).scan(sensor, NOBODY, [], None, stream(SEED))
     points = sensor.apply(scan.cloud().points)
     assert len(points) > 3000
     near = np.hypot(*(points[:, :2] - sensor.translation[:2]).T) < 25
@@ -122,9 +129,10 @@ def test_points_lie_where_the_ground_is(scene: Scene, shapes: VehicleShapes) -> 
     assert np.abs(error_m).max() < 0.03
 
 
-def test_an_empty_world_returns_nothing(shapes: VehicleShapes) -> None:
-    lidar = Lidar(CLEAN, merge([]), shapes)
-    scan = lidar.scan(SE3.identity(), NOBODY, [], None, stream(SEED))
+def test_beyond_the_world_nothing_returns(scene: Scene, shapes: VehicleShapes) -> None:
+    lidar = Lidar(CLEAN, scene, shapes)
+    far = SE3.from_pose([5000.0, 0.0, 3.0, 0.0, 0.0, 0.0])
+    scan = lidar.scan(far, NOBODY, [], None, stream(SEED))
     assert not scan.range_m.any()
     assert not scan.intensity.any()
 
@@ -132,6 +140,6 @@ def test_an_empty_world_returns_nothing(shapes: VehicleShapes) -> None:
 def test_a_body_of_an_unknown_type_is_refused(
     scene: Scene, shapes: VehicleShapes, traffic: Traffic
 ) -> None:
-    lidar = Lidar(CLEAN, scene.mesh, shapes)
+    lidar = Lidar(CLEAN, scene, shapes)
     with pytest.raises(MessageError, match="'tank' is not in the set-up"):
         lidar.scan(SE3.identity(), traffic[0][:1], ["tank"], None, stream(SEED))

@@ -66,3 +66,9 @@ def test_places_beyond_the_grid_have_the_height_of_its_border() -> None:
 
 def test_no_bodies_need_no_ground() -> None:
     assert CLIMB.body_poses([], [], []).shape == (0, 6)
+
+
+def test_a_place_may_come_read_only() -> None:
+    place = np.array([[1.0, 2.0]])
+    place.setflags(write=False)
+    assert CLIMB.height_m(place) == CLIMB.height_m([[1.0, 2.0]])

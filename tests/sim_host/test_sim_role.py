@@ -185,7 +185,7 @@ def test_a_request_that_never_comes_ends_the_run(make: type[Rig]) -> None:
     with pytest.raises(BusError, match="no request for frame 0"):
         rig.turn()
     [end] = [item.message for item in iter(rig.seen.get, None) if item.topic == "end"]
-    assert (end.frames, end.reason) == (0, "failed")
+    assert (end.frames, end.reason) == (1, "failed")
 
 
 def test_a_stop_is_quick_and_tells_the_journeys_under_way(make: type[Rig]) -> None:

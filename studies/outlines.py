@@ -39,6 +39,14 @@ def borders(lane: Lane) -> tuple[Floats, Floats]:
     return points + left * lane.width_m / 2, points - left * lane.width_m / 2
 
 
+def resampled(points: Floats, step_m: float = 1.0) -> Floats:
+    """Returns a line (K, 2 or 3) with points at about every step, its ends included."""
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    at = np.concatenate([[0.0], np.cumsum(lengths)])
+    steps = np.linspace(0, at[-1], max(2, int(at[-1] / step_m)))
+    return np.column_stack([np.interp(steps, at, column) for column in points.T])
+
+
 def stands_out(points: Floats) -> npt.NDArray[np.bool_]:
     """Tells which points (N, 3) are clearly above the lowest one nearby: things, not ground."""
     if not len(points):

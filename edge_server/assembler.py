@@ -1,0 +1,163 @@
+"""Puts together what belongs to one frame, and says when it is whole or when to stop waiting."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from edge_server.frame import Frame, Piece
+from protocol.messages import AgentPose, Roster
+
+MAX_OPEN_FRAMES = 4
+MAX_AGENTS = 512  # of a frame
+MAX_BYTES = 128 << 20  # of decoded points of a frame
+NO_POSE_ROLE = "infra"  # a post's place is in its scans
+
+
+@dataclass(slots=True, eq=False)
+class _OpenFrame:
+    """A frame under way. Chunks are known by (agent, chunk)."""
+
+    first_ns: int
+    rosters: dict[str, Roster] = field(default_factory=dict)
+    poses: dict[str, AgentPose] = field(default_factory=dict)
+    pieces: dict[tuple[str, int], Piece] = field(default_factory=dict)
+    chunks: dict[str, int] = field(default_factory=dict)
+    size_bytes: int = 0
+
+
+class Assembler:
+    """Knows which processes live and waits for all that they announce, up to `wait_ns`.
+
+    A process is waited for from the start if it was expected, else from its first roster on, until
+    it vanishes. `drops` counts, by reason, what came in vain.
+    """
+
+    def __init__(self, *, wait_ns: int, expected: dict[str, str]) -> None:
+        self._wait_ns = wait_ns
+        self._roles = dict(expected)
+        self._alive: set[str] = set()
+        self._heard = set(expected)
+        self._open: dict[int, _OpenFrame] = {}
+        self._times_ns: dict[int, int] = {}
+        self._finished = -1
+        self.drops: Counter[str] = Counter()
+
+    def hear(self, process: str, role: str, *, alive: bool) -> None:
+        """Takes note of a process that appeared or vanished."""
+        self._roles[process] = role
+        if alive:
+            self._alive.add(process)
+        else:
+            self._alive.discard(process)
+            self._heard.discard(process)
+
+    def add_time(self, frame: int, sim_time_ns: int) -> None:
+        """Takes note of a frame's simulated time, which a frame without agents has not."""
+        self._times_ns[frame] = sim_time_ns
+        while len(self._times_ns) > 2 * MAX_OPEN_FRAMES:
+            del self._times_ns[min(self._times_ns)]
+
+    def add_roster(self, roster: Roster, received_ns: int) -> None:
+        """Takes the list of agents that a process speaks for."""
+        part = self._part(roster.frame, received_ns)
+        if part is None:
+            return
+        self._heard.add(roster.process)
+        if self._has_room(part, len(part.rosters), len(roster.agents)):
+            part.rosters[roster.process] = roster
+
+    def add_pose(self, pose: AgentPose, received_ns: int) -> None:
+        """Takes an agent's pose."""
+        part = self._part(pose.frame, received_ns)
+        if part is not None and self._has_room(part, len(part.poses), 1):
+            self.add_time(pose.frame, pose.sim_time_ns)
+            part.poses[pose.agent] = pose
+
+    def add_piece(self, piece: Piece) -> None:
+        """Takes a decoded chunk of a scan."""
+        part = self._part(piece.frame, piece.received_ns)
+        if part is None or not self._has_room(part, len(part.pieces), 1):
+            return
+        if part.size_bytes + piece.points.nbytes > MAX_BYTES:
+            self.drops["frame_too_large"] += 1
+            return
+        self.add_time(piece.frame, piece.sim_time_ns)
+        part.size_bytes += piece.points.nbytes
+        part.chunks[piece.agent] = piece.chunks
+        part.pieces[piece.agent, piece.chunk] = piece
+
+    def wants(self, frame: int) -> bool:
+        """Whether it is worth decoding a scan of this frame; counts it as late if not."""
+        if frame <= self._finished:
+            self.drops["late"] += 1
+        return frame > self._finished
+
+    def pop(self, now_ns: int) -> Frame | None:
+        """Returns the newest whole frame, else the oldest that has been waited for long enough.
+
+        Older frames than the one returned are given up.
+        """
+        whole = [number for number, part in self._open.items() if self._is_whole(number, part)]
+        old = [n for n, p in self._open.items() if now_ns - p.first_ns > self._wait_ns]
+        if not whole and not old:
+            return None
+        number = max(whole) if whole else min(old)
+        part = self._open.pop(number)
+        for passed in [n for n in self._open if n < number]:
+            del self._open[passed]
+            self.drops["frame_given_up"] += 1
+        self._finished = number
+        self.drops["frame_incomplete"] += not whole
+        return self._close(number, part, complete=bool(whole), now_ns=now_ns)
+
+    def _part(self, frame: int, received_ns: int) -> _OpenFrame | None:
+        if not self.wants(frame):
+            return None
+        if frame not in self._open:
+            self._open[frame] = _OpenFrame(received_ns)
+            if len(self._open) > MAX_OPEN_FRAMES:
+                del self._open[min(self._open)]
+                self.drops["frame_given_up"] += 1
+        part = self._open.get(frame)
+        if part is not None:
+            part.first_ns = min(part.first_ns, received_ns)
+        return part
+
+    def _has_room(self, part: _OpenFrame, held: int, more: int) -> bool:
+        has_room = held + more <= MAX_AGENTS
+        self.drops["too_many_agents"] += not has_room
+        return has_room
+
+    def _is_whole(self, number: int, part: _OpenFrame) -> bool:
+        if number not in self._times_ns:
+            return False
+        awaited = self._alive & self._heard
+        return awaited <= part.rosters.keys() and all(
+            self._kept(part, roster) for name, roster in part.rosters.items() if name in awaited
+        )
+
+    def _kept(self, part: _OpenFrame, roster: Roster) -> bool:
+        """Whether all came that a roster announces."""
+        with_pose = self._roles.get(roster.process) != NO_POSE_ROLE
+        if with_pose and not all(agent in part.poses for agent in roster.agents):
+            return False
+        return all(
+            agent in part.chunks
+            and all((agent, chunk) in part.pieces for chunk in range(part.chunks[agent]))
+            for agent in roster.scanning
+        )
+
+    def _close(self, number: int, part: _OpenFrame, *, complete: bool, now_ns: int) -> Frame:
+        agents = sorted({*part.poses, *(agent for agent, _ in part.pieces)})
+        latest_ns = max(self._times_ns.values(), default=0)
+        return Frame(
+            frame=number,
+            sim_time_ns=self._times_ns.get(number, latest_ns),
+            agents=agents,
+            poses=[part.poses[agent] for agent in sorted(part.poses)],
+            pieces=[part.pieces[key] for key in sorted(part.pieces)],
+            complete=complete,
+            first_ns=part.first_ns,
+            ready_ns=now_ns,
+        )

@@ -1,0 +1,137 @@
+"""The edge role: hears scans and poses, says detections and lane counts."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from typing import Any
+
+from edge_server.assembler import Assembler
+from edge_server.config import EdgeConfig
+from edge_server.frame import Frame, open_scan, spoilt_scan
+from edge_server.pipeline import Pipeline, Result
+from protocol.errors import CodecError
+from protocol.inbox import Envelope, Presence
+from protocol.messages import AgentPose, Arrival, Metrics, Roster, Scan, SignalState, Span
+from protocol.process import Context
+
+
+class EdgeRole:
+    """Scans are decoded as they come, while others are still under way; the rest waits for all."""
+
+    def __init__(self, context: Context) -> None:
+        scenario = context.setup.scenario
+        config = EdgeConfig.model_validate(scenario["edge"])
+        self._context = context
+        self._region: str = scenario["region"]
+        self._tls = context.setup.road_map.signal.tls
+        self._pipeline = Pipeline(context.setup.road_map, config, seed=scenario["seed"])
+        expected = expected_agents(scenario)
+        self._missing = set(expected)
+        self._announced = False
+        wait_s = (
+            config.lockstep_timeout_s
+            if scenario["mode"] == "lockstep"
+            else config.deadline_ms / 1000
+        )
+        self._assembler = Assembler(wait_ns=round(wait_s * 1e9), expected=expected)
+
+    @classmethod
+    def build(cls, context: Context) -> EdgeRole:
+        """Makes the role ready and listens; it shows itself once all agents are there."""
+        role = cls(context)
+        role.warm_up()
+        for topic in ("roster", "pose", "scan"):
+            context.v2x.subscribe(topic, region=role._region)
+        context.v2x.subscribe("state", tls=role._tls)
+        context.v2x.watch()
+        return role
+
+    def warm_up(self) -> None:
+        """Runs the stages once, so that the first frame costs no more than the others."""
+        self._pipeline.run(Frame(0, 0, [], [], [], complete=True, first_ns=0, ready_ns=0))
+
+    def on(self, item: Envelope | Presence) -> None:
+        """Takes a presence or a part of a frame; a scan that does not decode counts as empty."""
+        if isinstance(item, Presence):
+            self._hear(item)
+            return
+        match item.message:
+            case Roster() as roster:
+                self._assembler.add_roster(roster, item.received_ns)
+            case AgentPose() as pose:
+                self._assembler.add_pose(pose, item.received_ns)
+            case Scan() as scan if self._assembler.wants(scan.frame):
+                self._take_scan(scan, item.received_ns)
+            case SignalState() as state:
+                self._assembler.add_time(state.frame, state.sim_time_ns)
+
+    def poll(self) -> None:
+        """Shows the process once it is due, and works on the next frame that is ready."""
+        if not self._announced and not self._missing:
+            self._announced = True
+            self._context.announce("edge")
+        frame = self._assembler.pop(time.monotonic_ns())
+        if frame is not None:
+            self._publish(frame, self._pipeline.run(frame))
+
+    def close(self) -> None:
+        """Holds nothing of its own."""
+
+    def _hear(self, presence: Presence) -> None:
+        if presence.role in ("vehicle", "infra"):
+            self._missing.discard(presence.id)
+            self._assembler.hear(presence.id, presence.role, alive=presence.alive)
+
+    def _take_scan(self, scan: Scan, received_ns: int) -> None:
+        try:
+            piece = open_scan(scan, received_ns)
+        except CodecError as error:
+            self._context.inbox.refuse(f"scan of {scan.agent}", error)
+            piece = spoilt_scan(scan, received_ns)
+        self._assembler.add_piece(piece)
+
+    def _publish(self, frame: Frame, result: Result) -> None:
+        bus = self._context.v2x
+        bus.publish("lanes", result.counts, region=self._region, tls=self._tls)
+        bus.publish("detections", result.detections, region=self._region)
+        metrics = Metrics(
+            process=self._context.id,
+            frame=frame.frame,
+            sim_time_ns=frame.sim_time_ns,
+            spans=_waits(frame) + result.spans,
+            arrivals=[
+                Arrival(
+                    agent=piece.agent,
+                    chunk=piece.chunk,
+                    received_ns=piece.received_ns,
+                    decoded_ns=piece.decode_end_ns,
+                )
+                for piece in frame.pieces
+            ],
+            points=result.points,
+            drops=dict(+(Counter(self._context.inbox.drops) + self._assembler.drops)),
+        )
+        self._context.world.publish("metrics", metrics, process=self._context.id)
+
+
+def expected_agents(scenario: dict[str, Any]) -> dict[str, str]:
+    """Returns the agent processes that a scenario starts with, and their roles."""
+    vehicles = scenario["processes"]["vehicle"]
+    posts = len(scenario["roadside_mounts"])
+    return {f"vehicle-{n}": "vehicle" for n in range(vehicles)} | {
+        f"infra-{n}": "infra" for n in range(posts)
+    }
+
+
+def _waits(frame: Frame) -> list[Span]:
+    wait = Span(stage="wait", start_ns=frame.first_ns, end_ns=frame.ready_ns)
+    return [wait] + [
+        Span(
+            stage="decode",
+            agent=piece.agent,
+            start_ns=piece.decode_start_ns,
+            end_ns=piece.decode_end_ns,
+        )
+        for piece in frame.pieces
+    ]

@@ -1,0 +1,1 @@
+"""The signal controller: lane counts in, the wish for a phase out. Policies are pure functions."""

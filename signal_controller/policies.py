@@ -1,0 +1,57 @@
+"""Policies: from counts and time to the green state to ask for. Pure functions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from protocol.messages import LaneCounts, SignalState
+from protocol.roadmap import Signal
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """A green state, one character per link, and the pressure of each of the signal's phases."""
+
+    state: str
+    pressures: list[float]
+
+
+def max_pressure(signal: Signal, counts: LaneCounts, shown: SignalState | None) -> Decision:
+    """Chooses the phase of highest pressure (Varaiya 2013; Chen et al. 2022).
+
+    A tie leaves the present green, else the plan's first phase wins. While a change is under way
+    its goal stands: the counts that led to it are not weighed anew half-way.
+    """
+    greens = signal.greens
+    pressures = [pressure(signal, green, counts.upstream, counts.downstream) for green in greens]
+    present = shown.green if shown is not None and shown.green in greens else None
+    if shown is not None and present is not None and shown.stage != "green":
+        return Decision(present, pressures)
+    highest = max(pressures)
+    if present is not None and pressures[greens.index(present)] == highest:
+        return Decision(present, pressures)
+    return Decision(greens[pressures.index(highest)], pressures)
+
+
+def fixed(signal: Signal, sim_time_ns: int) -> Decision:
+    """Asks for what the net's own plan shows at this time."""
+    return Decision(signal.planned_green(sim_time_ns / 1e9), [])
+
+
+def pressure(
+    signal: Signal, green: str, upstream: Mapping[str, int], downstream: Mapping[str, int]
+) -> float:
+    """Returns vehicles before minus vehicles behind, over the lanes that a phase lets go.
+
+    A lane counts once, however many ways it leads; what lies behind it is the mean over the exits
+    that this phase opens to it. A lane without a count has none.
+    """
+    exits: dict[str, list[str]] = {}
+    for link in signal.links:
+        if green[link.index] in "Gg":
+            exits.setdefault(link.from_lane, []).append(link.to_lane)
+    return sum(
+        upstream.get(lane, 0) - sum(downstream.get(name, 0) for name in names) / len(names)
+        for lane, names in exits.items()
+    )
