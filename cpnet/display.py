@@ -8,20 +8,21 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from cpnet.scenario import Scenario
 from protocol.messages import Progress
 
-LINE_EVERY_FRAMES_S = 10.0
+LINE_EVERY_S = 10.0
 MAX_AGENTS = 12
 
 
 class Display:
     """Shows each `Progress`; a context manager."""
 
-    def __init__(self, console: Console, duration_s: float) -> None:
+    def __init__(self, console: Console, scenario: Scenario) -> None:
         self._console = console
-        self._duration_s = duration_s
+        self._scenario = scenario
         self._live = Live(console=console, transient=True, auto_refresh=False)
-        self._told_s = -LINE_EVERY_FRAMES_S
+        self._told_s = -LINE_EVERY_S
 
     def __enter__(self) -> Display:
         if self._console.is_terminal:
@@ -32,26 +33,26 @@ class Display:
         self._live.stop()
 
     def show(self, progress: Progress) -> None:
-        """Draws the newest state of the run."""
+        """Draws the newest state of the run; times leave out the warm-up."""
+        time_s = (progress.frame + 1) * self._scenario.frame_period_s
         if self._console.is_terminal:
-            self._live.update(_panel(progress, self._duration_s), refresh=True)
-        elif progress.sim_time_ns / 1e9 - self._told_s >= LINE_EVERY_FRAMES_S:
-            self._told_s = progress.sim_time_ns / 1e9
-            self._console.print(_line(progress), highlight=False, soft_wrap=True)
+            self._live.update(_panel(progress, time_s, self._scenario.duration_s), refresh=True)
+        elif time_s - self._told_s >= LINE_EVERY_S:
+            self._told_s = time_s
+            self._console.print(_line(progress, time_s), highlight=False, soft_wrap=True)
 
 
-def _line(progress: Progress) -> str:
+def _line(progress: Progress, time_s: float) -> str:
     total_mbps = sum(progress.mbps.values())
     return (
-        f"frame {progress.frame}  {progress.sim_time_ns / 1e9:.1f} s  "
+        f"frame {progress.frame}  {time_s:.1f} s  "
         f"x{progress.real_time_factor:.2f}  {progress.vehicles} vehicles, {progress.cavs} CAVs, "
         f"{progress.detections} detected  {total_mbps:.1f} Mbit/s from {len(progress.mbps)} agents"
         f"  {progress.end_to_end_ms:.0f} ms end to end  {progress.state}"
     )
 
 
-def _panel(progress: Progress, duration_s: float) -> RenderableType:
-    time_s = progress.sim_time_ns / 1e9
+def _panel(progress: Progress, time_s: float, duration_s: float) -> RenderableType:
     table = Table.grid(padding=(0, 3))
     table.add_row("frame", f"{progress.frame}", "simulated", f"{time_s:.1f} of {duration_s:g} s")
     table.add_row(

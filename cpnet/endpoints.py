@@ -10,7 +10,7 @@ from protocol.errors import ConfigError
 from protocol.topics import BusName
 
 _LOCATOR = re.compile(
-    r"(?:(?P<bus>v2x|world)=)?(?:tcp/)?(?P<host>\[[^\]]+\]|[^:/\s]+):(?P<port>\d+)"
+    r"(?:(?P<bus>v2x|world)=)?(?:tcp/)?(?P<host>\[[^\]]+\]|[^:=/\s]+):(?P<port>\d+)"
 )
 Endpoints = dict[BusName, Endpoint]
 

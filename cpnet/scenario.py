@@ -9,13 +9,13 @@ from typing import Any, Literal
 
 import yaml
 from pydantic import BaseModel, Field, ValidationError
-from signal_controller.config import SignalConfig
 
 from edge_server.config import EdgeConfig
 from protocol.config import Section
 from protocol.errors import ConfigError
 from recorder.config import RecordConfig
 from sensing.config import LidarConfig, Mount, PoseErrorConfig, SceneConfig, UploadConfig
+from signal_controller.config import SignalConfig
 from sim_host.config import CabinetConfig, TrafficConfig
 
 

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -69,16 +68,15 @@ class Supervisor:
             )
             self._children.append(Child(entry, process, path, log))
 
-    def death(self, expected: Collection[str] = ()) -> Death | None:
-        """Returns a process that ended on its own, unless it was expected to end well.
+    def death(self, *, at_end: bool) -> Death | None:
+        """Returns a process that failed, or, before the run's end, that ended at all.
 
         Of several the one that a signal killed comes first: it is the cause, not a consequence.
         """
         dead = [
             (status, child)
             for child in self._children
-            if (status := child.process.poll()) is not None
-            and not (status == 0 and child.entry.id in expected)
+            if (status := child.process.poll()) is not None and not (at_end and status == 0)
         ]
         if not dead:
             return None

@@ -131,14 +131,14 @@ def _attend(
     death = _wait_for_world(supervisor, interruption)
     if death is None and not interruption.event.is_set():
         world = connecting(endpoints[BusName.WORLD])
-        with Watch(world) as watch, Display(console, scenario.duration_s) as display:
+        with Watch(world) as watch, Display(console, scenario) as display:
             death = _follow(supervisor, watch, display, interruption)
     if interruption.event.is_set():
         console.print(f"stopping ({signal.Signals(interruption.number).name})")
         return 128 + interruption.number
     if death is not None:
         console.print(f"[bold red]{death.id} {death.how}[/]; the last lines of its log:")
-        console.print(death.tail, highlight=False, markup=False)
+        console.print(death.tail, highlight=False, markup=False, soft_wrap=True)
         return 1
     return 0
 
@@ -148,7 +148,7 @@ def _wait_for_world(supervisor: Supervisor, interruption: Interruption) -> Death
     for _ in range(3):
         if interruption.event.wait(POLL_S):
             break
-        if death := supervisor.death():
+        if death := supervisor.death(at_end=False):
             return death
     return None
 
@@ -160,9 +160,9 @@ def _follow(
     while not interruption.event.is_set():
         if watch.update(POLL_S) and watch.progress:
             display.show(watch.progress)
-        if supervisor.death() and watch.end is None:
+        if supervisor.death(at_end=False) and watch.end is None:
             watch.update(OVERTAKEN_S)  # the end may still be on its way
-        if death := supervisor.death({"sim", "record"} if watch.end else ()):
+        if death := supervisor.death(at_end=watch.end is not None):
             return death
         if watch.end is None and watch.gone("sim"):
             return Death("sim", "left the other machine before the run ended", "(no log here)")

@@ -64,20 +64,20 @@ class Assembler:
         if part is None:
             return
         self._heard.add(roster.process)
-        if self._has_room(part, len(part.rosters), len(roster.agents)):
+        if self._has_room(len(part.rosters), len(roster.agents)):
             part.rosters[roster.process] = roster
 
     def add_pose(self, pose: AgentPose, received_ns: int) -> None:
         """Takes an agent's pose."""
         part = self._part(pose.frame, received_ns)
-        if part is not None and self._has_room(part, len(part.poses), 1):
+        if part is not None and self._has_room(len(part.poses), 1):
             self.add_time(pose.frame, pose.sim_time_ns)
             part.poses[pose.agent] = pose
 
     def add_piece(self, piece: Piece) -> None:
         """Takes a decoded chunk of a scan."""
         part = self._part(piece.frame, piece.received_ns)
-        if part is None or not self._has_room(part, len(part.pieces), 1):
+        if part is None or not self._has_room(len(part.pieces), 1):
             return
         if part.size_bytes + piece.points.nbytes > MAX_BYTES:
             self.drops["frame_too_large"] += 1
@@ -124,7 +124,7 @@ class Assembler:
             part.first_ns = min(part.first_ns, received_ns)
         return part
 
-    def _has_room(self, part: _OpenFrame, held: int, more: int) -> bool:
+    def _has_room(self, held: int, more: int) -> bool:
         has_room = held + more <= MAX_AGENTS
         self.drops["too_many_agents"] += not has_room
         return has_room

@@ -102,31 +102,6 @@ def _boxes(extents: Floats, middles: Floats, yaws: Floats) -> Floats:
     return np.column_stack([x, y, up, extents[:, 1] - extents[:, 0], yaws])
 
 
-@njit(
-    "void(float32[:,::1], int64[::1], float64[:,::1], float64[::1], float64[:,:,::1])", cache=True
-)
-def _fit(points: Floats32, starts: Ints, middles: Floats, yaws: Floats, extents: Floats) -> None:
-    """Turns each cluster's yaw to the best one and writes its extents along the box's axes."""
-    local = np.empty((points.shape[0], 2))
-    for index in range(middles.shape[0]):
-        first, end = starts[index], starts[index + 1]
-        for i in range(first, end):
-            local[i, 0] = points[i, 0] - middles[index, 0]
-            local[i, 1] = points[i, 1] - middles[index, 1]
-        if end - first >= FEW_POINTS:
-            step = max((end - first) // FIT_POINTS, 1)
-            yaws[index] = _direction(local[first:end:step].copy(), yaws[index])
-        _measure(local[first:end], yaws[index], extents[index])
-        sizes = extents[index, 1] - extents[index, 0]
-        if sizes[1] > WIDE_M and sizes[1] > sizes[0]:
-            yaws[index] += np.pi / 2
-            _measure(local[first:end], yaws[index], extents[index])
-        low, high = np.inf, -np.inf
-        for i in range(first, end):
-            low, high = min(low, points[i, 2]), max(high, points[i, 2])
-        extents[index, 0, 2], extents[index, 1, 2] = low, high
-
-
 @njit("void(float64[:,::1], float64, float64[:,::1])", cache=True)
 def _measure(local: Floats, yaw: float, extents: Floats) -> None:
     cos, sin = np.cos(yaw), np.sin(yaw)
@@ -160,3 +135,28 @@ def _direction(local: Floats, road_yaw: float) -> float:
         if score > best:
             best, best_yaw = score, yaw
     return best_yaw
+
+
+@njit(
+    "void(float32[:,::1], int64[::1], float64[:,::1], float64[::1], float64[:,:,::1])", cache=True
+)
+def _fit(points: Floats32, starts: Ints, middles: Floats, yaws: Floats, extents: Floats) -> None:
+    """Turns each cluster's yaw to the best one and writes its extents along the box's axes."""
+    local = np.empty((points.shape[0], 2))
+    for index in range(middles.shape[0]):
+        first, end = starts[index], starts[index + 1]
+        for i in range(first, end):
+            local[i, 0] = points[i, 0] - middles[index, 0]
+            local[i, 1] = points[i, 1] - middles[index, 1]
+        if end - first >= FEW_POINTS:
+            step = max((end - first) // FIT_POINTS, 1)
+            yaws[index] = _direction(local[first:end:step].copy(), yaws[index])
+        _measure(local[first:end], yaws[index], extents[index])
+        sizes = extents[index, 1] - extents[index, 0]
+        if sizes[1] > WIDE_M and sizes[1] > sizes[0]:
+            yaws[index] += np.pi / 2
+            _measure(local[first:end], yaws[index], extents[index])
+        low, high = np.inf, -np.inf
+        for i in range(first, end):
+            low, high = min(low, points[i, 2]), max(high, points[i, 2])
+        extents[index, 0, 2], extents[index, 1, 2] = low, high

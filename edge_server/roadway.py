@@ -57,14 +57,14 @@ class Roadway:
         kept = np.empty_like(points)
         road_m = np.empty(len(points), np.float32)
         grid = np.array([*self.origin_m, self.cell_m])
-        band = np.array([-below_m, above_m])
+        band = np.array([-below_m, above_m], np.float64)
         count = _crop(points, grid, band, self.inside, self.height_m, kept, road_m)
         return kept[:count], road_m[:count]
 
     def yaw_at(self, points: Floats) -> Floats:
         """Returns the road's direction (N,) at points (N, 2 or 3); 0 off the road."""
         rows, columns, known = self._cells(points)
-        return np.where(known, self.yaw_rad[rows, columns], 0.0)
+        return np.where(known, self.yaw_rad[rows, columns].astype(np.float64), 0.0)
 
     def _cells(self, points: Floats) -> tuple[Ints, Ints, Bools]:
         cells = np.floor((points[:, :2] - self.origin_m) / self.cell_m)

@@ -118,7 +118,7 @@ class ZenohBus:
         def take(sample: zenoh.Sample) -> None:
             role, process_id = str(sample.key_expr).split("/")[-2:]
             alive = sample.kind == zenoh.SampleKind.PUT
-            self._inbox.put(Presence(role, process_id, alive))
+            self._inbox.put(Presence(role, process_id, alive, self._name))
 
         subscriber = self._session.liveliness().declare_subscriber(
             f"{ALIVE}/*/*", take, history=True

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from protocol.errors import ProtocolError
 from protocol.messages import Message
-from protocol.topics import Topic
+from protocol.topics import BusName, Topic
 from protocol.wire import decode
 
 CAPACITY = 4096
@@ -34,6 +34,7 @@ class Presence:
     role: str
     id: str
     alive: bool
+    bus: BusName = BusName.V2X
 
 
 @dataclass(frozen=True, slots=True, eq=False)

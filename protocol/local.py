@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from fnmatch import fnmatchcase
 
 from protocol.inbox import Inbox, Presence, Sealed
 from protocol.messages import Message
-from protocol.topics import TOPICS, Topic
+from protocol.topics import TOPICS, BusName, Topic
 from protocol.wire import encode
 
 
 class LocalNetwork:
     """Connects the buses that it makes."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: BusName = BusName.V2X) -> None:
+        self.name = name
         self.buses: list[LocalBus] = []
         self.tokens: list[Presence] = []
 
@@ -58,7 +60,7 @@ class LocalBus:
 
     def announce(self, role: str, process_id: str) -> None:
         """See `Bus.announce`."""
-        token = Presence(role, process_id, alive=True)
+        token = Presence(role, process_id, alive=True, bus=self._network.name)
         self._tokens.append(token)
         self._network.tokens.append(token)
         self._tell(token)
@@ -78,7 +80,7 @@ class LocalBus:
         self._network.buses.remove(self)
         for token in self._tokens:
             self._network.tokens.remove(token)
-            self._tell(Presence(token.role, token.id, alive=False))
+            self._tell(replace(token, alive=False))
 
     def _tell(self, presence: Presence) -> None:
         for bus in self._network.buses:

@@ -12,6 +12,7 @@ from protocol.messages import Equipment, Metrics, Progress, Tick
 class Glance:
     """Gathers between two reports; rates are per simulated second, as the agents would see them."""
 
+    frame_period_ns: int
     frame: int = 0
     sim_time_ns: int = 0
     vehicles: int = 0
@@ -31,7 +32,7 @@ class Glance:
         self.cavs = equipment.count(Equipment.CAV)
         self.cvs = equipment.count(Equipment.CV)
         if self._since is None:
-            self._since = (tick.sim_time_ns, now_ns)
+            self._since = (tick.sim_time_ns - self.frame_period_ns, now_ns)
 
     def measured(self, metrics: Metrics) -> None:
         """Notes what was sent."""

@@ -41,7 +41,7 @@ class RecordRole:
         self._frame_period_ns = round(float(scenario.get("frame_period_s", 0.1)) * 1e9)
         self._database = Database(context.run_dir)
         self._ledger = Ledger()
-        self._glance = Glance()
+        self._glance = Glance(self._frame_period_ns)
         self._ending = Ending()
         self._drops: dict[str, dict[str, int]] = {}
         self._committed_ns = self._told_ns = time.monotonic_ns()

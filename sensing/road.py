@@ -61,7 +61,9 @@ class RoadArea:
         return self._outer(line, outward)
 
     def _outer(self, points: Floats, outward: Floats) -> list[Edge]:
-        free = self.clearance_m(points + outward * _PROBE_M) > 0
+        inside_m = np.maximum(-self.clearance_m(points), 0.0)
+        free = (self.clearance_m(points + outward * _PROBE_M) > 0) & (inside_m < _PROBE_M)
+        points = points + outward * inside_m[:, None]  # at bends, where the offset falls short
         cuts = np.flatnonzero(np.diff(np.concatenate([[False], free, [False]]).astype(np.int8)))
         return [
             Edge(points[start:end], outward[start:end])

@@ -8,6 +8,7 @@ from typing import Any
 
 from protocol.errors import BusError
 from protocol.inbox import Presence
+from protocol.topics import BusName
 
 _REMIND_NS = 5_000_000_000
 _log = logging.getLogger(__name__)
@@ -21,20 +22,24 @@ def expected_processes(scenario: dict[str, Any]) -> list[str]:
 
 
 class RollCall:
-    """Hears who appears and who vanishes."""
+    """Hears who appears and who vanishes.
+
+    A process is there when it has shown itself on both buses: only then is all that it asked for
+    known to both routers, and nothing of the first frame can pass it by.
+    """
 
     def __init__(self, expected: list[str], timeout_s: float) -> None:
         self._expected = expected
         self._timeout_s = timeout_s
-        self._here: set[str] = set()
+        self._here: set[tuple[BusName, str]] = set()
         self._since_ns = self._reminded_ns = time.monotonic_ns()
 
     def hear(self, presence: Presence) -> None:
         """Notes a presence."""
         if presence.alive:
-            self._here.add(presence.id)
+            self._here.add((presence.bus, presence.id))
         else:
-            self._here.discard(presence.id)
+            self._here.discard((presence.bus, presence.id))
 
     def is_complete(self) -> bool:
         """Tells whether all are there, and says in the log who is missing.
@@ -42,7 +47,9 @@ class RollCall:
         Raises:
             BusError: somebody did not come in time; the text says who.
         """
-        missing = ", ".join(name for name in self._expected if name not in self._here)
+        missing = ", ".join(
+            name for name in self._expected if any((bus, name) not in self._here for bus in BusName)
+        )
         now_ns = time.monotonic_ns()
         if missing and now_ns - self._since_ns > self._timeout_s * 1e9:
             raise BusError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rich import box
 from rich.columns import Columns
 from rich.console import Console
 from rich.table import Table
@@ -35,7 +36,8 @@ def _result_table(summary: Summary) -> Table:
     vehicles, seen = summary["vehicles"], summary["detections_per_frame"]
     e_cvpr, delay = summary["e_cvpr"], summary["delay_s"]
     facts = [
-        ("frames", f"{summary['frames']} ({summary['frames_incomplete']} incomplete)"),
+        ("frames", str(summary["frames"])),
+        ("  incomplete", str(summary["frames_incomplete"])),
         ("simulated time", f"{summary['sim_duration_s']:.1f} s"),
         ("real-time factor", _number(summary["real_time_factor"], 2)),
         ("E-CVPR", _spread(e_cvpr, 100, 1, " %")),
@@ -49,8 +51,7 @@ def _result_table(summary: Summary) -> Table:
         ("phase switches", str(summary["phases"]["switches"])),
         ("drops", str(summary["drops"])),
     ]
-    table = Table("result", "")
-    table.columns[1].justify = "right"
+    table = _numeric("result", "")
     for name, value in facts:
         table.add_row(name, value)
     return table
@@ -60,14 +61,15 @@ def _latency_table(summary: Summary) -> Table:
     table = _numeric("latency in ms", "p50", "p95", "p99")
     latency = summary["latency_ms"]
     for stage in (*STAGES, *(stage for stage in latency if stage not in STAGES)):
-        style = "bold" if stage == "end_to_end" else None
+        style = None if stage in STAGES else "dim"
+        style = "bold" if stage == "end_to_end" else style
         figures = [_number(latency[stage][p], 2) for p in ("p50", "p95", "p99")]
         table.add_row(stage.replace("_", " "), *figures, style=style)
     return table
 
 
 def _agent_table(summary: Summary) -> Table:
-    table = _numeric("agent", "frames", "points", "kB per frame", "Mbit/s", "Mbit/s on the wire")
+    table = _numeric("agent", "frames", "points", "kB/frame", "Mbit/s", "on the wire")
     agents = sorted(summary["agents"].items(), key=lambda item: (-item[1]["frames"], item[0]))
     for agent, figures in agents[:_MOST_AGENTS]:
         table.add_row(
@@ -93,7 +95,7 @@ def _drop_table(summary: Summary) -> Table:
 
 
 def _numeric(first: str, *others: str) -> Table:
-    table = Table(first)
+    table = Table(first, box=box.SIMPLE_HEAD, pad_edge=False)
     for name in others:
         table.add_column(name, justify="right")
     return table

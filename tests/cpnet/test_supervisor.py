@@ -47,7 +47,7 @@ def test_a_process_that_ends_is_named_with_its_log(supervisor, tmp_path):
     with supervisor:
         supervisor.start([entry(tmp_path, "short_lived", code)])
         wait_for(tmp_path / "logs" / "short_lived.log", "lidar")
-        while (death := supervisor.death()) is None:
+        while (death := supervisor.death(at_end=False)) is None:
             signal.sigtimedwait([], 0.01)
     assert (death.id, death.how) == ("short_lived", "ended with status 1")
     assert death.tail == "the cat ate the lidar"
@@ -61,18 +61,18 @@ def test_a_killed_process_is_named_before_those_that_fell_with_it(supervisor, tm
                 entry(tmp_path, "killed", "import os; os.kill(os.getpid(), 9)"),
             ]
         )
-        while (death := supervisor.death()) is None or death.id == "fell":
+        while (death := supervisor.death(at_end=False)) is None or death.id == "fell":
             signal.sigtimedwait([], 0.01)
     assert (death.id, death.how) == ("killed", "was killed by SIGKILL")
 
 
-def test_a_process_that_was_expected_to_end_is_no_death(supervisor, tmp_path):
+def test_at_the_runs_end_a_process_that_ends_well_is_no_death(supervisor, tmp_path):
     with supervisor:
         supervisor.start([entry(tmp_path, "done", "pass")])
         while supervisor.running("done"):
             signal.sigtimedwait([], 0.01)
-        assert supervisor.death({"done"}) is None
-        assert supervisor.death() is not None
+        assert supervisor.death(at_end=True) is None
+        assert supervisor.death(at_end=False) is not None
 
 
 def test_a_process_that_will_not_stop_is_killed(supervisor, tmp_path, monkeypatch):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import SEED, street
+from conftest import SEED, lane, street
 
 from protocol.roadmap import RoadMap
 from sensing.config import SceneConfig
@@ -78,3 +78,13 @@ def test_the_users_buildings_replace_those_by_seed(road_map: RoadMap) -> None:
     ].transpose(1, 0, 2)
     roof_m2 = np.sum((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
     assert roof_m2 == pytest.approx(300.0, rel=1e-4)
+
+
+def test_kerbs_keep_off_a_road_that_bends() -> None:
+    angle = np.linspace(0, 1.5, 9)
+    bend = [(40 * float(np.sin(a)), 40 * float(np.cos(a)), 0.0) for a in angle]
+    straight = street()
+    lanes = [*straight.lanes, lane("bend_0", [(x - 120, y - 46, z) for x, y, z in bend])]
+    road_map = straight.model_copy(update={"lanes": lanes})
+    kerbs = build_scene(road_map, SceneConfig(), SEED).kerbs
+    assert RoadArea(road_map).clearance_m(kerbs.vertices[:, :2]).min() > -0.03

@@ -14,6 +14,7 @@ from protocol.errors import BusError
 from protocol.inbox import Envelope, Inbox
 from protocol.local import LocalBus, LocalNetwork
 from protocol.process import Context
+from protocol.topics import BusName
 from sim_host.role import SimRole
 from sim_host.setup import build_setup
 
@@ -38,7 +39,7 @@ class Rig:
             "processes": {"vehicle": 2},
         }
         setup = build_setup({**scenario, **more}, run_dir)
-        world, v2x = LocalNetwork(), LocalNetwork()
+        world, v2x = LocalNetwork(BusName.WORLD), LocalNetwork()
         self.inbox, self.seen = Inbox(), Inbox()
         self.stop = threading.Event()
         own_world, own_v2x = world.bus(self.inbox), v2x.bus(self.inbox)
@@ -46,8 +47,8 @@ class Rig:
         for topic in ("tick", "truth", "trips", "end", "metrics"):
             self.listener_world.subscribe(topic)
         self.listener_v2x.subscribe("state")
-        self.others: dict[str, LocalBus] = {}
-        self.network = world
+        self.others: dict[str, list[LocalBus]] = {}
+        self.networks = (world, v2x)
         context = Context(
             "sim", setup, run_dir, own_world, own_v2x, self.inbox, self.stop, lambda: own_v2x
         )
@@ -55,11 +56,13 @@ class Rig:
 
     def appear(self, *names: str) -> None:
         for name in names:
-            self.others[name] = self.network.bus(Inbox())
-            self.others[name].announce(name.split("-")[0], name)
+            self.others[name] = [network.bus(Inbox()) for network in self.networks]
+            for bus in self.others[name]:
+                bus.announce(name.split("-")[0], name)
 
     def vanish(self, name: str) -> None:
-        self.others.pop(name).close()
+        for bus in self.others.pop(name):
+            bus.close()
 
     def turn(self) -> list[m.Message]:
         """Lets the role go on with all that came; returns what it said."""
@@ -109,9 +112,11 @@ def only(said: list[m.Message], kind: type[M]) -> list[M]:
 def test_nothing_begins_before_all_are_there(make: type[Rig]) -> None:
     rig = make()
     rig.appear(*OTHERS[:-1])
+    last = [network.bus(Inbox()) for network in rig.networks]
+    last[0].announce("vehicle", OTHERS[-1])
     for _ in range(20):
         assert rig.turn() == []
-    rig.appear(OTHERS[-1])
+    last[1].announce("vehicle", OTHERS[-1])
     assert only(rig.until_frame(), m.Tick)
 
 

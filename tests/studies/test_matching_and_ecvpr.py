@@ -1,0 +1,140 @@
+"""Matching of detections with vehicles, the signal's reach, and E-CVPR."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.messages import Setup, VehicleType
+from protocol.roadmap import Lane, Link, RoadMap, Signal
+from protocol.wire import encode
+from recorder.database import Database
+from recorder.run import SETUP_NAME, Run
+from recorder.tables import DetectionRow, FrameRow, TruthRow
+from studies.ecvpr import FrameScore, score
+from studies.matching import match
+from studies.reach import Reach
+
+CAR = VehicleType(name="car", mesh="car", length_m=4.0, width_m=2.0, height_m=1.5)
+COORDINATES = st.floats(-15, 15, allow_nan=False)
+
+
+def lane(name: str, start: float, end: float, successors: list[str], *, internal: bool = False):
+    return Lane(
+        id=name, edge=name, width_m=3.0, speed_mps=10.0, length_m=abs(end - start),
+        centreline=[(start, 0, 0), (end, 0, 0)], successors=successors, internal=internal,
+    )  # fmt: skip
+
+
+def straight_road() -> RoadMap:
+    """A road along x: far (300 m), in (150 m), the junction (10 m), out (80 m), beyond (50 m)."""
+    return RoadMap(
+        name="straight",
+        centre=(0, 0, 0),
+        lanes=[
+            lane("far", -455, -155, ["in"]),
+            lane("in", -155, -5, [":j"]),
+            lane(":j", -5, 5, ["out"], internal=True),
+            lane("out", 5, 85, ["beyond"]),
+            lane("beyond", 85, 135, []),
+        ],
+        signal=Signal(
+            tls="j", links=[Link(index=0, from_lane="in", to_lane="out")], conflicts=[], plan=[]
+        ),
+        junction=[],
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "position_m", "inside"),
+    [
+        ("in", 0.0, True),
+        ("in", 150.0, True),
+        ("far", 249.0, False),
+        ("far", 250.0, True),
+        (":j", 5.0, True),
+        ("out", 80.0, True),
+        ("beyond", 10.0, True),
+        ("beyond", 11.0, False),
+        ("elsewhere", 0.0, False),
+    ],
+)
+def test_the_reach_is_measured_along_the_lanes(name: str, position_m: float, inside: bool) -> None:
+    assert Reach(straight_road()).contains(name, position_m) is inside
+
+
+def test_a_centre_up_to_half_a_metre_beside_the_footprint_matches() -> None:
+    vehicles, sizes = np.array([[0.0, 0.0, np.pi / 2]]), np.array([[4.0, 2.0]])
+    for centre, expected in {(1.4, 0): 1, (1.6, 0): 0, (0, 2.4): 1, (0, 2.6): 0}.items():
+        assert len(match(np.array([centre], float), vehicles, sizes)) == expected
+
+
+def test_two_detections_of_one_vehicle_count_once_and_the_nearer_is_taken() -> None:
+    centres = np.array([[0.5, 0.0], [0.1, 0.0]])
+    assert match(centres, np.zeros((1, 3)), np.array([[4.0, 2.0]])) == [(1, 0)]
+
+
+def test_nothing_matches_nothing() -> None:
+    assert match(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 2))) == []
+    assert match(np.zeros((3, 2)), np.zeros((0, 3)), np.zeros((0, 2))) == []
+
+
+@given(
+    centres=st.lists(st.tuples(COORDINATES, COORDINATES), max_size=12),
+    vehicles=st.lists(st.tuples(COORDINATES, COORDINATES, COORDINATES), max_size=8, unique=True),
+    seed=st.integers(0, 1000),
+)
+def test_a_permutation_gives_the_same_pairs(
+    centres: list[tuple[float, float]], vehicles: list[tuple[float, float, float]], seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    c, v = np.array(centres).reshape(-1, 2), np.array(vehicles).reshape(-1, 3)
+    sizes = np.tile([4.0, 2.0], (len(v), 1))
+    order_c, order_v = rng.permutation(len(c)), rng.permutation(len(v))
+    plain = {(*c[i], *v[j]) for i, j in match(c, v, sizes)}
+    mixed = {(*c[order_c][i], *v[order_v][j]) for i, j in match(c[order_c], v[order_v], sizes)}
+    assert plain == mixed
+    pairs = match(c, v, sizes)
+    assert len({i for i, _ in pairs}) == len({j for _, j in pairs}) == len(pairs)
+
+
+def truth(frame: int, vehicle: str, x_m: float, name: str, position_m: float) -> TruthRow:
+    return TruthRow(frame, vehicle, "car", 0, x_m, 0, 0, 0, 0, 0, 5.0, name, position_m)
+
+
+def detection(frame: int, number: int, x_m: float) -> DetectionRow:
+    return DetectionRow(frame, number, x_m, 0, 0.7, 4, 2, 1.5, 0, 1.0, "in", 5.0, "lidar")
+
+
+def frame_row(frame: int, detections: int | None) -> FrameRow:
+    return FrameRow(frame, frame * 10**8, 1, 0, 0, 0, 0, detections, 1, frame, None, None)
+
+
+def write_setup(run_dir: Path) -> None:
+    setup = Setup(
+        scenario={},
+        road_map=straight_road(),
+        vehicle_types=[CAR],
+        meshes=[],
+        mesh_vertices=np.zeros((0, 3)),
+        mesh_triangles=np.zeros((0, 3)),
+    )
+    (run_dir / SETUP_NAME).write_bytes(encode(setup))
+
+
+def test_e_cvpr_is_true_detections_over_vehicles_present(tmp_path: Path) -> None:
+    write_setup(tmp_path)
+    database = Database(tmp_path)
+    near, left, far = ("a", -10.0, "in", 145.0), ("b", 20.0, "out", 15.0), ("c", -400, "far", 55.0)
+    database.add(TruthRow, [truth(frame, *v) for frame in range(3) for v in (near, left, far)])
+    database.add(TruthRow, [truth(3, *far)])
+    seen_in_frame_0 = [-9.5, -400.0, 300.0]  # one present, one beyond the reach, one of nothing
+    database.add(DetectionRow, [detection(0, i, x) for i, x in enumerate(seen_in_frame_0)])
+    database.add(FrameRow, [frame_row(0, 3), frame_row(1, 0), frame_row(2, None), frame_row(3, 0)])
+    database.close()
+    with Run(tmp_path) as run:
+        scores = score(run)
+    assert scores == [FrameScore(0, 2, 1, 1), FrameScore(1, 2, 0, 0), FrameScore(3, 0, 0, 0)]
+    assert [s.e_cvpr for s in scores] == [0.5, 0.0, None]

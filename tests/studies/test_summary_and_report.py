@@ -1,0 +1,113 @@
+"""The summary of runs: whole, empty, killed."""
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from protocol.errors import ConfigError
+from recorder.database import Database
+from recorder.tables import (
+    DropRow,
+    FrameRow,
+    MetaRow,
+    PhaseRow,
+    StageRow,
+    TripRow,
+    UploadRow,
+)
+from studies.latency import STAGES
+from studies.report import print_report
+from studies.summary import summarise, to_json
+
+MS = 1_000_000
+
+
+def whole_run(run_dir: Path) -> None:
+    """Ten frames of 0.1 s, played in 0.6 s."""
+    database = Database(run_dir)
+    scenario = {"name": "demo", "seed": 3, "mode": "lockstep", "frame_period_s": 0.1}
+    database.add(MetaRow, {"scenario": json.dumps(scenario), "end_reason": "finished"}.items())
+    for frame in range(10):
+        start = frame * 60 * MS
+        row = FrameRow(
+            frame, frame * 100 * MS, 5, 1, 0, 1, 9, 3, 1, start, start, (40 + frame) * MS
+        )
+        database.add(FrameRow, [row])
+        sent = (start + 2 * MS, start + 8 * MS, start + 9 * MS, start + 10 * MS)
+        wire = 2200 if frame else 0
+        upload = UploadRow(frame, "rsu-0", 0, 9, 2000, wire, *sent, start + 12 * MS, None)
+        database.add(UploadRow, [upload])
+        database.add(StageRow, [StageRow(frame, "edge", "", "detect", start, (frame + 1) * MS)])
+        state, stage = ("Gr", "green") if frame < 4 else ("rG", "green")
+        stage = "yellow" if frame == 4 else stage
+        database.add(PhaseRow, [PhaseRow(frame, "t", frame * 100 * MS, state, stage, state, "p")])
+    database.add(
+        TripRow,
+        [
+            TripRow("a", 0, 0.0, 9.0, 4.0, 0),
+            TripRow("b", 1, 0.0, 8.0, 2.0, 1),
+            TripRow("c", 1, 0.0, None, 90.0, 0),
+        ],
+    )
+    database.add(DropRow, [DropRow("edge", "late", 2), DropRow("sim", "late", 3)])
+    database.close()
+
+
+def test_the_summary_holds_the_figures_of_a_run(tmp_path: Path) -> None:
+    whole_run(tmp_path)
+    summary = summarise(tmp_path)
+    assert (summary["scenario"], summary["ended"]) == ("demo", "finished")
+    assert (summary["frames"], summary["sim_duration_s"]) == (10, 1.0)
+    assert summary["real_time_factor"] == pytest.approx(100 / 60)
+    agent = summary["agents"]["rsu-0"]
+    assert (agent["frames"], agent["bytes_per_frame"]) == (10, 2000)
+    assert agent["mbps"] == pytest.approx(0.16)
+    assert agent["wire_bytes_per_frame"] == pytest.approx(1980)
+    assert list(summary["latency_ms"]) == list(STAGES)
+    assert summary["latency_ms"]["end_to_end"]["p50"] == pytest.approx(44.5)
+    assert summary["latency_ms"]["sense"]["p99"] == pytest.approx(6.0)
+    assert summary["latency_ms"]["link"]["p50"] == pytest.approx(3.0)
+    assert summary["latency_ms"]["detect"]["p50"] == pytest.approx(5.5)
+    assert summary["latency_ms"]["decode"]["p50"] is None
+    assert summary["delay_s"] == {"mean": 3.0, "std": 1.0}
+    assert summary["vehicles"] == {"inserted": 3, "finished": 2, "teleported": 1}
+    assert summary["phases"] == {"switches": 1}
+    assert summary["drops"] == 5
+    assert summary["drops_by_reason"] == {"edge": {"late": 2}, "sim": {"late": 3}}
+
+
+def test_an_empty_run_has_the_same_keys_and_no_figures(tmp_path: Path) -> None:
+    (tmp_path / "whole").mkdir()
+    (tmp_path / "empty").mkdir()
+    whole_run(tmp_path / "whole")
+    Database(tmp_path / "empty").close()
+    empty, whole = summarise(tmp_path / "empty"), summarise(tmp_path / "whole")
+    assert list(empty) == list(whole)
+    assert list(empty["latency_ms"]) == list(STAGES)
+    assert (empty["frames"], empty["sim_duration_s"], empty["real_time_factor"]) == (0, 0.0, None)
+    assert empty["e_cvpr"] == {"mean": None, "std": None}
+    assert empty["delay_s"]["mean"] is None
+    assert json.loads(to_json(empty)) == empty
+
+
+@pytest.mark.parametrize("is_empty", [True, False])
+def test_the_report_fits_on_a_screen(tmp_path: Path, is_empty: bool) -> None:
+    if is_empty:
+        Database(tmp_path).close()
+    else:
+        whole_run(tmp_path)
+    text = io.StringIO()
+    print_report(summarise(tmp_path), Console(file=text, width=100))
+    lines = text.getvalue().splitlines()
+    assert len(lines) < 45
+    assert any("end to end" in line for line in lines)
+    assert any("E-CVPR" in line for line in lines)
+    assert is_empty == ("cut off" in lines[0])
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is not a run"):
+        summarise(tmp_path)
