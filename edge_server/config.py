@@ -38,10 +38,10 @@ class GroundConfig(Section):
         "climbs and bends; null for planes over the whole cloud, as in the paper",
     )
     max_slope_deg: float = Field(
-        15.0, gt=0, le=45, description="ours: steeper planes are no ground"
+        5.0, gt=0, le=45, description="ours: planes steeper than this to the road are no ground"
     )
     max_offset_m: float = Field(
-        0.5,
+        0.3,
         gt=0,
         description="ours: a tile's plane farther from the road map's height is no ground",
     )

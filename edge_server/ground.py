@@ -3,7 +3,9 @@
 The paper fits planes to the whole cloud. A road climbs metres over an approach and bends a little
 everywhere, so that its far ends lie off any one plane. Here planes are fitted tile by tile, to
 heights over the road map: a plane must be nearly parallel to the mapped road and near it, and the
-mapped road itself is the first hypothesis. `tile_m=None` fits the whole cloud, without the map.
+mapped road itself is the first hypothesis. Near a sensor a car's side holds more points than the
+ground around it; so each square metre has one vote, its lowest point. `tile_m=None` fits the whole
+cloud, every point alike, without the map.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from numba import njit
 from edge_server.arrays import Floats, Floats32, Ints
 from edge_server.config import GroundConfig
 
-SAMPLE = 512  # points of a tile that hypotheses are scored on; the whole cloud gets 8 times that
+CELL_M = 1.0  # of a tile, hypotheses are scored on the lowest point of each cell
+SAMPLE = 4096  # of the whole cloud, on every n-th point
 LEAST_INLIERS = 6
 LEAST_SHARE = 0.2  # of the sample: a plane with less support need not be found
 CONFIDENCE = 0.99
@@ -42,39 +45,54 @@ def remove_ground(
         ]
     )
     band = np.array([-np.inf if by_tiles else -config.distance_m, config.distance_m])
-    sample = SAMPLE if by_tiles else 8 * SAMPLE
     for _ in range(config.runs):
         if len(points) < LEAST_INLIERS:
             break
-        tile_of, tiles = _tiles(points, config.tile_m)
-        work = np.array([sample, config.max_iterations, rng.integers(2**62)])
-        planes = _fit_all(points, base_m, tile_of, tiles, limits, work)
+        tile_of, tiles = _squares(points, config.tile_m)
+        if by_tiles:
+            voters = _lowest(points, base_m, *_squares(points, CELL_M))
+        else:
+            voters = np.arange(0, len(points), max(len(points) // SAMPLE, 1))
+        votes = np.column_stack([points[voters, :2], points[voters, 2] - base_m[voters]])
+        work = np.array([tiles, config.max_iterations, rng.integers(2**62)])
+        planes = _fit_all(votes, tile_of[voters], limits, work)
         kept = _remove(points, base_m, ground_m, tile_of, planes, band)
         points, base_m, ground_m = points[:kept], base_m[:kept], ground_m[:kept]
     return points, np.where(np.isnan(ground_m), road_m[: len(points)], ground_m)
 
 
-def _tiles(points: Floats32, tile_m: float | None) -> tuple[Ints, int]:
-    """Returns each point's tile (N,) and how many there are; their edges are fixed in the map."""
-    tile_of = np.zeros(len(points), np.int64)
-    if tile_m is None:
-        return tile_of, 1
+def _squares(points: Floats32, side_m: float | None) -> tuple[Ints, int]:
+    """Returns each point's square (N,) and how many there are; their edges are fixed in the map."""
+    square_of = np.zeros(len(points), np.int64)
+    if side_m is None:
+        return square_of, 1
     x, y = points[:, 0], points[:, 1]
-    first_column, first_row = int(x.min() // tile_m), int(y.min() // tile_m)
-    columns = int(x.max() // tile_m) - first_column + 1
-    rows = int(y.max() // tile_m) - first_row + 1
-    _assign(points, np.array([first_column, first_row, columns, rows]), tile_m, tile_of)
-    return tile_of, columns * rows
+    first_column, first_row = int(x.min() // side_m), int(y.min() // side_m)
+    columns = int(x.max() // side_m) - first_column + 1
+    rows = int(y.max() // side_m) - first_row + 1
+    _assign(points, np.array([first_column, first_row, columns, rows]), side_m, square_of)
+    return square_of, columns * rows
 
 
 @njit("void(float32[:,::1], int64[::1], float64, int64[::1])", cache=True)
-def _assign(points: Floats32, grid: Ints, tile_m: float, tile_of: Ints) -> None:
+def _assign(points: Floats32, grid: Ints, side_m: float, square_of: Ints) -> None:
     first_column, first_row, columns, rows = grid
     for index in range(points.shape[0]):
-        column = int(np.floor(points[index, 0] / tile_m)) - first_column
-        row = int(np.floor(points[index, 1] / tile_m)) - first_row
+        column = int(np.floor(points[index, 0] / side_m)) - first_column
+        row = int(np.floor(points[index, 1] / side_m)) - first_row
         column, row = min(max(column, 0), columns - 1), min(max(row, 0), rows - 1)
-        tile_of[index] = row * columns + column
+        square_of[index] = row * columns + column
+
+
+@njit("int64[::1](float32[:,::1], float32[::1], int64[::1], int64)", cache=True)
+def _lowest(points: Floats32, base_m: Floats32, cell_of: Ints, cells: int) -> Ints:
+    """Returns the index of the point that lies lowest over the base, for each cell with points."""
+    lowest = np.full(cells, -1, np.int64)
+    for index in range(points.shape[0]):
+        held = lowest[cell_of[index]]
+        if held < 0 or points[index, 2] - base_m[index] < points[held, 2] - base_m[held]:
+            lowest[cell_of[index]] = index
+    return lowest[lowest >= 0]
 
 
 @njit("int64(uint64[::1])", cache=True)
@@ -165,51 +183,37 @@ def _ransac(
     return best_a, best_b, best_c, best
 
 
-@njit(
-    "float64[:,::1](float32[:,::1], float32[::1], int64[::1], int64, float64[::1], int64[::1])",
-    cache=True,
-)
-def _fit_all(
-    points: Floats32, base_m: Floats32, tile_of: Ints, tiles: int, limits: Floats, work: Ints
-) -> Floats:
-    """Returns each tile's plane, height over base = a x + b y + c, as (T, 3); NaN for none."""
-    sample_size, max_iterations, seed = work
-    members = np.zeros(tiles, np.int64)
-    for index in range(points.shape[0]):
-        members[tile_of[index]] += 1
+@njit("float64[:,::1](float32[:,::1], int64[::1], float64[::1], int64[::1])", cache=True)
+def _fit_all(votes: Floats32, tile_of: Ints, limits: Floats, work: Ints) -> Floats:
+    """Returns each tile's plane, height over base = a x + b y + c, as (T, 3); NaN for none.
+
+    Votes are points (V, 3): x, y and height over the base.
+    """
+    tiles, max_iterations, seed = work
     starts = np.zeros(tiles + 1, np.int64)
-    for tile in range(tiles):
-        starts[tile + 1] = starts[tile] + min(members[tile], sample_size)
-    chosen = np.empty(starts[tiles], np.int64)
-    rank = np.zeros(tiles, np.int64)
-    for index in range(points.shape[0]):  # an even choice: every (members / sample)-th point
-        tile = tile_of[index]
-        size = starts[tile + 1] - starts[tile]
-        slot = rank[tile] * size // members[tile]
-        if slot * members[tile] <= rank[tile] * size < slot * members[tile] + size:
-            chosen[starts[tile] + slot] = index
-        rank[tile] += 1
+    for tile in tile_of:
+        starts[tile + 1] += 1
+    starts = np.cumsum(starts)
+    order = np.argsort(tile_of, kind="mergesort")
     planes = np.full((tiles, 3), np.nan)
     state = np.zeros(1, np.uint64)
     for tile in range(tiles):
-        picks = chosen[starts[tile] : starts[tile + 1]]
-        if picks.size < LEAST_INLIERS:
+        voters = order[starts[tile] : starts[tile + 1]]
+        if voters.size < LEAST_INLIERS:
             continue
-        middle = np.zeros(2)
-        for pick in picks:
-            middle[0] += points[pick, 0] / picks.size
-            middle[1] += points[pick, 1] / picks.size
-        sample = np.empty((3, picks.size), np.float32)
-        for slot in range(picks.size):
-            pick = picks[slot]
-            sample[0, slot] = points[pick, 0] - middle[0]
-            sample[1, slot] = points[pick, 1] - middle[1]
-            sample[2, slot] = points[pick, 2] - base_m[pick]
+        x, y = 0.0, 0.0
+        for voter in voters:
+            x, y = x + votes[voter, 0] / voters.size, y + votes[voter, 1] / voters.size
+        sample = np.empty((3, voters.size), np.float32)
+        for slot in range(voters.size):
+            sample[0, slot] = votes[voters[slot], 0] - x
+            sample[1, slot] = votes[voters[slot], 1] - y
+            sample[2, slot] = votes[voters[slot], 2]
         state[0] = np.uint64(seed) ^ (np.uint64(tile) * np.uint64(0xD1B54A32D192ED03))
         a, b, c, found = _ransac(sample, limits, max_iterations, state)
         if found >= LEAST_INLIERS:
             a, b, c, _ = _refine(sample, a, b, c, limits[0] * np.sqrt(1.0 + a * a + b * b))
-            planes[tile] = (a, b, c - a * middle[0] - b * middle[1])
+            planes[tile] = (a, b, c - a * x - b * y)
     return planes
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.geometry import SE3
+from protocol.inbox import Envelope, Presence
 from protocol.messages import Tick
-from protocol.process import Context, Envelope, Presence
+from protocol.process import Context
 from protocol.roadmap import RoadMap
 from sensing.config import Mount
 from sensing.station import Station

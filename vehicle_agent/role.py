@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.geometry import SE3, Floats
+from protocol.inbox import Envelope, Presence
 from protocol.messages import AgentPose, Equipment, Span, Tick, Upload
-from protocol.process import Context, Envelope, Presence
+from protocol.process import Context
 from sensing.config import PoseErrorConfig
 from sensing.noise import stream
 from sensing.pose import believed_pose, position_std_m

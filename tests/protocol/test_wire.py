@@ -51,7 +51,9 @@ EXAMPLES: list[m.Message] = [
     m.Setup(
         scenario={"seed": 1},
         road_map=ROAD,
-        vehicle_types=[m.VehicleType(name="car", mesh="car", length_m=4.5, width_m=1.8, height_m=1.5)],
+        vehicle_types=[
+            m.VehicleType(name="car", mesh="car", length_m=4.5, width_m=1.8, height_m=1.5)
+        ],
         meshes=[m.MeshPart(name="car", vertices=3, triangles=1)],
         mesh_vertices=np.eye(3, dtype=np.float32),
         mesh_triangles=np.array([[0, 1, 2]], np.int32),
@@ -101,7 +103,9 @@ EXAMPLES: list[m.Message] = [
         source="plan",
         earliest_change_ns=5,
     ),
-    m.SignalRequest(frame=1, sim_time_ns=1, tls="J", state="G", policy="max_pressure", pressures=[3]),
+    m.SignalRequest(
+        frame=1, sim_time_ns=1, tls="J", state="G", policy="max_pressure", pressures=[3]
+    ),
     m.Roster(frame=1, process="vehicle-0", agents=["a"], scanning=[]),
     m.AgentPose(
         frame=1,

@@ -1,0 +1,161 @@
+"""The whole loop: real processes, real Zenoh on loopback, real SUMO."""
+
+import json
+import os
+import signal
+import socket
+import sqlite3
+import time
+from pathlib import Path
+
+import pytest
+
+from protocol.bus import Endpoint, open_bus
+from protocol.inbox import Inbox
+from protocol.messages import Roster
+from protocol.topics import PREFIX, BusName
+from protocol.wire import encode
+from recorder.compare import differences
+from tests.cpnet.conftest import Shell, children_of
+
+ROLES = ["edge", "sim", "record", "signal", "infra-0", "vehicle-0", "vehicle-1"]
+
+
+def free_ports() -> int:
+    """Returns a port that is free together with the next one."""
+    while True:
+        with socket.socket() as first, socket.socket() as second:
+            first.bind(("127.0.0.1", 0))
+            port = first.getsockname()[1]
+            try:
+                second.bind(("127.0.0.1", port + 1))
+            except OSError:
+                continue
+            return port
+
+
+def rows(run_dir: Path, table: str) -> int:
+    with sqlite3.connect(f"file:{run_dir}/run.sqlite?mode=ro", uri=True) as database:
+        count: int = database.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
+    return count
+
+
+@pytest.fixture
+def first_run(shell: Shell) -> Path:
+    status, output = shell.up("--duration", "8", "--out", "first").finish()
+    assert status == 0, output
+    return shell.folder / "first"
+
+
+def test_two_lockstep_runs_of_one_seed_are_the_same_row_for_row(shell, first_run):
+    status, output = shell.up("--duration", "8", "--out", "second").finish()
+    assert status == 0, output
+    assert differences(first_run, shell.folder / "second") == []
+    for table in ("detections", "counts", "phases", "trips", "truth"):
+        assert rows(first_run, table) > 0, table
+
+
+def test_another_number_of_vehicle_processes_gives_the_same_rows(shell, first_run):
+    more = ("--duration", "8", "--out", "second", "--set", "processes.vehicle=1")
+    status, output = shell.up(*more).finish()
+    assert status == 0, output
+    assert differences(first_run, shell.folder / "second") == []
+
+
+def test_roles_in_two_commands_joined_over_tcp_give_the_same_rows(shell, first_run):
+    port = free_ports()
+    here = shell.up(
+        "--duration=8",
+        "--out=here",
+        "--only=sim,record,edge,signal",
+        f"--listen=127.0.0.1:{port}",
+    )
+    there = shell.start(
+        "up", "--only=vehicle,infra", f"--connect=127.0.0.1:{port}", "--out=there"
+    )
+    for command in (here, there):
+        status, output = command.finish()
+        assert status == 0, output
+    assert differences(first_run, shell.folder / "here") == []
+
+
+def test_the_report_has_its_stable_keys(shell, first_run):
+    status, output = shell.run("report", str(first_run), "--json")
+    summary = json.loads(output)
+    assert status == 0
+    assert summary["frames"] == 80
+    assert summary["sim_duration_s"] == pytest.approx(8)
+    assert summary["real_time_factor"] > 0
+    assert summary["agents"]["rsu-0"].keys() >= {"frames", "bytes_per_frame", "mbps"}
+    for stage in ("sense", "encode", "link", "decode", "merge", "detect", "end_to_end"):
+        assert summary["latency_ms"][stage].keys() == {"p50", "p95", "p99"}
+    assert summary["e_cvpr"].keys() == {"mean", "std"}
+    assert summary["delay_s"]["mean"] is not None
+    assert summary["vehicles"].keys() >= {"inserted", "finished", "teleported"}
+    assert summary["phases"]["switches"] >= 0
+    assert summary["drops"] == 0
+    assert children_of(first_run) == {}
+
+
+@pytest.mark.parametrize("victim", ROLES)
+def test_a_killed_process_ends_the_run_within_5_s_by_name(shell, victim):
+    command = shell.up("--duration", "600", "--out", "run")
+    command.read_until("frame")
+    run_dir = shell.folder / "run"
+    os.kill(children_of(run_dir)[victim], signal.SIGKILL)
+    before_ns = time.monotonic_ns()
+    status, output = command.finish()
+    assert time.monotonic_ns() - before_ns < 5e9
+    assert status == 1
+    assert f"{victim} was killed by SIGKILL" in output
+    assert children_of(run_dir) == {}
+    assert rows(run_dir, "frames") > 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_run_ends_cleanly_with_its_summary(shell, number):
+    command = shell.up("--duration", "600", "--out", "run")
+    command.read_until("frame")
+    command.process.send_signal(number)
+    status, output = command.finish()
+    assert status == 128 + number
+    assert "E-CVPR" in output
+    assert "Traceback" not in output
+    assert children_of(shell.folder / "run") == {}
+    assert rows(shell.folder / "run", "trips") > 0
+
+
+def test_processes_end_when_their_supervisor_is_killed(shell):
+    command = shell.up("--duration", "600", "--out", "run")
+    command.read_until("frame")
+    command.process.kill()
+    command.finish()
+    give_up_ns = time.monotonic_ns() + 5_000_000_000
+    while children_of(shell.folder / "run") and time.monotonic_ns() < give_up_ns:
+        os.sched_yield()
+    assert children_of(shell.folder / "run") == {}
+
+
+def test_the_world_runs_on_the_clock_in_realtime_mode(shell):
+    status, output = shell.up("--mode=realtime", "--duration=5", "--out=run").finish()
+    assert status == 0, output
+    summary = json.loads(shell.run("report", "run", "--json")[1])
+    assert summary["frames"] == 50
+    assert summary["real_time_factor"] == pytest.approx(1, abs=0.1)
+
+
+def test_bad_messages_are_counted_and_the_run_goes_on(shell):
+    port = free_ports()
+    command = shell.up("--duration=20", "--out=run", f"--listen=127.0.0.1:{port}")
+    command.read_until("frame")
+    rogue = open_bus(BusName.V2X, Endpoint(f"tcp/127.0.0.1:{port}", listen=False), Inbox())
+    good = encode(Roster(frame=0, process="x", agents=[], scanning=[]))
+    other_version = good[:4] + b"\x09\x00" + good[6:]
+    oversized = good[:12] + b"\xff\xff\xff\x7f"
+    for data in (b"", b"garbage", good[:-3], other_version, oversized):
+        rogue.put_raw(f"{PREFIX}/r0/roster/rogue", data)
+    rogue.close()
+    status, output = command.finish()
+    assert status == 0, output
+    drops = json.loads(shell.run("report", "run", "--json")[1])["drops_by_reason"]
+    assert drops["edge"] == {"MessageError": 4, "VersionError": 1}
