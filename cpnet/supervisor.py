@@ -15,7 +15,8 @@ from cpnet.processes import ProcessEntry
 from protocol.bus import Endpoint
 from protocol.topics import BusName
 
-GRACE_S = 3.0  # between the request to stop and SIGKILL: within the 5 s that users wait
+WORLD_GRACE_S = 1.5  # for the world to tell its end and the recorder to write it
+GRACE_S = 2.5  # then for all others, until SIGKILL: both within the 5 s that users wait
 TAIL_LINES = 12
 
 
@@ -83,6 +84,10 @@ class Supervisor:
         status, child = min(dead, key=lambda one: one[0])
         return Death(child.entry.id, _how(status), tail(child.log_path))
 
+    def holds(self, role: str) -> bool:
+        """Whether a process of this role was started here."""
+        return any(child.entry.role.role == role for child in self._children)
+
     def running(self, *roles: str) -> bool:
         """Whether a process of one of these roles still runs here."""
         return any(
@@ -92,23 +97,20 @@ class Supervisor:
         )
 
     def stop(self) -> list[str]:
-        """Ends all processes: SIGINT, a grace period, SIGKILL. Returns who had to be killed."""
-        for child in reversed(self._children):
-            if child.process.poll() is None:
-                child.process.send_signal(signal.SIGINT)
-        give_up_ns = time.monotonic_ns() + int(GRACE_S * 1e9)
-        killed = []
-        for child in reversed(self._children):
-            left_s = max(0.0, (give_up_ns - time.monotonic_ns()) / 1e9)
-            try:
-                child.process.wait(left_s)
-            except subprocess.TimeoutExpired:
-                child.process.kill()
-                child.process.wait()
-                killed.append(child.entry.id)
+        """Ends all processes, the world first. Returns who did not stop when asked."""
+        world = [child for child in self._children if child.entry.role.role == "sim"]
+        if any(child.process.poll() is None for child in world):
+            _interrupt(world)
+            _await([c for c in self._children if c.entry.role.role == "record"], WORLD_GRACE_S)
+        _interrupt(self._children)
+        killed = _await(self._children, GRACE_S)
+        for child in killed:
+            child.process.kill()
+        for child in self._children:
+            child.process.wait()
             _release(child)
         self._children.clear()
-        return killed
+        return [child.entry.id for child in killed]
 
     def _command(self, entry: ProcessEntry) -> list[str]:
         command = [sys.executable, "-m", entry.role.module, "--supervised", "--id", entry.id]
@@ -135,6 +137,24 @@ def _how(status: int) -> str:
     if status >= 0:
         return f"ended with status {status}"
     return f"was killed by {signal.Signals(-status).name}"
+
+
+def _interrupt(children: list[Child]) -> None:
+    for child in children:
+        if child.process.poll() is None:
+            child.process.send_signal(signal.SIGINT)
+
+
+def _await(children: list[Child], grace_s: float) -> list[Child]:
+    """Waits for the end of all; returns those that still run when the time is over."""
+    give_up_ns = time.monotonic_ns() + int(grace_s * 1e9)
+    late = []
+    for child in children:
+        try:
+            child.process.wait(max(0.0, (give_up_ns - time.monotonic_ns()) / 1e9))
+        except subprocess.TimeoutExpired:
+            late.append(child)
+    return late
 
 
 def _release(child: Child) -> None:

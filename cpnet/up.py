@@ -164,7 +164,7 @@ def _follow(
             watch.update(OVERTAKEN_S)  # the end may still be on its way
         if death := supervisor.death(at_end=watch.end is not None):
             return death
-        if watch.end is None and watch.gone("sim"):
+        if watch.end is None and watch.gone("sim") and not supervisor.holds("sim"):
             return Death("sim", "left the other machine before the run ended", "(no log here)")
         if watch.end is not None:
             ended_ns = ended_ns or time.monotonic_ns()

@@ -48,50 +48,51 @@ def remove_ground(
     for _ in range(config.runs):
         if len(points) < LEAST_INLIERS:
             break
-        tile_of, tiles = _squares(points, config.tile_m)
+        tiles = _squares(points, config.tile_m or np.inf)
         if by_tiles:
-            voters = _lowest(points, base_m, *_squares(points, CELL_M))
+            voters = _lowest(points, base_m, _squares(points, CELL_M))
         else:
             voters = np.arange(0, len(points), max(len(points) // SAMPLE, 1))
         votes = np.column_stack([points[voters, :2], points[voters, 2] - base_m[voters]])
-        work = np.array([tiles, config.max_iterations, rng.integers(2**62)])
-        planes = _fit_all(votes, tile_of[voters], limits, work)
-        kept = _remove(points, base_m, ground_m, tile_of, planes, band)
+        work = np.array([config.max_iterations, rng.integers(2**62)])
+        planes = _fit_all(votes, tiles, limits, work)
+        kept = _remove(points, base_m, ground_m, tiles, planes, band)
         points, base_m, ground_m = points[:kept], base_m[:kept], ground_m[:kept]
     return points, np.where(np.isnan(ground_m), road_m[: len(points)], ground_m)
 
 
-def _squares(points: Floats32, side_m: float | None) -> tuple[Ints, int]:
-    """Returns each point's square (N,) and how many there are; their edges are fixed in the map."""
-    square_of = np.zeros(len(points), np.int64)
-    if side_m is None:
-        return square_of, 1
+def _squares(points: Floats32, side_m: float) -> Floats:
+    """Returns a grid (5,) over the points: origin x and y, squares per metre, columns, rows.
+
+    Its lines are fixed in the map. An infinite side gives one square.
+    """
     x, y = points[:, 0], points[:, 1]
-    first_column, first_row = int(x.min() // side_m), int(y.min() // side_m)
-    columns = int(x.max() // side_m) - first_column + 1
-    rows = int(y.max() // side_m) - first_row + 1
-    _assign(points, np.array([first_column, first_row, columns, rows]), side_m, square_of)
-    return square_of, columns * rows
+    if np.isinf(side_m):
+        return np.array([x.min(), y.min(), 0, 1, 1], np.float64)
+    first_column, first_row = x.min() // side_m, y.min() // side_m
+    columns = x.max() // side_m - first_column + 1
+    rows = y.max() // side_m - first_row + 1
+    low_m = (first_column * side_m, first_row * side_m)
+    return np.array([*low_m, 1 / side_m, columns, rows], np.float64)
 
 
-@njit("void(float32[:,::1], int64[::1], float64, int64[::1])", cache=True)
-def _assign(points: Floats32, grid: Ints, side_m: float, square_of: Ints) -> None:
-    first_column, first_row, columns, rows = grid
-    for index in range(points.shape[0]):
-        column = int(np.floor(points[index, 0] / side_m)) - first_column
-        row = int(np.floor(points[index, 1] / side_m)) - first_row
-        column, row = min(max(column, 0), columns - 1), min(max(row, 0), rows - 1)
-        square_of[index] = row * columns + column
+@njit("int64(float32, float32, float64[::1])", cache=True)
+def _square(x: float, y: float, grid: Floats) -> int:
+    """Returns the square of a grid in which a point lies."""
+    column = min(max(int((x - grid[0]) * grid[2]), 0), int(grid[3]) - 1)
+    row = min(max(int((y - grid[1]) * grid[2]), 0), int(grid[4]) - 1)
+    return row * int(grid[3]) + column
 
 
-@njit("int64[::1](float32[:,::1], float32[::1], int64[::1], int64)", cache=True)
-def _lowest(points: Floats32, base_m: Floats32, cell_of: Ints, cells: int) -> Ints:
+@njit("int64[::1](float32[:,::1], float32[::1], float64[::1])", cache=True)
+def _lowest(points: Floats32, base_m: Floats32, cells: Floats) -> Ints:
     """Returns the index of the point that lies lowest over the base, for each cell with points."""
-    lowest = np.full(cells, -1, np.int64)
+    lowest = np.full(int(cells[3] * cells[4]), -1, np.int64)
     for index in range(points.shape[0]):
-        held = lowest[cell_of[index]]
+        cell = _square(points[index, 0], points[index, 1], cells)
+        held = lowest[cell]
         if held < 0 or points[index, 2] - base_m[index] < points[held, 2] - base_m[held]:
-            lowest[cell_of[index]] = index
+            lowest[cell] = index
     return lowest[lowest >= 0]
 
 
@@ -183,16 +184,19 @@ def _ransac(
     return best_a, best_b, best_c, best
 
 
-@njit("float64[:,::1](float32[:,::1], int64[::1], float64[::1], int64[::1])", cache=True)
-def _fit_all(votes: Floats32, tile_of: Ints, limits: Floats, work: Ints) -> Floats:
+@njit("float64[:,::1](float32[:,::1], float64[::1], float64[::1], int64[::1])", cache=True)
+def _fit_all(votes: Floats32, grid: Floats, limits: Floats, work: Ints) -> Floats:
     """Returns each tile's plane, height over base = a x + b y + c, as (T, 3); NaN for none.
 
     Votes are points (V, 3): x, y and height over the base.
     """
-    tiles, max_iterations, seed = work
+    max_iterations, seed = work
+    tiles = int(grid[3] * grid[4])
+    tile_of = np.empty(votes.shape[0], np.int64)
     starts = np.zeros(tiles + 1, np.int64)
-    for tile in tile_of:
-        starts[tile + 1] += 1
+    for index in range(votes.shape[0]):
+        tile_of[index] = _square(votes[index, 0], votes[index, 1], grid)
+        starts[tile_of[index] + 1] += 1
     starts = np.cumsum(starts)
     order = np.argsort(tile_of, kind="mergesort")
     planes = np.full((tiles, 3), np.nan)
@@ -218,21 +222,21 @@ def _fit_all(votes: Floats32, tile_of: Ints, limits: Floats, work: Ints) -> Floa
 
 
 @njit(
-    "int64(float32[:,::1], float32[::1], float32[::1], int64[::1], float64[:,::1], float64[::1])",
+    "int64(float32[:,::1], float32[::1], float32[::1], float64[::1], float64[:,::1], float64[::1])",
     cache=True,
 )
 def _remove(
     points: Floats32,
     base_m: Floats32,
     ground_m: Floats32,
-    tile_of: Ints,
+    grid: Floats,
     planes: Floats,
     band: Floats,
 ) -> int:
     """Moves the points off their tile's plane to the front, in order; returns their number."""
     kept = 0
     for index in range(points.shape[0]):
-        a, b, c = planes[tile_of[index]]
+        a, b, c = planes[_square(points[index, 0], points[index, 1], grid)]
         plane_m = a * points[index, 0] + b * points[index, 1] + c + base_m[index]
         if not np.isnan(a):
             off_m = (points[index, 2] - plane_m) / np.sqrt(1.0 + a * a + b * b)

@@ -56,13 +56,13 @@ class Uplink:
             encode_end_ns=encode_end_ns,
             payload=np.frombuffer(payload, np.uint8),
         )
-        size = self.bus.publish("scan", message, region=self._region, agent=self.agent, chunk="0")
+        self.bus.publish("scan", message, region=self._region, agent=self.agent, chunk="0")
         sent_ns = time.monotonic_ns()
         upload = Upload(
             agent=self.agent,
             chunk=0,
             points=message.points,
-            payload_bytes=size,
+            payload_bytes=len(payload),
             wire_bytes=self._count_wire(),
             sense_start_ns=sense_start_ns,
             sense_end_ns=sense_end_ns,

@@ -147,7 +147,8 @@ class SimRole:
         self._tick_ns = now_ns
         self._request = None
         self._since_ns = time.monotonic_ns()
-        self._beat.strike(self._since_ns)
+        if not self._lockstep:
+            self._beat.strike(self._since_ns)
         self._stage = Stage.FRAME
         state = self._cabinet.spat(frame, now_ns)
         self._context.v2x.publish("state", state, tls=self._signal.tls)
@@ -178,31 +179,36 @@ class SimRole:
         return True
 
     def _finish_frame(self) -> None:
-        spans = self._actuate()
+        self._actuate()
         start_ns = time.monotonic_ns()
         for _ in range(self._steps):
             self._step()
-        spans.append(Span(stage="world", start_ns=start_ns, end_ns=time.monotonic_ns()))
+        stepped = Span(stage="world", start_ns=start_ns, end_ns=time.monotonic_ns())
         self._publish_trips(with_unfinished=False)
-        self._publish_metrics(spans)
+        self._publish_metrics(self._frame, self._tick_ns, stepped)
         self._frame += 1
         self._stage = Stage.REST
         if self._frame == self._frames:
             self._end("finished")
 
-    def _actuate(self) -> list[Span]:
-        """Hands the request to the cabinet and shows what it makes of it."""
+    def _actuate(self) -> None:
+        """Hands the request to the cabinet and shows what it makes of it.
+
+        The time it took belongs to the frame that the request was made of: in realtime that is
+        often an older one.
+        """
         if self._request is None:
-            return []
+            return
         request: Any = self._request.message
         reason = self._cabinet.request(request, self._world.time_ns)
         if reason is not None:
             if self._cabinet.refusals[reason] == 1:
                 _log.warning("request %r refused: %s (then only counted)", request.state, reason)
-            return []
+            return
         self._world.set_signal(self._cabinet.advance(self._world.time_ns))
         start_ns = self._request.received_ns
-        return [Span(stage="actuate", start_ns=start_ns, end_ns=time.monotonic_ns())]
+        shown = Span(stage="actuate", start_ns=start_ns, end_ns=time.monotonic_ns())
+        self._publish_metrics(request.frame, request.sim_time_ns, shown)
 
     def _step(self) -> None:
         self._world.set_signal(self._cabinet.advance(self._world.time_ns))
@@ -216,12 +222,12 @@ class SimRole:
             frame = min(self._frame, self._frames - 1)
             self._context.world.publish("trips", Trips(frame=frame, trips=trips))
 
-    def _publish_metrics(self, spans: list[Span]) -> None:
+    def _publish_metrics(self, frame: int, sim_time_ns: int, span: Span) -> None:
         message = Metrics(
             process=self._context.id,
-            frame=self._frame,
-            sim_time_ns=self._tick_ns,
-            spans=spans,
+            frame=frame,
+            sim_time_ns=sim_time_ns,
+            spans=[span],
             drops=self._drops(),
         )
         self._context.world.publish("metrics", message, process=self._context.id)

@@ -9,11 +9,10 @@ import time
 from pathlib import Path
 
 import pytest
+import zenoh
 
-from protocol.bus import Endpoint, open_bus
-from protocol.inbox import Inbox
 from protocol.messages import Roster
-from protocol.topics import PREFIX, BusName
+from protocol.topics import PREFIX
 from protocol.wire import encode
 from recorder.compare import differences
 from tests.cpnet.conftest import Shell, children_of
@@ -38,6 +37,14 @@ def rows(run_dir: Path, table: str) -> int:
     with sqlite3.connect(f"file:{run_dir}/run.sqlite?mode=ro", uri=True) as database:
         count: int = database.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
     return count
+
+
+def wait_for_frames(run_dir: Path) -> None:
+    """Waits until the recorder has committed something."""
+    give_up_ns = time.monotonic_ns() + 30_000_000_000
+    while rows(run_dir, "frames") == 0:
+        assert time.monotonic_ns() < give_up_ns, "no frame was ever recorded"
+        os.sched_yield()
 
 
 @pytest.fixture
@@ -70,9 +77,7 @@ def test_roles_in_two_commands_joined_over_tcp_give_the_same_rows(shell, first_r
         "--only=sim,record,edge,signal",
         f"--listen=127.0.0.1:{port}",
     )
-    there = shell.start(
-        "up", "--only=vehicle,infra", f"--connect=127.0.0.1:{port}", "--out=there"
-    )
+    there = shell.start("up", "--only=vehicle,infra", f"--connect=127.0.0.1:{port}", "--out=there")
     for command in (here, there):
         status, output = command.finish()
         assert status == 0, output
@@ -102,6 +107,7 @@ def test_a_killed_process_ends_the_run_within_5_s_by_name(shell, victim):
     command = shell.up("--duration", "600", "--out", "run")
     command.read_until("frame")
     run_dir = shell.folder / "run"
+    wait_for_frames(run_dir)
     os.kill(children_of(run_dir)[victim], signal.SIGKILL)
     before_ns = time.monotonic_ns()
     status, output = command.finish()
@@ -148,12 +154,15 @@ def test_bad_messages_are_counted_and_the_run_goes_on(shell):
     port = free_ports()
     command = shell.up("--duration=20", "--out=run", f"--listen=127.0.0.1:{port}")
     command.read_until("frame")
-    rogue = open_bus(BusName.V2X, Endpoint(f"tcp/127.0.0.1:{port}", listen=False), Inbox())
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", f'["tcp/127.0.0.1:{port}"]')
+    rogue = zenoh.open(config)
     good = encode(Roster(frame=0, process="x", agents=[], scanning=[]))
     other_version = good[:4] + b"\x09\x00" + good[6:]
     oversized = good[:12] + b"\xff\xff\xff\x7f"
     for data in (b"", b"garbage", good[:-3], other_version, oversized):
-        rogue.put_raw(f"{PREFIX}/r0/roster/rogue", data)
+        rogue.put(f"{PREFIX}/r0/roster/rogue", data)
     rogue.close()
     status, output = command.finish()
     assert status == 0, output

@@ -109,6 +109,10 @@ def only(said: list[m.Message], kind: type[M]) -> list[M]:
     return [message for message in said if isinstance(message, kind)]
 
 
+def stages(metrics: list[m.Metrics]) -> list[str]:
+    return [span.stage for one in metrics for span in one.spans]
+
+
 def test_nothing_begins_before_all_are_there(make: type[Rig]) -> None:
     rig = make()
     rig.appear(*OTHERS[:-1])
@@ -133,10 +137,10 @@ def test_lockstep_plays_every_frame_on_its_request_and_ends(make: type[Rig]) -> 
         assert rig.turn() == []  # waits
         rig.ask(tick, MAIN)
         said = rig.turn()
-        [metrics] = only(said, m.Metrics)
-        assert (metrics.process, metrics.frame) == ("sim", frame)
-        assert [span.stage for span in metrics.spans] == ["actuate", "world"]
-        assert metrics.drops == {}
+        metrics = only(said, m.Metrics)
+        assert {(one.process, one.frame) for one in metrics} == {("sim", frame)}
+        assert stages(metrics) == ["actuate", "world"]
+        assert metrics[-1].drops == {}
     [end], [trips] = only(said, m.End), only(said, m.Trips)
     assert (end.frames, end.reason) == (5, "finished")
     assert trips.frame == 4
@@ -230,4 +234,4 @@ def test_realtime_takes_the_newest_request(make: type[Rig]) -> None:
     while not only(said, m.Metrics):
         said += rig.turn()
         time.sleep(0.001)
-    assert [span.stage for span in only(said, m.Metrics)[0].spans] == ["actuate", "world"]
+    assert stages(only(said, m.Metrics)) == ["actuate", "world"]
