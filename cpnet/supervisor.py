@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -18,6 +19,8 @@ from protocol.topics import BusName
 WORLD_GRACE_S = 1.5  # for the world to tell its end and the recorder to write it
 GRACE_S = 2.5  # then for all others, until SIGKILL: both within the 5 s that users wait
 TAIL_LINES = 12
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+"""Processes are the unit that work is spread by: a BLAS that spins on all cores slows the rest."""
 
 
 @dataclass(slots=True, eq=False)
@@ -65,6 +68,7 @@ class Supervisor:
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=log,
+                env=os.environ | ONE_THREAD,
                 start_new_session=True,  # Ctrl-C reaches the supervisor, which stops in order
             )
             self._children.append(Child(entry, process, path, log))

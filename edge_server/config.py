@@ -38,7 +38,10 @@ class GroundConfig(Section):
         "climbs and bends; null for planes over the whole cloud, as in the paper",
     )
     max_slope_deg: float = Field(
-        5.0, gt=0, le=45, description="ours: planes steeper than this to the road are no ground"
+        2.0,
+        gt=0,
+        le=45,
+        description="ours: a tile's plane at a larger angle to the road map is no ground",
     )
     max_offset_m: float = Field(
         0.3,

@@ -18,6 +18,7 @@ from edge_server.config import GroundConfig
 
 CELL_M = 1.0  # of a tile, hypotheses are scored on the lowest point of each cell
 SAMPLE = 4096  # of the whole cloud, on every n-th point
+WALL_DEG = 20.0  # a plane through the whole cloud that is steeper than this is a wall
 LEAST_INLIERS = 6
 LEAST_SHARE = 0.2  # of the sample: a plane with less support need not be found
 CONFIDENCE = 0.99
@@ -37,13 +38,10 @@ def remove_ground(
     points, road_m = points.copy(), road_m.copy()
     base_m = road_m if by_tiles else np.zeros_like(road_m)
     ground_m = np.full(len(points), np.nan, np.float32)
-    limits = np.array(
-        [
-            config.distance_m,
-            np.tan(np.radians(config.max_slope_deg)),
-            config.max_offset_m if by_tiles else np.inf,
-        ]
-    )
+    slope_deg, offset_m = config.max_slope_deg, config.max_offset_m
+    if not by_tiles:
+        slope_deg, offset_m = WALL_DEG, np.inf
+    limits = np.array([config.distance_m, np.tan(np.radians(slope_deg)), offset_m])
     band = np.array([-np.inf if by_tiles else -config.distance_m, config.distance_m])
     for _ in range(config.runs):
         if len(points) < LEAST_INLIERS:

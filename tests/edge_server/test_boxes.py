@@ -1,0 +1,80 @@
+"""Boxes around clusters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from edge_server.boxes import fit_boxes
+from edge_server.config import BoxConfig
+from edge_server.roadway import Roadway
+from edge_server.vehicles import Vehicles
+from protocol.roadmap import RoadMap
+
+
+@pytest.fixture(scope="module")
+def roadway(road_map: RoadMap) -> Roadway:
+    return Roadway.of(road_map, margin_m=0.5)
+
+
+def fit(
+    roadway: Roadway, *clusters: Any, sensor: tuple[float, float] = (0, 0), **config: Any
+) -> Vehicles:
+    points = np.concatenate(clusters).astype(np.float32)
+    labels = np.repeat(np.arange(len(clusters)), [len(c) for c in clusters]).astype(np.int32)
+    return fit_boxes(
+        points,
+        np.zeros(len(points), np.float32),
+        labels,
+        roadway=roadway,
+        sensors=np.array([[*sensor, 3.0]]),
+        config=BoxConfig(**config),
+    )
+
+
+@pytest.mark.parametrize("turn_deg", [0, 4, -20])
+@pytest.mark.parametrize("x", [-60.0, -20.0, 45.0])
+def test_a_car_seen_from_the_junction_gets_its_own_box(
+    roadway: Roadway, shell: Callable[..., Any], x: float, turn_deg: float
+) -> None:
+    yaw = np.radians(turn_deg)
+    car = shell([x, 1.75, 0, 0, 0, yaw], (0.0, 0.0), np.random.default_rng(1), points=900)
+    found = fit(roadway, car[car[:, 2] > 0.2])
+    assert len(found) == 1
+    np.testing.assert_allclose(found.boxes[0, :2], [x, 1.75], atol=0.25)
+    np.testing.assert_allclose(found.boxes[0, 2:6], [0.75, 4.5, 1.8, 1.5], atol=0.4)
+    assert abs(found.boxes[0, 6] - yaw) < np.radians(5)
+
+
+def test_a_rear_alone_is_completed_away_from_the_sensor(roadway: Roadway) -> None:
+    rng = np.random.default_rng(1)
+    rear = rng.uniform([30, 0.85, 0.3], [30.1, 2.65, 1.5], (40, 3))
+    found = fit(roadway, rear)
+    np.testing.assert_allclose(found.boxes[0, :2], [32.25, 1.75], atol=0.15)
+    assert fit(roadway, rear, complete=False).boxes.shape == (0, 7)
+
+
+def test_poles_walls_and_trucks_are_no_vehicles(roadway: Roadway) -> None:
+    rng = np.random.default_rng(1)
+    pole = rng.uniform([-40, 0, 0.2], [-39.8, 0.2, 1.9], (60, 3))
+    wall = rng.uniform([-40, 3, 0.2], [-30, 3.1, 1.9], (60, 3))
+    tall = rng.uniform([-40, 0, 0.2], [-36, 1.8, 3.2], (60, 3))
+    kerb = rng.uniform([-40, 0, 0.2], [-36, 1.8, 0.25], (60, 3))
+    assert len(fit(roadway, pole, wall, tall, kerb)) == 0
+
+
+def test_noise_is_left_out(roadway: Roadway) -> None:
+    points = np.zeros((5, 3), np.float32)
+    labels = np.full(5, -1, np.int32)
+    found = fit_boxes(
+        points,
+        points[:, 2],
+        labels,
+        roadway=roadway,
+        sensors=np.zeros((0, 3)),
+        config=BoxConfig(),
+    )
+    assert len(found) == 0

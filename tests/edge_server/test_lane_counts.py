@@ -1,0 +1,73 @@
+"""Lanes, distances and counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge_server.lanes import LaneIndex, Place
+from protocol.roadmap import RoadMap
+
+
+def locate(index: LaneIndex, *vehicles: tuple[float, float, float], margin_m: float = 0.5) -> Place:
+    boxes = np.array([(x, y, 0.75, 4.5, 1.8, 1.5, yaw) for x, y, yaw in vehicles])
+    return index.locate(boxes.reshape(-1, 7), margin_m=np.full(len(boxes), margin_m))
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "yaw", "lane", "distance_m"),
+    [
+        (-30, -1.5, 0, "in_0", 20),
+        (-30, 2.0, 0, "in_1", 20),
+        (-200, 0.5, 0, "far_0", 190),
+        (0, 1.75, 0, ":j_1", -10),
+        (50, -1.75, 0, "out_0", -54.5),
+        (170, -1.75, 0, "gone_0", -174.5),
+        (1.75, -40, np.pi / 2, "side_0", 30),
+        (0, 40, 0, "", 0),
+    ],
+)
+def test_a_vehicle_knows_its_lane_and_the_way_to_the_stop_bar(
+    road_map: RoadMap, x: float, y: float, yaw: float, lane: str, distance_m: float
+) -> None:
+    index = LaneIndex(road_map)
+    place = locate(index, (x, y, yaw))
+    assert index.names(place) == [lane]
+    # The exit is reached by the shorter of two ways through the junction.
+    assert index.distances_m(place)[0] == pytest.approx(distance_m, abs=4.5)
+
+
+def test_inside_the_junction_the_vehicles_own_direction_decides(road_map: RoadMap) -> None:
+    index = LaneIndex(road_map)
+    place = locate(index, (1.9, -2.6, np.pi / 3), (1.9, -2.6, 0.0))
+    assert index.names(place) == [":j_2", ":j_0"]
+
+
+def test_counts_end_at_the_reach_and_nobody_counts_twice(road_map: RoadMap) -> None:
+    index = LaneIndex(road_map)
+    vehicles = [(-30, -1.75, 0), (-200, 0, 0), (-250, 0, 0), (-50, 1.75, 0), (-90, 1.75, 0)]
+    vehicles += [(0, 1.75, 0), (50, -1.75, 0), (150, -1.75, 0), (1.75, -40, np.pi / 2)]
+    before, behind = index.count(locate(index, *vehicles), upstream_m=200.0, downstream_m=100.0)
+    assert before == {"in_0": 2, "in_1": 2, "side_0": 1}
+    assert behind == {"out_0": 1, "out_1": 1}
+
+
+def test_no_vehicles_still_name_every_lane(road_map: RoadMap) -> None:
+    index = LaneIndex(road_map)
+    before, behind = index.count(locate(index), upstream_m=200.0, downstream_m=100.0)
+    assert before == {"in_0": 0, "in_1": 0, "side_0": 0}
+    assert behind == {"out_0": 0, "out_1": 0}
+
+
+def test_a_net_without_the_lanes_inside_the_junction_counts_too(road_map: RoadMap) -> None:
+    direct = {"in_0": ["out_0"], "in_1": ["out_1"], "side_0": ["out_0"]}
+    lanes = [
+        lane.model_copy(update={"successors": direct.get(lane.id, lane.successors)})
+        for lane in road_map.lanes
+        if not lane.internal
+    ]
+    index = LaneIndex(road_map.model_copy(update={"lanes": lanes}))
+    place = locate(index, (-30, -1.75, 0), (50, -1.75, 0))
+    np.testing.assert_allclose(index.distances_m(place), [20, -40])
+    before, behind = index.count(place, upstream_m=200.0, downstream_m=100.0)
+    assert (before["in_0"], behind["out_0"]) == (1, 1)
