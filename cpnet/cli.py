@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
 from pathlib import Path
@@ -16,8 +15,9 @@ from cpnet import doctor as checks
 from cpnet import scenario as scenarios
 from cpnet.up import Options, up
 from protocol.errors import CpnetError
+from recorder.compare import differences
 from studies.report import print_report
-from studies.summary import summarise
+from studies.summary import summarise, to_json
 
 app = typer.Typer(
     help="Cooperative perception for traffic signals: real bytes, real detection, real delay.",
@@ -77,11 +77,19 @@ def report_command(
     run: Annotated[Path, typer.Argument(help="run folder")],
     *,
     as_json: Annotated[bool, typer.Option("--json", help="stable keys, for programs")] = False,
+    against: Annotated[
+        Path | None, typer.Option(help="another run: say which results differ")
+    ] = None,
 ) -> None:
-    """Print the summary of a run."""
+    """Print the summary of a run, or compare its results with another run's."""
+    if against is not None:
+        found = differences(run, against)
+        lines = [str(one) for one in found] or ["the results are the same, row for row"]
+        typer.echo("\n".join(lines))
+        raise typer.Exit(1 if found else 0)
     summary = summarise(run)
     if as_json:
-        typer.echo(json.dumps(summary, indent=2))
+        typer.echo(to_json(summary))
     else:
         print_report(summary, _console)
 

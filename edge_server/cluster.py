@@ -26,10 +26,8 @@ def cluster(points: Floats32, *, config: ClusterConfig) -> Ints32:
     if len(points) == 0:
         return np.zeros(0, np.int32)
     side_m = config.eps_m / np.sqrt(3) * _SHRINK
-    places = np.floor((points - points.min(axis=0)) / np.float32(side_m)).astype(np.int64)
-    span = places.max(axis=0) + 5  # room for two cells on either side: no offset wraps around
-    stride = np.array([span[1] * span[2], span[2], 1])
-    keys = places @ stride
+    keys = np.empty(len(points), np.int64)
+    stride = _place(points, side_m, keys)
     order = np.argsort(keys, kind="stable")
     cells, starts = np.unique(keys[order], return_index=True)
     starts = np.append(starts, len(points)).astype(np.int64)
@@ -40,6 +38,26 @@ def cluster(points: Floats32, *, config: ClusterConfig) -> Ints32:
     result[order] = labels
     _renumber(result)
     return result
+
+
+@njit("int64[::1](float32[:,::1], float64, int64[::1])", cache=True)
+def _place(points: Floats32, side_m: float, keys: Ints) -> Ints:
+    """Writes the key (N,) of each point's cell; returns how far keys step along x, y and z."""
+    low, high = points[0].copy(), points[0].copy()
+    for index in range(points.shape[0]):
+        for axis in range(3):
+            low[axis] = min(low[axis], points[index, axis])
+            high[axis] = max(high[axis], points[index, axis])
+    # Two empty cells on either side of each row, so that no offset runs into the next one.
+    rows = np.int64((high[1] - low[1]) / side_m) + 5
+    layers = np.int64((high[2] - low[2]) / side_m) + 5
+    stride = np.array([rows * layers, layers, 1])
+    for index in range(points.shape[0]):
+        key = 0
+        for axis in range(3):
+            key += np.int64((points[index, axis] - low[axis]) / side_m) * stride[axis]
+        keys[index] = key
+    return stride
 
 
 def _windows(stride: Ints) -> Ints:

@@ -56,7 +56,8 @@ def open_scan(scan: Scan, received_ns: int) -> Piece:
         CodecError: the payload is not a scan.
     """
     start_ns = time.monotonic_ns()
-    return _piece(scan, decode(scan.payload).points, received_ns, start_ns)
+    points = np.ascontiguousarray(decode(scan.payload).points, np.float32)
+    return _piece(scan, points, received_ns, start_ns)
 
 
 def spoilt_scan(scan: Scan, received_ns: int) -> Piece:

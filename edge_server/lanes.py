@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from edge_server.arrays import Bools, Floats, Ints
 from protocol.roadmap import RoadMap
@@ -45,17 +46,16 @@ class LaneIndex:
     def __init__(self, road_map: RoadMap) -> None:
         self._map = road_map
         self._lengths_m = {lane.id: _length_m(lane.points) for lane in road_map.lanes}
-        rows, owners, starts = [], [], []
+        rows, owners = [], []
         for index, lane in enumerate(road_map.lanes):
             points = lane.points
             steps_m = np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1)
-            rows.append(np.column_stack([points[:-1], points[1:]]))
+            starts_m = np.concatenate([[0.0], np.cumsum(steps_m)[:-1]])
+            half_m = np.full(len(steps_m), lane.width_m / 2)
+            rows.append(np.column_stack([points[:-1], points[1:], half_m, starts_m]))
             owners.append(np.full(len(steps_m), index))
-            starts.append(np.concatenate([[0.0], np.cumsum(steps_m)[:-1]]))
         self._segments = np.concatenate(rows)
         self._owners = np.concatenate(owners)
-        self._starts_m = np.concatenate(starts)
-        self._half_m = np.array([lane.width_m / 2 for lane in road_map.lanes])[self._owners]
         self.upstream = self._reach_upstream()
         self.downstream = self._reach_downstream()
 
@@ -64,23 +64,11 @@ class LaneIndex:
 
         A box is on the road if its centre is at most its margin (N,) beyond the edge of a lane.
         """
-        if len(boxes) == 0:
-            return Place(np.zeros(0, np.int64), np.zeros(0))
-        start, end = self._segments[:, :3], self._segments[:, 3:]
-        run = end[:, :2] - start[:, :2]
-        square = np.maximum((run**2).sum(axis=1), 1e-12)
-        off = boxes[:, None, :2] - start[None, :, :2]
-        share = np.clip((off * run).sum(axis=2) / square, 0.0, 1.0)
-        gap_m = np.linalg.norm(off - share[:, :, None] * run, axis=2)
-        height_m = start[:, 2] + share * (end[:, 2] - start[:, 2])
-        turned = np.abs(np.sin(boxes[:, None, 6] - np.arctan2(run[:, 1], run[:, 0])))
-        cost_m = gap_m + ACROSS_M * turned
-        cost_m += np.maximum(np.abs(boxes[:, None, 2] - height_m) - LEVEL_M, 0.0)
-        cost_m[gap_m > self._half_m + margin_m[:, None]] = np.inf
-        best = np.argmin(cost_m, axis=1)
-        row = np.arange(len(boxes))
-        lane = np.where(np.isfinite(cost_m[row, best]), self._owners[best], -1)
-        return Place(lane, self._starts_m[best] + share[row, best] * np.sqrt(square[best]))
+        lane = np.full(len(boxes), -1, np.int64)
+        along_m = np.zeros(len(boxes))
+        reach_m = np.broadcast_to(np.asarray(margin_m, np.float64), len(boxes)).copy()
+        _locate(np.ascontiguousarray(boxes, np.float64), reach_m, self._segments, lane, along_m)
+        return Place(np.where(lane >= 0, self._owners[lane], -1), along_m)
 
     def names(self, place: Place) -> list[str]:
         """Returns the lanes' ids, an empty string off the road."""
@@ -203,3 +191,26 @@ def _shortest(
 
 def _length_m(points: Floats) -> float:
     return float(np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1).sum())
+
+
+@njit("void(float64[:,::1], float64[::1], float64[:,::1], int64[::1], float64[::1])", cache=True)
+def _locate(boxes: Floats, margin_m: Floats, segments: Floats, best: Ints, along_m: Floats) -> None:
+    """Finds each box's cheapest segment (S, 8): two ends x, y, z, half width, metres before it."""
+    for index in range(boxes.shape[0]):
+        x, y, z, yaw = boxes[index, 0], boxes[index, 1], boxes[index, 2], boxes[index, 6]
+        least_m = np.inf
+        for segment in range(segments.shape[0]):
+            x0, y0, z0, x1, y1, z1, half_m, before_m = segments[segment]
+            dx, dy = x1 - x0, y1 - y0
+            square = max(dx * dx + dy * dy, 1e-12)
+            share = min(max(((x - x0) * dx + (y - y0) * dy) / square, 0.0), 1.0)
+            gap_m = np.hypot(x - x0 - share * dx, y - y0 - share * dy)
+            if gap_m > half_m + margin_m[index]:
+                continue
+            turned = abs(np.sin(yaw - np.arctan2(dy, dx)))
+            off_m = max(abs(z - z0 - share * (z1 - z0)) - LEVEL_M, 0.0)
+            cost_m = gap_m + ACROSS_M * turned + off_m
+            if cost_m < least_m:
+                least_m = cost_m
+                best[index] = segment
+                along_m[index] = before_m + share * np.sqrt(square)

@@ -15,7 +15,7 @@ CLIMB = 0.035
 
 
 def scene(ground: Callable[..., Any], shell: Callable[..., Any]) -> tuple[Any, Any, int]:
-    """Returns a climbing road with six cars (N, 3), its mapped height (N,) and the ground's size."""
+    """Returns a climbing road with cars (N, 3), its mapped height (N,) and the ground's size."""
     rng = np.random.default_rng(3)
     flat = ground(rng, climb=CLIMB)
     cars = [

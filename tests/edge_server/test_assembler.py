@@ -1,0 +1,201 @@
+"""When a frame is whole, and when waiting ends."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from edge_server import assembler as module
+from edge_server.assembler import Assembler
+from edge_server.frame import Frame, Piece
+from protocol.messages import AgentPose, Equipment, Roster
+
+WAIT_NS = 1_000
+
+
+def make(**more: str) -> Assembler:
+    expected = {"vehicle-0": "vehicle", "infra-0": "infra"} | more
+    made = Assembler(wait_ns=WAIT_NS, expected=expected)
+    for name, role in expected.items():
+        made.hear(name, role, alive=True)
+    return made
+
+
+def roster(process: str, agents: list[str], scanning: list[str], frame: int = 0) -> Roster:
+    return Roster(frame=frame, process=process, agents=agents, scanning=scanning)
+
+
+def pose(agent: str, frame: int = 0) -> AgentPose:
+    return AgentPose(
+        frame=frame,
+        sim_time_ns=frame * 100,
+        agent=agent,
+        equipment=Equipment.CAV,
+        pose=np.zeros(6),
+        length_m=4.5,
+        width_m=1.8,
+        height_m=1.5,
+        position_std_m=0.05,
+    )
+
+
+def piece(agent: str, chunk: int = 0, chunks: int = 1, frame: int = 0) -> Piece:
+    points = np.zeros((10, 3), np.float32)
+    return Piece(frame, frame * 100, agent, chunk, chunks, np.zeros(6), points, 5, 5, 6)
+
+
+def give(to: Assembler, part: Roster | AgentPose | Piece, at_ns: int = 5) -> None:
+    match part:
+        case Roster():
+            to.add_roster(part, at_ns)
+        case AgentPose():
+            to.add_pose(part, at_ns)
+        case Piece():
+            to.add_piece(part)
+
+
+def whole(frame: int = 0) -> list[Roster | AgentPose | Piece]:
+    return [
+        roster("vehicle-0", ["b", "a"], ["a"], frame),
+        roster("infra-0", ["rsu-0"], ["rsu-0"], frame),
+        pose("b", frame),
+        pose("a", frame),
+        piece("a", 1, 2, frame),
+        piece("a", 0, 2, frame),
+        piece("rsu-0", frame=frame),
+    ]
+
+
+def names(frame: Frame) -> tuple[list[str], list[str], list[tuple[str, int]]]:
+    poses = [p.agent for p in frame.poses]
+    return frame.agents, poses, [(p.agent, p.chunk) for p in frame.pieces]
+
+
+def test_a_frame_is_whole_with_its_last_part_whichever_that_is() -> None:
+    for last in range(7):
+        parts = whole()
+        parts.append(parts.pop(last))
+        assembler = make()
+        for part in parts[:-1]:
+            give(assembler, part)
+            assert assembler.pop(6) is None
+        give(assembler, parts[-1])
+        frame = assembler.pop(6)
+        assert frame is not None
+        assert frame.complete
+
+
+def test_the_order_of_arrival_leaves_no_trace() -> None:
+    seen = set()
+    for parts in itertools.islice(itertools.permutations(whole()), 0, 5040, 211):
+        assembler = make()
+        for part in parts:
+            give(assembler, part)
+        frame = assembler.pop(6)
+        assert frame is not None
+        seen.add(str(names(frame)))
+    expected = (["a", "b", "rsu-0"], ["a", "b"], [("a", 0), ("a", 1), ("rsu-0", 0)])
+    assert seen == {str(expected)}
+
+
+def test_a_process_that_dies_is_no_longer_waited_for() -> None:
+    assembler = make(**{"vehicle-1": "vehicle"})
+    for part in whole():
+        give(assembler, part)
+    assert assembler.pop(6) is None
+    assembler.hear("vehicle-1", "vehicle", alive=False)
+    frame = assembler.pop(6)
+    assert frame is not None
+    assert frame.complete
+
+
+def test_what_a_dying_process_announced_is_not_waited_for() -> None:
+    assembler = make()
+    for part in whole()[:-1]:
+        give(assembler, part)
+    assembler.hear("infra-0", "infra", alive=False)
+    frame = assembler.pop(6)
+    assert frame is not None
+    assert frame.agents == ["a", "b"]
+
+
+def test_a_process_that_joins_is_waited_for_from_its_first_roster_on() -> None:
+    assembler = make()
+    assembler.hear("vehicle-1", "vehicle", alive=True)
+    for part in whole():
+        give(assembler, part)
+    assert assembler.pop(6) is not None
+    give(assembler, roster("vehicle-1", [], [], 1))
+    for part in whole(1):
+        give(assembler, part)
+    assert assembler.pop(6) is not None
+    for part in whole(2):
+        give(assembler, part)
+    assert assembler.pop(6) is None
+
+
+def test_at_the_deadline_a_frame_is_used_as_far_as_it_came() -> None:
+    assembler = make()
+    for part in whole()[:-1]:
+        give(assembler, part, at_ns=5)
+    assert assembler.pop(5 + WAIT_NS) is None
+    frame = assembler.pop(6 + WAIT_NS)
+    assert frame is not None
+    assert not frame.complete
+    assert (frame.first_ns, frame.ready_ns) == (5, 6 + WAIT_NS)
+    assert assembler.drops["frame_incomplete"] == 1
+
+
+def test_what_comes_late_is_counted_and_dropped() -> None:
+    assembler = make()
+    for part in whole(3):
+        give(assembler, part)
+    frame = assembler.pop(6)
+    assert frame is not None
+    assert frame.frame == 3
+    for part in whole(3)[:3]:
+        give(assembler, part)
+    assert not assembler.wants(2)
+    assert assembler.drops["late"] == 4
+    assert assembler.pop(10 * WAIT_NS) is None
+
+
+def test_the_newest_whole_frame_wins_and_older_ones_are_given_up() -> None:
+    assembler = make()
+    give(assembler, whole(0)[0])
+    for number in (1, 2):
+        for part in whole(number):
+            give(assembler, part)
+    frame = assembler.pop(6)
+    assert frame is not None
+    assert frame.frame == 2
+    assert assembler.drops["frame_given_up"] == 2
+
+
+def test_a_frame_without_agents_takes_its_time_from_the_signals_state() -> None:
+    assembler = make()
+    give(assembler, roster("vehicle-0", [], []))
+    give(assembler, roster("infra-0", [], []))
+    assert assembler.pop(6) is None
+    assembler.add_time(0, 77)
+    frame = assembler.pop(6)
+    assert frame is not None
+    assert (frame.agents, frame.sim_time_ns, frame.complete) == ([], 77, True)
+
+
+def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MAX_AGENTS", 3)
+    monkeypatch.setattr(module, "MAX_BYTES", 300)
+    assembler = make()
+    for number in range(10):
+        give(assembler, pose("a", number))
+    assert assembler.drops["frame_given_up"] == 6
+    for agent in "abcd":
+        give(assembler, pose(agent, 9))
+    give(assembler, roster("vehicle-0", list("abcd"), [], 9))
+    assert assembler.drops["too_many_agents"] == 2
+    for agent in "abc":
+        give(assembler, piece(agent, frame=9))
+    assert assembler.drops["frame_too_large"] == 1

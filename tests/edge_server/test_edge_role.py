@@ -1,0 +1,223 @@
+"""The edge role on local buses, with the agents' mouths."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pytest
+
+from edge_server.config import EdgeConfig
+from edge_server.role import EdgeRole
+from protocol import messages as m
+from protocol.codec import PointCloud, encode_cloud
+from protocol.inbox import Envelope, Inbox, Presence
+from protocol.local import LocalNetwork
+from protocol.process import Context
+from protocol.roadmap import RoadMap
+from protocol.topics import BusName
+
+M = TypeVar("M", bound=m.Message)
+
+
+class Rig:
+    """An edge role, two agent processes and somebody who listens."""
+
+    def __init__(self, road_map: RoadMap, mode: str = "lockstep", **edge: Any) -> None:
+        scenario = {
+            "seed": 1,
+            "mode": mode,
+            "region": "r0",
+            "edge": EdgeConfig(**edge).model_dump(mode="json"),
+            "processes": {"vehicle": 1},
+            "roadside_mounts": [{"id": "rsu-0"}],
+        }
+        setup = m.Setup(
+            scenario=scenario,
+            road_map=road_map,
+            vehicle_types=[],
+            meshes=[],
+            mesh_vertices=np.zeros((0, 3), np.float32),
+            mesh_triangles=np.zeros((0, 3), np.int32),
+        )
+        world, v2x = LocalNetwork(BusName.WORLD), LocalNetwork()
+        self.inbox, self.seen = Inbox(), Inbox()
+        listener = v2x.bus(self.seen)
+        for topic in ("detections", "lanes"):
+            listener.subscribe(topic)
+        listener.watch()
+        world.bus(self.seen).subscribe("metrics")
+        self.agents = {name: v2x.bus(Inbox()) for name in ("vehicle-0", "infra-0")}
+        self.radio = v2x.bus(Inbox())
+        bus = v2x.bus(self.inbox)
+        context = Context(
+            "edge",
+            setup,
+            Path(),
+            world.bus(self.inbox),
+            bus,
+            self.inbox,
+            threading.Event(),
+            lambda: bus,
+        )
+        self.role = EdgeRole.build(context)
+
+    def turn(self) -> list[Envelope | Presence]:
+        """Lets the role take all that came; returns what it said."""
+        while (item := self.inbox.get()) is not None:
+            self.role.on(item)
+        self.role.poll()
+        heard = []
+        while (item := self.seen.get()) is not None:
+            heard.append(item)
+        return heard
+
+    def start(self) -> None:
+        for name, bus in self.agents.items():
+            bus.announce(name.partition("-")[0], name)
+        self.turn()
+
+    def say_rosters(self, frame: int, agents: list[str], posts: list[str]) -> None:
+        for process, names in (("vehicle-0", agents), ("infra-0", posts)):
+            roster = m.Roster(frame=frame, process=process, agents=names, scanning=names)
+            self.radio.publish("roster", roster, region="r0", process=process)
+
+    def say_pose(self, frame: int, agent: str) -> None:
+        pose = m.AgentPose(
+            frame=frame,
+            sim_time_ns=frame * 100,
+            agent=agent,
+            equipment=m.Equipment.CAV,
+            pose=np.array([-40.0, -1.75, 0, 0, 0, 0]),
+            length_m=4.5,
+            width_m=1.8,
+            height_m=1.5,
+            position_std_m=0.05,
+        )
+        self.radio.publish("pose", pose, region="r0", agent=agent)
+
+    def say_scan(self, frame: int, agent: str, payload: bytes | None = None) -> None:
+        points = np.random.default_rng(1).uniform(-50, 50, (100, 3)).astype(np.float32)
+        cloud = PointCloud(points, np.zeros(100, np.float32))
+        scan = m.Scan(
+            frame=frame,
+            sim_time_ns=frame * 100,
+            agent=agent,
+            chunk=0,
+            chunks=1,
+            points=100,
+            sensor_pose=np.array([0.0, 0, 3, 0, 0, 0]),
+            sense_start_ns=1,
+            sense_end_ns=2,
+            encode_end_ns=3,
+            payload=np.frombuffer(payload or encode_cloud(cloud, 0.02), np.uint8),
+        )
+        self.radio.publish("scan", scan, region="r0", agent=agent, chunk="0")
+
+
+def said(heard: list[Envelope | Presence], kind: type[M]) -> list[M]:
+    return [
+        item.message
+        for item in heard
+        if isinstance(item, Envelope) and isinstance(item.message, kind)
+    ]
+
+
+def test_the_edge_shows_itself_once_all_agents_are_there(road_map: RoadMap) -> None:
+    rig = Rig(road_map)
+    rig.agents["infra-0"].announce("infra", "infra-0")
+    assert Presence("edge", "edge", alive=True) not in rig.turn()
+    rig.agents["vehicle-0"].announce("vehicle", "vehicle-0")
+    assert Presence("edge", "edge", alive=True) in rig.turn()
+
+
+def test_a_whole_frame_gives_detections_counts_and_metrics(road_map: RoadMap) -> None:
+    rig = Rig(road_map)
+    rig.start()
+    rig.say_rosters(3, ["cav"], ["rsu-0"])
+    rig.say_pose(3, "cav")
+    rig.say_scan(3, "cav")
+    assert not said(rig.turn(), m.LaneCounts)
+    rig.say_scan(3, "rsu-0")
+    heard = rig.turn()
+    (counts,) = said(heard, m.LaneCounts)
+    (found,) = said(heard, m.Detections)
+    (metrics,) = said(heard, m.Metrics)
+    assert (counts.frame, counts.sim_time_ns, counts.complete) == (3, 300, True)
+    assert counts.upstream["in_0"] >= 1
+    assert "cav" in found.sources
+    assert found.agents == ["cav", "rsu-0"]
+    assert [(a.agent, a.chunk) for a in metrics.arrivals] == [("cav", 0), ("rsu-0", 0)]
+    assert metrics.points == 200
+    stages = [span.stage for span in metrics.spans]
+    assert stages == ["wait", "decode", "decode", "merge", "ground", "detect", "fuse", "count"]
+    assert metrics.drops == {}
+
+
+def test_a_frame_without_agents_still_gives_counts(road_map: RoadMap) -> None:
+    rig = Rig(road_map)
+    rig.start()
+    state = m.SignalState(
+        frame=0,
+        sim_time_ns=55,
+        tls="j",
+        state="GGr",
+        stage="green",
+        green="GGr",
+        source="plan",
+        earliest_change_ns=0,
+    )
+    rig.radio.publish("state", state, tls="j")
+    rig.say_rosters(0, [], [])
+    (counts,) = said(rig.turn(), m.LaneCounts)
+    assert counts.sim_time_ns == 55
+    assert counts.upstream == {"in_0": 0, "in_1": 0, "side_0": 0}
+
+
+def test_a_scan_that_does_not_decode_is_counted_and_holds_nobody_up(road_map: RoadMap) -> None:
+    rig = Rig(road_map)
+    rig.start()
+    rig.say_rosters(0, [], ["rsu-0"])
+    rig.say_scan(0, "rsu-0", payload=b"SCAN but no scan")
+    heard = rig.turn()
+    (counts,) = said(heard, m.LaneCounts)
+    assert counts.complete
+    assert said(heard, m.Metrics)[0].drops == {"CodecError": 1}
+
+
+def test_in_realtime_a_frame_ends_at_its_deadline(road_map: RoadMap) -> None:
+    rig = Rig(road_map, mode="realtime", deadline_ms=0.001)
+    rig.start()
+    rig.say_rosters(0, ["cav"], ["rsu-0"])
+    rig.say_pose(0, "cav")
+    (counts,) = said(rig.turn(), m.LaneCounts)
+    assert not counts.complete
+    assert counts.upstream["in_0"] == 1
+    rig.say_scan(0, "cav")
+    rig.say_rosters(1, [], [])
+    rig.turn()
+    assert rig.role._assembler.drops["late"] == 1
+
+
+def test_an_agent_process_that_dies_in_lockstep_frees_the_frame(road_map: RoadMap) -> None:
+    rig = Rig(road_map)
+    rig.start()
+    rig.say_rosters(0, ["cav"], ["rsu-0"])
+    rig.say_scan(0, "rsu-0")
+    assert not said(rig.turn(), m.LaneCounts)
+    rig.agents["vehicle-0"].close()
+    (counts,) = said(rig.turn(), m.LaneCounts)
+    assert counts.agents == ["rsu-0"]
+
+
+@pytest.mark.parametrize("unwanted", [{"deadline": 3}, {"merge": "draco"}, {"deadline_ms": 0}])
+def test_settings_that_cannot_be_are_refused(unwanted: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=next(iter(unwanted))):
+        EdgeConfig.model_validate(unwanted)
+
+
+def test_a_size_filter_that_lets_nothing_through_is_refused() -> None:
+    with pytest.raises(ValueError, match="min_width_m is 4.0, more than max_width_m, 3.0"):
+        EdgeConfig.model_validate({"boxes": {"min_width_m": 4.0}})

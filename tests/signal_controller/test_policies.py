@@ -1,0 +1,87 @@
+"""From counts to the green to ask for."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.messages import LaneCounts, SignalState
+from protocol.roadmap import Link, PlanPhase, Signal
+from signal_controller.policies import fixed, max_pressure, pressure
+
+MAIN, SIDE = "GGr", "rrG"
+SIGNAL = Signal(
+    tls="j",
+    links=[
+        Link(index=0, from_lane="main", to_lane="out_0"),
+        Link(index=1, from_lane="main", to_lane="out_1"),
+        Link(index=2, from_lane="side", to_lane="out_0"),
+    ],
+    conflicts=[(0, 2)],
+    plan=[
+        PlanPhase(duration_s=30, state=MAIN),
+        PlanPhase(duration_s=4, state="yyr"),
+        PlanPhase(duration_s=20, state=SIDE),
+        PlanPhase(duration_s=4, state="rry"),
+    ],
+)
+
+
+def counts(main: int, side: int, out_0: int = 0, out_1: int = 0) -> LaneCounts:
+    return LaneCounts(
+        frame=0,
+        sim_time_ns=0,
+        tls="j",
+        agents=[],
+        complete=True,
+        upstream={"main": main, "side": side},
+        downstream={"out_0": out_0, "out_1": out_1},
+    )
+
+
+def shown(green: str, stage: str = "green") -> SignalState:
+    return SignalState(
+        frame=0,
+        sim_time_ns=0,
+        tls="j",
+        state=green,
+        stage=stage,
+        green=green,
+        source="max_pressure",
+        earliest_change_ns=0,
+    )
+
+
+def test_the_pressure_of_a_phase_counts_a_lane_once_and_its_exits_by_their_mean() -> None:
+    given_counts = counts(9, 4, out_0=3, out_1=1)
+    assert pressure(SIGNAL, MAIN, given_counts.upstream, given_counts.downstream) == 7.0
+    assert pressure(SIGNAL, SIDE, given_counts.upstream, given_counts.downstream) == 1.0
+    assert pressure(SIGNAL, MAIN, {}, {}) == 0.0
+
+
+def test_the_phase_of_highest_pressure_wins() -> None:
+    assert max_pressure(SIGNAL, counts(2, 5), shown(MAIN)).state == SIDE
+    assert max_pressure(SIGNAL, counts(5, 2), shown(SIDE)).state == MAIN
+    assert max_pressure(SIGNAL, counts(5, 5, out_0=4), shown(SIDE)).pressures == [3.0, 1.0]
+
+
+def test_a_tie_leaves_the_present_green() -> None:
+    assert max_pressure(SIGNAL, counts(3, 3), shown(SIDE)).state == SIDE
+    assert max_pressure(SIGNAL, counts(3, 3), shown(MAIN)).state == MAIN
+    assert max_pressure(SIGNAL, counts(3, 3), None).state == MAIN
+    assert max_pressure(SIGNAL, counts(3, 3), shown("rrr", "all_red")).state == MAIN
+
+
+def test_a_change_under_way_is_carried_through() -> None:
+    assert max_pressure(SIGNAL, counts(9, 0), shown(SIDE, "yellow")).state == SIDE
+
+
+def test_the_fixed_policy_asks_for_the_plan() -> None:
+    greens = [fixed(SIGNAL, seconds * 10**9).state for seconds in (0, 29, 31, 53, 55, 58)]
+    assert greens == [MAIN, MAIN, SIDE, SIDE, MAIN, MAIN]
+
+
+@given(st.integers(0, 50), st.integers(0, 50), st.integers(0, 50), st.integers(0, 50))
+def test_the_wish_is_always_a_green_of_the_plan(a: int, b: int, c: int, d: int) -> None:
+    for state in (None, shown(MAIN), shown(SIDE, "yellow"), shown("yyr", "yellow")):
+        assert max_pressure(SIGNAL, counts(a, b, c, d), state).state in SIGNAL.greens

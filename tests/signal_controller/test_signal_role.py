@@ -1,0 +1,158 @@
+"""The signal role on local buses."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from protocol import messages as m
+from protocol.inbox import Envelope, Inbox, Presence
+from protocol.local import LocalNetwork
+from protocol.process import Context
+from protocol.roadmap import Lane, Link, PlanPhase, RoadMap, Signal
+from protocol.topics import BusName
+from signal_controller.role import SignalRole
+
+
+def _lane(name: str) -> Lane:
+    ends = [(0.0, 0.0, 0.0), (9.0, 0.0, 0.0)]
+    return Lane(id=name, edge=name, width_m=3.5, speed_mps=14, length_m=9, centreline=ends)
+
+
+ROAD = RoadMap(
+    name="test",
+    centre=(0, 0, 0),
+    lanes=[_lane("main"), _lane("side"), _lane("out")],
+    signal=Signal(
+        tls="j",
+        links=[
+            Link(index=0, from_lane="main", to_lane="out"),
+            Link(index=1, from_lane="side", to_lane="out"),
+        ],
+        conflicts=[(0, 1)],
+        plan=[PlanPhase(duration_s=30, state="Gr"), PlanPhase(duration_s=30, state="rG")],
+    ),
+    junction=[],
+)
+
+
+class Rig:
+    """A signal role, and everybody else's mouth and ear."""
+
+    def __init__(self, mode: str = "lockstep", policy: str = "max_pressure") -> None:
+        scenario = {"mode": mode, "region": "r0", "signal": {"policy": policy}}
+        setup = m.Setup(
+            scenario=scenario,
+            road_map=ROAD,
+            vehicle_types=[],
+            meshes=[],
+            mesh_vertices=np.zeros((0, 3), np.float32),
+            mesh_triangles=np.zeros((0, 3), np.int32),
+        )
+        world, v2x = LocalNetwork(BusName.WORLD), LocalNetwork()
+        self.inbox, self.seen = Inbox(), Inbox()
+        self.others = v2x.bus(self.seen)
+        self.others.subscribe("request")
+        self.others.watch()
+        world.bus(self.seen).subscribe("metrics")
+        bus = v2x.bus(self.inbox)
+        own_world = world.bus(self.inbox)
+        context = Context(
+            "signal", setup, Path(), own_world, bus, self.inbox, threading.Event(), lambda: bus
+        )
+        self.role = SignalRole.build(context)
+        assert self.seen.get() == Presence("signal", "signal", alive=True)
+
+    def say_counts(self, frame: int, main: int, side: int) -> None:
+        counts = m.LaneCounts(
+            frame=frame,
+            sim_time_ns=frame * 10**8,
+            tls="j",
+            agents=[],
+            complete=True,
+            upstream={"main": main, "side": side},
+            downstream={"out": 0},
+        )
+        self.others.publish("lanes", counts, region="r0", tls="j")
+
+    def say_state(self, frame: int, green: str, stage: str = "green") -> None:
+        state = m.SignalState(
+            frame=frame,
+            sim_time_ns=frame * 10**8,
+            tls="j",
+            state=green,
+            stage=stage,
+            green=green,
+            source="plan",
+            earliest_change_ns=0,
+        )
+        self.others.publish("state", state, tls="j")
+
+    def turn(self) -> list[m.Message]:
+        while (item := self.inbox.get()) is not None:
+            self.role.on(item)
+        self.role.poll()
+        heard = []
+        while (item := self.seen.get()) is not None:
+            assert isinstance(item, Envelope)
+            heard.append(item.message)
+        return heard
+
+
+def requests(heard: list[m.Message]) -> list[tuple[int, int, str, str]]:
+    return [
+        (r.frame, r.sim_time_ns, r.state, r.policy) for r in heard if isinstance(r, m.SignalRequest)
+    ]
+
+
+def test_each_frames_counts_get_one_request_and_metrics() -> None:
+    rig = Rig()
+    rig.say_state(4, "Gr")
+    rig.say_counts(4, main=1, side=3)
+    heard = rig.turn()
+    assert requests(heard) == [(4, 4 * 10**8, "rG", "max_pressure")]
+    (metrics,) = [message for message in heard if isinstance(message, m.Metrics)]
+    assert [span.stage for span in metrics.spans] == ["decide"]
+    assert (metrics.process, metrics.frame, metrics.drops) == ("signal", 4, {})
+    assert rig.turn() == []
+
+
+@pytest.mark.parametrize("state_first", [True, False])
+def test_in_lockstep_counts_and_state_of_a_frame_meet_in_any_order(state_first: bool) -> None:
+    rig = Rig()
+    rig.say_state(0, "Gr")
+    rig.say_counts(0, 1, 1)
+    assert requests(rig.turn()) == [(0, 0, "Gr", "max_pressure")]
+    if state_first:
+        rig.say_state(1, "rG")
+        assert requests(rig.turn()) == []
+        rig.say_counts(1, 1, 1)
+    else:
+        rig.say_counts(1, 1, 1)
+        assert requests(rig.turn()) == []
+        rig.say_state(1, "rG")
+    assert requests(rig.turn()) == [(1, 10**8, "rG", "max_pressure")]
+
+
+def test_in_realtime_nothing_is_waited_for_and_the_newest_counts_matter() -> None:
+    rig = Rig(mode="realtime")
+    rig.say_counts(0, 5, 1)
+    rig.say_counts(1, 1, 5)
+    assert requests(rig.turn()) == [(1, 10**8, "rG", "max_pressure")]
+    rig.say_counts(0, 5, 1)
+    assert rig.turn() == []
+    rig.say_counts(2, 1, 5)
+    (metrics,) = [message for message in rig.turn() if isinstance(message, m.Metrics)]
+    assert metrics.drops == {"late": 1}
+
+
+def test_the_fixed_policy_follows_the_plan() -> None:
+    rig = Rig(policy="fixed")
+    for frame in (299, 301):
+        rig.say_state(frame, "Gr")
+        rig.say_counts(frame, 0, 9)
+        expected = "Gr" if frame == 299 else "rG"
+        assert requests(rig.turn()) == [(frame, frame * 10**8, expected, "fixed")]
