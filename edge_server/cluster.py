@@ -32,8 +32,9 @@ def cluster(points: Floats32, *, config: ClusterConfig) -> Ints32:
     cells, starts = np.unique(keys[order], return_index=True)
     starts = np.append(starts, len(points)).astype(np.int64)
     square_m2 = config.eps_m**2
+    pairs = _pairs(cells, _windows(stride))
     ordered = np.ascontiguousarray(points[order])
-    labels = _label(ordered, cells, starts, _windows(stride), square_m2, config.min_points)
+    labels = _label(ordered, starts, pairs, square_m2, config.min_points)
     result = np.empty(len(points), np.int32)
     result[order] = labels
     _renumber(result)
@@ -88,10 +89,19 @@ def _apart(points: Floats32, i: int, j: int) -> float:
     return float(x * x + y * y + z * z)
 
 
-@njit("int64[:,::1](int64[::1], int64[:,::1])", cache=True)
 def _pairs(cells: Ints, windows: Ints) -> Ints:
     """Returns all pairs (P, 2) of occupied cells that may hold neighbours."""
-    pairs = np.empty((8 * cells.size + 16, 2), np.int64)
+    pairs = np.empty((16 * len(cells), 2), np.int64)
+    count = _pair_up(cells, windows, pairs)
+    if count > len(pairs):  # one in three of the 62 cells around each is occupied, or more
+        pairs = np.empty((count, 2), np.int64)
+        _pair_up(cells, windows, pairs)
+    return pairs[:count]
+
+
+@njit("int64(int64[::1], int64[:,::1], int64[:,::1])", cache=True)
+def _pair_up(cells: Ints, windows: Ints, pairs: Ints) -> int:
+    """Writes as many pairs as fit; returns how many there are."""
     count = 0
     for window in range(windows.shape[0]):
         first = 0
@@ -101,14 +111,11 @@ def _pairs(cells: Ints, windows: Ints) -> Ints:
                 first += 1
             other = first
             while other < cells.size and cells[other] <= high:
-                if count == pairs.shape[0]:
-                    more = np.empty((2 * count, 2), np.int64)
-                    more[:count] = pairs
-                    pairs = more
-                pairs[count, 0], pairs[count, 1] = cell, other
+                if count < pairs.shape[0]:
+                    pairs[count, 0], pairs[count, 1] = cell, other
                 count += 1
                 other += 1
-    return pairs[:count].copy()
+    return count
 
 
 @njit(
@@ -132,19 +139,40 @@ def _core(points: Floats32, starts: Ints, pairs: Ints, square_m2: float, min_poi
     return (neighbours >= min_points).astype(np.uint8)
 
 
+@njit("float32[:,::1](float32[:,::1], int64[::1])", cache=True)
+def _bounds(points: Floats32, starts: Ints) -> Floats32:
+    """Returns the lowest and highest x, y and z in each cell (C, 6)."""
+    bounds = np.empty((starts.size - 1, 6), np.float32)
+    for cell in range(starts.size - 1):
+        for axis in range(3):
+            low = high = points[starts[cell], axis]
+            for i in range(starts[cell] + 1, starts[cell + 1]):
+                low, high = min(low, points[i, axis]), max(high, points[i, axis])
+            bounds[cell, axis], bounds[cell, 3 + axis] = low, high
+    return bounds
+
+
 @njit(
-    "boolean(float32[:,::1], uint8[::1], int64, int64, int64, int64, float64)",
+    "boolean(float32[:,::1], uint8[::1], int64[::1], int64[::1], float32[::1], float64)",
     cache=True,
 )
 def _touch(
-    points: Floats32, core: Bytes, a: int, a_end: int, b: int, b_end: int, square_m2: float
+    points: Floats32, core: Bytes, cell: Ints, other: Ints, bounds: Floats32, square_m2: float
 ) -> bool:
-    """Whether two cells have core points that are neighbours."""
-    for i in range(a, a_end):
-        if core[i]:
-            for j in range(b, b_end):
-                if core[j] and _apart(points, i, j) <= square_m2:
-                    return True
+    """Whether two cells have core points that are neighbours; the bounds are the other cell's."""
+    for i in range(cell[0], cell[1]):
+        if not core[i]:
+            continue
+        gap_m2 = 0.0
+        for axis in range(3):
+            at = np.float64(points[i, axis])
+            gap_m = max(max(bounds[axis] - at, at - bounds[3 + axis]), 0.0)
+            gap_m2 += gap_m * gap_m
+        if gap_m2 > square_m2:
+            continue
+        for j in range(other[0], other[1]):
+            if core[j] and _apart(points, i, j) <= square_m2:
+                return True
     return False
 
 
@@ -173,49 +201,39 @@ def _adopt(
 
 
 @njit(
-    "int32[::1](float32[:,::1], int64[::1], int64[::1], int64[:,::1], float64, int64)",
+    "int32[::1](float32[:,::1], int64[::1], int64[:,::1], float64, int64)",
     cache=True,
 )
 def _label(
-    points: Floats32,
-    cells: Ints,
-    starts: Ints,
-    windows: Ints,
-    square_m2: float,
-    min_points: int,
+    points: Floats32, starts: Ints, pairs: Ints, square_m2: float, min_points: int
 ) -> Ints32:
     """Returns the cell that stands for each point's cluster, or -1; points lie cell by cell."""
-    pairs = _pairs(cells, windows)
     core = _core(points, starts, pairs, square_m2, min_points)
-    parents = np.arange(cells.size)
+    bounds = _bounds(points, starts)
+    parents = np.arange(bounds.shape[0])
     for pair in range(pairs.shape[0]):
         a, b = pairs[pair]
         root_a, root_b = _root(parents, a), _root(parents, b)
-        if root_a != root_b and _touch(
-            points, core, starts[a], starts[a + 1], starts[b], starts[b + 1], square_m2
-        ):
-            parents[max(root_a, root_b)] = min(root_a, root_b)
+        if root_a != root_b:
+            cell_a, cell_b = starts[a : a + 2], starts[b : b + 2]
+            if _touch(points, core, cell_a, cell_b, bounds[b], square_m2):
+                parents[max(root_a, root_b)] = min(root_a, root_b)
     labels = np.full(points.shape[0], NOISE, np.int32)
     nearest_m2 = np.full(points.shape[0], square_m2)
-    for cell in range(cells.size):
+    for cell in range(bounds.shape[0]):
         parents[cell] = _root(parents, cell)
-        for i in range(starts[cell], starts[cell + 1]):
+        own = starts[cell : cell + 2]
+        for i in range(own[0], own[1]):
             if core[i]:
                 labels[i] = parents[cell]
-        _adopt(
-            points,
-            core,
-            starts[cell : cell + 2],
-            starts[cell : cell + 2],
-            parents[cell],
-            labels,
-            nearest_m2,
-        )
+        _adopt(points, core, own, own, parents[cell], labels, nearest_m2)
     for pair in range(pairs.shape[0]):
         a, b = pairs[pair]
         cell_a, cell_b = starts[a : a + 2], starts[b : b + 2]
-        _adopt(points, core, cell_a, cell_b, _root(parents, b), labels, nearest_m2)
-        _adopt(points, core, cell_b, cell_a, _root(parents, a), labels, nearest_m2)
+        if cell_a[1] - cell_a[0] < min_points:  # else all of them are core points
+            _adopt(points, core, cell_a, cell_b, parents[b], labels, nearest_m2)
+        if cell_b[1] - cell_b[0] < min_points:
+            _adopt(points, core, cell_b, cell_a, parents[a], labels, nearest_m2)
     return labels
 
 

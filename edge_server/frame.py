@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from edge_server.arrays import Floats, Floats32
+from edge_server.roadway import Placed
 from protocol.codec import decode
 from protocol.messages import AgentPose, Scan
 
@@ -29,6 +30,12 @@ class Piece:
     received_ns: int
     decode_start_ns: int
     decode_end_ns: int
+    placed: Placed | None = None
+    placed_ns: int = 0
+
+    def with_placed(self, placed: Placed) -> Piece:
+        """Returns the piece with its points on the road, map frame, and when that was done."""
+        return replace(self, placed=placed, placed_ns=time.monotonic_ns())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -46,32 +46,41 @@ def remove_ground(
     for _ in range(config.runs):
         if len(points) < LEAST_INLIERS:
             break
-        tiles = _squares(points, config.tile_m or np.inf)
+        low_high = _span(points)
+        tiles = _squares(low_high, config.tile_m or np.inf)
         if by_tiles:
-            voters = _lowest(points, base_m, _squares(points, CELL_M))
+            voters = _lowest(points, base_m, _squares(low_high, CELL_M))
         else:
             voters = np.arange(0, len(points), max(len(points) // SAMPLE, 1))
         votes = np.column_stack([points[voters, :2], points[voters, 2] - base_m[voters]])
         work = np.array([config.max_iterations, rng.integers(2**62)])
-        planes = _fit_all(votes, tiles, limits, work)
+        planes = _fit_all(*_by_tile(votes, tiles), limits, work)
         kept = _remove(points, base_m, ground_m, tiles, planes, band)
         points, base_m, ground_m = points[:kept], base_m[:kept], ground_m[:kept]
     return points, np.where(np.isnan(ground_m), road_m[: len(points)], ground_m)
 
 
-def _squares(points: Floats32, side_m: float) -> Floats:
-    """Returns a grid (5,) over the points: origin x and y, squares per metre, columns, rows.
+def _squares(span: Floats, side_m: float) -> Floats:
+    """Returns a grid (5,) over a span: origin x and y, squares per metre, columns, rows.
 
     Its lines are fixed in the map. An infinite side gives one square.
     """
-    x, y = points[:, 0], points[:, 1]
+    low, high = span
     if np.isinf(side_m):
-        return np.array([x.min(), y.min(), 0, 1, 1], np.float64)
-    first_column, first_row = x.min() // side_m, y.min() // side_m
-    columns = x.max() // side_m - first_column + 1
-    rows = y.max() // side_m - first_row + 1
-    low_m = (first_column * side_m, first_row * side_m)
-    return np.array([*low_m, 1 / side_m, columns, rows], np.float64)
+        return np.array([*low, 0, 1, 1], np.float64)
+    first = np.floor(low / side_m)
+    return np.array([*(first * side_m), 1 / side_m, *(np.floor(high / side_m) - first + 1)])
+
+
+@njit("float64[:,::1](float32[:,::1])", cache=True)
+def _span(points: Floats32) -> Floats:
+    """Returns the lowest and the highest x and y as (2, 2)."""
+    span = np.array([[np.inf, np.inf], [-np.inf, -np.inf]])
+    for index in range(points.shape[0]):
+        for axis in range(2):
+            span[0, axis] = min(span[0, axis], points[index, axis])
+            span[1, axis] = max(span[1, axis], points[index, axis])
+    return span
 
 
 @njit("int64(float32, float32, float64[::1])", cache=True)
@@ -182,40 +191,43 @@ def _ransac(
     return best_a, best_b, best_c, best
 
 
-@njit("float64[:,::1](float32[:,::1], float64[::1], float64[::1], int64[::1])", cache=True)
-def _fit_all(votes: Floats32, grid: Floats, limits: Floats, work: Ints) -> Floats:
+def _by_tile(votes: Floats32, tiles: Floats) -> tuple[Floats32, Ints]:
+    """Sorts votes by their tile; tile t has those from starts[t] to starts[t + 1]."""
+    places = ((votes[:, :2] - tiles[:2]) * tiles[2]).astype(np.int64)
+    column, row = np.clip(places, 0, tiles[3:].astype(np.int64) - 1).T
+    tile_of = row * int(tiles[3]) + column
+    members = np.bincount(tile_of, minlength=int(tiles[3] * tiles[4]))
+    order = np.argsort(tile_of, kind="stable")
+    return np.ascontiguousarray(votes[order]), np.concatenate([[0], np.cumsum(members)])
+
+
+@njit("float64[:,::1](float32[:,::1], int64[::1], float64[::1], int64[::1])", cache=True)
+def _fit_all(votes: Floats32, starts: Ints, limits: Floats, work: Ints) -> Floats:
     """Returns each tile's plane, height over base = a x + b y + c, as (T, 3); NaN for none.
 
     Votes are points (V, 3): x, y and height over the base.
     """
     max_iterations, seed = work
-    tiles = int(grid[3] * grid[4])
-    tile_of = np.empty(votes.shape[0], np.int64)
-    starts = np.zeros(tiles + 1, np.int64)
-    for index in range(votes.shape[0]):
-        tile_of[index] = _square(votes[index, 0], votes[index, 1], grid)
-        starts[tile_of[index] + 1] += 1
-    starts = np.cumsum(starts)
-    order = np.argsort(tile_of, kind="mergesort")
+    tiles = starts.size - 1
     planes = np.full((tiles, 3), np.nan)
     state = np.zeros(1, np.uint64)
     for tile in range(tiles):
-        voters = order[starts[tile] : starts[tile + 1]]
-        if voters.size < LEAST_INLIERS:
+        first, size = starts[tile], starts[tile + 1] - starts[tile]
+        if size < LEAST_INLIERS:
             continue
         x, y = 0.0, 0.0
-        for voter in voters:
-            x, y = x + votes[voter, 0] / voters.size, y + votes[voter, 1] / voters.size
-        sample = np.empty((3, voters.size), np.float32)
-        for slot in range(voters.size):
-            sample[0, slot] = votes[voters[slot], 0] - x
-            sample[1, slot] = votes[voters[slot], 1] - y
-            sample[2, slot] = votes[voters[slot], 2]
+        for vote in range(first, first + size):
+            x, y = x + votes[vote, 0] / size, y + votes[vote, 1] / size
+        sample = np.empty((3, size), np.float32)
+        for slot in range(size):
+            sample[0, slot] = votes[first + slot, 0] - x
+            sample[1, slot] = votes[first + slot, 1] - y
+            sample[2, slot] = votes[first + slot, 2]
         state[0] = np.uint64(seed) ^ (np.uint64(tile) * np.uint64(0xD1B54A32D192ED03))
         a, b, c, found = _ransac(sample, limits, max_iterations, state)
         if found >= LEAST_INLIERS:
             a, b, c, _ = _refine(sample, a, b, c, limits[0] * np.sqrt(1.0 + a * a + b * b))
-            planes[tile] = (a, b, c - a * x - b * y)
+            planes[tile, 0], planes[tile, 1], planes[tile, 2] = a, b, c - a * x - b * y
     return planes
 
 
@@ -240,7 +252,8 @@ def _remove(
             off_m = (points[index, 2] - plane_m) / np.sqrt(1.0 + a * a + b * b)
             if band[0] <= off_m <= band[1]:
                 continue
-        points[kept] = points[index]
+        for axis in range(3):
+            points[kept, axis] = points[index, axis]
         base_m[kept] = base_m[index]
         ground_m[kept] = plane_m if np.isnan(ground_m[index]) else ground_m[index]
         kept += 1

@@ -11,12 +11,12 @@ from edge_server.arrays import Floats
 from edge_server.boxes import fit_boxes
 from edge_server.cluster import cluster
 from edge_server.config import EdgeConfig
-from edge_server.frame import Frame
+from edge_server.frame import Frame, Piece
 from edge_server.fuse import fuse
 from edge_server.ground import remove_ground
 from edge_server.lanes import LaneIndex, Place
-from edge_server.merge import merge
-from edge_server.roadway import Roadway
+from edge_server.merge import merge, sensor_in_map
+from edge_server.roadway import Placed, Roadway
 from edge_server.spans import Spans
 from edge_server.vehicles import Vehicles
 from protocol.messages import Detections, LaneCounts, Span
@@ -49,12 +49,9 @@ class Pipeline:
         config, spans = self._config, Spans()
         rng = np.random.default_rng([*self._seed, frame.frame])
         with spans.stage("merge"):
-            points = merge(frame.pieces, method=config.merge, reference_pose=_reference(frame))
-            near, road_m = self._roadway.crop(
-                points, below_m=config.geofence.below_m, above_m=config.geofence.above_m
-            )
+            near = merge([self.place(piece, _reference(frame)) for piece in frame.pieces])
         with spans.stage("ground"):
-            above, ground_m = remove_ground(near, road_m, config=config.ground, rng=rng)
+            above, ground_m = remove_ground(near.points, near.road_m, config=config.ground, rng=rng)
         with spans.stage("detect"):
             labels = cluster(above, config=config.cluster)
             found = fit_boxes(
@@ -75,7 +72,26 @@ class Pipeline:
         with spans.stage("count"):
             detections = self._detections(frame, vehicles, place)
             counts = self._counts(frame, place)
-        return Result(detections, counts, spans.done, len(points))
+        points = sum(len(piece.points) for piece in frame.pieces)
+        return Result(detections, counts, spans.done, points)
+
+    def place_early(self, piece: Piece) -> Piece:
+        """Places a piece while others are still under way, if that needs nothing of theirs."""
+        if self._config.merge != "se3":
+            return piece
+        return piece.with_placed(self.place(piece, piece.sensor_pose))
+
+    def place(self, piece: Piece, reference_pose: Floats) -> Placed:
+        """Moves a piece's points into the map and leaves out what is off the road."""
+        if piece.placed is not None:
+            return piece.placed
+        map_SE3_sensor = sensor_in_map(
+            piece.sensor_pose, method=self._config.merge, reference_pose=reference_pose
+        )
+        fence = self._config.geofence
+        return self._roadway.place(
+            piece.points, map_SE3_sensor, below_m=fence.below_m, above_m=fence.above_m
+        )
 
     def _detections(self, frame: Frame, vehicles: Vehicles, place: Place) -> Detections:
         return Detections(
@@ -108,9 +124,8 @@ def _sensors(frame: Frame) -> Floats:
     return np.array([piece.sensor_pose[:3] for piece in frame.pieces]).reshape(-1, 3)
 
 
-def _reference(frame: Frame) -> Floats | None:
+def _reference(frame: Frame) -> Floats:
     """Returns the pose of the paper's reference LiDAR: a roadside one, else the first."""
     driving = {pose.agent for pose in frame.poses}
     standing = [piece for piece in frame.pieces if piece.agent not in driving]
-    reference = (standing or frame.pieces)[:1]
-    return reference[0].sensor_pose if reference else None
+    return (standing or frame.pieces)[0].sensor_pose

@@ -8,10 +8,19 @@ import numpy as np
 from numba import njit
 
 from edge_server.arrays import Bools, Bytes, Floats, Floats32, Ints
+from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 
 CELL_M = 0.5
 MAX_CELLS = 8_000_000  # 9 bytes each
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """Points (M, 3) on the road, map frame, and the road map's height below each (M,)."""
+
+    points: Floats32
+    road_m: Floats32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,23 +52,25 @@ class Roadway:
         _draw(segments, low, cell_m, margin_m, inside, height_m, yaw_rad)
         return cls((float(low[0]), float(low[1])), cell_m, inside, height_m, yaw_rad)
 
-    def crop(
-        self, points: Floats32, *, below_m: float, above_m: float
-    ) -> tuple[Floats32, Floats32]:
-        """Keeps the points (N, 3), map frame, that lie on the road or over it.
+    def place(
+        self,
+        points: Floats32,
+        map_SE3_sensor: SE3,
+        *,
+        below_m: float,
+        above_m: float,
+    ) -> Placed:
+        """Moves points (N, 3) into the map frame and keeps those on the road or over it.
 
         The paper geofences detections; no point elsewhere can be part of a vehicle that counts, so
         leaving it out here gives the same counts for a fraction of the work.
-
-        Returns:
-            The points kept (M, 3) and the road's height below each (M,).
         """
         kept = np.empty_like(points)
         road_m = np.empty(len(points), np.float32)
-        grid = np.array([*self.origin_m, self.cell_m])
-        band = np.array([-below_m, above_m], np.float64)
-        count = _crop(points, grid, band, self.inside, self.height_m, kept, road_m)
-        return kept[:count], road_m[:count]
+        motion = np.column_stack([map_SE3_sensor.rotation, map_SE3_sensor.translation])
+        grid = np.array([*self.origin_m, self.cell_m, -below_m, above_m], np.float64)
+        count = _place(points, motion, grid, self.inside, self.height_m, kept, road_m)
+        return Placed(kept[:count], road_m[:count])
 
     def yaw_at(self, points: Floats) -> Floats:
         """Returns the road's direction (N,) at points (N, 2 or 3); 0 off the road."""
@@ -127,14 +138,14 @@ def _draw(
 
 
 @njit(
-    "int64(float32[:,::1], float64[::1], float64[::1], uint8[:,::1], float32[:,::1], "
+    "int64(float32[:,::1], float64[:,::1], float64[::1], uint8[:,::1], float32[:,::1], "
     "float32[:,::1], float32[::1])",
     cache=True,
 )
-def _crop(
+def _place(
     points: Floats32,
+    motion: Floats,
     grid: Floats,
-    band: Floats,
     inside: Bytes,
     height_m: Floats32,
     kept: Floats32,
@@ -142,18 +153,20 @@ def _crop(
 ) -> int:
     """Copies the points whose cell is inside and whose height lies in the band; counts them."""
     rows, columns = inside.shape
-    x_m, y_m, cell_m = grid
+    x_m, y_m, cell_m, low_m, high_m = grid
+    per_m = 1.0 / cell_m
     count = 0
     for index in range(points.shape[0]):
-        row = int(np.floor((points[index, 1] - y_m) / cell_m))
-        column = int(np.floor((points[index, 0] - x_m) / cell_m))
+        u, v, w = points[index, 0], points[index, 1], points[index, 2]
+        x = motion[0, 0] * u + motion[0, 1] * v + motion[0, 2] * w + motion[0, 3]
+        y = motion[1, 0] * u + motion[1, 1] * v + motion[1, 2] * w + motion[1, 3]
+        row, column = int(np.floor((y - y_m) * per_m)), int(np.floor((x - x_m) * per_m))
         if row < 0 or row >= rows or column < 0 or column >= columns or not inside[row, column]:
             continue
-        over_m = points[index, 2] - height_m[row, column]
-        if band[0] <= over_m <= band[1]:
-            kept[count, 0] = points[index, 0]
-            kept[count, 1] = points[index, 1]
-            kept[count, 2] = points[index, 2]
-            road_m[count] = height_m[row, column]
+        z = motion[2, 0] * u + motion[2, 1] * v + motion[2, 2] * w + motion[2, 3]
+        base_m = height_m[row, column]
+        if low_m <= z - base_m <= high_m:
+            kept[count, 0], kept[count, 1], kept[count, 2] = x, y, z
+            road_m[count] = base_m
             count += 1
     return count

@@ -17,7 +17,7 @@ from protocol.process import Context
 
 
 class EdgeRole:
-    """Scans are decoded as they come, while others are still under way; the rest waits for all."""
+    """Scans are decoded and placed as they come, while others are under way; the rest waits."""
 
     def __init__(self, context: Context) -> None:
         scenario = context.setup.scenario
@@ -85,7 +85,7 @@ class EdgeRole:
 
     def _take_scan(self, scan: Scan, received_ns: int) -> None:
         try:
-            piece = open_scan(scan, received_ns)
+            piece = self._pipeline.place_early(open_scan(scan, received_ns))
         except CodecError as error:
             self._context.inbox.refuse(f"scan of {scan.agent}", error)
             piece = spoilt_scan(scan, received_ns)
@@ -125,13 +125,12 @@ def expected_agents(scenario: dict[str, Any]) -> dict[str, str]:
 
 
 def _waits(frame: Frame) -> list[Span]:
-    wait = Span(stage="wait", start_ns=frame.first_ns, end_ns=frame.ready_ns)
-    return [wait] + [
-        Span(
-            stage="decode",
-            agent=piece.agent,
-            start_ns=piece.decode_start_ns,
-            end_ns=piece.decode_end_ns,
+    spans = [Span(stage="wait", start_ns=frame.first_ns, end_ns=frame.ready_ns)]
+    for piece in frame.pieces:
+        done_ns, agent = piece.decode_end_ns, piece.agent
+        spans.append(
+            Span(stage="decode", agent=agent, start_ns=piece.decode_start_ns, end_ns=done_ns)
         )
-        for piece in frame.pieces
-    ]
+        if piece.placed is not None:
+            spans.append(Span(stage="place", agent=agent, start_ns=done_ns, end_ns=piece.placed_ns))
+    return spans

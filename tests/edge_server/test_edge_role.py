@@ -152,7 +152,8 @@ def test_a_whole_frame_gives_detections_counts_and_metrics(road_map: RoadMap) ->
     assert [(a.agent, a.chunk) for a in metrics.arrivals] == [("cav", 0), ("rsu-0", 0)]
     assert metrics.points == 200
     stages = [span.stage for span in metrics.spans]
-    assert stages == ["wait", "decode", "decode", "merge", "ground", "detect", "fuse", "count"]
+    early = ["wait", "decode", "place", "decode", "place"]
+    assert stages == [*early, "merge", "ground", "detect", "fuse", "count"]
     assert metrics.drops == {}
 
 

@@ -4,42 +4,47 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge_server.frame import Piece
-from edge_server.merge import merge
+from edge_server.merge import merge, sensor_in_map
+from edge_server.roadway import Placed
 from protocol.geometry import SE3
 
-POINTS = np.random.default_rng(1).uniform(-40, 40, (500, 3)).astype(np.float32)
+POINTS = np.random.default_rng(1).uniform(-40, 40, (500, 3))
+SENSOR = np.array([40.0, -8, 1, 0.01, -0.035, -1])
 
 
-def piece(agent: str, pose: list[float]) -> Piece:
-    return Piece(0, 0, agent, 0, 1, np.array(pose), POINTS, 0, 0, 0)
+def apart_m(sensor_pose: np.ndarray, reference_pose: np.ndarray) -> float:
+    """Returns how far the two methods are apart at most."""
+    exact = sensor_in_map(sensor_pose, method="se3", reference_pose=reference_pose)
+    euler = sensor_in_map(sensor_pose, method="euler", reference_pose=reference_pose)
+    return float(np.linalg.norm(exact.apply(POINTS) - euler.apply(POINTS), axis=1).max())
 
 
-def test_exact_transforms_are_applied_piece_by_piece() -> None:
-    poses = [[10.0, 4, 3, 0.02, -0.05, 2.0], [400.0, -80, 1, 0, 0, -1]]
-    merged = merge([piece("a", poses[0]), piece("b", poses[1])], method="se3")
-    expected = np.concatenate([SE3.from_pose(pose).apply(POINTS) for pose in poses])
-    np.testing.assert_allclose(merged, expected, atol=1e-4)
+def test_the_exact_transform_is_the_pose() -> None:
+    exact = sensor_in_map(SENSOR, method="se3", reference_pose=np.zeros(6))
+    np.testing.assert_allclose(exact.apply(POINTS), SE3.from_pose(SENSOR).apply(POINTS))
 
 
 def test_angle_differences_are_exact_between_level_sensors() -> None:
-    pieces = [piece("a", [10, 4, 3, 0, 0, 2.0]), piece("b", [40, -8, 1, 0, 0, -1])]
-    np.testing.assert_allclose(
-        merge(pieces, method="euler"), merge(pieces, method="se3"), atol=1e-4
-    )
+    level = np.array([40.0, -8, 1, 0, 0, -1])
+    assert apart_m(level, np.array([10.0, 4, 3, 0, 0, 2.0])) < 1e-9
 
 
 def test_angle_differences_are_off_by_centimetres_on_a_slope() -> None:
-    roadside = [0.0, 0, 3, 0, 0, 0.8]
-    pieces = [piece("b", [40, -8, 1, 0.01, -0.035, -1])]
-    apart = merge(pieces, method="euler", reference_pose=np.array(roadside)) - merge(pieces)
-    worst_m = float(np.linalg.norm(apart, axis=1).max())
-    assert worst_m < 1e-4  # a level reference: the differences are the angles themselves
-    tilted = np.array([0.0, 0, 3, 0.03, 0.02, 0.8])
-    apart = merge(pieces, method="euler", reference_pose=tilted) - merge(pieces)
-    worst_m = float(np.linalg.norm(apart, axis=1).max())
-    assert 0.02 < worst_m < 5.0
+    assert apart_m(SENSOR, np.array([0.0, 0, 3, 0, 0, 0])) < 1e-9  # differences are the angles
+    assert 0.02 < apart_m(SENSOR, np.array([0.0, 0, 3, 0.03, 0.02, 0.8])) < 5.0
+
+
+def test_a_reference_agrees_with_itself() -> None:
+    assert apart_m(SENSOR, SENSOR) < 1e-9
+
+
+def test_pieces_follow_each_other() -> None:
+    near = POINTS.astype(np.float32)
+    road_m = np.arange(len(near), dtype=np.float32)
+    merged = merge([Placed(near, road_m), Placed(near[:3], road_m[:3])])
+    np.testing.assert_array_equal(merged.points, np.concatenate([near, near[:3]]))
+    np.testing.assert_array_equal(merged.road_m, np.concatenate([road_m, road_m[:3]]))
 
 
 def test_no_pieces_give_no_points() -> None:
-    assert merge([]).shape == (0, 3)
+    assert merge([]).points.shape == (0, 3)

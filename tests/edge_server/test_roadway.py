@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from edge_server.roadway import Roadway
+from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 
 
@@ -14,7 +15,8 @@ def test_points_on_the_road_stay_and_others_go(road_map: RoadMap) -> None:
     off = [(-50, 6, 0.2), (-50, 0, 6.0), (-50, 0, -3.0), (1e9, 0, 0), (-1e9, 1e9, 0), (6, 60, 1)]
     points = np.array([p for pair in zip(on, off[:4], strict=True) for p in pair], np.float32)
     points = np.concatenate([points, np.array(off[4:], np.float32)])
-    kept, road_m = roadway.crop(points, below_m=2.0, above_m=5.0)
+    placed = roadway.place(points, SE3.identity(), below_m=2.0, above_m=5.0)
+    kept, road_m = placed.points, placed.road_m
     np.testing.assert_array_equal(kept, np.array(on, np.float32))
     np.testing.assert_array_equal(road_m, 0.0)
 
@@ -22,7 +24,8 @@ def test_points_on_the_road_stay_and_others_go(road_map: RoadMap) -> None:
 def test_height_and_direction_follow_the_lane(climbing_road: RoadMap) -> None:
     roadway = Roadway.of(climbing_road, margin_m=0.5)
     points = np.array([[-200.0, 0, -7], [100, 1.75, 3.5]], np.float32)
-    kept, road_m = roadway.crop(points, below_m=2.0, above_m=5.0)
+    placed = roadway.place(points, SE3.identity(), below_m=2.0, above_m=5.0)
+    kept, road_m = placed.points, placed.road_m
     assert len(kept) == 2
     np.testing.assert_allclose(road_m, 0.035 * kept[:, 0], atol=0.02)
     yaw = roadway.yaw_at(np.array([[-200.0, 0], [1.75, -60], [0, 500]]))
@@ -32,5 +35,16 @@ def test_height_and_direction_follow_the_lane(climbing_road: RoadMap) -> None:
 def test_points_that_are_not_finite_are_off_the_road(road_map: RoadMap) -> None:
     roadway = Roadway.of(road_map, margin_m=0.5)
     points = np.array([[np.inf, 0, 0], [np.nan, 0, 0], [-50, 0, np.nan]], np.float32)
-    kept, _ = roadway.crop(points, below_m=2.0, above_m=5.0)
-    assert len(kept) == 0
+    placed = roadway.place(points, SE3.identity(), below_m=2.0, above_m=5.0)
+    assert len(placed.points) == 0
+
+
+def test_points_are_moved_before_they_are_looked_up(road_map: RoadMap) -> None:
+    roadway = Roadway.of(road_map, margin_m=0.5)
+    map_SE3_sensor = SE3.from_pose([-50.0, 1, 2.4, 0.01, -0.02, 2.0])
+    points = np.random.default_rng(1).uniform(-4, 4, (500, 3)).astype(np.float32)
+    placed = roadway.place(points, map_SE3_sensor, below_m=2.0, above_m=5.0)
+    moved = map_SE3_sensor.apply(points)
+    by_hand = roadway.place(moved.astype(np.float32), SE3.identity(), below_m=2.0, above_m=5.0)
+    assert 0 < len(placed.points) < len(points)
+    np.testing.assert_allclose(placed.points, by_hand.points, atol=1e-4)
