@@ -21,6 +21,7 @@ STEPS = 15  # of 3 degrees, to either side
 PRIOR = 0.35  # how much less a direction counts that is 45 degrees off the road's
 EDGE_M = 0.08  # points this close to an edge lie on it
 WIDE_M = 2.6  # no vehicle that fits a lane is wider: its length and width are taken for each other
+HANGING_M = 0.3  # what tops the highest vehicle by more, seen from the ground, is a tree's crown
 CERTAIN_POINTS = 25.0  # about two thirds of full score
 
 
@@ -53,6 +54,7 @@ def fit_boxes(
     if config.complete:
         _complete(extents, middles, yaws, sensors, config)
         floor_m = np.add.reduceat(ground_m[order].astype(np.float64), starts[:-1]) / members
+        fits &= extents[:, 1, 2] - floor_m <= config.max_height_m + HANGING_M
         extents[:, 0, 2] = floor_m
         extents[:, 1, 2] = np.maximum(extents[:, 1, 2], floor_m + config.usual_height_m)
     scores = 1.0 - np.exp(-members / CERTAIN_POINTS)
