@@ -57,13 +57,14 @@ def test_a_rear_alone_is_completed_away_from_the_sensor(roadway: Roadway) -> Non
     assert fit(roadway, rear, complete=False).boxes.shape == (0, 7)
 
 
-def test_poles_walls_and_trucks_are_no_vehicles(roadway: Roadway) -> None:
+def test_poles_walls_trucks_and_tree_crowns_are_no_vehicles(roadway: Roadway) -> None:
     rng = np.random.default_rng(1)
     pole = rng.uniform([-40, 0, 0.2], [-39.8, 0.2, 1.9], (60, 3))
     wall = rng.uniform([-40, 3, 0.2], [-30, 3.1, 1.9], (60, 3))
     tall = rng.uniform([-40, 0, 0.2], [-36, 1.8, 3.2], (60, 3))
     kerb = rng.uniform([-40, 0, 0.2], [-36, 1.8, 0.25], (60, 3))
-    assert len(fit(roadway, pole, wall, tall, kerb)) == 0
+    crown = rng.uniform([-30, 0, 2.6], [-27, 1.8, 3.9], (60, 3))
+    assert len(fit(roadway, pole, wall, tall, kerb, crown)) == 0
 
 
 def test_noise_is_left_out(roadway: Roadway) -> None:
