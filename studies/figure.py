@@ -14,14 +14,14 @@ from studies.perspective import draw_perspective
 from studies.plan_view import draw_plan
 from studies.snapshot import Snapshot
 
-_WIDTH, _HEIGHT = 16.0, 7.9  # inches
+_WIDTH, _HEIGHT = 16.0, 8.1  # inches
 _DPI = 120
-_NAMED = 6
-_PANELS = ((0.01, 0.075, 0.487, 0.84), (0.503, 0.075, 0.487, 0.84))
+_NAMED = 7
+_PANELS = ((0.01, 0.1, 0.487, 0.82), (0.503, 0.1, 0.487, 0.82))
 
 
 def save_picture(snapshot: Snapshot, path: Path) -> None:
-    """Draws a snapshot into a PNG of 1920 x 948 pixels."""
+    """Draws a snapshot into a PNG of 1920 x 972 pixels."""
     figure = Figure(figsize=(_WIDTH, _HEIGHT), dpi=_DPI, facecolor=palette.BACKGROUND)
     canvas = FigureCanvasAgg(figure)
     colours = palette.agent_colours([cloud.agent for cloud in snapshot.clouds])
@@ -32,17 +32,18 @@ def save_picture(snapshot: Snapshot, path: Path) -> None:
     draw_perspective(crane, snapshot, colours)
     figure.text(0.012, 0.941, _title(snapshot), color=palette.TEXT, fontsize=19, fontweight="bold")
     figure.text(0.988, 0.945, _figures(snapshot), color=palette.FAINT, fontsize=12.5, ha="right")
-    figure.legend(
-        handles=_legend(snapshot, colours),
-        loc="lower center",
-        ncols=12,
-        frameon=False,
-        labelcolor=palette.TEXT,
-        fontsize=10.5,
-        bbox_to_anchor=(0.5, 0.006),
-        columnspacing=1.6,
-        handletextpad=0.5,
-    )
+    for handles, bottom in ((_agents(snapshot, colours), 0.04), (_symbols(snapshot), 0.004)):
+        figure.legend(
+            handles=handles,
+            loc="lower center",
+            ncols=len(handles),
+            frameon=False,
+            labelcolor=palette.TEXT,
+            fontsize=10.5,
+            bbox_to_anchor=(0.5, bottom),
+            columnspacing=1.6,
+            handletextpad=0.5,
+        )
     canvas.print_png(str(path))
 
 
@@ -72,7 +73,7 @@ def _figures(snapshot: Snapshot) -> str:
     return "   |   ".join(facts)
 
 
-def _legend(snapshot: Snapshot, colours: dict[str, str]) -> list[Line2D]:
+def _agents(snapshot: Snapshot, colours: dict[str, str]) -> list[Line2D]:
     named = snapshot.clouds[:_NAMED]
     handles = [
         Line2D([], [], color=colours[c.agent], marker="o", ls="", label=c.agent) for c in named
@@ -80,7 +81,11 @@ def _legend(snapshot: Snapshot, colours: dict[str, str]) -> list[Line2D]:
     if len(snapshot.clouds) > len(named):
         label = f"and {len(snapshot.clouds) - len(named)} more"
         handles.append(Line2D([], [], ls="", label=label))
-    handles.append(Line2D([], [], color=palette.BOX, lw=1.8, label="detected"))
+    return handles
+
+
+def _symbols(snapshot: Snapshot) -> list[Line2D]:
+    handles = [Line2D([], [], color=palette.BOX, lw=1.8, label="detected")]
     if len(snapshot.truth.values):
         handles.append(Line2D([], [], color=palette.TRUTH, lw=0.9, ls="--", label="truth"))
     sides = (("counted upstream", palette.TEXT), ("downstream", palette.FAINT))
