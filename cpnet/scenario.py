@@ -37,7 +37,12 @@ class ProcessConfig(Section):
 class Scenario(Section):
     """A whole run. Its sections belong to the roles that read them."""
 
-    name: str = Field("t_junction", description="what the run is called in reports")
+    name: str = Field(
+        "t_junction",
+        pattern=r"^[A-Za-z0-9_-][A-Za-z0-9_.-]*$",
+        max_length=80,
+        description="what the run is called in reports and its folder by default",
+    )
     seed: int = Field(
         1, ge=0, lt=2**31, description="traffic, CAVs, scene and noise follow from it"
     )

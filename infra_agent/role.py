@@ -40,10 +40,11 @@ class InfraRole:
     def _play(self, tick: Tick) -> None:
         agent, pose = self._uplink.agent, self._map_SE3_sensor
         self._station.publish_roster(tick, [agent], [agent])
+        wire = self._uplink.settle(tick.frame)
         upload, spans = self._uplink.sense_and_send(
             tick, map_SE3_sensor=pose, believed_SE3_sensor=pose, own=None
         )
-        self._station.publish_metrics(tick, [upload], spans)
+        self._station.publish_metrics(tick, [upload], spans, wire)
 
 
 def mounted(mount: Mount, road_map: RoadMap, terrain: Terrain) -> SE3:

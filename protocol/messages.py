@@ -103,7 +103,11 @@ class Truth(Message):
 
 
 class Trip(BaseModel):
-    """One vehicle's journey; `arrive_s` is None while it is still under way at the end."""
+    """One vehicle's journey over the signal.
+
+    `time_loss_s` is what it lost within reach of the signal, since frame 0 or since it came there.
+    `arrive_s` is None while it is still under way at the end.
+    """
 
     vehicle: Id
     equipment: Equipment
@@ -122,11 +126,15 @@ class Trips(Message):
 
 
 class End(Message):
-    """The world has stopped; `frames` ticks were published."""
+    """The world has stopped; `frames` ticks were published.
+
+    `waiting` vehicles had found no room to enter the net.
+    """
 
     kind: ClassVar[int] = 5
     frames: int
     reason: str
+    waiting: int = 0
 
 
 class SignalState(Message):
@@ -239,17 +247,24 @@ class Span(BaseModel):
 
 
 class Upload(BaseModel):
-    """One chunk as its sender saw it. Wire bytes are what TCP sent since the upload before."""
+    """One chunk as its sender saw it."""
 
     agent: Id
     chunk: int
     points: int
     payload_bytes: int
-    wire_bytes: int
     sense_start_ns: int
     sense_end_ns: int
     encode_end_ns: int
     sent_ns: int
+
+
+class WireCount(BaseModel):
+    """What TCP sent for an agent from one frame's upload until the next one's began."""
+
+    agent: Id
+    frame: int
+    sent_bytes: int
 
 
 class Arrival(BaseModel):
@@ -262,7 +277,10 @@ class Arrival(BaseModel):
 
 
 class Metrics(Message):
-    """What one process did in one frame. `drops` counts since its start, by reason."""
+    """What one process did in one frame. `drops` counts since its start, by reason.
+
+    `wire` settles earlier frames: only when the next upload begins has TCP sent all of the last.
+    """
 
     kind: ClassVar[int] = 13
     process: Id
@@ -270,6 +288,7 @@ class Metrics(Message):
     sim_time_ns: int
     spans: list[Span] = []
     uploads: list[Upload] = []
+    wire: list[WireCount] = []
     arrivals: list[Arrival] = []
     points: int = 0
     drops: dict[str, int] = {}

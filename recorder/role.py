@@ -121,6 +121,8 @@ class RecordRole:
     def _on_metrics(self, metrics: m.Metrics, _: int) -> None:
         note = self._ledger.note(metrics.frame)
         note.measured(metrics)
+        for count in metrics.wire:
+            self._ledger.note(count.frame).wire[count.agent] = count.sent_bytes
         self._drops[metrics.process] = metrics.drops
         self._glance.measured(metrics)
         if note.end_to_end_ns is not None:
@@ -129,7 +131,11 @@ class RecordRole:
 
     def _on_end(self, end: m.End, received_ns: int) -> None:
         self._ending.begin(received_ns)
-        facts = {"end_frames": str(end.frames), "end_reason": end.reason}
+        facts = {
+            "end_frames": str(end.frames),
+            "end_reason": end.reason,
+            "end_waiting": str(end.waiting),
+        }
         self._database.add(tables.MetaRow, facts.items())
 
     def _on_state(self, state: m.SignalState, _: int) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from protocol.bus import Bus
 from protocol.inbox import Envelope, Presence
-from protocol.messages import End, Metrics, Roster, Span, Tick, Upload
+from protocol.messages import End, Metrics, Roster, Span, Tick, Upload, WireCount
 from protocol.process import Context
 from sensing.config import LidarConfig, SceneConfig, UploadConfig
 from sensing.lidar import Lidar
@@ -60,7 +60,9 @@ class Station:
         roster = Roster(frame=tick.frame, process=process, agents=agents, scanning=scanning)
         self.context.v2x.publish("roster", roster, region=self.region, process=process)
 
-    def publish_metrics(self, tick: Tick, uploads: list[Upload], spans: list[Span]) -> None:
+    def publish_metrics(
+        self, tick: Tick, uploads: list[Upload], spans: list[Span], wire: list[WireCount]
+    ) -> None:
         """Accounts for a frame."""
         drops = dict(self.context.inbox.drops)
         if self._skipped:
@@ -71,6 +73,7 @@ class Station:
             sim_time_ns=tick.sim_time_ns,
             spans=spans,
             uploads=uploads,
+            wire=wire,
             points=sum(upload.points for upload in uploads),
             drops=drops,
         )

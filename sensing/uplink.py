@@ -9,7 +9,7 @@ import numpy as np
 from protocol.bus import Bus
 from protocol.codec import encode_scan
 from protocol.geometry import SE3
-from protocol.messages import Scan, Span, Tick, Upload
+from protocol.messages import Scan, Span, Tick, Upload, WireCount
 from sensing.config import UploadConfig
 from sensing.lidar import Lidar
 from sensing.noise import stream
@@ -27,7 +27,8 @@ class Uplink:
         self._lidar = lidar
         self._config = config
         self._seed = seed
-        self._wire_bytes = bus.wire_bytes()
+        self._counted_bytes = bus.wire_bytes()
+        self._counted_frame: int | None = None
 
     def sense_and_send(
         self,
@@ -63,7 +64,6 @@ class Uplink:
             chunk=0,
             points=message.points,
             payload_bytes=len(payload),
-            wire_bytes=self._count_wire(),
             sense_start_ns=sense_start_ns,
             sense_end_ns=sense_end_ns,
             encode_end_ns=encode_end_ns,
@@ -76,6 +76,11 @@ class Uplink:
             for name, start, end in stages
         ]
 
-    def _count_wire(self) -> int:
-        before, self._wire_bytes = self._wire_bytes, self.bus.wire_bytes()
-        return max(0, self._wire_bytes - before)
+    def settle(self, frame: int | None = None) -> list[WireCount]:
+        """Returns what TCP sent for the last frame, if any; `frame` is the one that now begins."""
+        before, self._counted_bytes = self._counted_bytes, self.bus.wire_bytes()
+        last, self._counted_frame = self._counted_frame, frame
+        sent_bytes = self._counted_bytes - before
+        if last is None or sent_bytes <= 0:
+            return []
+        return [WireCount(agent=self.agent, frame=last, sent_bytes=sent_bytes)]

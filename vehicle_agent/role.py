@@ -6,7 +6,7 @@ import numpy as np
 
 from protocol.geometry import SE3, Floats
 from protocol.inbox import Envelope, Presence
-from protocol.messages import AgentPose, Equipment, Span, Tick, Upload
+from protocol.messages import AgentPose, Equipment, Span, Tick, Upload, WireCount
 from protocol.process import Context
 from sensing.config import PoseErrorConfig
 from sensing.noise import stream
@@ -46,7 +46,9 @@ class VehicleRole:
         scanning = [i for i in mine if tick.equipment[i] == Equipment.CAV]
         names = [tick.ids[i] for i in scanning]
         self._station.publish_roster(tick, [tick.ids[i] for i in mine], names)
-        self._hang_up(set(names))
+        wire = self._hang_up(set(names))
+        for agent in names:
+            wire += self._uplink(agent).settle(tick.frame)
         uploads: list[Upload] = []
         spans: list[Span] = []
         for index in mine:
@@ -55,7 +57,7 @@ class VehicleRole:
                 upload, stages = self._publish_scan(tick, index, believed)
                 uploads.append(upload)
                 spans += stages
-        self._station.publish_metrics(tick, uploads, spans)
+        self._station.publish_metrics(tick, uploads, spans, wire)
 
     def _hosted(self, tick: Tick) -> list[int]:
         if self._context.id not in tick.processes:
@@ -83,16 +85,22 @@ class VehicleRole:
         return pose
 
     def _publish_scan(self, tick: Tick, index: int, believed: Floats) -> tuple[Upload, list[Span]]:
-        agent = tick.ids[index]
-        if agent not in self._uplinks:
-            self._uplinks[agent] = self._station.uplink(agent, self._context.open_v2x())
-        return self._uplinks[agent].sense_and_send(
+        return self._uplink(tick.ids[index]).sense_and_send(
             tick,
             map_SE3_sensor=SE3.from_pose(tick.poses[index]) @ self._body_SE3_sensor,
             believed_SE3_sensor=SE3.from_pose(believed) @ self._body_SE3_sensor,
             own=index,
         )
 
-    def _hang_up(self, still_here: set[str]) -> None:
+    def _uplink(self, agent: str) -> Uplink:
+        if agent not in self._uplinks:
+            self._uplinks[agent] = self._station.uplink(agent, self._context.open_v2x())
+        return self._uplinks[agent]
+
+    def _hang_up(self, still_here: set[str]) -> list[WireCount]:
+        wire: list[WireCount] = []
         for agent in sorted(self._uplinks.keys() - still_here):
-            self._uplinks.pop(agent).bus.close()
+            gone = self._uplinks.pop(agent)
+            wire += gone.settle()
+            gone.bus.close()
+        return wire

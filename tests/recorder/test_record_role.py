@@ -92,7 +92,7 @@ class Rig:
             self.v2x.publish("scan", scan, region="r0", agent=agent, chunk="0")
             uploads.append(
                 m.Upload(
-                    agent=agent, chunk=0, points=7, payload_bytes=1000, wire_bytes=1100,
+                    agent=agent, chunk=0, points=7, payload_bytes=1000,
                     sense_start_ns=start + MS, sense_end_ns=start + 9 * MS,
                     encode_end_ns=start + 10 * MS, sent_ns=start + 11 * MS,
                 )
