@@ -43,7 +43,8 @@ class Display:
             self._live.update(_panel(progress, time_s, self._scenario.duration_s), refresh=True)
         elif time.monotonic_ns() - self._told_ns >= LINE_EVERY_NS:
             self._told_ns = time.monotonic_ns()
-            self._console.print(_line(progress, time_s), highlight=False, soft_wrap=True)
+            line = _line(progress, time_s)
+            self._console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def _line(progress: Progress, time_s: float) -> str:

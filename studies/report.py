@@ -5,6 +5,7 @@ from __future__ import annotations
 from rich import box
 from rich.columns import Columns
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from studies.latency import STAGES
@@ -26,9 +27,10 @@ def print_report(summary: Summary, console: Console) -> None:
 
 def _headline(summary: Summary) -> str:
     ended = summary["ended"] or "cut off"
+    name = escape(str(summary["scenario"] or "run"))
     return (
-        f"[bold]{summary['scenario'] or 'run'}[/bold]  {summary['mode'] or ''}  "
-        f"seed {summary['seed']}  [dim]({ended})[/dim]"
+        f"[bold]{name}[/bold]  {summary['mode'] or ''}  "
+        f"seed {summary['seed']}  [dim]({escape(ended)})[/dim]"
     )
 
 
@@ -75,7 +77,7 @@ def _agent_table(summary: Summary) -> Table:
     agents = sorted(summary["agents"].items(), key=lambda item: (-item[1]["frames"], item[0]))
     for agent, figures in agents[:_MOST_AGENTS]:
         table.add_row(
-            agent,
+            escape(agent),
             str(figures["frames"]),
             _number(figures["points_per_frame"], 0),
             _number(figures["bytes_per_frame"] / 1e3, 1),
@@ -95,7 +97,7 @@ def _drop_table(summary: Summary) -> Table:
     table = _numeric("dropped by", "times")
     for process, reasons in summary["drops_by_reason"].items():
         for reason, times in reasons.items():
-            table.add_row(f"{process}: {reason}", str(times))
+            table.add_row(escape(f"{process}: {reason}"), str(times))
     return table
 
 
