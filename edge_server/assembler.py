@@ -3,27 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
 
 from edge_server.frame import Frame, Piece
-from protocol.messages import AgentPose, Roster
+from edge_server.gathering import Gathering
+from protocol.horizon import Horizon
+from protocol.messages import AgentPose, Roster, Scan
 
 MAX_OPEN_FRAMES = 4
-MAX_AGENTS = 512  # of a frame
-MAX_BYTES = 128 << 20  # of decoded points of a frame
 NO_POSE_ROLE = "infra"  # a post's place is in its scans
-
-
-@dataclass(slots=True, eq=False)
-class _OpenFrame:
-    """A frame under way. Chunks are known by (agent, chunk)."""
-
-    first_ns: int
-    rosters: dict[str, Roster] = field(default_factory=dict)
-    poses: dict[str, AgentPose] = field(default_factory=dict)
-    pieces: dict[tuple[str, int], Piece] = field(default_factory=dict)
-    chunks: dict[str, int] = field(default_factory=dict)
-    size_bytes: int = 0
 
 
 class Assembler:
@@ -38,9 +25,10 @@ class Assembler:
         self._roles = dict(expected)
         self._alive: set[str] = set()
         self._heard = set(expected)
-        self._open: dict[int, _OpenFrame] = {}
+        self._open: dict[int, Gathering] = {}
         self._times_ns: dict[int, int] = {}
         self._finished = -1
+        self._horizon = Horizon()
         self.drops: Counter[str] = Counter()
 
     def hear(self, process: str, role: str, *, alive: bool) -> None:
@@ -53,107 +41,106 @@ class Assembler:
             self._heard.discard(process)
 
     def add_time(self, frame: int, sim_time_ns: int) -> None:
-        """Takes note of a frame's simulated time, which a frame without agents has not."""
+        """Takes note of a frame's simulated time, as the signal's state has it."""
+        self._horizon.follow(frame)
+        if not self._is_near(frame):
+            return
         self._times_ns[frame] = sim_time_ns
-        while len(self._times_ns) > 2 * MAX_OPEN_FRAMES:
-            del self._times_ns[min(self._times_ns)]
+        if len(self._times_ns) > 2 * MAX_OPEN_FRAMES:
+            del self._times_ns[self._horizon.farthest(self._times_ns)]
 
     def add_roster(self, roster: Roster, received_ns: int) -> None:
-        """Takes the list of agents that a process speaks for."""
-        part = self._part(roster.frame, received_ns)
-        if part is None:
-            return
-        self._heard.add(roster.process)
-        if self._has_room(len(part.rosters), len(roster.agents)):
-            part.rosters[roster.process] = roster
+        """Takes the list of agents that a process speaks for; only of one that is there."""
+        if roster.process not in self._alive:
+            self.drops["absent_process"] += 1
+        elif part := self._part(roster.frame, received_ns):
+            self._heard.add(roster.process)
+            part.add_roster(roster)
 
     def add_pose(self, pose: AgentPose, received_ns: int) -> None:
         """Takes an agent's pose."""
-        part = self._part(pose.frame, received_ns)
-        if part is not None and self._has_room(len(part.poses), 1):
-            self.add_time(pose.frame, pose.sim_time_ns)
-            part.poses[pose.agent] = pose
+        if part := self._part(pose.frame, received_ns):
+            part.add_pose(pose)
+
+    def wants(self, scan: Scan, received_ns: int) -> bool:
+        """Whether it is worth decoding a scan; counts it if not."""
+        part = self._part(scan.frame, received_ns)
+        return part is not None and part.wants(scan)
 
     def add_piece(self, piece: Piece) -> None:
-        """Takes a decoded chunk of a scan."""
-        part = self._part(piece.frame, piece.received_ns)
-        if part is None or not self._has_room(len(part.pieces), 1):
-            return
-        if part.size_bytes + piece.points.nbytes > MAX_BYTES:
-            self.drops["frame_too_large"] += 1
-            return
-        self.add_time(piece.frame, piece.sim_time_ns)
-        part.size_bytes += piece.points.nbytes
-        part.chunks[piece.agent] = piece.chunks
-        part.pieces[piece.agent, piece.chunk] = piece
-
-    def wants(self, frame: int) -> bool:
-        """Whether it is worth decoding a scan of this frame; counts it as late if not."""
-        if frame <= self._finished:
-            self.drops["late"] += 1
-        return frame > self._finished
+        """Takes a chunk of a scan that was wanted, decoded."""
+        if part := self._part(piece.frame, piece.received_ns):
+            part.add_piece(piece)
 
     def pop(self, now_ns: int) -> Frame | None:
         """Returns the newest whole frame, else the oldest that has been waited for long enough.
 
         Older frames than the one returned are given up.
         """
-        whole = [number for number, part in self._open.items() if self._is_whole(number, part)]
-        old = [n for n, p in self._open.items() if now_ns - p.first_ns > self._wait_ns]
+        credible = {n: part for n, part in self._open.items() if self._is_credible(n, part)}
+        whole = [number for number, part in credible.items() if self._is_whole(number, part)]
+        old = [n for n, part in credible.items() if now_ns - part.first_ns > self._wait_ns]
         if not whole and not old:
             return None
         number = max(whole) if whole else min(old)
         part = self._open.pop(number)
         for passed in [n for n in self._open if n < number]:
-            del self._open[passed]
-            self.drops["frame_given_up"] += 1
+            self._give_up(passed)
         self._finished = number
+        self._horizon.reach(number)
         self.drops["frame_incomplete"] += not whole
         return self._close(number, part, complete=bool(whole), now_ns=now_ns)
 
-    def _part(self, frame: int, received_ns: int) -> _OpenFrame | None:
-        if not self.wants(frame):
+    def _part(self, frame: int, received_ns: int) -> Gathering | None:
+        if frame <= self._finished:
+            self.drops["late"] += 1
+            return None
+        if not self._is_near(frame):
             return None
         if frame not in self._open:
-            self._open[frame] = _OpenFrame(received_ns)
+            self._open[frame] = Gathering(received_ns, self.drops)
             if len(self._open) > MAX_OPEN_FRAMES:
-                del self._open[min(self._open)]
-                self.drops["frame_given_up"] += 1
+                self._give_up(self._horizon.farthest(self._open))
         part = self._open.get(frame)
         if part is not None:
             part.first_ns = min(part.first_ns, received_ns)
         return part
 
-    def _has_room(self, held: int, more: int) -> bool:
-        has_room = held + more <= MAX_AGENTS
-        self.drops["too_many_agents"] += not has_room
-        return has_room
+    def _is_near(self, frame: int) -> bool:
+        near = self._horizon.admits(frame)
+        self.drops["far_frame"] += not near
+        return near
 
-    def _is_whole(self, number: int, part: _OpenFrame) -> bool:
-        if number not in self._times_ns:
+    def _give_up(self, frame: int) -> None:
+        del self._open[frame]
+        self.drops["frame_given_up"] += 1
+
+    @property
+    def _awaited(self) -> set[str]:
+        return self._alive & self._heard
+
+    def _is_credible(self, number: int, part: Gathering) -> bool:
+        """Whether more than a single message speaks for a frame: its end makes others late."""
+        awaited = self._awaited
+        said = len(awaited & part.rosters.keys())
+        return number in self._times_ns or 2 * said > len(awaited)
+
+    def _is_whole(self, number: int, part: Gathering) -> bool:
+        awaited = self._awaited
+        if number not in self._times_ns and part.time_ns is None:
             return False
-        awaited = self._alive & self._heard
         return awaited <= part.rosters.keys() and all(
-            self._kept(part, roster) for name, roster in part.rosters.items() if name in awaited
+            part.keeps(part.rosters[name], with_poses=self._roles.get(name) != NO_POSE_ROLE)
+            for name in awaited
         )
 
-    def _kept(self, part: _OpenFrame, roster: Roster) -> bool:
-        """Whether all came that a roster announces."""
-        with_pose = self._roles.get(roster.process) != NO_POSE_ROLE
-        if with_pose and not all(agent in part.poses for agent in roster.agents):
-            return False
-        return all(
-            agent in part.chunks
-            and all((agent, chunk) in part.pieces for chunk in range(part.chunks[agent]))
-            for agent in roster.scanning
-        )
-
-    def _close(self, number: int, part: _OpenFrame, *, complete: bool, now_ns: int) -> Frame:
+    def _close(self, number: int, part: Gathering, *, complete: bool, now_ns: int) -> Frame:
         agents = sorted({*part.poses, *(agent for agent, _ in part.pieces)})
         latest_ns = max(self._times_ns.values(), default=0)
+        own_ns = latest_ns if part.time_ns is None else part.time_ns
         return Frame(
             frame=number,
-            sim_time_ns=self._times_ns.get(number, latest_ns),
+            sim_time_ns=self._times_ns.get(number, own_ns),
             agents=agents,
             poses=[part.poses[agent] for agent in sorted(part.poses)],
             pieces=[part.pieces[key] for key in sorted(part.pieces)],

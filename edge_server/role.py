@@ -56,12 +56,15 @@ class EdgeRole:
         if isinstance(item, Presence):
             self._hear(item)
             return
+        if not _is_its_own(item):
+            self._assembler.drops["wrong_sender"] += 1
+            return
         match item.message:
             case Roster() as roster:
                 self._assembler.add_roster(roster, item.received_ns)
             case AgentPose() as pose:
                 self._assembler.add_pose(pose, item.received_ns)
-            case Scan() as scan if self._assembler.wants(scan.frame):
+            case Scan() as scan if self._assembler.wants(scan, item.received_ns):
                 self._take_scan(scan, item.received_ns)
             case SignalState() as state:
                 self._assembler.add_time(state.frame, state.sim_time_ns)
@@ -122,6 +125,12 @@ def expected_agents(scenario: dict[str, Any]) -> dict[str, str]:
     return {f"vehicle-{n}": "vehicle" for n in range(vehicles)} | {
         f"infra-{n}": "infra" for n in range(posts)
     }
+
+
+def _is_its_own(item: Envelope) -> bool:
+    """Whether a message says of its sender what the key does on which it came."""
+    header = item.message
+    return all(str(getattr(header, name, part)) == part for name, part in item.parts.items())
 
 
 def _waits(frame: Frame) -> list[Span]:
