@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
+
 from protocol.bus import Endpoint, open_bus
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Progress
 from protocol.topics import BusName
 
 CONNECT_TIMEOUT_MS = 300
+CLOSE_S = 1.0
 
 
 class Watch:
@@ -33,7 +36,10 @@ class Watch:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._bus.close()
+        """Hangs up; the world's router may be gone already, and nobody is to wait for it."""
+        closing = threading.Thread(target=self._bus.close, daemon=True)
+        closing.start()
+        closing.join(CLOSE_S)
 
     def update(self, timeout_s: float) -> bool:
         """Takes what has come, waiting at most this long; returns whether progress was new."""

@@ -26,7 +26,7 @@ __all__ = ["Bus", "Endpoint", "Envelope", "Inbox", "Presence", "ZenohBus", "fetc
 M = TypeVar("M", bound=Message)
 
 CONNECT_TIMEOUT_MS = 60_000
-LEASE_MS = 120_000  # a process may be stopped for long; its death shows as the end of its TCP
+LEASE_MS = 20_000  # a process may be stopped for so long; its death shows as the end of its TCP
 _PRIORITY = {
     Delivery.BULK: zenoh.Priority.DATA,
     Delivery.PROMPT: zenoh.Priority.INTERACTIVE_HIGH,
