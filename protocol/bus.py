@@ -1,7 +1,8 @@
 """The two buses over Zenoh. The only module that imports it.
 
 One process of the system hosts a bus's router and listens; all others connect to it as clients.
-Shared memory is off on the V2X bus: bytes that never cross the socket could not be counted.
+Shared memory is off: bytes that never cross the socket could not be counted, and what lies in the
+memory of a process that has ended, or that was not scheduled for a while, is lost.
 """
 
 from __future__ import annotations
@@ -185,12 +186,12 @@ def _open_session(
 ) -> zenoh.Session:
     timeout_ms = CONNECT_TIMEOUT_MS if timeout_ms is None else timeout_ms
     try:
-        return zenoh.open(_config(name, endpoint, timeout_ms))
+        return zenoh.open(_config(endpoint, timeout_ms))
     except zenoh.ZError as error:
         raise BusError(_explain(name, endpoint, timeout_ms, str(error))) from None
 
 
-def _config(name: BusName, endpoint: Endpoint, timeout_ms: int) -> zenoh.Config:
+def _config(endpoint: Endpoint, timeout_ms: int) -> zenoh.Config:
     config = zenoh.Config()
     settings = {
         "mode": "router" if endpoint.listen else "client",
@@ -202,7 +203,7 @@ def _config(name: BusName, endpoint: Endpoint, timeout_ms: int) -> zenoh.Config:
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
-        "transport/shared_memory/enabled": name is BusName.WORLD,
+        "transport/shared_memory/enabled": False,
     }
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))

@@ -11,6 +11,7 @@ from protocol.errors import BusError, CpnetError
 from protocol.inbox import Envelope, Presence
 from protocol.messages import End, Metrics, SignalRequest, Span, Trips
 from protocol.process import Context
+from protocol.topics import BusName
 from sensing.config import SceneConfig
 from sensing.terrain import Terrain
 from sim_host.broadcast import tick_of, truth_of
@@ -24,6 +25,7 @@ from sim_host.world import World
 
 _SLICE_NS = 50_000_000  # how long warm-up may keep the loop from hearing a stop
 _NAP_NS = 30_000_000  # more than the loop's own pause, so that no tick waits for that
+_LINGER_NS = 2_000_000_000  # for the recorder to take what was said last
 _log = logging.getLogger(__name__)
 
 
@@ -122,12 +124,21 @@ class SimRole:
             self._begin_frame()
 
     def close(self) -> None:
-        """Ends the run, if it has not ended by itself."""
+        """Ends the run, if it has not ended by itself, and sees the recorder off."""
         try:
             if self._stage is not Stage.OVER:
                 self._end("stopped")
+            self._see_off()
         finally:
             self._world.close()
+
+    def _see_off(self) -> None:
+        """Waits until the recorder has left: with this process the world's router goes."""
+        until_ns = time.monotonic_ns() + _LINGER_NS
+        while self._roll_call.is_on(BusName.WORLD, "record") and time.monotonic_ns() < until_ns:
+            item = self._context.inbox.get(_NAP_NS / 1e9)
+            if isinstance(item, Presence):
+                self._roll_call.hear(item)
 
     def _hear(self, presence: Presence) -> None:
         self._roll_call.hear(presence)

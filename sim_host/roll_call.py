@@ -41,6 +41,10 @@ class RollCall:
         else:
             self._here.discard((presence.bus, presence.id))
 
+    def is_on(self, bus: BusName, process_id: str) -> bool:
+        """Tells whether a process shows itself on a bus."""
+        return (bus, process_id) in self._here
+
     def is_complete(self) -> bool:
         """Tells whether all are there, and says in the log who is missing.
 

@@ -102,6 +102,8 @@ def make(tmp_path: Path) -> Iterator[type[Rig]]:
 
     yield Kept
     for rig in rigs:
+        for name in list(rig.others):
+            rig.vanish(name)
         rig.role.close()
 
 
@@ -202,11 +204,26 @@ def test_a_stop_is_quick_and_tells_the_journeys_under_way(make: type[Rig]) -> No
     rig.appear(*OTHERS)
     start_ns = time.monotonic_ns()
     rig.turn()
+    rig.vanish("record")
     rig.role.close()
     assert time.monotonic_ns() - start_ns < 1e9
     assert [item.message.reason for item in iter(rig.seen.get, None) if item.topic == "end"] == [
         "stopped"
     ]
+
+
+def test_the_world_stays_until_the_recorder_has_left(make: type[Rig]) -> None:
+    rig = make()
+    rig.appear(*OTHERS)
+    rig.until_frame()
+    closing = threading.Thread(target=rig.role.close)
+    closing.start()
+    while (item := rig.seen.get(1.0)) is None or item.topic != "end":
+        pass
+    assert closing.is_alive()
+    rig.vanish("record")
+    closing.join(1.0)
+    assert not closing.is_alive()
 
 
 def test_realtime_keeps_the_clock_without_any_request(make: type[Rig]) -> None:
