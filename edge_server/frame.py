@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge_server.arrays import Floats, Floats32
-from edge_server.roadway import Placed
+from perception.arrays import Floats, Floats32
+from perception.roadway import Placed
 from protocol.codec import decode
 from protocol.messages import AgentPose, Scan
 

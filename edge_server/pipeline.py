@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_server.arrays import Floats
-from edge_server.boxes import fit_boxes
-from edge_server.cluster import cluster
 from edge_server.config import EdgeConfig
 from edge_server.frame import Frame, Piece
 from edge_server.fuse import fuse
-from edge_server.ground import remove_ground
 from edge_server.lanes import LaneIndex, Place
 from edge_server.merge import merge, sensor_in_map
-from edge_server.roadway import Placed, Roadway
 from edge_server.spans import Spans
-from edge_server.vehicles import Vehicles
+from perception.arrays import Floats
+from perception.boxes import fit_boxes
+from perception.cluster import cluster
+from perception.ground import remove_ground
+from perception.roadway import Placed, Roadway
+from perception.vehicles import Vehicles
 from protocol.messages import Detections, LaneCounts, Span
 from protocol.roadmap import RoadMap
 
