@@ -11,7 +11,18 @@ from typing import Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from protocol.arrays import Boxes, Bytes, Floats32, Indices, Pose6, Poses, Triangles, Vertices
+from protocol.arrays import (
+    Borders,
+    Boxes,
+    Bytes,
+    Floats32,
+    Indices,
+    Pose6,
+    Poses,
+    Sites,
+    Triangles,
+    Vertices,
+)
 from protocol.roadmap import RoadMap
 
 Id = str
@@ -181,7 +192,12 @@ class AgentPose(Message):
 
 
 class Scan(Message):
-    """One chunk of an encoded scan. `sensor_pose` is `map_SE3_sensor` as the agent believes it."""
+    """One chunk of an encoded scan. `sensor_pose` is `map_SE3_sensor` as the agent believes it.
+
+    Chunks are numbered from 0 and sent in this order. `plan_frame` is the frame of the plan that
+    the chunks were cut by, -1 for none. `ground_free` says that the agent has taken away what
+    belongs to the ground and to the static scene.
+    """
 
     kind: ClassVar[int] = 10
     frame: int
@@ -190,6 +206,8 @@ class Scan(Message):
     chunk: int = Field(ge=0)
     chunks: int = Field(ge=1, le=64)
     points: int = Field(ge=0)
+    plan_frame: int = -1
+    ground_free: bool = False
     sensor_pose: Pose6
     sense_start_ns: int
     sense_end_ns: int
@@ -290,6 +308,45 @@ class Progress(Message):
     end_to_end_ms: float
     state: str
     drops: int
+
+
+class Plan(Message):
+    """What an agent shall send: its part of the scene from `frame` on, until a newer plan comes.
+
+    The parts are cells of a power diagram: a place x, y belongs to the agent with the least
+    |place - site|^2 - weight, ties to the first of the list. `sites` are in m in the map frame, in
+    the order of `agents`; `weights_m2` holds for each agent the tight, the plain and the wide
+    weight. All agents of a frame get the same arrays; without cells they are empty.
+
+    `mbps` is what the agent's uplink carries as the edge believes, 0 if it does not know. Of
+    `enough` and the frames before it no more chunks are needed.
+    """
+
+    kind: ClassVar[int] = 15
+    frame: int = Field(ge=0)
+    agent: Id
+    mbps: float = Field(ge=0)
+    enough: int = Field(ge=-1)
+    agents: list[Id]
+    sites: Sites
+    weights_m2: Borders
+
+
+class Objects(Message):
+    """What an agent that detects for itself found, in the place of a scan.
+
+    Boxes are as in `Detections`, in the map frame as the agent believes it.
+    """
+
+    kind: ClassVar[int] = 16
+    frame: int
+    sim_time_ns: int
+    agent: Id
+    boxes: Boxes
+    scores: Floats32
+    sense_start_ns: int
+    sense_end_ns: int
+    detect_end_ns: int
 
 
 MESSAGES: dict[int, type[Message]] = {m.kind: m for m in Message.__subclasses__()}
