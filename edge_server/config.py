@@ -24,6 +24,24 @@ class FusionConfig(Section):
     )
 
 
+class PlanConfig(Section):
+    """Which agent uploads which part of the scene (EMP, 2021)."""
+
+    alpha: float = Field(
+        0.3,
+        ge=0,
+        le=0.4,
+        description="reap: borders are drawn for uplink rates wrong by this share, either way",
+    )
+    nominal_mbps: float = Field(
+        10.0, ge=0.1, le=1000, description="an uplink's rate as long as nothing was seen of it"
+    )
+    early_end: bool = Field(
+        True,
+        description="reap, realtime: a frame ends once the space between all neighbours is covered",
+    )
+
+
 class EdgeConfig(Section):
     """The edge server: how long it waits, how it merges, detects and counts."""
 
@@ -43,4 +61,5 @@ class EdgeConfig(Section):
     ground: GroundConfig = Field(GroundConfig(), description="ground removal, RANSAC")
     cluster: ClusterConfig = Field(ClusterConfig(), description="clustering, DBSCAN")
     boxes: BoxConfig = Field(BoxConfig(), description="boxes and the size filter")
+    plan: PlanConfig = Field(PlanConfig(), description="who uploads which part of the scene")
     fusion: FusionConfig = Field(FusionConfig(), description="duplicates")
