@@ -36,17 +36,20 @@ class Uploaded:
 
 @dataclass(frozen=True, slots=True)
 class Borders:
-    """The agents of a plan, and the pairs of them that are neighbours."""
+    """The agents of a plan, those of them whose cell is not empty, and who are neighbours."""
 
     agents: tuple[str, ...]
+    owners: tuple[str, ...]
     pairs: tuple[tuple[str, str], ...]
 
     def covered(self, came: Mapping[str, int]) -> bool:
         """Whether these numbers of chunks cover the scene.
 
-        An agent that is not among them has left; its part is covered when the next plan comes.
+        An agent that is not among them has left; its part is covered when the next plan comes. An
+        owner without neighbours needs its first chunk: all that it sees lies within its borders.
         """
-        here = [agent for agent in self.agents if agent in came]
-        if len(here) < 2:
-            return all(came[agent] > 0 for agent in here)
-        return all(came[a] + came[b] >= TOGETHER for a, b in self.pairs if a in came and b in came)
+        here = [(a, b) for a, b in self.pairs if a in came and b in came]
+        paired = {agent for pair in here for agent in pair}
+        return all(came[a] + came[b] >= TOGETHER for a, b in here) and all(
+            came[agent] > 0 for agent in self.owners if agent in came and agent not in paired
+        )

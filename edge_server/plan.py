@@ -69,10 +69,9 @@ def neighbours(sites: Floats, weights_m2: Floats, box: Floats) -> list[tuple[int
     for i in range(len(sites)):
         polygon, origin = corners[i, : counts[i]], origins[i, : counts[i]]
         edges_m = np.linalg.norm(np.roll(polygon, -1, axis=0) - polygon, axis=1)
-        pairs |= {
-            (min(i, int(j)), max(i, int(j)))
-            for j in origin[(origin >= 0) & (edges_m > LEAST_EDGE_M)]
-        }
+        for j in origin[edges_m > LEAST_EDGE_M].tolist():
+            if j >= 0 and counts[j] > 0:  # of two agents at one place, one has nothing
+                pairs.add((min(i, j), max(i, j)))
     return sorted(pairs)
 
 

@@ -11,7 +11,7 @@ from edge_server.bandwidth import Bandwidth
 from edge_server.config import PlanConfig
 from edge_server.coverage import Borders, Uploaded
 from edge_server.frame import Frame
-from edge_server.plan import partners, power_weights, voronoi_weights
+from edge_server.plan import PLAIN, cells, partners, power_weights, voronoi_weights
 from perception.arrays import Floats
 from protocol.messages import Plan
 from protocol.roadmap import RoadMap
@@ -113,11 +113,17 @@ class Planner:
 
     def _remember(self, frame: int, agents: list[str], places: Floats, weights_m2: Floats) -> None:
         if self.ends_early:
-            pairs = partners(places, weights_m2, self._box)
-            named = tuple((agents[i], agents[j]) for i, j in pairs)
-            self._borders[frame] = Borders(tuple(agents), named)
+            self._borders[frame] = borders_of(agents, places, weights_m2, self._box)
             while len(self._borders) > KEPT_PLANS:
                 del self._borders[min(self._borders)]
+
+
+def borders_of(agents: list[str], sites: Floats, weights_m2: Floats, box: Floats) -> Borders:
+    """Returns who borders on whom in a plan."""
+    plain = cells(sites, weights_m2, box, border=PLAIN)
+    owners = tuple(agent for agent, cell in zip(agents, plain, strict=True) if len(cell))
+    pairs = partners(sites, weights_m2, box)
+    return Borders(tuple(agents), owners, tuple((agents[i], agents[j]) for i, j in pairs))
 
 
 def _box(road_map: RoadMap) -> Floats:
