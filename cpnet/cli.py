@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 import sys
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 import yaml
 from rich.console import Console
+from rich.markup import escape
 
 from cpnet import doctor as checks
 from cpnet import scenario as scenarios
@@ -20,7 +22,6 @@ from studies.report import print_report
 from studies.summary import summarise, to_json
 
 app = typer.Typer(
-    help="Cooperative perception for traffic signals: real bytes, real detection, real delay.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
@@ -28,7 +29,26 @@ app = typer.Typer(
 _console = Console()
 _errors = Console(stderr=True)
 
-Override = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE")]
+Override = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="any scenario key; `cpnet scenario` shows all"),
+]
+Address = "HOST:PORT, v2x=HOST:PORT or world=HOST:PORT"
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"cpnet {version('cpnet-edge')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    _: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="and exit")
+    ] = False,
+) -> None:
+    """Cooperative perception for traffic signals: real bytes, real detection, real delay."""
 
 
 @app.command("up")
@@ -36,7 +56,7 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     scenario: Annotated[str, typer.Argument(help="built-in name or YAML file")] = "t_junction",
     *,
     mode: Annotated[str | None, typer.Option(help="lockstep or realtime")] = None,
-    duration: Annotated[float | None, typer.Option(help="simulated seconds")] = None,
+    duration: Annotated[float | None, typer.Option(help="simulated s after warm-up")] = None,
     seed: Annotated[int | None, typer.Option(help="of traffic, CAVs, scene and noise")] = None,
     cav_rate: Annotated[float | None, typer.Option(help="share of vehicles with LiDAR")] = None,
     cv_rate: Annotated[float | None, typer.Option(help="share that reports its pose only")] = None,
@@ -46,8 +66,12 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     set_: Override = None,
     out: Annotated[Path | None, typer.Option(help="run folder; default runs/NAME-TIME")] = None,
     only: Annotated[str | None, typer.Option(metavar="ROLE,...", help="roles to run here")] = None,
-    listen: Annotated[list[str] | None, typer.Option(metavar="HOST:PORT")] = None,
-    connect: Annotated[list[str] | None, typer.Option(metavar="HOST:PORT")] = None,
+    listen: Annotated[
+        list[str] | None, typer.Option(metavar="PLACE", help=f"host the buses: {Address}")
+    ] = None,
+    connect: Annotated[
+        list[str] | None, typer.Option(metavar="PLACE", help=f"buses elsewhere: {Address}")
+    ] = None,
 ) -> None:
     """Run the loop: world, sensors, edge, signal, record; then print the summary."""
     named = {
@@ -67,9 +91,21 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     overrides |= dict(scenarios.parse_assignment(text) for text in set_ or [])
     options = Options(scenario, overrides, only, listen or [], connect or [], out)
     status, run_dir = up(options, _console)
-    if (run_dir / "run.sqlite").is_file():
-        print_report(summarise(run_dir), _console)
+    _conclude(run_dir)
     raise typer.Exit(status)
+
+
+def _conclude(run_dir: Path) -> None:
+    if not (run_dir / "run.sqlite").is_file():
+        _console.print("the results are where the role record runs")
+        return
+    summary = summarise(run_dir)
+    if not summary["frames"]:
+        _console.print("no frame was recorded")
+        return
+    print_report(summary, _console)
+    shown = _relative(run_dir)
+    _console.print(f"next: cpnet draw {shown}    cpnet report {shown} --json", soft_wrap=True)
 
 
 @app.command("report")
@@ -98,14 +134,13 @@ def report_command(
 def draw_command(
     run: Annotated[Path, typer.Argument(help="run folder")],
     *,
-    png: Annotated[Path, typer.Option(help="picture to write")] = Path("frame.png"),
+    png: Annotated[Path | None, typer.Option(help="default RUN/frame-N.png")] = None,
     frame: Annotated[int | None, typer.Option(help="a recorded frame; default the last")] = None,
 ) -> None:
     """Draw the merged cloud of a frame with its boxes over the lanes."""
     from studies.draw import draw_frame
 
-    draw_frame(run, frame, png)
-    _console.print(f"wrote {png}", highlight=False)
+    _console.print(f"wrote {draw_frame(run, frame, png)}", highlight=False, soft_wrap=True)
 
 
 @app.command("scenario")
@@ -141,8 +176,12 @@ def main() -> None:
     try:
         app()
     except CpnetError as error:
-        _errors.print(f"[bold red]error[/] {error}", highlight=False, markup=True, soft_wrap=True)
+        _errors.print(f"[bold red]error[/] {escape(str(error))}", highlight=False, soft_wrap=True)
         sys.exit(2)
+
+
+def _relative(path: Path) -> Path:
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 def _absolute(path: Path | None) -> str | None:

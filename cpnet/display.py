@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.progress_bar import ProgressBar
@@ -11,7 +13,7 @@ from rich.text import Text
 from cpnet.scenario import Scenario
 from protocol.messages import Progress
 
-LINE_EVERY_S = 10.0
+LINE_EVERY_NS = 5_000_000_000
 MAX_AGENTS = 12
 
 
@@ -22,7 +24,7 @@ class Display:
         self._console = console
         self._scenario = scenario
         self._live = Live(console=console, transient=True, auto_refresh=False)
-        self._told_s = -LINE_EVERY_S
+        self._told_ns = 0
 
     def __enter__(self) -> Display:
         if self._console.is_terminal:
@@ -33,22 +35,24 @@ class Display:
         self._live.stop()
 
     def show(self, progress: Progress) -> None:
-        """Draws the newest state of the run; times leave out the warm-up."""
+        """Draws the newest state of the run, once a frame is whole; times leave out the warm-up."""
+        if not progress.end_to_end_ms:
+            return
         time_s = (progress.frame + 1) * self._scenario.frame_period_s
         if self._console.is_terminal:
             self._live.update(_panel(progress, time_s, self._scenario.duration_s), refresh=True)
-        elif time_s - self._told_s >= LINE_EVERY_S:
-            self._told_s = time_s
-            self._console.print(_line(progress, time_s), highlight=False, soft_wrap=True)
+        elif time.monotonic_ns() - self._told_ns >= LINE_EVERY_NS:
+            self._told_ns = time.monotonic_ns()
+            line = _line(progress, time_s)
+            self._console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def _line(progress: Progress, time_s: float) -> str:
     total_mbps = sum(progress.mbps.values())
     return (
-        f"frame {progress.frame}  {time_s:.1f} s  "
-        f"x{progress.real_time_factor:.2f}  {progress.vehicles} vehicles, {progress.cavs} CAVs, "
-        f"{progress.detections} detected  {total_mbps:.1f} Mbit/s from {len(progress.mbps)} agents"
-        f"  {progress.end_to_end_ms:.0f} ms end to end  {progress.state}"
+        f"{time_s:6.1f} s  x{progress.real_time_factor:.2f}  {progress.vehicles} vehicles  "
+        f"{progress.cavs} CAVs  {progress.detections} found  {total_mbps:.1f} Mbit/s  "
+        f"{progress.end_to_end_ms:.0f} ms  {progress.state}"
     )
 
 
@@ -71,7 +75,8 @@ def _panel(progress: Progress, time_s: float, duration_s: float) -> RenderableTy
     agents = Table.grid(padding=(0, 3))
     for name, mbps in sorted(progress.mbps.items())[:MAX_AGENTS]:
         agents.add_row(Text(name, "cyan"), f"{mbps:.2f} Mbit/s")
-    bar = ProgressBar(total=duration_s, completed=min(time_s, duration_s), width=60)
+    bar = Table.grid()
+    bar.add_row(ProgressBar(total=duration_s, completed=min(time_s, duration_s), width=60))
     return Group(bar, table, Text("uplink", "bold"), agents)
 
 

@@ -18,6 +18,8 @@ from sensing.config import LidarConfig, Mount, PoseErrorConfig, SceneConfig, Upl
 from signal_controller.config import SignalConfig
 from sim_host.config import CabinetConfig, TrafficConfig
 
+_NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)  # the loader lets all of them out
+
 
 class LidarPair(Section):
     """The two kinds of LiDAR."""
@@ -37,7 +39,12 @@ class ProcessConfig(Section):
 class Scenario(Section):
     """A whole run. Its sections belong to the roles that read them."""
 
-    name: str = Field("t_junction", description="what the run is called in reports")
+    name: str = Field(
+        "t_junction",
+        pattern=r"^[A-Za-z0-9_-][A-Za-z0-9_.-]*$",
+        max_length=80,
+        description="what the run is called in reports and its folder by default",
+    )
     seed: int = Field(
         1, ge=0, lt=2**31, description="traffic, CAVs, scene and noise follow from it"
     )
@@ -97,6 +104,7 @@ def validate(data: dict[str, Any], source: str) -> Scenario:
         lines = [_explain(dict(item)) for item in error.errors()[:8]]
         raise ConfigError(f"{source}: " + "\n".join(lines)) from None
     _check_period(scenario, source)
+    _check_mounts(scenario, source)
     return scenario
 
 
@@ -107,8 +115,8 @@ def parse_assignment(text: str) -> tuple[str, Any]:
         raise ConfigError(f"--set {text!r}: needs key=value, such as traffic.cav_rate=0.1")
     try:
         return key.strip(), yaml.safe_load(value)
-    except yaml.YAMLError as error:
-        raise ConfigError(f"--set {key}: the value {value!r} is not YAML: {error}") from None
+    except _NOT_YAML as error:
+        raise ConfigError(f"--set {key}: the value {value!r:.80} is not YAML: {error}") from None
 
 
 def _read(name_or_file: str) -> tuple[str, dict[str, Any]]:
@@ -118,7 +126,7 @@ def _read(name_or_file: str) -> tuple[str, dict[str, Any]]:
         )
     else:
         path = Path(name_or_file)
-        if not path.is_file():
+        if not _is_file(path):
             raise ConfigError(
                 f"there is no scenario {name_or_file!r}: neither a file nor one of the built-in "
                 f"{', '.join(builtin_names())}"
@@ -129,11 +137,18 @@ def _read(name_or_file: str) -> tuple[str, dict[str, Any]]:
             raise ConfigError(f"{path}: cannot be read: {error}") from None
     try:
         data = yaml.safe_load(text) or {}
-    except yaml.YAMLError as error:
+    except _NOT_YAML as error:
         raise ConfigError(f"{name_or_file}: not YAML: {error}") from None
     if not isinstance(data, dict):
         raise ConfigError(f"{name_or_file}: holds a {type(data).__name__}, needs keys and values")
     return name_or_file, data
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        return False
 
 
 def _put(data: dict[str, Any], dotted: str, value: object) -> None:
@@ -181,6 +196,12 @@ def _keys_at(path: list[int | str]) -> list[str]:
         in_list = isinstance(part, int)
         model = model.__args__[0] if in_list else model.model_fields[part].annotation
     return list(model.model_fields)
+
+
+def _check_mounts(scenario: Scenario, source: str) -> None:
+    names = [mount.id for mount in scenario.roadside_mounts]
+    if len(set(names)) < len(names):
+        raise ConfigError(f"{source}: roadside_mounts have the ids {names}, each may stand once")
 
 
 def _check_period(scenario: Scenario, source: str) -> None:

@@ -16,8 +16,8 @@ from cpnet.processes import ProcessEntry
 from protocol.bus import Endpoint
 from protocol.topics import BusName
 
-WORLD_GRACE_S = 1.5  # for the world to tell its end and the recorder to write it
-GRACE_S = 2.5  # then for all others, until SIGKILL: both within the 5 s that users wait
+WORLD_GRACE_S = 1.0  # for the world to tell its end and the recorder to write it
+GRACE_S = 2.0  # then for all others, until SIGKILL: both within the 5 s that users wait
 TAIL_LINES = 12
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """Processes are the unit that work is spread by: a BLAS that spins on all cores slows the rest."""

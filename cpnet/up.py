@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 
 from cpnet import scenario as scenarios
 from cpnet.display import Display
@@ -20,14 +21,15 @@ from cpnet.endpoints import Endpoints, connecting, resolve
 from cpnet.processes import choose_roles, processes_of
 from cpnet.supervisor import Death, Supervisor
 from cpnet.watch import Watch
-from protocol.bus import fetch
-from protocol.errors import ConfigError
+from protocol.bus import Endpoint, fetch
+from protocol.errors import BusError, ConfigError
 from protocol.messages import Setup
 from protocol.topics import BusName
 from protocol.wire import encode
 
 POLL_S = 0.1
 OVERTAKEN_S = 0.5
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 OTHERS_LEAVE_S = 5.0
 
 
@@ -64,7 +66,7 @@ def up(options: Options, console: Console) -> tuple[int, Path]:
     setup, scenario = _setup(asked, endpoints, run_dir)
     (run_dir / "setup.msgpack").write_bytes(encode(setup))
     (run_dir / "scenario.json").write_text(json.dumps(setup.scenario, indent=2) + "\n", "utf-8")
-    console.print(f"[bold]{scenario.name}[/]: {', '.join(names)} → {run_dir}", highlight=False)
+    console.print(f"{scenario.name}: {', '.join(names)} → {run_dir}", markup=False, soft_wrap=True)
     with Interruption() as interruption, Supervisor(run_dir, endpoints) as supervisor:
         supervisor.start(processes_of(roles, scenario))
         status = _attend(supervisor, endpoints, scenario, interruption, console)
@@ -72,14 +74,14 @@ def up(options: Options, console: Console) -> tuple[int, Path]:
 
 
 class Interruption:
-    """Turns SIGINT and SIGTERM into an event while a run goes on."""
+    """Turns the signals that ask for an end into an event while a run goes on."""
 
     def __init__(self) -> None:
         self.event = threading.Event()
         self.number = 0
 
     def __enter__(self) -> Interruption:
-        self._before = {n: signal.signal(n, self._take) for n in (signal.SIGINT, signal.SIGTERM)}
+        self._before = {n: signal.signal(n, self._take) for n in STOP_SIGNALS}
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -103,6 +105,8 @@ def _setup(
         except ConfigError:
             shutil.rmtree(run_dir, ignore_errors=True)
             raise
+        except OSError as error:
+            raise ConfigError(f"run folder {run_dir} cannot be written: {error}") from None
     world = connecting(endpoints[BusName.WORLD])
     setup = fetch(BusName.WORLD, world, "setup", Setup)
     return setup, scenarios.validate(setup.scenario, "the scenario of the other side")
@@ -112,12 +116,12 @@ def _make_run_dir(out: Path | None, name: str) -> Path:
     if out is None:
         stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
         out = Path("runs") / f"{name}-{stamp}"
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ConfigError(f"--out {out}: it exists and is not an empty folder")
     try:
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise ConfigError(f"--out {out}: it exists and is not an empty folder")
         out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--out {out}: {error.strerror}") from None
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"--out {out}: {error}") from None
     return out.resolve()
 
 
@@ -128,28 +132,40 @@ def _attend(
     interruption: Interruption,
     console: Console,
 ) -> int:
-    death = _wait_for_world(supervisor, interruption)
-    if death is None and not interruption.event.is_set():
-        world = connecting(endpoints[BusName.WORLD])
-        with Watch(world) as watch, Display(console, scenario) as display:
+    death, reason = None, ""
+    watch = _watch(supervisor, connecting(endpoints[BusName.WORLD]), interruption)
+    if isinstance(watch, Death):
+        death = watch
+    elif watch is not None:
+        with watch, Display(console, scenario) as display:
             death = _follow(supervisor, watch, display, interruption)
+            reason = watch.end.reason if watch.end else ""
     if interruption.event.is_set():
         console.print(f"stopping ({signal.Signals(interruption.number).name})")
         return 128 + interruption.number
     if death is not None:
-        console.print(f"[bold red]{death.id} {death.how}[/]; the last lines of its log:")
+        console.print(f"[bold red]{escape(death.id)} {death.how}[/]; the last lines of its log:")
         console.print(death.tail, highlight=False, markup=False, soft_wrap=True)
+        return 1
+    if reason != "finished":
+        console.print(
+            f"the world ended before its time: {reason or 'nobody said why'}", markup=False
+        )
         return 1
     return 0
 
 
-def _wait_for_world(supervisor: Supervisor, interruption: Interruption) -> Death | None:
-    """Gives a local router the moment it needs, noticing a process that cannot start."""
-    for _ in range(3):
-        if interruption.event.wait(POLL_S):
-            break
+def _watch(
+    supervisor: Supervisor, world: Endpoint, interruption: Interruption
+) -> Watch | Death | None:
+    """Listens to the world as soon as its bus is there; a process may die before."""
+    while not interruption.event.is_set():
         if death := supervisor.death(at_end=False):
             return death
+        try:
+            return Watch(world)
+        except BusError:
+            interruption.event.wait(POLL_S)
     return None
 
 
@@ -164,11 +180,21 @@ def _follow(
             watch.update(OVERTAKEN_S)  # the end may still be on its way
         if death := supervisor.death(at_end=watch.end is not None):
             return death
-        if watch.end is None and watch.gone("sim") and not supervisor.holds("sim"):
-            return Death("sim", "left the other machine before the run ended", "(no log here)")
+        if watch.end is None and (elsewhere := _lost_elsewhere(supervisor, watch)):
+            return elsewhere
         if watch.end is not None:
             ended_ns = ended_ns or time.monotonic_ns()
             late = time.monotonic_ns() - ended_ns > OTHERS_LEAVE_S * 1e9
             if not supervisor.running("sim", "record") and (late or not watch.here("record")):
                 return None
+    return None
+
+
+def _lost_elsewhere(supervisor: Supervisor, watch: Watch) -> Death | None:
+    """Returns a process of another machine that left before the run's end."""
+    for role, process in watch.lost():
+        if not supervisor.holds(role):
+            watch.update(OVERTAKEN_S)  # the end may still be on its way
+            if watch.end is None:
+                return Death(process, "left another machine before the run ended", "(no log here)")
     return None

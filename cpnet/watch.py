@@ -7,13 +7,20 @@ from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Progress
 from protocol.topics import BusName
 
+CONNECT_TIMEOUT_MS = 300
+
 
 class Watch:
     """A listener that disturbs nobody; a context manager."""
 
     def __init__(self, world: Endpoint) -> None:
+        """Connects.
+
+        Raises:
+            BusError: the world bus is not there yet.
+        """
         self._inbox = Inbox()
-        self._bus = open_bus(BusName.WORLD, world, self._inbox)
+        self._bus = open_bus(BusName.WORLD, world, self._inbox, CONNECT_TIMEOUT_MS)
         self.progress: Progress | None = None
         self.end: End | None = None
         self.present: set[tuple[str, str]] = set()
@@ -41,9 +48,9 @@ class Watch:
         """Whether a process of this role lives on any machine."""
         return any(present == role for present, _ in self.present)
 
-    def gone(self, role: str) -> bool:
-        """Whether processes of this role were there and all have left."""
-        return not self.here(role) and any(left == role for left, _ in self.left)
+    def lost(self) -> list[tuple[str, str]]:
+        """Returns role and id of the processes that were there and have left."""
+        return sorted(self.left)
 
     def _take(self, item: Envelope | Presence) -> None:
         if isinstance(item, Presence):

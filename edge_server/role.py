@@ -69,9 +69,8 @@ class EdgeRole:
         if isinstance(item, Presence):
             self._hear(item)
             return
-        agent = getattr(item.message, "agent", None)
-        if item.parts.get("agent", agent) != agent:
-            self._assembler.drops["wrong_key"] += 1  # whoever may write one key, speaks for one
+        if not _is_its_own(item):
+            self._assembler.drops["wrong_sender"] += 1
             return
         match item.message:
             case Roster() as roster:
@@ -83,7 +82,7 @@ class EdgeRole:
             case Objects() as objects:
                 self._assembler.add_objects(objects, item.received_ns)
             case SignalState() as state:
-                self._assembler.hear_world(state.frame, state.sim_time_ns)
+                self._assembler.add_time(state.frame, state.sim_time_ns)
 
     def poll(self) -> None:
         """Shows the process once it is due, and works on the next frame that is ready."""
@@ -113,7 +112,7 @@ class EdgeRole:
                 sent_ns=scan.encode_end_ns,
                 received_ns=came.received_ns,
             )
-        if not self._assembler.wants_scan(scan):
+        if not self._assembler.wants(scan, came.received_ns):
             return
         try:
             piece = self._pipeline.place_early(open_scan(scan, came.received_ns))
@@ -161,6 +160,12 @@ def expected_agents(scenario: dict[str, Any]) -> dict[str, str]:
     return {f"vehicle-{n}": "vehicle" for n in range(vehicles)} | {
         f"infra-{n}": "infra" for n in range(posts)
     }
+
+
+def _is_its_own(item: Envelope) -> bool:
+    """Whether a message says of its sender what the key does on which it came."""
+    header = item.message
+    return all(str(getattr(header, name, part)) == part for name, part in item.parts.items())
 
 
 def _waits(frame: Frame) -> list[Span]:

@@ -43,6 +43,7 @@ class InfraRole:
         agent, pose = self._uplink.agent, self._map_SE3_sensor
         uploads = self._station.uploads
         self._station.publish_roster(tick, [agent], [agent] if uploads else [])
+        self._station.settle(tick)
         if uploads:
             self._uplink.sense_and_send(
                 tick, map_SE3_sensor=pose, believed_SE3_sensor=pose, own=None

@@ -25,7 +25,8 @@ __all__ = ["Bus", "Endpoint", "Envelope", "Inbox", "Presence", "ZenohBus", "fetc
 
 M = TypeVar("M", bound=Message)
 
-CONNECT_TIMEOUT_MS = 20_000
+CONNECT_TIMEOUT_MS = 60_000
+LEASE_MS = 120_000  # a process may be stopped for long; its death shows as the end of its TCP
 _PRIORITY = {
     Delivery.BULK: zenoh.Priority.DATA,
     Delivery.PROMPT: zenoh.Priority.INTERACTIVE_HIGH,
@@ -152,13 +153,15 @@ class ZenohBus:
         return topic
 
 
-def open_bus(name: BusName, endpoint: Endpoint, inbox: Inbox) -> ZenohBus:
-    """Opens a bus, as its router's host or as a client.
+def open_bus(
+    name: BusName, endpoint: Endpoint, inbox: Inbox, timeout_ms: int | None = None
+) -> ZenohBus:
+    """Opens a bus, as its router's host or as a client that waits for the host.
 
     Raises:
-        BusError: the port is in use, or nothing answers there within 20 s.
+        BusError: the port is in use, or nothing answers there in time.
     """
-    return ZenohBus(_open_session(name, endpoint), name, inbox)
+    return ZenohBus(_open_session(name, endpoint, timeout_ms), name, inbox)
 
 
 def fetch(name: BusName, endpoint: Endpoint, topic_name: str, message: type[M]) -> M:
@@ -180,24 +183,28 @@ def fetch(name: BusName, endpoint: Endpoint, topic_name: str, message: type[M]) 
         session.close()  # type: ignore[no-untyped-call]
 
 
-def _open_session(name: BusName, endpoint: Endpoint) -> zenoh.Session:
+def _open_session(
+    name: BusName, endpoint: Endpoint, timeout_ms: int | None = None
+) -> zenoh.Session:
+    timeout_ms = CONNECT_TIMEOUT_MS if timeout_ms is None else timeout_ms
     try:
-        return zenoh.open(_config(name, endpoint))
+        return zenoh.open(_config(name, endpoint, timeout_ms))
     except zenoh.ZError as error:
-        raise BusError(_explain(name, endpoint, str(error))) from None
+        raise BusError(_explain(name, endpoint, timeout_ms, str(error))) from None
 
 
-def _config(name: BusName, endpoint: Endpoint) -> zenoh.Config:
+def _config(name: BusName, endpoint: Endpoint, timeout_ms: int) -> zenoh.Config:
     config = zenoh.Config()
     settings = {
         "mode": "router" if endpoint.listen else "client",
         "listen/endpoints": [endpoint.locator] if endpoint.listen else [],
         "connect/endpoints": [] if endpoint.listen else [endpoint.locator],
-        "connect/timeout_ms": CONNECT_TIMEOUT_MS,
+        "connect/timeout_ms": timeout_ms,
         "connect/exit_on_failure": True,
         "connect/retry": {"period_init_ms": 50, "period_max_ms": 400, "period_increase_factor": 2},
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
+        "transport/link/tx/lease": LEASE_MS,
         "transport/shared_memory/enabled": name is BusName.WORLD,
     }
     for key, value in settings.items():
@@ -205,7 +212,7 @@ def _config(name: BusName, endpoint: Endpoint) -> zenoh.Config:
     return config
 
 
-def _explain(name: BusName, endpoint: Endpoint, error: str) -> str:
+def _explain(name: BusName, endpoint: Endpoint, timeout_ms: int, error: str) -> str:
     if "in use" in error:
         return (
             f"cannot listen at {endpoint.locator} for the {name.value} bus: the port is in use; "
@@ -214,7 +221,7 @@ def _explain(name: BusName, endpoint: Endpoint, error: str) -> str:
     if not endpoint.listen:
         return (
             f"nothing answers at {endpoint.locator} for the {name.value} bus "
-            f"(waited {CONNECT_TIMEOUT_MS // 1000} s); is the other side up?"
+            f"(waited {timeout_ms / 1000:g} s); is the other side up?"
         )
     return (
         f"cannot listen at {endpoint.locator} for the {name.value} bus: {error.split(' at /')[0]}"

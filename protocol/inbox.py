@@ -100,9 +100,22 @@ class Inbox:
         """Counts a message that a later stage found to be bad."""
         reason = type(error).__name__
         self.drops[reason] += 1
-        if (key, reason) not in self._told and len(self._told) < CAPACITY:
-            self._told.add((key, reason))
+        if self._is_news(key, reason):
             _log.warning("dropped a message on %s: %s (later ones are only counted)", key, error)
+
+    def fail(self, key: str, error: Exception) -> None:
+        """Counts a message that its role could not take, by a fault of the role."""
+        self.drops["role_error"] += 1
+        if self._is_news(key, "role_error"):
+            _log.error(
+                "a message on %s went wrong (later ones are only counted)", key, exc_info=error
+            )
+
+    def _is_news(self, key: str, reason: str) -> bool:
+        if (key, reason) in self._told or len(self._told) >= CAPACITY:
+            return False
+        self._told.add((key, reason))
+        return True
 
     def _pop_waiting(self, key: str, *, newest: bool = False) -> Sealed:
         waiting = self._waiting[key]

@@ -2,30 +2,58 @@
 
 Times ending in `_ns` without `sim_` come from `time.monotonic_ns` of the process that wrote them.
 Poses are x, y, z in m and roll, pitch, yaw in rad, in the map frame.
+
+Every number, text and list has a bound, so that one absurd message cannot spoil what is kept.
 """
 
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+import numpy as np
+import numpy.typing as npt
+from pydantic import AfterValidator, BaseModel, ConfigDict, FailFast, Field, model_validator
 
-from protocol.arrays import (
-    Borders,
-    Boxes,
-    Bytes,
-    Floats32,
-    Indices,
-    Pose6,
-    Poses,
-    Sites,
-    Triangles,
-    Vertices,
-)
+from protocol import arrays
+from protocol.arrays import Boxes, Bytes, Floats32, Indices, Triangles, Vertices
 from protocol.roadmap import RoadMap
 
-Id = str
+MAX_ITEMS = 4096  # of a list or map
+_REACH = np.array([1e7, 1e7, 1e7, 1e3, 1e3, 1e3])  # m, rad: farther than any map
+
+
+def _within_reach(poses: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    if not (np.abs(poses) <= _REACH).all():
+        raise ValueError("a pose lies beyond 1e7 m or 1e3 rad")
+    return poses
+
+
+def _on_the_map(sites: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    if not (np.abs(sites) <= _REACH[0]).all():
+        raise ValueError("a site lies beyond 1e7 m")
+    return sites
+
+
+def _moderate(weights_m2: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    if not (np.abs(weights_m2) <= _REACH[0] ** 2).all():
+        raise ValueError("a weight lies beyond 1e14 m^2")
+    return weights_m2
+
+
+Id = Annotated[str, Field(min_length=1, max_length=128)]
+Text = Annotated[str, Field(max_length=512)]
+FrameNumber = Annotated[int, Field(ge=0, lt=1 << 40)]
+Count = Annotated[int, Field(ge=0, lt=1 << 40)]
+Total = Annotated[int, Field(ge=0, lt=1 << 53)]
+TimeNs = Annotated[int, Field(gt=-(1 << 62), lt=1 << 62)]  # so that differences fit into 64 bit
+Sites = Annotated[arrays.Sites, AfterValidator(_on_the_map)]
+Borders = Annotated[arrays.Borders, AfterValidator(_moderate)]
+Pose = Annotated[arrays.Pose6, AfterValidator(_within_reach)]
+Poses = Annotated[arrays.Poses, AfterValidator(_within_reach)]
+_Bounded = (FailFast(), Field(max_length=MAX_ITEMS))  # one error will do, a million cost memory
+Ids = Annotated[list[Id], *_Bounded]
+Texts = Annotated[list[Text], *_Bounded]
 
 
 class Equipment(IntEnum):
@@ -39,24 +67,33 @@ class Equipment(IntEnum):
 class Message(BaseModel):
     """Base of all messages. Unknown header fields are tolerated, so that a minor side may add."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore", arbitrary_types_allowed=True)
+    model_config = ConfigDict(
+        frozen=True, extra="ignore", arbitrary_types_allowed=True, allow_inf_nan=False
+    )
     kind: ClassVar[int]
+    max_header_bytes: ClassVar[int] = 256 << 10
 
 
-class VehicleType(BaseModel):
+class Part(BaseModel):
+    """Base of what messages hold lists of."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+
+class VehicleType(Part):
     """A SUMO vType as sensors see it: a mesh of the setup, scaled to these sizes."""
 
-    name: str
-    mesh: str
+    name: Text
+    mesh: Text
     length_m: float
     width_m: float
     height_m: float
 
 
-class MeshPart(BaseModel):
+class MeshPart(Part):
     """Where one mesh lies in the setup's vertex and triangle arrays."""
 
-    name: str
+    name: Text
     vertices: int
     triangles: int
 
@@ -69,6 +106,7 @@ class Setup(Message):
     """
 
     kind: ClassVar[int] = 1
+    max_header_bytes: ClassVar[int] = 4 << 20
     scenario: dict[str, Any]
     road_map: RoadMap
     vehicle_types: list[VehicleType]
@@ -87,34 +125,52 @@ class Tick(Message):
     """
 
     kind: ClassVar[int] = 2
-    frame: int = Field(ge=0)
-    sim_time_ns: int
-    processes: list[Id]
-    ids: list[Id]
-    types: list[str]
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    processes: Ids
+    ids: Ids
+    types: Texts
     poses: Poses
     speeds_mps: Floats32
     equipment: Bytes
     hosts: Indices
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        _check_bodies(self, "ids", "types", "poses", "speeds_mps", "equipment", "hosts")
+        if not ((self.hosts >= -1) & (self.hosts < len(self.processes))).all():
+            raise ValueError(f"a host is none of the {len(self.processes)} processes")
+        return self
 
 
 class Truth(Message):
     """What perception ought to have seen; for the recorder alone."""
 
     kind: ClassVar[int] = 3
-    frame: int
-    sim_time_ns: int
-    ids: list[Id]
-    types: list[str]
-    lanes: list[str]
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    ids: Ids
+    types: Texts
+    lanes: Texts
     poses: Poses
     speeds_mps: Floats32
     lane_positions_m: Floats32
     equipment: Bytes
 
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        _check_bodies(
+            self, "ids", "types", "lanes", "poses", "speeds_mps", "lane_positions_m", "equipment"
+        )
+        return self
 
-class Trip(BaseModel):
-    """One vehicle's journey; `arrive_s` is None while it is still under way at the end."""
+
+class Trip(Part):
+    """One vehicle's journey over the signal.
+
+    `time_loss_s` is what it lost within reach of the signal, since frame 0 or since it came there.
+    `arrive_s` is None while it is still under way at the end.
+    """
 
     vehicle: Id
     equipment: Equipment
@@ -128,67 +184,71 @@ class Trips(Message):
     """Journeys that ended in this frame, or that the end of the run cut off."""
 
     kind: ClassVar[int] = 4
-    frame: int
-    trips: list[Trip]
+    frame: FrameNumber
+    trips: Annotated[list[Trip], *_Bounded]
 
 
 class End(Message):
-    """The world has stopped; `frames` ticks were published."""
+    """The world has stopped; `frames` ticks were published.
+
+    `waiting` vehicles had found no room to enter the net.
+    """
 
     kind: ClassVar[int] = 5
-    frames: int
-    reason: str
+    frames: FrameNumber
+    reason: Text
+    waiting: Count = 0
 
 
 class SignalState(Message):
     """Signal phase and timing (SPaT). `stage` is green, yellow or all_red; `source` who asked."""
 
     kind: ClassVar[int] = 6
-    frame: int
-    sim_time_ns: int
-    tls: str
-    state: str
-    stage: str
-    green: str
-    source: str
-    earliest_change_ns: int
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    tls: Id
+    state: Text
+    stage: Text
+    green: Text
+    source: Text
+    earliest_change_ns: TimeNs
 
 
 class SignalRequest(Message):
     """A policy's wish: the green state to be shown, one character per link."""
 
     kind: ClassVar[int] = 7
-    frame: int
-    sim_time_ns: int
-    tls: str
-    state: str
-    policy: str
-    pressures: list[float] = []
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    tls: Id
+    state: Text
+    policy: Text
+    pressures: Annotated[list[float], *_Bounded] = []
 
 
 class Roster(Message):
     """Which agents a process speaks for in a frame, and which of them send a scan."""
 
     kind: ClassVar[int] = 8
-    frame: int
+    frame: FrameNumber
     process: Id
-    agents: list[Id]
-    scanning: list[Id]
+    agents: Ids
+    scanning: Ids
 
 
 class AgentPose(Message):
     """Where an agent believes it is (footprint centre on the ground), and how large it is."""
 
     kind: ClassVar[int] = 9
-    frame: int
-    sim_time_ns: int
+    frame: FrameNumber
+    sim_time_ns: TimeNs
     agent: Id
     equipment: Equipment
-    pose: Pose6
+    pose: Pose
     length_m: float = Field(ge=0, le=60)
     width_m: float = Field(ge=0, le=10)
     height_m: float = Field(ge=0, le=10)
-    position_std_m: float = Field(ge=0)
+    position_std_m: float = Field(ge=0, le=1000)
 
 
 class Scan(Message):
@@ -200,19 +260,25 @@ class Scan(Message):
     """
 
     kind: ClassVar[int] = 10
-    frame: int
-    sim_time_ns: int
+    frame: FrameNumber
+    sim_time_ns: TimeNs
     agent: Id
     chunk: int = Field(ge=0)
     chunks: int = Field(ge=1, le=64)
-    points: int = Field(ge=0)
-    plan_frame: int = -1
+    points: Count
+    plan_frame: int = Field(-1, ge=-1, lt=1 << 40)
     ground_free: bool = False
-    sensor_pose: Pose6
-    sense_start_ns: int
-    sense_end_ns: int
-    encode_end_ns: int
+    sensor_pose: Pose
+    sense_start_ns: TimeNs
+    sense_end_ns: TimeNs
+    encode_end_ns: TimeNs
     payload: Bytes
+
+    @model_validator(mode="after")
+    def _is_one_of_its_chunks(self) -> Self:
+        if self.chunk >= self.chunks:
+            raise ValueError(f"chunk {self.chunk} of {self.chunks}: counting begins with 0")
+        return self
 
 
 class Detections(Message):
@@ -224,90 +290,106 @@ class Detections(Message):
     """
 
     kind: ClassVar[int] = 11
-    frame: int
-    sim_time_ns: int
-    agents: list[Id]
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    agents: Ids
     boxes: Boxes
     scores: Floats32
-    lanes: list[str]
+    lanes: Texts
     distances_m: Floats32
-    sources: list[str]
+    sources: Texts
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        _check_lengths(self, "boxes", "scores", "lanes", "distances_m", "sources")
+        return self
 
 
 class LaneCounts(Message):
     """Vehicles per lane: within the reach upstream of the stop bar and downstream behind it."""
 
     kind: ClassVar[int] = 12
-    frame: int
-    sim_time_ns: int
-    tls: str
-    agents: list[Id]
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    tls: Id
+    agents: Ids
     complete: bool
-    upstream: dict[str, int]
-    downstream: dict[str, int]
+    upstream: dict[Id, Count] = Field(max_length=MAX_ITEMS)
+    downstream: dict[Id, Count] = Field(max_length=MAX_ITEMS)
 
 
-class Span(BaseModel):
+class Span(Part):
     """One stage of one frame; `agent` is empty for stages that serve all."""
 
-    stage: str
-    agent: str = ""
-    start_ns: int
-    end_ns: int
+    stage: Text
+    agent: Text = ""
+    start_ns: TimeNs
+    end_ns: TimeNs
 
 
-class Upload(BaseModel):
-    """One chunk as its sender saw it. Wire bytes are what TCP sent since the upload before."""
+class Upload(Part):
+    """One chunk as its sender saw it."""
 
     agent: Id
-    chunk: int
-    points: int
-    payload_bytes: int
-    wire_bytes: int
-    sense_start_ns: int
-    sense_end_ns: int
-    encode_end_ns: int
-    sent_ns: int
+    chunk: Count
+    points: Count
+    payload_bytes: Count
+    sense_start_ns: TimeNs
+    sense_end_ns: TimeNs
+    encode_end_ns: TimeNs
+    sent_ns: TimeNs
 
 
-class Arrival(BaseModel):
+class WireCount(Part):
+    """What TCP sent for an agent from one frame's upload until the next one's began."""
+
+    agent: Id
+    frame: FrameNumber
+    sent_bytes: Count
+
+
+class Arrival(Part):
     """The same chunk as the edge saw it."""
 
     agent: Id
-    chunk: int
-    received_ns: int
-    decoded_ns: int
+    chunk: Count
+    received_ns: TimeNs
+    decoded_ns: TimeNs
 
 
 class Metrics(Message):
-    """What one process did in one frame. `drops` counts since its start, by reason."""
+    """What one process did in one frame. `drops` counts since its start, by reason.
+
+    `wire` settles earlier frames: only when the next upload begins has TCP sent all of the last.
+    """
 
     kind: ClassVar[int] = 13
     process: Id
-    frame: int
-    sim_time_ns: int
-    spans: list[Span] = []
-    uploads: list[Upload] = []
-    arrivals: list[Arrival] = []
-    points: int = 0
-    drops: dict[str, int] = {}
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    spans: Annotated[list[Span], *_Bounded] = []
+    uploads: Annotated[list[Upload], *_Bounded] = []
+    wire: Annotated[list[WireCount], *_Bounded] = []
+    arrivals: Annotated[list[Arrival], *_Bounded] = []
+    points: Count = 0
+    drops: dict[Id, Total] = Field({}, max_length=MAX_ITEMS)
 
 
 class Progress(Message):
     """The run at a glance, about once a second, for whoever watches."""
 
     kind: ClassVar[int] = 14
-    frame: int
-    sim_time_ns: int
+    frame: FrameNumber
+    sim_time_ns: TimeNs
     real_time_factor: float
-    vehicles: int
-    cavs: int
-    cvs: int
-    detections: int
-    mbps: dict[str, float]
+    vehicles: Count
+    cavs: Count
+    cvs: Count
+    detections: Count
+    mbps: dict[Id, float] = Field(max_length=MAX_ITEMS)
     end_to_end_ms: float
-    state: str
-    drops: int
+    state: Text
+    drops: Total
 
 
 class Plan(Message):
@@ -323,13 +405,18 @@ class Plan(Message):
     """
 
     kind: ClassVar[int] = 15
-    frame: int = Field(ge=0)
+    frame: FrameNumber
     agent: Id
-    mbps: float = Field(ge=0)
-    enough: int = Field(ge=-1)
-    agents: list[Id]
+    mbps: float = Field(ge=0, le=1e6)
+    enough: int = Field(ge=-1, lt=1 << 40)
+    agents: Ids
     sites: Sites
     weights_m2: Borders
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        _check_lengths(self, "agents", "sites", "weights_m2")
+        return self
 
 
 class Objects(Message):
@@ -339,14 +426,33 @@ class Objects(Message):
     """
 
     kind: ClassVar[int] = 16
-    frame: int
-    sim_time_ns: int
+    frame: FrameNumber
+    sim_time_ns: TimeNs
     agent: Id
     boxes: Boxes
     scores: Floats32
-    sense_start_ns: int
-    sense_end_ns: int
-    detect_end_ns: int
+    sense_start_ns: TimeNs
+    sense_end_ns: TimeNs
+    detect_end_ns: TimeNs
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        _check_lengths(self, "boxes", "scores")
+        return self
+
+
+def _check_bodies(message: Tick | Truth, *columns: str) -> None:
+    _check_lengths(message, *columns)
+    if len(set(message.ids)) < len(message.ids):
+        raise ValueError("an id stands there twice")
+    if (message.equipment > max(Equipment)).any():
+        raise ValueError(f"equipment {message.equipment.max()} is none of {[*map(int, Equipment)]}")
+
+
+def _check_lengths(message: Message, *columns: str) -> None:
+    lengths = {name: len(getattr(message, name)) for name in columns}
+    if len(set(lengths.values())) > 1:
+        raise ValueError(f"lists have lengths {lengths}, need one")
 
 
 MESSAGES: dict[int, type[Message]] = {m.kind: m for m in Message.__subclasses__()}

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Protocol
 
 from protocol.bus import Bus, Endpoint, ZenohBus, open_bus
-from protocol.errors import CpnetError
+from protocol.errors import CpnetError, ProtocolError
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import Setup
 from protocol.topics import BusName
@@ -95,9 +95,9 @@ def _live(
     inbox = Inbox()
     setup = read_setup(arguments.setup)
     world = open_bus(BusName.WORLD, arguments.world, inbox)
-    v2x = open_bus(BusName.V2X, arguments.v2x, inbox)
     if arguments.world.listen:
-        world.serve("setup", setup)
+        world.serve("setup", setup)  # before all else: whoever hosts the V2X bus may wait for it
+    v2x = open_bus(BusName.V2X, arguments.v2x, inbox)
     extra = Endpoint(arguments.v2x.locator, listen=False)
     context = Context(
         arguments.id,
@@ -120,15 +120,28 @@ def _live(
 
 
 def loop(role: Role, inbox: Inbox, stop: threading.Event) -> None:
-    """Hands all that came in to the role, then lets it act, until `stop` is set."""
+    """Hands all that came in to the role, then lets it act, until `stop` is set.
+
+    A message that a role cannot take is counted: no message may end a process.
+    """
     while not stop.is_set():
         item = inbox.get(POLL_S)
         taken = 0
         while item is not None:
-            role.on(item)
+            _hand_over(role, inbox, item)
             taken += 1
             item = inbox.get() if taken < MAX_BATCH else None
         role.poll()
+
+
+def _hand_over(role: Role, inbox: Inbox, item: Envelope | Presence) -> None:
+    topic = item.topic if isinstance(item, Envelope) else "alive"
+    try:
+        role.on(item)
+    except ProtocolError as error:
+        inbox.refuse(topic, error)
+    except (ValueError, LookupError, TypeError) as error:
+        inbox.fail(topic, error)
 
 
 def _close(*buses: ZenohBus) -> None:

@@ -24,9 +24,9 @@ from protocol.messages import MESSAGES, Message
 VERSION = 1
 MAGIC = b"CPNT"
 PREFIX = struct.Struct("<4sHHII")
-MAX_HEADER_BYTES = 4 << 20
 MAX_BODY_BYTES = 16 << 20
 _ALIGN = 8
+_TOLD = 200  # characters of a text from the network
 
 M = TypeVar("M", bound=Message)
 
@@ -47,7 +47,7 @@ def encode(message: Message) -> bytes:
     packed: bytes = msgpack.packb(header)
     packed += b"\xc0" * (-(PREFIX.size + len(packed)) % _ALIGN)  # nil bytes after the map
     body = b"".join(parts)
-    _check_limit("header", len(packed), MAX_HEADER_BYTES)
+    _check_limit("header", len(packed), message.max_header_bytes)
     _check_limit("body", len(body), MAX_BODY_BYTES)
     return PREFIX.pack(MAGIC, VERSION, message.kind, len(packed), len(body)) + packed + body
 
@@ -70,9 +70,9 @@ def decode(data: bytes, expected: type[M]) -> M:
     try:
         return expected.model_validate(header)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise MessageError(f"{expected.__name__}.{where}: {first['msg']}") from None
+        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+        where = ".".join([expected.__name__, *(str(part)[:_TOLD] for part in first["loc"])])
+        raise MessageError(f"{where}: {first['msg'][:_TOLD]}") from None
 
 
 @cache
@@ -102,7 +102,7 @@ def _read_prefix(data: bytes, expected: type[Message]) -> tuple[int, int]:
     if kind != expected.kind:
         name = MESSAGES[kind].__name__ if kind in MESSAGES else f"kind {kind}"
         raise MessageError(f"message is {name}, this topic carries {expected.__name__}")
-    _check_limit("header", header_len, MAX_HEADER_BYTES)
+    _check_limit("header", header_len, expected.max_header_bytes)
     _check_limit("body", body_len, MAX_BODY_BYTES)
     claimed = PREFIX.size + header_len + body_len
     if claimed != len(data):

@@ -11,7 +11,7 @@ class RecordConfig(Section):
     snapshot_period_s: float = Field(
         10.0,
         ge=0,
-        allow_inf_nan=False,
+        le=86_400,
         description="Keep every upload of one frame this often in simulated seconds, so that its "
         "cloud can be drawn later; 0 keeps none.",
     )

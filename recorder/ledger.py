@@ -34,6 +34,7 @@ class FrameNote:
     actuate: Span | None = None
     uploads: dict[tuple[str, int], Upload] = field(default_factory=dict)
     arrivals: dict[tuple[str, int], Arrival] = field(default_factory=dict)
+    wire: dict[str, int] = field(default_factory=dict)
     heard: set[str] = field(default_factory=set)
 
     def measured(self, metrics: Metrics) -> None:
@@ -79,10 +80,14 @@ class FrameNote:
         )
 
     def upload_rows(self) -> Iterator[UploadRow]:
-        """Returns a row per chunk that its sender or the edge spoke of."""
+        """Returns a row per chunk that its sender or the edge spoke of.
+
+        TCP's bytes of an agent's frame stand at its first chunk.
+        """
+        wire = dict(self.wire)
         for key in sorted(self.uploads.keys() | self.arrivals.keys()):
             sent, came = self.uploads.get(key), self.arrivals.get(key)
-            sender = _NOBODY if sent is None else _as_sent(sent)
+            sender = _NOBODY if sent is None else _as_sent(sent, wire.pop(key[0], None))
             edge = (None, None) if came is None else (came.received_ns, came.decoded_ns)
             yield UploadRow(self.frame, *key, *sender, *edge)
 
@@ -132,11 +137,11 @@ class Ledger:
         return changed
 
 
-def _as_sent(upload: Upload) -> tuple[int, ...]:
+def _as_sent(upload: Upload, wire_bytes: int | None) -> tuple[int | None, ...]:
     return (
         upload.points,
         upload.payload_bytes,
-        upload.wire_bytes,
+        wire_bytes,
         upload.sense_start_ns,
         upload.sense_end_ns,
         upload.encode_end_ns,

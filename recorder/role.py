@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -10,7 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from protocol import messages as m
-from protocol.errors import MessageError
+from protocol.errors import CpnetError, MessageError
 from protocol.inbox import Envelope, Presence
 from protocol.process import Context
 from protocol.topics import TOPICS, BusName
@@ -24,6 +25,7 @@ from recorder.ledger import Ledger
 COMMIT_NS = 1_000_000_000
 COMMIT_ROWS = 5_000
 PROGRESS_NS = 1_000_000_000
+MAX_TOTAL = (1 << 53) - 1  # what a message takes
 
 
 class RecordRole:
@@ -40,6 +42,7 @@ class RecordRole:
         self._config = RecordConfig.model_validate(scenario.get("record", {}))
         self._frame_period_ns = round(float(scenario.get("frame_period_s", 0.1)) * 1e9)
         self._database = Database(context.run_dir)
+        self._is_broken = False
         self._ledger = Ledger()
         self._glance = Glance(self._frame_period_ns)
         self._ending = Ending()
@@ -74,13 +77,15 @@ class RecordRole:
         due = now_ns - self._committed_ns >= COMMIT_NS
         if due or self._database.pending_rows >= COMMIT_ROWS:
             self._commit(now_ns)
-        if now_ns - self._told_ns >= PROGRESS_NS:
+        if self._ledger.newest_tick >= 0 and now_ns - self._told_ns >= PROGRESS_NS:
             self._tell(now_ns)
         if self._ending.is_over(now_ns, self._ledger):
             self._context.stop.set()
 
     def close(self) -> None:
-        """Writes the rest and leaves one plain file."""
+        """Writes the rest and leaves one plain file, unless the disk has failed before."""
+        if self._is_broken:
+            return
         self._commit(time.monotonic_ns())
         self._database.close()
 
@@ -121,6 +126,8 @@ class RecordRole:
     def _on_metrics(self, metrics: m.Metrics, _: int) -> None:
         note = self._ledger.note(metrics.frame)
         note.measured(metrics)
+        for count in metrics.wire:
+            self._ledger.note(count.frame).wire[count.agent] = count.sent_bytes
         self._drops[metrics.process] = metrics.drops
         self._glance.measured(metrics)
         if note.end_to_end_ns is not None:
@@ -129,7 +136,11 @@ class RecordRole:
 
     def _on_end(self, end: m.End, received_ns: int) -> None:
         self._ending.begin(received_ns)
-        facts = {"end_frames": str(end.frames), "end_reason": end.reason}
+        facts = {
+            "end_frames": str(end.frames),
+            "end_reason": end.reason,
+            "end_waiting": str(end.waiting),
+        }
         self._database.add(tables.MetaRow, facts.items())
 
     def _on_state(self, state: m.SignalState, _: int) -> None:
@@ -172,11 +183,16 @@ class RecordRole:
             self._database.add(tables.UploadRow, note.upload_rows())
         for process, drops in self._all_drops().items():
             self._database.add(tables.DropRow, rows.drop_rows(process, drops))
-        self._database.commit()
+        try:
+            self._database.commit()
+        except sqlite3.OperationalError as error:
+            self._is_broken = True
+            raise CpnetError(f"{self._database.path} cannot be written: {error}") from None
         self._committed_ns = now_ns
 
     def _tell(self, now_ns: int) -> None:
         drops = sum(sum(reasons.values()) for reasons in self._all_drops().values())
+        drops = min(drops, MAX_TOTAL)
         self._context.world.publish("progress", self._glance.report(now_ns, drops))
         self._told_ns = now_ns
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -33,8 +34,9 @@ class Run:
         path = run_dir / FILE_NAME
         if not path.is_file():
             raise ConfigError(f"{run_dir} is not a run: it has no {FILE_NAME}")
+        self._path = path
         self._connection = _connect(path)
-        self._check_version(path)
+        self._check_version()
 
     def __enter__(self) -> Run:
         return self
@@ -52,13 +54,23 @@ class Run:
         self._connection.close()
 
     def rows(self, row: type[R]) -> Iterator[R]:
-        """Yields all rows of a table, in the order of their keys."""
+        """Yields all rows of a table, in the order of their keys.
+
+        Raises:
+            ConfigError: the database is damaged.
+        """
         table = TABLES[row]
-        yield from map(table.row._make, self._connection.execute(table.select))
+        with self._named_faults():
+            yield from map(table.row._make, self._connection.execute(table.select))
 
     def query(self, sql: str, *parameters: object) -> list[tuple[Any, ...]]:
-        """Returns what a SELECT gives; see `recorder.tables` for the columns."""
-        return self._connection.execute(sql, parameters).fetchall()
+        """Returns what a SELECT gives; see `recorder.tables` for the columns.
+
+        Raises:
+            ConfigError: the database is damaged.
+        """
+        with self._named_faults():
+            return self._connection.execute(sql, parameters).fetchall()
 
     def of_frame(self, row: type[R], frame: int) -> list[R]:
         """Returns a table's rows of one frame, in the order of their keys."""
@@ -74,8 +86,18 @@ class Run:
 
     @cached_property
     def scenario(self) -> dict[str, Any]:
-        """The resolved scenario."""
-        result: dict[str, Any] = json.loads(self.meta.get("scenario", "{}"))
+        """The resolved scenario.
+
+        Raises:
+            ConfigError: what was recorded of it is no JSON object.
+        """
+        text = self.meta.get("scenario", "{}")
+        try:
+            result = json.loads(text)
+        except (TypeError, ValueError, RecursionError):
+            result = None
+        if not isinstance(result, dict):
+            raise ConfigError(f"{self._path}: scenario in meta is no JSON object: {text!r:.80}")
         return result
 
     @cached_property
@@ -93,16 +115,23 @@ class Run:
         except ProtocolError as error:
             raise ConfigError(f"{path} cannot be read: {error}") from None
 
-    def _check_version(self, path: Path) -> None:
+    @contextmanager
+    def _named_faults(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.DatabaseError as error:
+            raise ConfigError(f"{self._path} is not a run's database: {error}") from None
+
+    def _check_version(self) -> None:
         try:
             found = self.meta.get("schema_version")
-        except sqlite3.DatabaseError as error:
+        except ConfigError:
             self.close()
-            raise ConfigError(f"{path} is not a run's database: {error}") from None
+            raise
         if found != str(SCHEMA_VERSION):
             self.close()
             raise ConfigError(
-                f"{path} has schema version {found}, this side reads {SCHEMA_VERSION}"
+                f"{self._path} has schema version {found}, this side reads {SCHEMA_VERSION}"
             )
 
 

@@ -110,7 +110,7 @@ class SceneConfig(Section):
     building_density: float = Field(
         0.65, ge=0, le=1, description="Share of the road's frontage that is built up."
     )
-    pole_spacing_m: float = Field(30.0, ge=5, description="Between street lights, m.")
+    pole_spacing_m: float = Field(30.0, ge=5, le=1000, description="Between street lights, m.")
     trees_per_100m: float = Field(4.0, ge=0, le=20, description="Trees per 100 m of road's edge.")
     polygons: Path | None = Field(
         None, description="SUMO .poly.xml file whose buildings replace those drawn by seed."

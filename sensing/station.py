@@ -9,7 +9,7 @@ from typing import Literal
 from perception.roadway import Roadway
 from protocol.bus import Bus
 from protocol.inbox import Envelope, Presence
-from protocol.messages import End, Metrics, Plan, Roster, Span, Tick, Upload
+from protocol.messages import End, Metrics, Plan, Roster, Span, Tick, Upload, WireCount
 from protocol.process import Context
 from sensing.config import LidarConfig, SceneConfig, UploadConfig
 from sensing.lidar import Lidar
@@ -56,6 +56,7 @@ class Station:
         )
         self._uplinks: dict[str, Uplink] = {}
         self._scanned: tuple[int, list[str]] = (-1, [])
+        self._settled: list[WireCount] = []
         self._tick: Tick | None = None
         self._ticked_ns = 0
         self._drops: Counter[str] = Counter()
@@ -88,6 +89,7 @@ class Station:
     def hang_up(self, agent: str) -> None:
         """Closes an agent's way to the edge."""
         uplink = self._uplinks.pop(agent)
+        self._settled += uplink.settle()
         self._drops["overtaken_chunks"] += uplink.unsent_chunks
         uplink.close()
 
@@ -118,6 +120,11 @@ class Station:
         self.context.v2x.publish("roster", roster, region=self.region, process=process)
         self._scanned = (tick.frame, scanning)
 
+    def settle(self, tick: Tick) -> None:
+        """Counts what TCP sent for the frame before a tick's."""
+        for _, uplink in sorted(self._uplinks.items()):
+            self._settled += uplink.settle(tick.frame)
+
     def report(self, tick: Tick | None = None) -> None:
         """Accounts for the frames that are done with, and for that of a tick in any case."""
         frames: dict[int, tuple[Tick, list[Upload], list[Span]]] = {}
@@ -129,7 +136,8 @@ class Station:
                 uploads += shipment.uploads
                 spans += shipment.spans
         for _, (of, uploads, spans) in sorted(frames.items()):
-            self._publish_metrics(of, uploads, spans)
+            wire, self._settled = self._settled, []
+            self._publish_metrics(of, uploads, spans, wire)
 
     def _awaits_plan(self, tick: Tick) -> bool:
         if not (self._kit.lockstep and self._policy.cells):
@@ -144,7 +152,9 @@ class Station:
         self._scanned = (-1, [])
         return False
 
-    def _publish_metrics(self, tick: Tick, uploads: list[Upload], spans: list[Span]) -> None:
+    def _publish_metrics(
+        self, tick: Tick, uploads: list[Upload], spans: list[Span], wire: list[WireCount]
+    ) -> None:
         overtaken = sum(uplink.unsent_chunks for uplink in self._uplinks.values())
         drops = Counter(self.context.inbox.drops) + self._drops
         drops["overtaken_chunks"] += overtaken
@@ -154,6 +164,7 @@ class Station:
             sim_time_ns=tick.sim_time_ns,
             spans=spans,
             uploads=uploads,
+            wire=wire,
             points=sum(upload.points for upload in uploads),
             drops=dict(+drops),
         )

@@ -10,7 +10,7 @@ import numpy as np
 from protocol.bus import Bus
 from protocol.codec import RangeScan, encode_scan
 from protocol.geometry import SE3
-from protocol.messages import Objects, Plan, Scan, Span, Tick, Upload
+from protocol.messages import Objects, Plan, Scan, Span, Tick, Upload, WireCount
 from sensing.config import UploadConfig
 from sensing.lidar import Lidar
 from sensing.noise import stream
@@ -76,7 +76,8 @@ class Uplink:
         self._plan: Plan | None = None
         self._outbox = None if kit.lockstep else Outbox(agent)
         self._done: list[Shipment] = []
-        self._wire_bytes = bus.wire_bytes()
+        self._counted_bytes = bus.wire_bytes()
+        self._counted_frame: int | None = None
 
     @property
     def plan_frame(self) -> int:
@@ -132,6 +133,15 @@ class Uplink:
         if self._outbox is not None:
             done += [s for s in self._outbox.take_done() if isinstance(s, Shipment)]
         return done
+
+    def settle(self, frame: int | None = None) -> list[WireCount]:
+        """Returns what TCP sent for the last frame, if any; `frame` is the one that now begins."""
+        before, self._counted_bytes = self._counted_bytes, self.bus.wire_bytes()
+        last, self._counted_frame = self._counted_frame, frame
+        sent_bytes = self._counted_bytes - before
+        if last is None or sent_bytes <= 0:
+            return []
+        return [WireCount(agent=self.agent, frame=last, sent_bytes=sent_bytes)]
 
     def close(self) -> None:
         """Hangs up."""
@@ -213,13 +223,11 @@ class Uplink:
         encode_end_ns: int,
         sent_ns: int,
     ) -> Upload:
-        before, self._wire_bytes = self._wire_bytes, self.bus.wire_bytes()
         return Upload(
             agent=self.agent,
             chunk=chunk,
             points=points,
             payload_bytes=payload_bytes,
-            wire_bytes=max(0, self._wire_bytes - before),
             sense_start_ns=shipment.sense_start_ns,
             sense_end_ns=shipment.sense_end_ns,
             encode_end_ns=encode_end_ns,

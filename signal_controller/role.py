@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
+from typing import TypeVar
 
+from protocol.horizon import Horizon
 from protocol.inbox import Envelope, Presence
 from protocol.messages import LaneCounts, Metrics, SignalRequest, SignalState, Span
 from protocol.process import Context
 from signal_controller.config import SignalConfig
 from signal_controller.policies import Decision, fixed, max_pressure
 
+MAX_KEPT = 8  # counts and states
+Kept = TypeVar("Kept", LaneCounts, SignalState)
+
 
 class SignalRole:
     """Answers each frame's counts with one request.
 
-    Counts and states come from two processes, in any order. In lockstep the counts of a frame wait
-    for the state of the same frame, so that a run repeats exactly; in realtime the newest will do.
+    Counts and states come from two processes, in any order. The counts of a frame wait for the
+    state of the same frame, so that a run repeats exactly and no frame is believed on one message
+    alone; in realtime, while no state was heard at all, the newest counts will do.
     """
 
     def __init__(self, context: Context) -> None:
@@ -24,10 +31,11 @@ class SignalRole:
         self._signal = context.setup.road_map.signal
         self._config = SignalConfig.model_validate(scenario["signal"])
         self._lockstep = scenario["mode"] == "lockstep"
-        self._shown: SignalState | None = None
-        self._counts: LaneCounts | None = None
+        self._horizon = Horizon()
+        self._shown: dict[int, SignalState] = {}
+        self._counts: dict[int, LaneCounts] = {}
         self._decided = -1
-        self._late = 0
+        self._drops: Counter[str] = Counter()
 
     @classmethod
     def build(cls, context: Context) -> SignalRole:
@@ -45,22 +53,23 @@ class SignalRole:
             return
         match item.message:
             case LaneCounts() as counts:
-                newest = max(self._decided, self._counts.frame if self._counts else -1)
-                self._late += counts.frame <= newest
-                if counts.frame > newest:
-                    self._counts = counts
-            case SignalState() as shown if not self._shown or shown.frame > self._shown.frame:
-                self._shown = shown
+                self._take_counts(counts)
+            case SignalState() as shown:
+                self._horizon.follow(shown.frame)
+                if self._is_near(shown.frame):
+                    self._shown[shown.frame] = shown
+                    self._bound(self._shown)
 
     def poll(self) -> None:
         """Decides as soon as all that the decision needs is there."""
-        counts = self._counts
-        if counts is None:
+        due = [frame for frame in self._counts if self._is_due(frame)]
+        if not due:
             return
-        if self._lockstep and (self._shown is None or self._shown.frame < counts.frame):
-            return
-        self._counts = None
-        self._decided = counts.frame
+        frame = self._decided = max(due)
+        counts = self._counts[frame]
+        if frame in self._shown:
+            self._horizon.reach(frame)
+        self._counts = {later: kept for later, kept in self._counts.items() if later > frame}
         start_ns = time.monotonic_ns()
         decision = self._decide(counts)
         self._publish(counts, decision, start_ns)
@@ -68,10 +77,36 @@ class SignalRole:
     def close(self) -> None:
         """Holds nothing of its own."""
 
+    def _take_counts(self, counts: LaneCounts) -> None:
+        if counts.frame <= self._decided:
+            self._drops["late"] += 1
+        elif self._is_near(counts.frame):
+            self._counts[counts.frame] = counts
+            self._bound(self._counts)
+
+    def _is_near(self, frame: int) -> bool:
+        near = self._horizon.admits(frame)
+        self._drops["far_frame"] += not near
+        return near
+
+    def _bound(self, kept: dict[int, Kept]) -> None:
+        if len(kept) > MAX_KEPT:
+            del kept[self._horizon.farthest(kept)]
+
+    def _is_due(self, frame: int) -> bool:
+        if not self._shown:
+            return not self._lockstep
+        return frame in self._shown or frame <= max(self._decided, self._horizon.newest)
+
+    def _shown_at(self, frame: int) -> SignalState | None:
+        """Returns the newest state that is known to be real, once a frame's counts are."""
+        newest = max(frame, self._horizon.newest)
+        return self._shown.get(max((n for n in self._shown if n <= newest), default=-1))
+
     def _decide(self, counts: LaneCounts) -> Decision:
         if self._config.policy == "fixed":
             return fixed(self._signal, counts.sim_time_ns)
-        return max_pressure(self._signal, counts, self._shown)
+        return max_pressure(self._signal, counts, self._shown_at(counts.frame))
 
     def _publish(self, counts: LaneCounts, decision: Decision, start_ns: int) -> None:
         request = SignalRequest(
@@ -83,9 +118,7 @@ class SignalRole:
             pressures=decision.pressures,
         )
         self._context.v2x.publish("request", request, tls=self._signal.tls)
-        drops = dict(self._context.inbox.drops)
-        if self._late:
-            drops["late"] = self._late
+        drops = dict(+(Counter(self._context.inbox.drops) + self._drops))
         metrics = Metrics(
             process=self._context.id,
             frame=counts.frame,

@@ -50,7 +50,10 @@ class TrafficConfig(Section):
         {}, description="vehicles per hour and lane by id of the edge that ends at the signal"
     )
     default_demand_vph_per_lane: float = Field(
-        500, description="the same for edges not named (t_junction: its side road has 360)", ge=0
+        500,
+        description="the same for edges not named (t_junction: its side road has 360)",
+        ge=0,
+        le=3600,
     )
     vehicles: list[VehicleSpec] = Field(
         default_factory=_default_vehicles, description="vehicle mix of the demand", min_length=1
@@ -86,7 +89,10 @@ class CabinetConfig(Section):
     yellow_s: float = Field(4, description="yellow after a green", gt=0, le=20)
     all_red_s: float = Field(1, description="red before the next green", ge=0, le=20)
     stale_after_s: float = Field(
-        3, description="simulated time without a valid request until the fixed plan runs", gt=0
+        3,
+        description="simulated time without a valid request until the fixed plan runs",
+        gt=0,
+        le=86_400,
     )
     request_timeout_s: float = Field(
         60, description="lockstep: wall time to wait for a frame's request before giving up", gt=0

@@ -17,13 +17,19 @@ _UNSAFE = re.compile(r"[/*$?#\s]")
 
 @dataclass(slots=True)
 class Journey:
-    """One vehicle, from when it first came within reach."""
+    """One vehicle, from when it first came within reach.
+
+    SUMO counts a vehicle's loss from its start: `lost_before_s` of that is not the signal's matter.
+    """
 
     name: str
     type: VehicleType
     equipment: Equipment
     depart_s: float
-    time_loss_s: float = 0.0
+    over_signal: bool
+    lost_before_s: float
+    lost_s: float
+    within_reach: bool = True
     teleported: bool = False
 
     def trip(self, arrive_s: float | None) -> Trip:
@@ -33,7 +39,7 @@ class Journey:
             equipment=self.equipment,
             depart_s=self.depart_s,
             arrive_s=arrive_s,
-            time_loss_s=self.time_loss_s,
+            time_loss_s=self.lost_s - self.lost_before_s,
             teleported=self.teleported,
         )
 
@@ -44,26 +50,31 @@ class Journeys:
     def __init__(self, setup: Setup, seed: int, sumo: Any) -> None:  # noqa: ANN401 - libsumo is untyped
         self._traffic = traffic_config(setup.scenario)
         self._types = {kind.name: kind for kind in setup.vehicle_types}
+        links = setup.road_map.signal.links
+        self._approaches = {link.from_lane.rpartition("_")[0] for link in links}
         self._seed = seed
         self._sumo = sumo
         self._fallbacks: dict[str, VehicleType] = {}
         self._under_way: dict[str, Journey] = {}
         self._ended: list[Trip] = []
 
-    def of(self, vehicle: str) -> Journey:
-        """Returns a vehicle's journey; it begins here if it is new."""
-        journey = self._under_way.get(vehicle)
-        if journey is None:
-            journey = self._under_way[vehicle] = self._begin(vehicle)
-        return journey
+    def within_reach(self, vehicles: list[str]) -> list[Journey]:
+        """Returns the journeys of all vehicles that are within reach now; new ones begin."""
+        for journey in self._under_way.values():
+            journey.within_reach = False
+        for vehicle in vehicles:
+            if vehicle not in self._under_way:
+                self._under_way[vehicle] = self._begin(vehicle)
+            self._under_way[vehicle].within_reach = True
+        return [self._under_way[vehicle] for vehicle in vehicles]
 
     def note_losses(self) -> None:
         """Reads the time that each has lost so far: once arrived, SUMO no longer knows it."""
         api = self._sumo.vehicle
         for vehicle in api.getIDList():
             journey = self._under_way.get(vehicle)
-            if journey is not None:
-                journey.time_loss_s = api.getTimeLoss(vehicle)
+            if journey is not None and journey.within_reach:
+                journey.lost_s = api.getTimeLoss(vehicle)
 
     def note_teleport(self, vehicle: str) -> None:
         """SUMO moved a vehicle that was stuck or had collided."""
@@ -73,29 +84,33 @@ class Journeys:
     def end(self, vehicle: str, arrive_s: float) -> None:
         """The vehicle has arrived."""
         journey = self._under_way.pop(vehicle, None)
-        if journey is not None:
+        if journey is not None and journey.over_signal:
             self._ended.append(journey.trip(arrive_s))
 
     def take_ended(self) -> list[Trip]:
-        """Returns the journeys that ended since the last call."""
+        """Returns the journeys over the signal that ended since the last call."""
         ended, self._ended = self._ended, []
         return ended
 
     def unfinished(self) -> list[Trip]:
-        """Returns the journeys under way, sorted by vehicle."""
-        return [self._under_way[vehicle].trip(None) for vehicle in sorted(self._under_way)]
+        """Returns the journeys over the signal that are under way, sorted by vehicle."""
+        journeys = [self._under_way[vehicle] for vehicle in sorted(self._under_way)]
+        return [journey.trip(None) for journey in journeys if journey.over_signal]
 
     def _begin(self, vehicle: str) -> Journey:
         api, traffic = self._sumo.vehicle, self._traffic
         kind = self._type(api.getTypeID(vehicle))
         drawn = draw_equipment(self._seed, vehicle, traffic.cav_rate, traffic.cv_rate)
+        lost_s = api.getTimeLoss(vehicle)
         motor = kind.mesh != "box"  # trams and bicycles carry nothing
         return Journey(
             name=_safe(vehicle),
             type=kind,
             equipment=drawn if motor else Equipment.NONE,
             depart_s=api.getDeparture(vehicle),
-            time_loss_s=api.getTimeLoss(vehicle),
+            over_signal=not self._approaches.isdisjoint(api.getRoute(vehicle)),
+            lost_before_s=lost_s,
+            lost_s=lost_s,
         )
 
     def _type(self, name: str) -> VehicleType:

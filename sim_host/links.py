@@ -63,9 +63,8 @@ def _choose(net: Net, tls: str | None) -> str:
         return known[0]
     if tls not in known:
         more = f" and {len(known) - _LISTED} more" if len(known) > _LISTED else ""
-        raise ConfigError(
-            f"traffic.tls is {tls!r}, net {net.path} has: {', '.join(known[:_LISTED])}{more}"
-        )
+        which = "say which signal with --tls ID" if tls is None else f"there is no signal {tls!r}"
+        raise ConfigError(f"{which}; {net.path.name} has: {', '.join(known[:_LISTED])}{more}")
     if not _KEY.fullmatch(tls):
         raise ConfigError(f"traffic.tls {tls!r} holds one of / * $ ? # or a space; rename it")
     return tls

@@ -240,6 +240,12 @@ class SimRole:
     def _end(self, reason: str) -> None:
         self._stage = Stage.OVER
         self._publish_trips(with_unfinished=True)
-        self._context.world.publish("end", End(frames=self._ticks, reason=reason))
-        _log.info("%s after %d frames; %s", reason, self._ticks, self._world.counts)
+        waiting = self._world.waiting()
+        self._context.world.publish("end", End(frames=self._ticks, reason=reason, waiting=waiting))
+        _log.info(
+            "%s after %d frames; since the start of warm-up: %s",
+            reason,
+            self._ticks,
+            self._world.counts,
+        )
         self._context.stop.set()

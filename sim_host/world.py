@@ -127,7 +127,7 @@ class World:
         fronts = np.array([vehicle.getPosition(name) for name in names]).reshape(-1, 2)
         near = np.linalg.norm(fronts - self._centre, axis=1) <= self._traffic.reach_m
         names = [name for name, is_near in zip(names, near, strict=True) if is_near]
-        journeys = [self._journeys.of(name) for name in names]
+        journeys = self._journeys.within_reach(names)
         yaw = np.radians(90.0 - np.array([vehicle.getAngle(name) for name in names]))
         half = np.array([journey.type.length_m / 2 for journey in journeys])
         x, y = fronts[near].T - half * np.array([np.cos(yaw), np.sin(yaw)])
@@ -156,6 +156,10 @@ class World:
     def unfinished_trips(self) -> list[Trip]:
         """Returns the journeys that are still under way, sorted by vehicle."""
         return self._journeys.unfinished()
+
+    def waiting(self) -> int:
+        """Returns how many vehicles find no room to enter the net."""
+        return len(self._sumo.simulation.getPendingVehicles())
 
     def close(self) -> None:
         """Ends SUMO; harmless if it never began."""

@@ -9,13 +9,15 @@ from recorder.run import Run
 from studies.snapshot import load_snapshot
 
 
-def draw_frame(run_dir: Path, frame: int | None, png_path: Path) -> None:
+def draw_frame(run_dir: Path, frame: int | None, png_path: Path | None) -> Path:
     """Draws the merged cloud of a frame by agent, with boxes, truth, lanes and counts.
+
+    Returns the path of the picture.
 
     Args:
         run_dir: the run's folder.
         frame: a frame whose uploads were kept; None for the last of them.
-        png_path: the picture to write.
+        png_path: the picture to write; None for `frame-N.png` in the run's folder.
 
     Raises:
         ConfigError: no such run or frame, matplotlib is missing, or the file cannot be written.
@@ -26,7 +28,9 @@ def draw_frame(run_dir: Path, frame: int | None, png_path: Path) -> None:
         raise ConfigError(f"drawing needs {error.name}: pip install 'cpnet-edge[plot]'") from None
     with Run(run_dir) as run:
         snapshot = load_snapshot(run, frame)
+    path = png_path or run_dir / f"frame-{snapshot.row.frame}.png"
     try:
-        save_picture(snapshot, png_path)
+        save_picture(snapshot, path)
     except OSError as error:
-        raise ConfigError(f"{png_path} cannot be written: {error}") from None
+        raise ConfigError(f"{path} cannot be written: {error}") from None
+    return path

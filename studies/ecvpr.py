@@ -67,14 +67,30 @@ def score_frame(
     reach: Reach,
     margin_m: float = MARGIN_M,
 ) -> FrameScore:
-    """Returns the score of one frame. A vehicle outside the reach is neither true nor false."""
+    """Returns the score of one frame. A vehicle outside the reach is neither true nor false.
+
+    A vehicle that reports itself is detected, however far off its satellite positioning is.
+    """
+    index = {vehicle.vehicle: i for i, vehicle in enumerate(vehicles)}
+    selves = {index[d.source] for d in detections if d.source in index}
+    others = [i for i in range(len(vehicles)) if i not in selves]
+    seen = [d for d in detections if d.source not in index]
+    pairs = _pairs(seen, [vehicles[i] for i in others], types, margin_m)
+    present = {i for i, v in enumerate(vehicles) if reach.contains(v.lane, v.lane_position_m)}
+    true = len(present & (selves | {others[vehicle] for _, vehicle in pairs}))
+    return FrameScore(frame, len(present), true, len(seen) - len(pairs))
+
+
+def _pairs(
+    detections: list[DetectionRow],
+    vehicles: list[TruthRow],
+    types: dict[str, VehicleType],
+    margin_m: float,
+) -> list[tuple[int, int]]:
     centres = np.array([(d.x_m, d.y_m) for d in detections], np.float64).reshape(-1, 2)
     poses = np.array([(v.x_m, v.y_m, v.yaw_rad) for v in vehicles], np.float64).reshape(-1, 3)
     sizes = np.array([_size(types, v.type) for v in vehicles], np.float64).reshape(-1, 2)
-    pairs = match(centres, poses, sizes, margin_m)
-    present = {i for i, v in enumerate(vehicles) if reach.contains(v.lane, v.lane_position_m)}
-    true = sum(vehicle in present for _, vehicle in pairs)
-    return FrameScore(frame, len(present), true, len(detections) - len(pairs))
+    return match(centres, poses, sizes, margin_m)
 
 
 def _size(types: dict[str, VehicleType], name: str) -> tuple[float, float]:

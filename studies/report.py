@@ -5,6 +5,7 @@ from __future__ import annotations
 from rich import box
 from rich.columns import Columns
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from studies.latency import STAGES
@@ -26,9 +27,10 @@ def print_report(summary: Summary, console: Console) -> None:
 
 def _headline(summary: Summary) -> str:
     ended = summary["ended"] or "cut off"
+    name = escape(str(summary["scenario"] or "run"))
     return (
-        f"[bold]{summary['scenario'] or 'run'}[/bold]  {summary['mode'] or ''}  "
-        f"seed {summary['seed']}  [dim]({ended})[/dim]"
+        f"[bold]{name}[/bold]  {summary['mode'] or ''}  "
+        f"seed {summary['seed']}  [dim]({escape(ended)})[/dim]"
     )
 
 
@@ -42,10 +44,12 @@ def _result_table(summary: Summary) -> Table:
         ("real-time factor", _number(summary["real_time_factor"], 2)),
         ("E-CVPR", _spread(e_cvpr, 100, 1, " %")),
         ("delay per vehicle", _spread(delay, 1, 1, " s")),
-        ("vehicles inserted", str(vehicles["inserted"])),
+        ("vehicles at frame 0", str(vehicles["at_start"])),
+        ("  inserted", str(vehicles["inserted"])),
         ("  finished", str(vehicles["finished"])),
+        ("  kept outside", _number(vehicles["waiting"], 0)),
         ("  teleported", str(vehicles["teleported"])),
-        ("present per frame", _number(seen["present"], 1)),
+        ("in reach per frame", _number(seen["present"], 1)),
         ("  truly detected", _number(seen["true"], 1)),
         ("  false detections", _number(seen["false"], 1)),
         ("phase switches", str(summary["phases"]["switches"])),
@@ -69,11 +73,11 @@ def _latency_table(summary: Summary) -> Table:
 
 
 def _agent_table(summary: Summary) -> Table:
-    table = _numeric("agent", "frames", "points", "kB/frame", "Mbit/s", "on the wire")
+    table = _numeric("agent", "frames", "points", "kB/frame", "Mbit/s", "by TCP")
     agents = sorted(summary["agents"].items(), key=lambda item: (-item[1]["frames"], item[0]))
     for agent, figures in agents[:_MOST_AGENTS]:
         table.add_row(
-            agent,
+            escape(agent),
             str(figures["frames"]),
             _number(figures["points_per_frame"], 0),
             _number(figures["bytes_per_frame"] / 1e3, 1),
@@ -83,6 +87,9 @@ def _agent_table(summary: Summary) -> Table:
     if len(agents) > _MOST_AGENTS:
         rest = agents[_MOST_AGENTS:]
         table.add_row(f"and {len(rest)} more", str(sum(a["frames"] for _, a in rest)))
+    total = summary["uplink_mbps"]
+    table.add_row("all together", "", "", "mean", _number(total["mean"], 2), style="bold")
+    table.add_row("", "", "", "peak", _number(total["peak"], 2), style="bold")
     return table
 
 
@@ -90,7 +97,7 @@ def _drop_table(summary: Summary) -> Table:
     table = _numeric("dropped by", "times")
     for process, reasons in summary["drops_by_reason"].items():
         for reason, times in reasons.items():
-            table.add_row(f"{process}: {reason}", str(times))
+            table.add_row(escape(f"{process}: {reason}"), str(times))
     return table
 
 

@@ -96,7 +96,10 @@ def load_snapshot(run: Run, frame: int | None) -> Snapshot:
 def _choose(run: Run, frame: int | None) -> int:
     kept = [n for (n,) in run.query("SELECT DISTINCT frame FROM clouds ORDER BY frame")]
     if not kept:
-        raise ConfigError(f"{run.dir} kept no uploads to draw; record.snapshot_period_s was 0")
+        raise ConfigError(
+            f"{run.dir} kept no scans to draw: no agent sent one in a frame that "
+            "record.snapshot_period_s keeps"
+        )
     if frame is not None and frame not in kept:
         more = " …" if len(kept) > _LISTED else ""
         known = ", ".join(map(str, kept[:_LISTED])) + more

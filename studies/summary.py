@@ -12,14 +12,15 @@ import numpy as np
 from protocol.errors import ConfigError
 from recorder.run import Run
 from recorder.tables import DropRow
-from studies.bandwidth import by_agent
+from studies.bandwidth import by_agent, total_mbps
 from studies.ecvpr import score
 from studies.latency import latencies
 
 Summary = dict[str, Any]
 
 _VEHICLES = """
-    SELECT (SELECT count(*) FROM (SELECT vehicle FROM trips UNION SELECT vehicle FROM truth)),
+    SELECT (SELECT count(DISTINCT vehicle) FROM truth WHERE frame = (SELECT min(frame) FROM truth)),
+           (SELECT count(*) FROM (SELECT vehicle FROM trips UNION SELECT vehicle FROM truth)),
            count(arrive_s), total(teleported) FROM trips
 """
 
@@ -41,6 +42,7 @@ def summarise(run_dir: Path) -> Summary:
             "ended": run.meta.get("end_reason"),
             **_pace(run, period_s),
             "agents": by_agent(run, period_s),
+            "uplink_mbps": total_mbps(run, period_s),
             "latency_ms": latencies(run),
             **_perception(run),
             **_traffic(run),
@@ -85,13 +87,20 @@ def _perception(run: Run) -> Summary:
 
 
 def _traffic(run: Run) -> Summary:
-    inserted, finished, teleported = run.query(_VEHICLES)[0]
-    losses = run.query("SELECT time_loss_s FROM trips WHERE arrive_s IS NOT NULL ORDER BY vehicle")
+    at_start, seen, finished, teleported = run.query(_VEHICLES)[0]
+    losses = run.query("SELECT time_loss_s FROM trips ORDER BY vehicle")
+    waiting = run.meta.get("end_waiting")
     mean, std = _mean_std([loss_s for (loss_s,) in losses])
     greens = run.query(_GREENS)
     return {
         "delay_s": {"mean": mean, "std": std},
-        "vehicles": {"inserted": inserted, "finished": finished, "teleported": int(teleported)},
+        "vehicles": {
+            "at_start": at_start,
+            "inserted": seen - at_start,
+            "finished": finished,
+            "teleported": int(teleported),
+            "waiting": int(waiting) if waiting is not None else None,
+        },
         "phases": {"switches": sum(a[0] == b[0] and a != b for a, b in pairwise(greens))},
     }
 

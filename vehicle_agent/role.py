@@ -49,6 +49,9 @@ class VehicleRole:
         names = [tick.ids[i] for i in scanning]
         self._station.publish_roster(tick, [tick.ids[i] for i in mine], names)
         self._hang_up(set(names))
+        for agent in names:
+            self._uplink(agent)
+        self._station.settle(tick)
         for index in mine:
             believed = self._publish_pose(tick, index)
             if index in scanning:
@@ -80,15 +83,17 @@ class VehicleRole:
         return pose
 
     def _publish_scan(self, tick: Tick, index: int, believed: Floats) -> None:
-        agent = tick.ids[index]
-        if agent not in self._uplinks:
-            self._uplinks[agent] = self._station.uplink(agent, self._context.open_v2x())
-        self._uplinks[agent].sense_and_send(
+        self._uplink(tick.ids[index]).sense_and_send(
             tick,
             map_SE3_sensor=SE3.from_pose(tick.poses[index]) @ self._body_SE3_sensor,
             believed_SE3_sensor=SE3.from_pose(believed) @ self._body_SE3_sensor,
             own=index,
         )
+
+    def _uplink(self, agent: str) -> Uplink:
+        if agent not in self._uplinks:
+            self._uplinks[agent] = self._station.uplink(agent, self._context.open_v2x())
+        return self._uplinks[agent]
 
     def _hang_up(self, still_here: set[str]) -> None:
         for agent in sorted(self._uplinks.keys() - still_here):

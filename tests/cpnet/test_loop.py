@@ -118,6 +118,41 @@ def test_roles_in_two_commands_joined_over_tcp_give_the_same_rows(shell, first_r
     assert differences(first_run, shell.folder / "here") == []
 
 
+def test_the_edge_may_be_on_another_machine_than_the_world(shell, first_run):
+    port = free_ports()
+    v2x, world = f"v2x=127.0.0.1:{port}", f"world=127.0.0.1:{port + 1}"
+    edge = shell.start("up", "--only=edge", f"--listen={v2x}", f"--connect={world}", "--out=edge")
+    here = shell.up(
+        "--duration=8",
+        "--out=here",
+        "--only=sim,record,signal,vehicle,infra",
+        f"--listen={world}",
+        f"--connect={v2x}",
+    )
+    for command in (here, edge):
+        status, output = command.finish()
+        assert status == 0, output
+    assert differences(first_run, shell.folder / "here") == []
+
+
+def test_a_death_on_the_other_machine_ends_the_run_here(shell):
+    port = free_ports()
+    here = shell.up(
+        "--duration=600",
+        "--out=here",
+        "--only=sim,record,edge,signal",
+        f"--listen=127.0.0.1:{port}",
+    )
+    there = shell.start("up", "--only=vehicle,infra", f"--connect=127.0.0.1:{port}", "--out=there")
+    here.read_until("vehicles")
+    os.kill(children_of(shell.folder / "there")["vehicle-0"], signal.SIGKILL)
+    status, output = there.finish()
+    assert (status, "vehicle-0 was killed by SIGKILL" in output) == (1, True), output
+    status, output = here.finish()
+    assert status == 1
+    assert "left another machine before the run ended" in output
+
+
 def test_the_report_has_its_stable_keys(shell, first_run):
     status, output = shell.run("report", str(first_run), "--json")
     summary = json.loads(output)
@@ -139,7 +174,7 @@ def test_the_report_has_its_stable_keys(shell, first_run):
 @pytest.mark.parametrize("victim", ROLES)
 def test_a_killed_process_ends_the_run_within_5_s_by_name(shell, victim):
     command = shell.up("--duration", "600", "--out", "run")
-    command.read_until("frame")
+    command.read_until("vehicles")
     run_dir = shell.folder / "run"
     wait_for_frames(run_dir)
     os.kill(children_of(run_dir)[victim], signal.SIGKILL)
@@ -155,7 +190,7 @@ def test_a_killed_process_ends_the_run_within_5_s_by_name(shell, victim):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_stopped_run_ends_cleanly_with_its_summary(shell, number):
     command = shell.up("--duration", "600", "--out", "run")
-    command.read_until("frame")
+    command.read_until("vehicles")
     command.process.send_signal(number)
     status, output = command.finish()
     assert status == 128 + number
@@ -167,7 +202,7 @@ def test_a_stopped_run_ends_cleanly_with_its_summary(shell, number):
 
 def test_processes_end_when_their_supervisor_is_killed(shell):
     command = shell.up("--duration", "600", "--out", "run")
-    command.read_until("frame")
+    command.read_until("vehicles")
     command.process.kill()
     command.finish()
     give_up_ns = time.monotonic_ns() + 5_000_000_000
@@ -187,7 +222,7 @@ def test_the_world_runs_on_the_clock_in_realtime_mode(shell):
 def test_bad_messages_are_counted_and_the_run_goes_on(shell):
     port = free_ports()
     command = shell.up("--duration=20", "--out=run", f"--listen=127.0.0.1:{port}")
-    command.read_until("frame")
+    command.read_until("vehicles")
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", f'["tcp/127.0.0.1:{port}"]')

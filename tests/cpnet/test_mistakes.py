@@ -38,6 +38,21 @@ def test_a_signal_that_the_net_lacks(shell):
     assert "J" in output
 
 
+@pytest.mark.parametrize("value", ["seed=2020-13-45", "seed=0b_", "name=../evil", "name=[/x]"])
+def test_values_that_yaml_or_the_terminal_would_choke_on(shell, value):
+    refused(shell, "up", "--set", value)
+
+
+def test_two_mounts_of_one_name(shell):
+    output = refused(shell, "up", "--set", "roadside_mounts=[{id: a}, {id: a, x_m: 9}]")
+    assert "each may stand once" in output
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "[/x]", "a\nb"])
+def test_a_scenario_that_no_file_can_be(shell, name):
+    assert "no scenario" in refused(shell, "up", name)
+
+
 def test_a_port_in_use(shell):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

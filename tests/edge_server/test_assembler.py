@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from edge_server import assembler as module
+from edge_server import gathering as module
 from edge_server.assembler import Assembler
 from edge_server.coverage import Uploaded
 from edge_server.frame import Frame, Piece
@@ -159,7 +159,7 @@ def test_what_comes_late_is_counted_and_dropped() -> None:
     assert frame.frame == 3
     for part in whole(3)[:3]:
         give(assembler, part)
-    assert not assembler.wants(2)
+    give(assembler, piece("a", frame=2))
     assert assembler.drops["late"] == 4
     assert assembler.pop(10 * WAIT_NS) is None
 
@@ -195,12 +195,70 @@ def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         give(assembler, pose("a", number))
     assert assembler.drops["frame_given_up"] == 6
     for agent in "abcd":
-        give(assembler, pose(agent, 9))
-    give(assembler, roster("vehicle-0", list("abcd"), [], 9))
+        give(assembler, pose(agent, 0))
+    give(assembler, roster("vehicle-0", list("abcd"), [], 0))
     assert assembler.drops["too_many_agents"] == 2
     for agent in "abc":
-        give(assembler, piece(agent, frame=9))
+        give(assembler, piece(agent, frame=0))
     assert assembler.drops["frame_too_large"] == 1
+
+
+def test_one_absurd_frame_number_neither_ends_a_frame_nor_makes_others_late() -> None:
+    for absurd in (1 << 39, 70, 40):
+        assembler = make()
+        give(assembler, pose("ghost", absurd), at_ns=0)
+        give(assembler, roster("vehicle-0", [], [], absurd), at_ns=0)
+        assembler.add_time(absurd + 1, 9)
+        for number in range(12):
+            for part in whole(number):
+                give(assembler, part)
+            frame = assembler.pop(10 * WAIT_NS)
+            assert frame is not None
+            assert (frame.frame, frame.complete) == (number, True)
+        give(assembler, pose("ghost", 1 << 39))
+        assert assembler.drops["far_frame"] >= 1
+        assert assembler.drops["late"] == 0
+
+
+def test_an_edge_that_starts_in_mid_run_finds_in_by_the_signals_states() -> None:
+    assembler = make()
+    give(assembler, pose("ghost", 0))
+    for number in range(500, 503):
+        assembler.add_time(number, number * 100)
+    for part in whole(502):
+        give(assembler, part)
+    frame = assembler.pop(6)
+    assert frame is not None
+    assert (frame.frame, frame.complete) == (502, True)
+
+
+def test_agents_that_were_not_announced_make_room_for_those_that_were(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "MAX_AGENTS", 2)
+    monkeypatch.setattr(module, "MAX_BYTES", 240)
+    assembler = make()
+    for agent in ("x", "y"):
+        give(assembler, pose(agent))
+        give(assembler, piece(agent))
+    give(assembler, roster("vehicle-0", ["a"], ["a"]))
+    give(assembler, roster("infra-0", [], []))
+    give(assembler, pose("a"))
+    give(assembler, piece("a"))
+    frame = assembler.pop(6)
+    assert frame is not None
+    assert frame.complete
+    assert assembler.drops["stranger_ousted"] == 2
+    assert "a" in frame.agents
+
+
+def test_a_process_that_is_not_there_is_not_waited_for_whatever_it_announces() -> None:
+    assembler = make()
+    give(assembler, roster("ghost", ["g"], ["g"]))
+    for part in whole():
+        give(assembler, part)
+    assert assembler.pop(6) is not None
+    assert assembler.drops["absent_process"] == 1
 
 
 def chunk_of(agent: str, chunk: int = 0, chunks: int = 1, frame: int = 0) -> Scan:
@@ -241,33 +299,8 @@ def test_a_frame_ends_before_all_chunks_came_if_they_cover_the_scene() -> None:
     assert frame is not None
     assert frame.complete
     assert [uploaded["a"].came for uploaded in asked] == [1, 3]
-    assert not assembler.wants_scan(chunk_of("a", 3, 4))
+    assert not assembler.wants(chunk_of("a", 3, 4), 7)
     assert not +assembler.drops
-
-
-def test_a_chunk_is_wanted_once_and_as_one_of_as_many_as_were_announced() -> None:
-    assembler = make()
-    assert assembler.wants_scan(chunk_of("a", 1, 2))
-    give(assembler, piece("a", 1, 2))
-    assert not assembler.wants_scan(chunk_of("a", 1, 2))
-    assert not assembler.wants_scan(chunk_of("a", 0, 3))
-    assert not assembler.wants_scan(chunk_of("a", 2, 2))
-    assert assembler.wants_scan(chunk_of("a", 0, 2))
-    assert assembler.drops == {"repeated": 1, "odd_chunk": 2}
-
-
-def test_frames_that_the_world_has_not_reached_drive_no_real_one_out() -> None:
-    assembler = make()
-    assembler.hear_world(0, 0)
-    give(assembler, whole()[0])
-    for frame in range(100, 120):
-        give(assembler, pose("rogue", frame))
-    for part in whole()[1:]:
-        give(assembler, part)
-    frame_0 = assembler.pop(6)
-    assert frame_0 is not None
-    assert frame_0.complete
-    assert assembler.drops["ahead"] == 20
 
 
 def test_boxes_that_an_agent_found_stand_for_its_scan() -> None:
@@ -285,6 +318,8 @@ def test_boxes_that_an_agent_found_stand_for_its_scan() -> None:
     for part in whole()[:-1]:
         give(assembler, part)
     assembler.add_objects(objects, 6)
+    assembler.add_objects(objects, 6)
+    assert +assembler.drops == {"duplicate": 1}
     frame = assembler.pop(6)
     assert frame is not None
     assert frame.objects == [objects]

@@ -227,6 +227,28 @@ def test_an_agent_process_that_dies_in_lockstep_frees_the_frame(road_map: RoadMa
     assert counts.agents == ["rsu-0"]
 
 
+def test_a_message_on_the_key_of_another_sender_is_refused(road_map: RoadMap) -> None:
+    rig = Rig(road_map)
+    rig.start()
+    ghost = m.Roster(frame=0, process="vehicle-0", agents=["ghost"], scanning=[])
+    rig.radio.publish("roster", ghost, region="r0", process="vehicle-9")
+    rig.say_rosters(0, ["cav"], [])
+    rig.say_scan(0, "cav")
+    rig.say_pose(0, "cav")
+    (metrics,) = said(rig.turn(), m.Metrics)
+    assert metrics.drops == {"wrong_sender": 1}
+
+
+def test_a_chunk_is_decoded_once(road_map: RoadMap) -> None:
+    rig = Rig(road_map)
+    rig.start()
+    rig.say_rosters(0, [], ["rsu-0"])
+    rig.say_scan(0, "rsu-0")
+    rig.say_scan(0, "rsu-0", payload=b"SCAN but no scan")
+    (metrics,) = said(rig.turn(), m.Metrics)
+    assert metrics.drops == {"duplicate": 1}
+
+
 @pytest.mark.parametrize("unwanted", [{"deadline": 3}, {"merge": "draco"}, {"deadline_ms": 0}])
 def test_settings_that_cannot_be_are_refused(unwanted: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(unwanted))):
@@ -357,4 +379,4 @@ def test_a_flood_from_one_agent_delays_no_frame_of_the_others(
         assert "rsu-0" in {arrival.agent for arrival in metrics.arrivals}
         decoded = [span for span in metrics.spans if span.stage == "decode"]
         assert len(decoded) <= chunks + 1
-    assert {"overtaken", "wrong_key", "ahead"} <= metrics.drops.keys()
+    assert {"overtaken", "wrong_sender", "far_frame"} <= metrics.drops.keys()

@@ -13,7 +13,7 @@ from protocol.errors import ConfigError
 from recorder.compare import RESULTS, differences, results_digest
 from recorder.database import FILE_NAME, Database
 from recorder.run import Run
-from recorder.tables import TABLES, CountRow, FrameRow, StageRow
+from recorder.tables import TABLES, CountRow, FrameRow, MetaRow, StageRow
 
 
 def record(run_dir: Path, counts: list[CountRow], clock_ns: int = 0) -> None:
@@ -148,3 +148,23 @@ def test_a_missing_or_damaged_setup_is_named(tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be written"):
         Database(tmp_path / "missing")
+
+
+@pytest.mark.parametrize("scenario", ["[1, 2]", "no json", "{"])
+def test_a_scenario_that_is_no_json_object_is_named(tmp_path: Path, scenario: str) -> None:
+    database = Database(tmp_path)
+    database.add(MetaRow, [MetaRow("scenario", scenario)])
+    database.close()
+    with Run(tmp_path) as run, pytest.raises(ConfigError, match=r"run\.sqlite: scenario in meta"):
+        _ = run.scenario
+
+
+def test_a_damaged_table_is_named_when_it_is_read(tmp_path: Path) -> None:
+    database = Database(tmp_path)
+    database._connection.execute("DROP TABLE counts")
+    database.close()
+    with Run(tmp_path) as run:
+        with pytest.raises(ConfigError, match=r"run\.sqlite is not a run's database"):
+            list(run.rows(CountRow))
+        with pytest.raises(ConfigError, match="no such table"):
+            run.query("SELECT * FROM counts")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from protocol import messages as m
-from protocol.errors import ConfigError
+from protocol.errors import ConfigError, CpnetError
 from protocol.inbox import Inbox
 from protocol.local import LocalNetwork
 from protocol.process import Context
@@ -92,7 +92,7 @@ class Rig:
             self.v2x.publish("scan", scan, region="r0", agent=agent, chunk="0")
             uploads.append(
                 m.Upload(
-                    agent=agent, chunk=0, points=7, payload_bytes=1000, wire_bytes=1100,
+                    agent=agent, chunk=0, points=7, payload_bytes=1000,
                     sense_start_ns=start + MS, sense_end_ns=start + 9 * MS,
                     encode_end_ns=start + 10 * MS, sent_ns=start + 11 * MS,
                 )
@@ -206,14 +206,19 @@ def test_truth_and_snapshots_can_be_left_out(tmp_path: Path) -> None:
 
 
 def test_contradictory_messages_are_counted_and_dropped(rig: Rig, tmp_path: Path) -> None:
-    crooked = m.Detections(
-        frame=0, sim_time_ns=0, agents=[], boxes=np.ones((2, 7)), scores=np.ones(1), lanes=[],
-        distances_m=np.zeros(0), sources=[],
+    crooked = m.Detections.model_construct(
+        frame=0, sim_time_ns=0, agents=[], boxes=np.ones((2, 7), np.float32),
+        scores=np.ones(1, np.float32), lanes=[], distances_m=np.zeros(0, np.float32), sources=[],
     )  # fmt: skip
     rig.v2x.publish("detections", crooked, region="r0")
     rig.metrics("edge", 1 << 35)
     rig.world.publish("trips", m.Trips(frame=0, trips=[
-        m.Trip(vehicle="x", equipment=0, depart_s=0, arrive_s=None, time_loss_s=float("nan")),
+        m.Trip.model_construct(
+            vehicle="x", equipment=0, depart_s=0.0, arrive_s=None, time_loss_s=float("nan")
+        ),
+        m.Trip(vehicle="y", equipment=0, depart_s=0, arrive_s=None, time_loss_s=1.0),
+    ]))  # fmt: skip
+    rig.world.publish("trips", m.Trips(frame=0, trips=[
         m.Trip(vehicle="y", equipment=0, depart_s=0, arrive_s=None, time_loss_s=1.0),
     ]))  # fmt: skip
     rig.drain()
@@ -222,7 +227,7 @@ def test_contradictory_messages_are_counted_and_dropped(rig: Rig, tmp_path: Path
     rig.role.close()
     with Run(tmp_path) as run:
         drops = {r.reason: r.times for r in run.rows(DropRow)}
-        assert drops == {"MessageError": 2, "refused_row": 1}
+        assert drops == {"MessageError": 3}
         assert [r.vehicle for r in run.rows(TripRow)] == ["y"]
 
 
@@ -287,3 +292,22 @@ def test_a_folder_takes_one_recording_only(rig: Rig, tmp_path: Path) -> None:
     rig.role.close()
     with pytest.raises(ConfigError, match="exists"):
         Rig(tmp_path)
+
+
+def test_nothing_is_told_before_the_first_tick(rig: Rig) -> None:
+    rig.seen.get()
+    rig.role._told_ns -= 1_000 * MS
+    rig.role.poll()
+    assert rig.seen.get() is None
+    rig.role.close()
+
+
+def test_a_full_disk_ends_the_role_with_its_cause(rig: Rig) -> None:
+    rig.role._database._connection.execute("PRAGMA max_page_count = 1")
+    rig.frame(0)
+    rig.drain()
+    rig.role._database.add(CloudRow, [CloudRow(0, "a", 0, 0, *(0.0,) * 6, bytes(1 << 22))])
+    with pytest.raises(CpnetError, match=r"run\.sqlite cannot be written: .*full"):
+        rig.role._commit(time.monotonic_ns())
+    rig.role.close()
+    rig.role._database._connection.close()

@@ -156,3 +156,26 @@ def test_the_fixed_policy_follows_the_plan() -> None:
         rig.say_counts(frame, 0, 9)
         expected = "Gr" if frame == 299 else "rG"
         assert requests(rig.turn()) == [(frame, frame * 10**8, expected, "fixed")]
+
+
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+@pytest.mark.parametrize("absurd", [1 << 39, 70, 40])
+def test_one_absurd_frame_number_stops_no_decisions(mode: str, absurd: int) -> None:
+    rig = Rig(mode=mode)
+    rig.say_state(0, "Gr")
+    rig.say_counts(absurd, 9, 0)
+    rig.say_state(absurd + 1, "Gr")
+    for frame in range(12):
+        rig.say_state(frame, "Gr")
+        rig.say_counts(frame, 1, 3)
+        (request,) = requests(rig.turn())
+        assert request[0] == frame
+
+
+def test_a_controller_that_starts_in_mid_run_finds_in_by_the_signals_states() -> None:
+    rig = Rig()
+    rig.say_counts(0, 9, 0)
+    for frame in range(500, 504):
+        rig.say_state(frame, "Gr")
+    rig.say_counts(503, 1, 3)
+    assert [request[0] for request in requests(rig.turn())] == [503]

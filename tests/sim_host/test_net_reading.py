@@ -175,7 +175,7 @@ def test_a_missing_net_and_another_kind_of_file_are_named(tmp_path: Path) -> Non
 
 
 def test_a_signal_that_the_net_lacks_is_refused_with_those_it_has(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"traffic\.tls is 'X', net .* has: T$"):
+    with pytest.raises(ConfigError, match=r"no signal 'X'; cross\.net\.xml has: T$"):
         road_map(read_net(write(tmp_path)), "X")
 
 

@@ -145,7 +145,7 @@ def test_a_demand_that_sumo_refuses_is_a_configuration_error(
     [
         ({"net": "none.net.xml"}, r"none\.net\.xml does not exist"),
         ({"sumocfg": "none.sumocfg"}, r"none\.sumocfg does not exist"),
-        ({"tls": "K"}, "traffic.tls is 'K'"),
+        ({"tls": "K"}, "no signal 'K'"),
         ({"cav_rate": 2}, "traffic.cav_rate"),
     ],
 )

@@ -1,0 +1,121 @@
+"""What came of one frame so far, within bounds: who was announced comes before who was not."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from edge_server.coverage import Uploaded
+from edge_server.frame import Piece
+from protocol.messages import AgentPose, Objects, Roster, Scan
+
+K = TypeVar("K")
+V = TypeVar("V")
+
+MAX_AGENTS = 512  # of a frame
+MAX_PIECES = 4 * MAX_AGENTS
+MAX_BYTES = 128 << 20  # of decoded points of a frame
+
+
+@dataclass(slots=True, eq=False)
+class Gathering:
+    """A frame under way. Chunks are known by (agent, chunk); `drops` counts what came in vain."""
+
+    first_ns: int
+    drops: Counter[str]
+    time_ns: int | None = None
+    rosters: dict[str, Roster] = field(default_factory=dict)
+    poses: dict[str, AgentPose] = field(default_factory=dict)
+    pieces: dict[tuple[str, int], Piece] = field(default_factory=dict)
+    chunks: dict[str, int] = field(default_factory=dict)
+    objects: dict[str, Objects] = field(default_factory=dict)
+
+    def add_roster(self, roster: Roster) -> None:
+        """Takes a process's first roster."""
+        held = sum(len(other.agents) + 1 for other in self.rosters.values())
+        if roster.process in self.rosters:
+            self.drops["duplicate"] += 1
+        elif held + len(roster.agents) > MAX_AGENTS:
+            self.drops["too_many_agents"] += 1
+        else:
+            self.rosters[roster.process] = roster
+
+    def add_pose(self, pose: AgentPose) -> None:
+        """Takes an agent's first pose."""
+        if pose.agent in self.poses:
+            self.drops["duplicate"] += 1
+            return
+        if len(self.poses) >= MAX_AGENTS and self._is_announced(pose.agent):
+            self._oust(self.poses, [agent for agent in self.poses if not self._is_announced(agent)])
+        if len(self.poses) >= MAX_AGENTS:
+            self.drops["too_many_agents"] += 1
+            return
+        self.poses[pose.agent] = pose
+        self._date(pose.sim_time_ns)
+
+    def add_objects(self, objects: Objects) -> None:
+        """Takes the first boxes that an agent found for itself."""
+        if objects.agent in self.objects:
+            self.drops["duplicate"] += 1
+        elif len(self.objects) >= MAX_AGENTS:
+            self.drops["too_many_agents"] += 1
+        else:
+            self.objects[objects.agent] = objects
+            self._date(objects.sim_time_ns)
+
+    def wants(self, scan: Scan) -> bool:
+        """Whether a chunk is new, agrees with its fellows and has room; counts it if not."""
+        if (scan.agent, scan.chunk) in self.pieces:
+            reason = "duplicate"
+        elif self.chunks.get(scan.agent, scan.chunks) != scan.chunks:
+            reason = "contradiction"
+        elif len(self.pieces) >= MAX_PIECES and not self._can_oust_for(scan.agent):
+            reason = "too_many_agents"
+        else:
+            return True
+        self.drops[reason] += 1
+        return False
+
+    def add_piece(self, piece: Piece) -> None:
+        """Takes a decoded chunk that was wanted."""
+        while not self._fits(piece) and self._can_oust_for(piece.agent):
+            self._oust(self.pieces, [key for key in self.pieces if not self._is_announced(key[0])])
+        if not self._fits(piece):
+            self.drops["frame_too_large"] += 1
+            return
+        self.chunks[piece.agent] = piece.chunks
+        self.pieces[piece.agent, piece.chunk] = piece
+        self._date(piece.sim_time_ns)
+
+    def has_poses(self, roster: Roster) -> bool:
+        """Whether all poses came that a roster announces."""
+        return all(agent in self.poses for agent in roster.agents)
+
+    def uploaded(self, agent: str) -> Uploaded:
+        """Returns how far an agent's scan came; boxes of its own count as a whole scan."""
+        if agent in self.objects:
+            return Uploaded(1, 1, -1)
+        chunks, came = self.chunks.get(agent, 0), 0
+        while came < chunks and (agent, came) in self.pieces:
+            came += 1
+        return Uploaded(came, chunks, self.pieces[agent, 0].plan_frame if came else -1)
+
+    def _is_announced(self, agent: str) -> bool:
+        return any(agent in roster.agents for roster in self.rosters.values())
+
+    def _can_oust_for(self, agent: str) -> bool:
+        return self._is_announced(agent) and not all(self._is_announced(a) for a, _ in self.pieces)
+
+    def _fits(self, piece: Piece) -> bool:
+        held = sum(other.points.nbytes for other in self.pieces.values())
+        return len(self.pieces) < MAX_PIECES and held + piece.points.nbytes <= MAX_BYTES
+
+    def _oust(self, held: dict[K, V], strangers: list[K]) -> None:
+        if strangers:
+            del held[strangers[-1]]
+            self.drops["stranger_ousted"] += 1
+
+    def _date(self, sim_time_ns: int) -> None:
+        if self.time_ns is None:
+            self.time_ns = sim_time_ns
