@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from protocol.errors import MessageError
 from protocol.geometry import SE3, Floats
 from protocol.inbox import Envelope, Presence
 from protocol.messages import AgentPose, Equipment, Tick
@@ -29,7 +30,15 @@ class VehicleRole:
         self._station.open("vehicle")
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes a tick or the end."""
+        """Takes a tick or the end.
+
+        Raises:
+            MessageError: a tick holds a type of vehicle that the setup does not know.
+        """
+        if isinstance(item, Envelope) and isinstance(item.message, Tick):
+            unknown = sorted(set(item.message.types) - self._types.keys())
+            if unknown:
+                raise MessageError(f"tick: unknown vehicle types {unknown[:5]}")
         self._station.take(item)
 
     def poll(self) -> None:

@@ -281,3 +281,67 @@ def test_decoded_arrays_cannot_be_changed():
     back = wire.decode(wire.encode(SCAN), m.Scan)
     with pytest.raises(ValueError, match="read-only"):
         back.payload[0] = 1
+
+
+def packed(kind: type[m.Message], header: dict, body: bytes = b"") -> bytes:
+    data = msgpack.packb(header)
+    return wire.PREFIX.pack(wire.MAGIC, 1, kind.kind, len(data), len(body)) + data + body
+
+
+@pytest.mark.parametrize(
+    ("example", "changes"),
+    [
+        (m.Roster, {"frame": 1 << 40}),
+        (m.Roster, {"frame": -1}),
+        (m.Roster, {"process": ""}),
+        (m.Roster, {"process": "x" * 129}),
+        (m.Roster, {"agents": ["a"] * 4097}),
+        (m.SignalState, {"sim_time_ns": 1 << 62}),
+        (m.SignalRequest, {"policy": "x" * 513}),
+        (m.SignalRequest, {"pressures": [float("nan")]}),
+        (m.Progress, {"real_time_factor": float("inf")}),
+        (m.Metrics, {"drops": {"late": 1 << 53}}),
+        (m.Metrics, {"spans": [{"stage": "x", "start_ns": 1 << 63, "end_ns": 0}]}),
+        (m.LaneCounts, {"upstream": {"a": -1}}),
+        (m.Trips, {"trips": [{"vehicle": "a", "equipment": 0, "depart_s": float("nan"),
+                              "arrive_s": None, "time_loss_s": 0.0}]}),
+    ],
+)  # fmt: skip
+def test_what_is_out_of_bounds_is_refused(example: type[m.Message], changes: dict):
+    (message,) = (e for e in EXAMPLES if type(e) is example)
+    with pytest.raises(MessageError, match=f"{example.__name__}.{next(iter(changes))}"):
+        wire.decode(packed(example, message.model_dump() | changes), example)
+
+
+@pytest.mark.parametrize(
+    ("example", "changes", "text"),
+    [
+        (m.Tick, {"ids": ["a"]}, "lists have lengths"),
+        (m.Tick, {"ids": ["a", "a"]}, "twice"),
+        (m.Tick, {"hosts": np.array([0, 1], np.int32)}, "a host is none of the 1 processes"),
+        (m.Tick, {"equipment": np.array([0, 3], np.uint8)}, "equipment 3"),
+        (m.Tick, {"poses": np.full((2, 6), 2e7)}, "1e7 m"),
+        (m.Truth, {"lanes": []}, "lists have lengths"),
+        (m.Detections, {"sources": []}, "lists have lengths"),
+        (m.AgentPose, {"pose": np.full(6, 1e4)}, "1e3 rad"),
+        (m.AgentPose, {"position_std_m": 1001.0}, "position_std_m"),
+        (m.Scan, {"chunk": 1}, "chunk 1 of 1"),
+    ],
+)
+def test_a_message_that_contradicts_itself_is_refused(example, changes: dict, text: str):
+    (message,) = (e for e in EXAMPLES if type(e) is example)
+    with pytest.raises(MessageError, match=text):
+        wire.decode(wire.encode(message.model_copy(update=changes)), example)
+
+
+def test_a_long_bad_list_costs_one_error():
+    data = packed(m.Roster, {"frame": 1, "process": "p", "scanning": [], "agents": [1] * 200_000})
+    with pytest.raises(MessageError, match=r"Roster\.agents\.0"):
+        wire.decode(data, m.Roster)
+
+
+def test_only_a_setup_may_have_a_large_header():
+    for kind, limit in ((m.Roster, 256 << 10), (m.Setup, 4 << 20)):
+        head = wire.PREFIX.pack(wire.MAGIC, 1, kind.kind, limit + 1, 0)
+        with pytest.raises(MessageError, match=f"limit {limit}"):
+            wire.decode(head, kind)

@@ -1,0 +1,32 @@
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.horizon import AHEAD, Horizon
+
+
+def test_before_any_frame_is_known_the_lowest_counts():
+    horizon = Horizon()
+    assert horizon.admits(1 << 39)
+    assert horizon.admits(0)
+    assert not horizon.admits(1 << 39)
+    assert horizon.admits(AHEAD)
+
+
+def test_a_frame_that_was_finished_moves_the_horizon_and_nothing_moves_it_back():
+    horizon = Horizon()
+    horizon.reach(100)
+    horizon.reach(50)
+    assert horizon.admits(100 + AHEAD)
+    assert not horizon.admits(101 + AHEAD)
+    assert horizon.farthest([90, 101, 164]) == 164
+
+
+@given(st.integers(0, 1 << 40))
+def test_states_of_consecutive_frames_are_believed_and_a_single_one_is_not(start: int):
+    horizon = Horizon()
+    horizon.reach(0)
+    horizon.follow(start + 1000)
+    assert horizon.newest == 0
+    for frame in (start + 5, start + 6, 1 << 50, start + 7):
+        horizon.follow(frame)
+    assert horizon.newest == start + 7
