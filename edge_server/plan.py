@@ -13,8 +13,8 @@ takes the place where another stands. Equal rates give equal weights, a Voronoi 
 
 REAP draws each border three times: as if one agent's rate were overestimated by alpha and the
 other's underestimated, as estimated, and the other way round. The margins are those of the formula
-with L at most the distance to the agent's own nearest neighbour, which keeps every site within its
-tightest cell (alpha up to 0.4).
+with the distance to the agent's own nearest neighbour for L: about 7 % of the way between two far
+agents for an alpha of 0.3, and every site stays within its tightest cell (alpha up to 0.4).
 """
 
 from __future__ import annotations
@@ -44,9 +44,8 @@ def power_weights(sites: Floats, mbps: Floats, *, alpha: float) -> Floats:
     mean_mbps = float(np.exp(np.log(mbps).mean()))
     pulls = [_pull(mbps * factor, mean_mbps) for factor in (1 - alpha, 1.0, 1 + alpha)]
     plain = _levelled(pulls[PLAIN] * usual_m2, apart_m2 * _STEEPEST)
-    reach_m2 = np.minimum(nearest_m2, usual_m2)
     below, above = pulls[TIGHT] - pulls[PLAIN], pulls[WIDE] - pulls[PLAIN]
-    return np.stack([plain + below * reach_m2, plain, plain + above * reach_m2], axis=1)
+    return np.stack([plain + below * nearest_m2, plain, plain + above * nearest_m2], axis=1)
 
 
 def cells(sites: Floats, weights_m2: Floats, box: Floats, *, border: int) -> list[Floats]:
