@@ -51,7 +51,8 @@ class Planner:
         self.bandwidth.forget(frame.frame)
         sites = self._sites(frame)
         agents = sorted(sites)
-        places = np.array([sites[agent] for agent in agents]).reshape(-1, 2)
+        # To the centimetre: two agents stand at one place or truly apart, which no rounding blurs.
+        places = np.round(np.array([sites[agent] for agent in agents]).reshape(-1, 2), 2)
         weights_m2 = self._weights_m2(agents, places)
         self._remember(frame.frame + 1, agents, places, weights_m2)
         nowhere = np.zeros((0, 2)), np.zeros((0, 3))

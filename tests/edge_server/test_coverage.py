@@ -33,7 +33,7 @@ agents = st.lists(
 def test_when_neighbours_cover_the_space_between_them_no_place_is_left(
     scene: list[tuple[tuple[float, float], float, int]], alpha: float
 ) -> None:
-    sites = np.array([place for place, _, _ in scene], np.float64)
+    sites = np.round(np.array([place for place, _, _ in scene], np.float64), 2)
     weights_m2 = power_weights(sites, np.array([rate for _, rate, _ in scene]), alpha=alpha)
     came = {str(i): chunks for i, (_, _, chunks) in enumerate(scene)}
     if not borders_of(list(came), sites, weights_m2, BOX).covered(came):

@@ -37,7 +37,7 @@ rates = st.floats(0.1, 1000)
 def scenes(draw: st.DrawFn, least: int = 1) -> tuple[Floats, Floats]:
     """Returns sites (N, 2) and weights (N, 3)."""
     agents = draw(st.lists(st.tuples(places, rates), min_size=least, max_size=7))
-    sites = np.array([place for place, _ in agents], np.float64).reshape(-1, 2)
+    sites = np.round(np.array([place for place, _ in agents], np.float64).reshape(-1, 2), 2)
     mbps = np.array([rate for _, rate in agents])
     return sites, power_weights(sites, mbps, alpha=draw(st.floats(0, 0.4)))
 
@@ -48,13 +48,12 @@ def area_m2(polygon: Floats) -> float:
 
 
 def within(polygon: Floats, place: Floats, slack_m: float) -> bool:
-    if len(polygon) == 0:
-        return False
     along = np.roll(polygon, -1, axis=0) - polygon
-    to_place = place - polygon
-    length_m = np.maximum(np.linalg.norm(along, axis=1), 1e-9)
-    return bool(((along[:, 0] * to_place[:, 1] - along[:, 1] * to_place[:, 0]) / length_m
-                 >= -slack_m).all())  # fmt: skip
+    length_m = np.linalg.norm(along, axis=1)
+    real = length_m > 1e-6  # a shorter edge has no direction
+    to_place, along, length_m = (place - polygon)[real], along[real], length_m[real]
+    inward_m = (along[:, 0] * to_place[:, 1] - along[:, 1] * to_place[:, 0]) / length_m
+    return len(polygon) > 0 and bool((inward_m >= -slack_m).all())
 
 
 def powers(sites: Floats, place: Floats, weights_m2: Floats) -> Floats:
