@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
 
+from edge_server.coverage import Uploaded
 from edge_server.frame import Frame, Piece
 from edge_server.gathering import Gathering
 from protocol.horizon import Horizon
-from protocol.messages import AgentPose, Roster, Scan
+from protocol.messages import AgentPose, Objects, Roster, Scan
 
 MAX_OPEN_FRAMES = 4
 NO_POSE_ROLE = "infra"  # a post's place is in its scans
@@ -17,11 +19,20 @@ class Assembler:
     """Knows which processes live and waits for all that they announce, up to `wait_ns`.
 
     A process is waited for from the start if it was expected, else from its first roster on, until
-    it vanishes. `drops` counts, by reason, what came in vain.
+    it vanishes. Of scans, less may be enough: `covers` decides by how far each came. `drops`
+    counts, by reason, what came in vain.
     """
 
-    def __init__(self, *, wait_ns: int, expected: dict[str, str]) -> None:
+    def __init__(
+        self,
+        *,
+        wait_ns: int,
+        expected: dict[str, str],
+        covers: Callable[[Mapping[str, Uploaded]], bool] | None = None,
+    ) -> None:
         self._wait_ns = wait_ns
+        self._covers = covers
+        self._had_enough: deque[int] = deque(maxlen=MAX_OPEN_FRAMES)
         self._roles = dict(expected)
         self._alive: set[str] = set()
         self._heard = set(expected)
@@ -62,6 +73,11 @@ class Assembler:
         if part := self._part(pose.frame, received_ns):
             part.add_pose(pose)
 
+    def add_objects(self, objects: Objects, received_ns: int) -> None:
+        """Takes what an agent detected for itself."""
+        if part := self._part(objects.frame, received_ns):
+            part.add_objects(objects)
+
     def wants(self, scan: Scan, received_ns: int) -> bool:
         """Whether it is worth decoding a scan; counts it if not."""
         part = self._part(scan.frame, received_ns)
@@ -86,6 +102,8 @@ class Assembler:
         part = self._open.pop(number)
         for passed in [n for n in self._open if n < number]:
             self._give_up(passed)
+        if whole and not all(scan.is_whole for scan in self._uploaded(part).values()):
+            self._had_enough.append(number)
         self._finished = number
         self._horizon.reach(number)
         self.drops["frame_incomplete"] += not whole
@@ -93,7 +111,8 @@ class Assembler:
 
     def _part(self, frame: int, received_ns: int) -> Gathering | None:
         if frame <= self._finished:
-            self.drops["late"] += 1
+            # Of a frame that had enough, more may have been on its way.
+            self.drops["late"] += frame not in self._had_enough
             return None
         if not self._is_near(frame):
             return None
@@ -129,13 +148,23 @@ class Assembler:
         awaited = self._awaited
         if number not in self._times_ns and part.time_ns is None:
             return False
-        return awaited <= part.rosters.keys() and all(
-            part.keeps(part.rosters[name], with_poses=self._roles.get(name) != NO_POSE_ROLE)
-            for name in awaited
-        )
+        if not awaited <= part.rosters.keys():
+            return False
+        driving = [name for name in awaited if self._roles.get(name) != NO_POSE_ROLE]
+        if not all(part.has_poses(part.rosters[name]) for name in driving):
+            return False
+        uploaded = self._uploaded(part)
+        if all(scan.is_whole for scan in uploaded.values()):
+            return True
+        return self._covers is not None and self._covers(uploaded)
+
+    def _uploaded(self, part: Gathering) -> dict[str, Uploaded]:
+        """Returns how far the scans came of all that those who are awaited announced."""
+        rosters = [part.rosters[name] for name in sorted(self._awaited & part.rosters.keys())]
+        return {a: part.uploaded(a) for roster in rosters for a in roster.scanning}
 
     def _close(self, number: int, part: Gathering, *, complete: bool, now_ns: int) -> Frame:
-        agents = sorted({*part.poses, *(agent for agent, _ in part.pieces)})
+        agents = sorted({*part.poses, *part.objects, *(agent for agent, _ in part.pieces)})
         latest_ns = max(self._times_ns.values(), default=0)
         own_ns = latest_ns if part.time_ns is None else part.time_ns
         return Frame(
@@ -147,4 +176,6 @@ class Assembler:
             complete=complete,
             first_ns=part.first_ns,
             ready_ns=now_ns,
+            scanning=sorted({a for roster in part.rosters.values() for a in roster.scanning}),
+            objects=[part.objects[agent] for agent in sorted(part.objects)],
         )

@@ -4,86 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
+from perception.config import BoxConfig, ClusterConfig, GeofenceConfig, GroundConfig
 from protocol.config import Section
-
-
-class GeofenceConfig(Section):
-    """What belongs to the road; points and detections elsewhere are left out."""
-
-    margin_m: float = Field(
-        0.5, ge=0, le=5, description="ours: how far beyond a lane's edge the road reaches"
-    )
-    below_m: float = Field(
-        2.0, gt=0, le=50, description="ours: points deeper below the road's height are left out"
-    )
-    above_m: float = Field(
-        5.0, gt=0, le=50, description="ours: points higher above the road's height are left out"
-    )
-
-
-class GroundConfig(Section):
-    """RANSAC planes that take the ground away."""
-
-    runs: int = Field(2, ge=0, le=5, description="planes removed, one after the other")
-    distance_m: float = Field(0.2, gt=0, le=1, description="points this close to a plane are on it")
-    max_iterations: int = Field(
-        3000, ge=1, le=100_000, description="hypotheses at most, of 3 points"
-    )
-    tile_m: float | None = Field(
-        20.0,
-        ge=5,
-        description="ours: planes are fitted for each square tile of this side, because a road "
-        "climbs and bends; null for planes over the whole cloud, as in the paper",
-    )
-    max_slope_deg: float = Field(
-        2.0,
-        gt=0,
-        le=45,
-        description="ours: a tile's plane at a larger angle to the road map is no ground",
-    )
-    max_offset_m: float = Field(
-        0.3,
-        gt=0,
-        description="ours: a tile's plane farther from the road map's height is no ground",
-    )
-
-
-class ClusterConfig(Section):
-    """DBSCAN."""
-
-    eps_m: float = Field(1.25, gt=0, le=5, description="points this close are neighbours")
-    min_points: int = Field(
-        3, ge=1, le=100, description="neighbours, itself included, that make a core point"
-    )
-
-
-class BoxConfig(Section):
-    """Oriented boxes and the size filter."""
-
-    min_length_m: float = Field(0.5, ge=0, description="shorter boxes are no vehicles")
-    max_length_m: float = Field(6.0, gt=0, description="longer boxes are no vehicles")
-    min_width_m: float = Field(0.5, ge=0, description="narrower boxes are no vehicles")
-    max_width_m: float = Field(3.0, gt=0, description="wider boxes are no vehicles")
-    min_height_m: float = Field(0.1, ge=0, description="lower boxes are no vehicles")
-    max_height_m: float = Field(2.0, gt=0, description="higher boxes are no vehicles")
-    complete: bool = Field(
-        True,
-        description="ours: a vehicle seen from one side is completed to the usual size, away from "
-        "the sensor, before the filter; false for the bare box, as in the paper",
-    )
-    usual_length_m: float = Field(4.5, gt=0, description="ours: length to complete to")
-    usual_width_m: float = Field(1.8, gt=0, description="ours: width to complete to")
-    usual_height_m: float = Field(1.5, gt=0, description="ours: height to complete to")
-
-    @model_validator(mode="after")
-    def _ordered(self) -> BoxConfig:
-        for side in ("length", "width", "height"):
-            least, most = getattr(self, f"min_{side}_m"), getattr(self, f"max_{side}_m")
-            if least > most:
-                raise ValueError(f"min_{side}_m is {least}, more than max_{side}_m, {most}")
-        return self
 
 
 class FusionConfig(Section):
@@ -97,6 +21,24 @@ class FusionConfig(Section):
     duplicate_m: float = Field(4.5, gt=0, le=20, description="a vehicle's length")
     across_m: float = Field(
         2.0, gt=0, le=5, description="ours: less than a lane, so that neighbours stay two"
+    )
+
+
+class PlanConfig(Section):
+    """Which agent uploads which part of the scene (EMP, 2021)."""
+
+    alpha: float = Field(
+        0.3,
+        ge=0,
+        le=0.4,
+        description="reap: borders are drawn for uplink rates wrong by this share, either way",
+    )
+    nominal_mbps: float = Field(
+        10.0, ge=0.1, le=1000, description="an uplink's rate as long as nothing was seen of it"
+    )
+    early_end: bool = Field(
+        True,
+        description="reap, realtime: a frame ends once the space between all neighbours is covered",
     )
 
 
@@ -119,4 +61,5 @@ class EdgeConfig(Section):
     ground: GroundConfig = Field(GroundConfig(), description="ground removal, RANSAC")
     cluster: ClusterConfig = Field(ClusterConfig(), description="clustering, DBSCAN")
     boxes: BoxConfig = Field(BoxConfig(), description="boxes and the size filter")
+    plan: PlanConfig = Field(PlanConfig(), description="who uploads which part of the scene")
     fusion: FusionConfig = Field(FusionConfig(), description="duplicates")

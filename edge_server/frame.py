@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge_server.arrays import Floats, Floats32
-from edge_server.roadway import Placed
+from perception.arrays import Floats, Floats32
+from perception.roadway import Placed
 from protocol.codec import decode
-from protocol.messages import AgentPose, Scan
+from protocol.messages import AgentPose, Objects, Scan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Piece:
     """One decoded chunk of a scan: points (N, 3) in the sensor frame.
 
-    `sensor_pose` (6,) is `map_SE3_sensor` as the agent believes it.
+    `sensor_pose` (6,) is `map_SE3_sensor` as the agent believes it. For `plan_frame` and
+    `ground_free` see `protocol.messages.Scan`.
     """
 
     frame: int
@@ -30,6 +32,8 @@ class Piece:
     received_ns: int
     decode_start_ns: int
     decode_end_ns: int
+    plan_frame: int = -1
+    ground_free: bool = False
     placed: Placed | None = None
     placed_ns: int = 0
 
@@ -40,10 +44,11 @@ class Piece:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A frame as far as it came. `complete` says whether all that was promised is there.
+    """A frame as far as it came. `complete` says whether all that is needed is there.
 
-    `agents` and `poses` are sorted by agent, `pieces` by agent and chunk. The first part came at
-    `first_ns`; waiting ended at `ready_ns`.
+    `agents`, `poses` and `objects` are sorted by agent, `pieces` by agent and chunk. The first part
+    came at `first_ns`; waiting ended at `ready_ns`. `scanning` are the agents, sorted, that
+    announced a scan, be it here or not.
     """
 
     frame: int
@@ -54,6 +59,8 @@ class Frame:
     complete: bool
     first_ns: int
     ready_ns: int
+    scanning: Sequence[str] = ()
+    objects: Sequence[Objects] = ()
 
 
 def open_scan(scan: Scan, received_ns: int) -> Piece:
@@ -85,4 +92,6 @@ def _piece(scan: Scan, points: Floats32, received_ns: int, start_ns: int) -> Pie
         received_ns=received_ns,
         decode_start_ns=start_ns,
         decode_end_ns=time.monotonic_ns(),
+        plan_frame=scan.plan_frame,
+        ground_free=scan.ground_free,
     )

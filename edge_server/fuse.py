@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge_server.arrays import Bools, Floats, Ints
 from edge_server.config import FusionConfig
-from edge_server.vehicles import Vehicles
+from perception.arrays import Bools, Floats, Ints
+from perception.vehicles import Vehicles
 from protocol.messages import AgentPose, Equipment
 
 CERTAIN_STD_M = 0.5  # poses better than this say by themselves which box is the agent's

@@ -6,13 +6,15 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from edge_server.coverage import Uploaded
 from edge_server.frame import Piece
-from protocol.messages import AgentPose, Roster, Scan
+from protocol.messages import AgentPose, Objects, Roster, Scan
 
 K = TypeVar("K")
 V = TypeVar("V")
 
 MAX_AGENTS = 512  # of a frame
+MAX_PIECES = 4 * MAX_AGENTS
 MAX_BYTES = 128 << 20  # of decoded points of a frame
 
 
@@ -27,6 +29,7 @@ class Gathering:
     poses: dict[str, AgentPose] = field(default_factory=dict)
     pieces: dict[tuple[str, int], Piece] = field(default_factory=dict)
     chunks: dict[str, int] = field(default_factory=dict)
+    objects: dict[str, Objects] = field(default_factory=dict)
 
     def add_roster(self, roster: Roster) -> None:
         """Takes a process's first roster."""
@@ -51,13 +54,23 @@ class Gathering:
         self.poses[pose.agent] = pose
         self._date(pose.sim_time_ns)
 
+    def add_objects(self, objects: Objects) -> None:
+        """Takes the first boxes that an agent found for itself."""
+        if objects.agent in self.objects:
+            self.drops["duplicate"] += 1
+        elif len(self.objects) >= MAX_AGENTS:
+            self.drops["too_many_agents"] += 1
+        else:
+            self.objects[objects.agent] = objects
+            self._date(objects.sim_time_ns)
+
     def wants(self, scan: Scan) -> bool:
         """Whether a chunk is new, agrees with its fellows and has room; counts it if not."""
         if (scan.agent, scan.chunk) in self.pieces:
             reason = "duplicate"
         elif self.chunks.get(scan.agent, scan.chunks) != scan.chunks:
             reason = "contradiction"
-        elif len(self.pieces) >= MAX_AGENTS and not self._can_oust_for(scan.agent):
+        elif len(self.pieces) >= MAX_PIECES and not self._can_oust_for(scan.agent):
             reason = "too_many_agents"
         else:
             return True
@@ -75,15 +88,18 @@ class Gathering:
         self.pieces[piece.agent, piece.chunk] = piece
         self._date(piece.sim_time_ns)
 
-    def keeps(self, roster: Roster, *, with_poses: bool) -> bool:
-        """Whether all came that a roster announces."""
-        if with_poses and not all(agent in self.poses for agent in roster.agents):
-            return False
-        return all(
-            agent in self.chunks
-            and all((agent, chunk) in self.pieces for chunk in range(self.chunks[agent]))
-            for agent in roster.scanning
-        )
+    def has_poses(self, roster: Roster) -> bool:
+        """Whether all poses came that a roster announces."""
+        return all(agent in self.poses for agent in roster.agents)
+
+    def uploaded(self, agent: str) -> Uploaded:
+        """Returns how far an agent's scan came; boxes of its own count as a whole scan."""
+        if agent in self.objects:
+            return Uploaded(1, 1, -1)
+        chunks, came = self.chunks.get(agent, 0), 0
+        while came < chunks and (agent, came) in self.pieces:
+            came += 1
+        return Uploaded(came, chunks, self.pieces[agent, 0].plan_frame if came else -1)
 
     def _is_announced(self, agent: str) -> bool:
         return any(agent in roster.agents for roster in self.rosters.values())
@@ -93,7 +109,7 @@ class Gathering:
 
     def _fits(self, piece: Piece) -> bool:
         held = sum(other.points.nbytes for other in self.pieces.values())
-        return len(self.pieces) < MAX_AGENTS and held + piece.points.nbytes <= MAX_BYTES
+        return len(self.pieces) < MAX_PIECES and held + piece.points.nbytes <= MAX_BYTES
 
     def _oust(self, held: dict[K, V], strangers: list[K]) -> None:
         if strangers:

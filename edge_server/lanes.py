@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from edge_server.arrays import Bools, Floats, Ints
+from perception.arrays import Bools, Floats, Ints
 from protocol.roadmap import RoadMap
 
 LEVEL_M = 3.5  # a lane farther below or above is on another level: it counts as farther away

@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from edge_server.arrays import Floats
-from edge_server.roadway import Placed
+from perception.arrays import Floats
+from perception.roadway import Placed
 from protocol.geometry import SE3, euler_rotation
 
 Method = Literal["se3", "euler"]

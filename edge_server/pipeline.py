@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_server.arrays import Floats
-from edge_server.boxes import fit_boxes
-from edge_server.cluster import cluster
 from edge_server.config import EdgeConfig
 from edge_server.frame import Frame, Piece
 from edge_server.fuse import fuse
-from edge_server.ground import remove_ground
 from edge_server.lanes import LaneIndex, Place
 from edge_server.merge import merge, sensor_in_map
-from edge_server.roadway import Placed, Roadway
 from edge_server.spans import Spans
-from edge_server.vehicles import Vehicles
+from perception.arrays import Floats
+from perception.boxes import fit_boxes
+from perception.cluster import cluster
+from perception.ground import remove_ground
+from perception.roadway import Placed, Roadway
+from perception.vehicles import Vehicles
 from protocol.messages import Detections, LaneCounts, Span
 from protocol.roadmap import RoadMap
 
@@ -49,9 +49,15 @@ class Pipeline:
         config, spans = self._config, Spans()
         rng = np.random.default_rng([*self._seed, frame.frame])
         with spans.stage("merge"):
-            near = merge([self.place(piece, _reference(frame)) for piece in frame.pieces])
+            reference = _reference(frame)
+            near, bare = (
+                merge([self.place(p, reference) for p in frame.pieces if p.ground_free is is_bare])
+                for is_bare in (False, True)
+            )
         with spans.stage("ground"):
             above, ground_m = remove_ground(near.points, near.road_m, config=config.ground, rng=rng)
+            above = np.concatenate([above, bare.points])
+            ground_m = np.concatenate([ground_m, bare.road_m])
         with spans.stage("detect"):
             labels = cluster(above, config=config.cluster)
             found = fit_boxes(
@@ -62,6 +68,10 @@ class Pipeline:
                 sensors=_sensors(frame),
                 config=config.boxes,
             )
+            for objects in frame.objects:
+                found += Vehicles.from_lidar(
+                    objects.boxes.astype(np.float64), objects.scores.astype(np.float64)
+                )
         with spans.stage("fuse"):
             vehicles = fuse(found, frame.poses, centre=self._centre, config=config.fusion)
             place = self._lanes.locate(
@@ -126,6 +136,8 @@ def _sensors(frame: Frame) -> Floats:
 
 def _reference(frame: Frame) -> Floats:
     """Returns the pose of the paper's reference LiDAR: a roadside one, else the first."""
+    if not frame.pieces:
+        return np.zeros(6)
     driving = {pose.agent for pose in frame.poses}
     standing = [piece for piece in frame.pieces if piece.agent not in driving]
     return (standing or frame.pieces)[0].sensor_pose

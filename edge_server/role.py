@@ -6,13 +6,23 @@ import time
 from collections import Counter
 from typing import Any
 
-from edge_server.assembler import Assembler
+from edge_server.assembler import MAX_OPEN_FRAMES, Assembler
 from edge_server.config import EdgeConfig
 from edge_server.frame import Frame, open_scan, spoilt_scan
 from edge_server.pipeline import Pipeline, Result
+from edge_server.planner import Planner
 from protocol.errors import CodecError
 from protocol.inbox import Envelope, Presence
-from protocol.messages import AgentPose, Arrival, Metrics, Roster, Scan, SignalState, Span
+from protocol.messages import (
+    AgentPose,
+    Arrival,
+    Metrics,
+    Objects,
+    Roster,
+    Scan,
+    SignalState,
+    Span,
+)
 from protocol.process import Context
 
 
@@ -29,19 +39,22 @@ class EdgeRole:
         expected = expected_agents(scenario)
         self._missing = set(expected)
         self._announced = False
-        wait_s = (
-            config.lockstep_timeout_s
-            if scenario["mode"] == "lockstep"
-            else config.deadline_ms / 1000
+        self._lockstep = scenario["mode"] == "lockstep"
+        wait_s = config.lockstep_timeout_s if self._lockstep else config.deadline_ms / 1000
+        self._planner = Planner(scenario, config.plan, context.setup.road_map)
+        self._assembler = Assembler(
+            wait_ns=round(wait_s * 1e9),
+            expected=expected,
+            covers=self._planner.covers if self._planner.ends_early else None,
         )
-        self._assembler = Assembler(wait_ns=round(wait_s * 1e9), expected=expected)
 
     @classmethod
     def build(cls, context: Context) -> EdgeRole:
         """Makes the role ready and listens; it shows itself once all agents are there."""
         role = cls(context)
         role.warm_up()
-        for topic in ("roster", "pose", "scan"):
+        context.inbox.limit("scan", MAX_OPEN_FRAMES)
+        for topic in ("roster", "pose", "scan", "objects"):
             context.v2x.subscribe(topic, region=role._region)
         context.v2x.subscribe("state", tls=role._tls)
         context.v2x.watch()
@@ -64,8 +77,10 @@ class EdgeRole:
                 self._assembler.add_roster(roster, item.received_ns)
             case AgentPose() as pose:
                 self._assembler.add_pose(pose, item.received_ns)
-            case Scan() as scan if self._assembler.wants(scan, item.received_ns):
-                self._take_scan(scan, item.received_ns)
+            case Scan() as scan:
+                self._take_scan(scan, item)
+            case Objects() as objects:
+                self._assembler.add_objects(objects, item.received_ns)
             case SignalState() as state:
                 self._assembler.add_time(state.frame, state.sim_time_ns)
 
@@ -76,6 +91,7 @@ class EdgeRole:
             self._context.announce("edge")
         frame = self._assembler.pop(time.monotonic_ns())
         if frame is not None:
+            self._publish_plans(frame)
             self._publish(frame, self._pipeline.run(frame))
 
     def close(self) -> None:
@@ -86,13 +102,32 @@ class EdgeRole:
             self._missing.discard(presence.id)
             self._assembler.hear(presence.id, presence.role, alive=presence.alive)
 
-    def _take_scan(self, scan: Scan, received_ns: int) -> None:
+    def _take_scan(self, scan: Scan, came: Envelope) -> None:
+        """Decodes what is wanted. What is late still tells how much its uplink carries."""
+        if not self._lockstep:
+            self._planner.bandwidth.heard(
+                scan.agent,
+                scan.frame,
+                came.size_bytes,
+                sent_ns=scan.encode_end_ns,
+                received_ns=came.received_ns,
+            )
+        if not self._assembler.wants(scan, came.received_ns):
+            return
         try:
-            piece = self._pipeline.place_early(open_scan(scan, received_ns))
+            piece = self._pipeline.place_early(open_scan(scan, came.received_ns))
         except CodecError as error:
             self._context.inbox.refuse(f"scan of {scan.agent}", error)
-            piece = spoilt_scan(scan, received_ns)
+            piece = spoilt_scan(scan, came.received_ns)
         self._assembler.add_piece(piece)
+
+    def _publish_plans(self, frame: Frame) -> None:
+        """Goes first, before the frame is worked on: it tells agents that the frame is over.
+
+        In lockstep an agent waits for it before it begins the next frame.
+        """
+        for plan in self._planner.plans(frame):
+            self._context.v2x.publish("plan", plan, region=self._region, agent=plan.agent)
 
     def _publish(self, frame: Frame, result: Result) -> None:
         bus = self._context.v2x

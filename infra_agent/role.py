@@ -22,7 +22,7 @@ class InfraRole:
         mount = Mount.model_validate(context.setup.scenario["roadside_mounts"][number])
         self._station = Station(context, "roadside")
         self._map_SE3_sensor = mounted(mount, context.setup.road_map, self._station.terrain)
-        self._uplink = self._station.uplink(mount.id, context.v2x)
+        self._uplink = self._station.uplink(mount.id, context.open_v2x())
         self._station.open("infra")
 
     def on(self, item: Envelope | Presence) -> None:
@@ -33,18 +33,21 @@ class InfraRole:
         """Plays the newest frame."""
         if tick := self._station.pop():
             self._play(tick)
+        self._station.report(tick)
 
     def close(self) -> None:
-        """Holds nothing of its own."""
+        """Hangs up."""
+        self._station.hang_up(self._uplink.agent)
 
     def _play(self, tick: Tick) -> None:
         agent, pose = self._uplink.agent, self._map_SE3_sensor
-        self._station.publish_roster(tick, [agent], [agent])
-        wire = self._uplink.settle(tick.frame)
-        upload, spans = self._uplink.sense_and_send(
-            tick, map_SE3_sensor=pose, believed_SE3_sensor=pose, own=None
-        )
-        self._station.publish_metrics(tick, [upload], spans, wire)
+        uploads = self._station.uploads
+        self._station.publish_roster(tick, [agent], [agent] if uploads else [])
+        self._station.settle(tick)
+        if uploads:
+            self._uplink.sense_and_send(
+                tick, map_SE3_sensor=pose, believed_SE3_sensor=pose, own=None
+            )
 
 
 def mounted(mount: Mount, road_map: RoadMap, terrain: Terrain) -> SE3:

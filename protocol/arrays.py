@@ -56,6 +56,8 @@ class Array:
 
 Poses = Annotated[npt.NDArray[np.float64], Array("<f8", (None, 6))]
 Pose6 = Annotated[npt.NDArray[np.float64], Array("<f8", (6,))]
+Sites = Annotated[npt.NDArray[np.float64], Array("<f8", (None, 2))]
+Borders = Annotated[npt.NDArray[np.float64], Array("<f8", (None, 3))]
 Boxes = Annotated[npt.NDArray[np.float32], Array("<f4", (None, 7))]
 Floats32 = Annotated[npt.NDArray[np.float32], Array("<f4", (None,))]
 Bytes = Annotated[npt.NDArray[np.uint8], Array("|u1", (None,))]

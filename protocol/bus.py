@@ -89,13 +89,16 @@ class ZenohBus:
         """See `Bus.publish`; blocks while the link is full."""
         topic = self._topic(topic_name)
         data = encode(message)
-        self._session.put(
-            topic.key(**parts),
-            data,
-            priority=_PRIORITY[topic.delivery],
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            express=topic.delivery is Delivery.PROMPT,
-        )
+        try:
+            self._session.put(
+                topic.key(**parts),
+                data,
+                priority=_PRIORITY[topic.delivery],
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                express=topic.delivery is Delivery.PROMPT,
+            )
+        except zenoh.ZError as error:
+            raise BusError(f"cannot send on {topic_name}: {error}") from None
         return len(data)
 
     def subscribe(self, topic_name: str, **parts: str) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import queue
-from collections import Counter
+import threading
+from collections import Counter, deque
 from dataclasses import dataclass
 
 from protocol.errors import ProtocolError
@@ -51,16 +52,38 @@ class Inbox:
     """A bounded queue; a bad message is dropped, counted in `drops`, and logged once a key."""
 
     def __init__(self, capacity: int = CAPACITY) -> None:
-        self._queue: queue.Queue[Sealed | Presence] = queue.Queue(capacity)
+        self._queue: queue.Queue[str | Sealed | Presence] = queue.Queue(capacity)
+        self._limits: dict[str, int] = {}
+        self._waiting: dict[str, deque[Sealed]] = {}
+        self._lock = threading.Lock()
         self._told: set[tuple[str, str]] = set()
         self.drops: Counter[str] = Counter()
 
+    def limit(self, topic_name: str, waiting: int) -> None:
+        """Lets so many messages of each key of a topic wait; a newer one drives out the oldest.
+
+        So whoever floods a key is in nobody's way but its own.
+        """
+        self._limits[topic_name] = waiting
+
     def put(self, item: Sealed | Presence) -> None:
         """Takes an item from a transport's thread; a full inbox counts and drops it."""
-        try:
-            self._queue.put_nowait(item)
-        except queue.Full:
-            self.drops["inbox_full"] += 1
+        entry: str | Sealed | Presence = item
+        with self._lock:
+            if isinstance(item, Sealed) and item.topic.name in self._limits:
+                waiting = self._waiting.setdefault(item.key, deque())
+                waiting.append(item)
+                if len(waiting) > self._limits[item.topic.name]:
+                    waiting.popleft()
+                    self.drops["overtaken"] += 1
+                    return  # the newer one is read in the place of the oldest
+                entry = item.key
+            try:
+                self._queue.put_nowait(entry)
+            except queue.Full:
+                self.drops["inbox_full"] += 1
+                if isinstance(entry, str):
+                    self._pop_waiting(entry, newest=True)
 
     def get(self, timeout_s: float = 0.0) -> Envelope | Presence | None:
         """Returns the next item that can be read, or None when the time is over."""
@@ -68,6 +91,9 @@ class Inbox:
             item = self._queue.get(timeout_s > 0, timeout_s or None)
         except queue.Empty:
             return None
+        if isinstance(item, str):
+            with self._lock:
+                item = self._pop_waiting(item)
         return item if isinstance(item, Presence) else self._open(item)
 
     def refuse(self, key: str, error: ProtocolError) -> None:
@@ -90,6 +116,13 @@ class Inbox:
             return False
         self._told.add((key, reason))
         return True
+
+    def _pop_waiting(self, key: str, *, newest: bool = False) -> Sealed:
+        waiting = self._waiting[key]
+        item = waiting.pop() if newest else waiting.popleft()
+        if not waiting:
+            del self._waiting[key]
+        return item
 
     def _open(self, sealed: Sealed) -> Envelope | None:
         try:

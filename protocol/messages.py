@@ -29,12 +29,26 @@ def _within_reach(poses: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return poses
 
 
+def _on_the_map(sites: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    if not (np.abs(sites) <= _REACH[0]).all():
+        raise ValueError("a site lies beyond 1e7 m")
+    return sites
+
+
+def _moderate(weights_m2: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    if not (np.abs(weights_m2) <= _REACH[0] ** 2).all():
+        raise ValueError("a weight lies beyond 1e14 m^2")
+    return weights_m2
+
+
 Id = Annotated[str, Field(min_length=1, max_length=128)]
 Text = Annotated[str, Field(max_length=512)]
 FrameNumber = Annotated[int, Field(ge=0, lt=1 << 40)]
 Count = Annotated[int, Field(ge=0, lt=1 << 40)]
 Total = Annotated[int, Field(ge=0, lt=1 << 53)]
 TimeNs = Annotated[int, Field(gt=-(1 << 62), lt=1 << 62)]  # so that differences fit into 64 bit
+Sites = Annotated[arrays.Sites, AfterValidator(_on_the_map)]
+Borders = Annotated[arrays.Borders, AfterValidator(_moderate)]
 Pose = Annotated[arrays.Pose6, AfterValidator(_within_reach)]
 Poses = Annotated[arrays.Poses, AfterValidator(_within_reach)]
 _Bounded = (FailFast(), Field(max_length=MAX_ITEMS))  # one error will do, a million cost memory
@@ -238,7 +252,12 @@ class AgentPose(Message):
 
 
 class Scan(Message):
-    """One chunk of an encoded scan. `sensor_pose` is `map_SE3_sensor` as the agent believes it."""
+    """One chunk of an encoded scan. `sensor_pose` is `map_SE3_sensor` as the agent believes it.
+
+    Chunks are numbered from 0 and sent in this order. `plan_frame` is the frame of the plan that
+    the chunks were cut by, -1 for none. `ground_free` says that the agent has taken away what
+    belongs to the ground and to the static scene.
+    """
 
     kind: ClassVar[int] = 10
     frame: FrameNumber
@@ -247,6 +266,8 @@ class Scan(Message):
     chunk: int = Field(ge=0)
     chunks: int = Field(ge=1, le=64)
     points: Count
+    plan_frame: int = Field(-1, ge=-1, lt=1 << 40)
+    ground_free: bool = False
     sensor_pose: Pose
     sense_start_ns: TimeNs
     sense_end_ns: TimeNs
@@ -369,6 +390,55 @@ class Progress(Message):
     end_to_end_ms: float
     state: Text
     drops: Total
+
+
+class Plan(Message):
+    """What an agent shall send: its part of the scene from `frame` on, until a newer plan comes.
+
+    The parts are cells of a power diagram: a place x, y belongs to the agent with the least
+    |place - site|^2 - weight, ties to the first of the list. `sites` are in m in the map frame, in
+    the order of `agents`; `weights_m2` holds for each agent the tight, the plain and the wide
+    weight. All agents of a frame get the same arrays; without cells they are empty.
+
+    `mbps` is what the agent's uplink carries as the edge believes, 0 if it does not know. Of
+    `enough` and the frames before it no more chunks are needed.
+    """
+
+    kind: ClassVar[int] = 15
+    frame: FrameNumber
+    agent: Id
+    mbps: float = Field(ge=0, le=1e6)
+    enough: int = Field(ge=-1, lt=1 << 40)
+    agents: Ids
+    sites: Sites
+    weights_m2: Borders
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        _check_lengths(self, "agents", "sites", "weights_m2")
+        return self
+
+
+class Objects(Message):
+    """What an agent that detects for itself found, in the place of a scan.
+
+    Boxes are as in `Detections`, in the map frame as the agent believes it.
+    """
+
+    kind: ClassVar[int] = 16
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    agent: Id
+    boxes: Boxes
+    scores: Floats32
+    sense_start_ns: TimeNs
+    sense_end_ns: TimeNs
+    detect_end_ns: TimeNs
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        _check_lengths(self, "boxes", "scores")
+        return self
 
 
 def _check_bodies(message: Tick | Truth, *columns: str) -> None:

@@ -80,6 +80,8 @@ TOPICS = _table(
     Topic("roster", "{region}/roster/{process}", m.Roster, _V, _P),
     Topic("pose", "{region}/pose/{agent}", m.AgentPose, _V, _P),
     Topic("scan", "{region}/scan/{agent}/{chunk}", m.Scan, _V, _B),
+    Topic("objects", "{region}/objects/{agent}", m.Objects, _V, _P),
+    Topic("plan", "{region}/plan/{agent}", m.Plan, _V, _P),
     Topic("detections", "{region}/detections", m.Detections, _V, _P),
     Topic("lanes", "{region}/lanes/{tls}", m.LaneCounts, _V, _P),
     Topic("metrics", "metrics/{process}", m.Metrics, _W, _T),  # measuring must not load the network

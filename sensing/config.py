@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from protocol.codec import ScanPattern
 from protocol.config import Section
+from sensing.upload.registry import POLICIES, Filter, PolicyName
 
 MAX_COLUMNS = 8192
 
@@ -115,6 +117,14 @@ class SceneConfig(Section):
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """A policy and all that is left out, the policy's own filters included."""
+
+    policy: PolicyName
+    filters: frozenset[Filter]
+
+
 class PoseErrorConfig(Section):
     """How far agents' knowledge of their own pose is from the truth."""
 
@@ -137,6 +147,13 @@ class PoseErrorConfig(Section):
     )
 
 
+class UploadChoice(Section):
+    """What one kind of agent sends, where that is not what the others do."""
+
+    policy: PolicyName | None = Field(None, description="As upload.policy; null: the same.")
+    filters: list[Filter] | None = Field(None, description="As upload.filters; null: the same.")
+
+
 class UploadConfig(Section):
     """What agents send of a scan."""
 
@@ -144,3 +161,34 @@ class UploadConfig(Section):
         0.02, ge=0.001, le=1, description="Farthest that encoding may move a point, m."
     )
     intensity: bool = Field(False, description="Whether intensities are sent, a byte a ray.")
+    policy: PolicyName = Field(
+        "full",
+        description="; ".join(f"{name}: {policy.about}" for name, policy in POLICIES.items()),
+    )
+    filters: list[Filter] = Field(
+        [],
+        description="What is left out besides. roi: what is off the map's road; foreground: the "
+        "ground and what a standing sensor has learnt to be always there.",
+    )
+    roi_margin_m: float = Field(
+        1.0, ge=0, le=20, description="How far beyond a lane's edge the road reaches for roi, m."
+    )
+    vehicle: UploadChoice = Field(UploadChoice(), description="CAVs' own choice.")
+    roadside: UploadChoice = Field(UploadChoice(), description="Roadside LiDARs' own choice.")
+
+    def of(self, kind: Literal["vehicle", "roadside"]) -> Chosen:
+        """Returns what agents of a kind send."""
+        choice = self.vehicle if kind == "vehicle" else self.roadside
+        policy = self.policy if choice.policy is None else choice.policy
+        filters = self.filters if choice.filters is None else choice.filters
+        return Chosen(policy, frozenset(filters) | frozenset(POLICIES[policy].filters))
+
+    @model_validator(mode="after")
+    def _check_cells(self) -> Self:
+        both = sorted({self.of("vehicle").policy, self.of("roadside").policy})
+        if len(both) > 1 and all(POLICIES[name].cells for name in both):
+            raise ValueError(
+                f"vehicles and roadside ask for {both[0]} and {both[1]}; all agents with cells "
+                "share one plan: choose one of voronoi, power, reap for both"
+            )
+        return self

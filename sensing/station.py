@@ -2,32 +2,69 @@
 
 from __future__ import annotations
 
+import time
+from collections import Counter
+from typing import Literal
+
+from perception.roadway import Roadway
 from protocol.bus import Bus
 from protocol.inbox import Envelope, Presence
-from protocol.messages import End, Metrics, Roster, Span, Tick, Upload, WireCount
+from protocol.messages import End, Metrics, Plan, Roster, Span, Tick, Upload, WireCount
 from protocol.process import Context
 from sensing.config import LidarConfig, SceneConfig, UploadConfig
 from sensing.lidar import Lidar
 from sensing.scene import scene_of
 from sensing.shapes import VehicleShapes
-from sensing.uplink import Uplink
+from sensing.uplink import Kit, Uplink
+from sensing.upload.objects import Detector
+from sensing.upload.registry import POLICIES
+from sensing.upload.selection import Selector
+
+PLAN_WAIT_NS = 2_000_000_000  # in lockstep; a plan that has not come by then is lost
 
 
 class Station:
-    """Keeps the newest tick: an agent that is late goes on with the present, not with the past."""
+    """Keeps the newest tick: an agent that is late goes on with the present, not with the past.
 
-    def __init__(self, context: Context, lidar: str) -> None:
+    In lockstep, an agent that scanned in one frame waits in the next for the plan that the edge
+    made of it, so that the same plan is followed however long it was on its way.
+    """
+
+    def __init__(self, context: Context, kind: Literal["vehicle", "roadside"]) -> None:
         scenario = context.setup.scenario
         self.context = context
         self.seed: int = scenario["seed"]
         self.region: str = scenario["region"]
-        config = LidarConfig.model_validate(scenario["lidar"][lidar])
+        road_map = context.setup.road_map
+        config = LidarConfig.model_validate(scenario["lidar"][kind])
         scene = scene_of(context.setup, SceneConfig.model_validate(scenario["scene"]), self.seed)
         self.terrain = scene.terrain
-        self._lidar = Lidar(config, scene, VehicleShapes.from_setup(context.setup))
-        self._upload = UploadConfig.model_validate(scenario["upload"])
+        self._pattern = config.pattern
+        self._standing = kind == "roadside"
+        upload = UploadConfig.model_validate(scenario["upload"])
+        self._chosen = upload.of(kind)
+        self._policy = POLICIES[self._chosen.policy]
+        self._roadway = Roadway.of(road_map, margin_m=upload.roi_margin_m)
+        detects = self._policy.sends == "objects"
+        self._kit = Kit(
+            region=self.region,
+            seed=self.seed,
+            lidar=Lidar(config, scene, VehicleShapes.from_setup(context.setup)),
+            config=upload,
+            detector=Detector.of(road_map, scenario["edge"]) if detects else None,
+            lockstep=scenario["mode"] == "lockstep",
+        )
+        self._uplinks: dict[str, Uplink] = {}
+        self._scanned: tuple[int, list[str]] = (-1, [])
+        self._settled: list[WireCount] = []
         self._tick: Tick | None = None
-        self._skipped = 0
+        self._ticked_ns = 0
+        self._drops: Counter[str] = Counter()
+
+    @property
+    def uploads(self) -> bool:
+        """Whether the policy sends more than poses."""
+        return self._policy.sends != "nothing"
 
     def open(self, role: str) -> None:
         """Listens to the world and shows that the process is ready."""
@@ -36,21 +73,43 @@ class Station:
         self.context.announce(role)
 
     def uplink(self, agent: str, bus: Bus) -> Uplink:
-        """Returns the way to the edge of one agent that has this bus for itself."""
-        return Uplink(agent, self.region, bus, self._lidar, self._upload, self.seed)
+        """Opens the way to the edge of one agent that has this bus for itself."""
+        if self._policy.cells or not self._kit.lockstep:
+            bus.subscribe("plan", region=self.region, agent=agent)
+        selector = Selector(
+            self._policy,
+            self._chosen.filters,
+            self._roadway,
+            self._pattern,
+            standing=self._standing,
+        )
+        self._uplinks[agent] = Uplink(agent, bus, self._kit, selector)
+        return self._uplinks[agent]
+
+    def hang_up(self, agent: str) -> None:
+        """Closes an agent's way to the edge."""
+        uplink = self._uplinks.pop(agent)
+        self._settled += uplink.settle()
+        self._drops["overtaken_chunks"] += uplink.unsent_chunks
+        uplink.close()
 
     def take(self, item: Envelope | Presence) -> None:
-        """Looks at what arrived; all but ticks and the end are let pass."""
+        """Looks at what arrived; all but ticks, plans and the end are let pass."""
         if not isinstance(item, Envelope):
             return
         if isinstance(item.message, Tick):
-            self._skipped += self._tick is not None
-            self._tick = item.message
+            self._drops["skipped_ticks"] += self._tick is not None
+            self._tick, self._ticked_ns = item.message, item.received_ns
+        elif isinstance(item.message, Plan):
+            if uplink := self._uplinks.get(item.message.agent):
+                uplink.hear(item.message)
         elif isinstance(item.message, End):
             self.context.stop.set()
 
     def pop(self) -> Tick | None:
-        """Returns the tick to work on, once."""
+        """Returns the tick to work on, once, as soon as the plans for it are there."""
+        if self._tick is None or self._awaits_plan(self._tick):
+            return None
         tick, self._tick = self._tick, None
         return tick
 
@@ -59,14 +118,46 @@ class Station:
         process = self.context.id
         roster = Roster(frame=tick.frame, process=process, agents=agents, scanning=scanning)
         self.context.v2x.publish("roster", roster, region=self.region, process=process)
+        self._scanned = (tick.frame, scanning)
 
-    def publish_metrics(
+    def settle(self, tick: Tick) -> None:
+        """Counts what TCP sent for the frame before a tick's."""
+        for _, uplink in sorted(self._uplinks.items()):
+            self._settled += uplink.settle(tick.frame)
+
+    def report(self, tick: Tick | None = None) -> None:
+        """Accounts for the frames that are done with, and for that of a tick in any case."""
+        frames: dict[int, tuple[Tick, list[Upload], list[Span]]] = {}
+        if tick is not None:
+            frames[tick.frame] = (tick, [], [])
+        for _, uplink in sorted(self._uplinks.items()):
+            for shipment in uplink.take_done():
+                _, uploads, spans = frames.setdefault(shipment.frame, (shipment.tick, [], []))
+                uploads += shipment.uploads
+                spans += shipment.spans
+        for _, (of, uploads, spans) in sorted(frames.items()):
+            wire, self._settled = self._settled, []
+            self._publish_metrics(of, uploads, spans, wire)
+
+    def _awaits_plan(self, tick: Tick) -> bool:
+        if not (self._kit.lockstep and self._policy.cells):
+            return False
+        frame, scanned = self._scanned
+        uplinks = [self._uplinks[agent] for agent in scanned if agent in self._uplinks]
+        if frame != tick.frame - 1 or all(u.plan_frame >= tick.frame for u in uplinks):
+            return False
+        if time.monotonic_ns() - self._ticked_ns < PLAN_WAIT_NS:
+            return True
+        self._drops["plan_missing"] += 1
+        self._scanned = (-1, [])
+        return False
+
+    def _publish_metrics(
         self, tick: Tick, uploads: list[Upload], spans: list[Span], wire: list[WireCount]
     ) -> None:
-        """Accounts for a frame."""
-        drops = dict(self.context.inbox.drops)
-        if self._skipped:
-            drops["skipped_ticks"] = self._skipped
+        overtaken = sum(uplink.unsent_chunks for uplink in self._uplinks.values())
+        drops = Counter(self.context.inbox.drops) + self._drops
+        drops["overtaken_chunks"] += overtaken
         metrics = Metrics(
             process=self.context.id,
             frame=tick.frame,
@@ -75,6 +166,6 @@ class Station:
             uploads=uploads,
             wire=wire,
             points=sum(upload.points for upload in uploads),
-            drops=drops,
+            drops=dict(+drops),
         )
         self.context.world.publish("metrics", metrics, process=self.context.id)

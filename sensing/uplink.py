@@ -1,34 +1,100 @@
-"""One agent's way to the edge: sense, encode, send, and account for it."""
+"""One agent's way to the edge: sense, select, encode, send, and account for it."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from protocol.bus import Bus
-from protocol.codec import encode_scan
+from protocol.codec import RangeScan, encode_scan
 from protocol.geometry import SE3
-from protocol.messages import Scan, Span, Tick, Upload, WireCount
+from protocol.messages import Objects, Plan, Scan, Span, Tick, Upload, WireCount
 from sensing.config import UploadConfig
 from sensing.lidar import Lidar
 from sensing.noise import stream
+from sensing.upload.objects import Detector
+from sensing.upload.outbox import Outbox
+from sensing.upload.selection import Selection, Selector
+
+MAX_PLAN_AGE = 10  # frames; an older plan is of a scene that has passed
+
+
+@dataclass(frozen=True, slots=True)
+class Kit:
+    """What all uplinks of a process share."""
+
+    region: str
+    seed: int
+    lidar: Lidar
+    config: UploadConfig
+    detector: Detector | None  # of agents that send objects
+    lockstep: bool
+
+
+@dataclass(slots=True, eq=False)
+class Shipment:
+    """One frame of one agent on its way: what is to be sent, and what was."""
+
+    uplink: Uplink
+    tick: Tick
+    scan: RangeScan
+    selection: Selection
+    believed_SE3_sensor: SE3
+    sense_start_ns: int
+    sense_end_ns: int
+    uploads: list[Upload] = field(default_factory=list)
+    spans: list[Span] = field(default_factory=list)
+
+    @property
+    def frame(self) -> int:
+        """The frame's number."""
+        return self.tick.frame
+
+    @property
+    def chunks(self) -> int:
+        """How many chunks there are to be sent."""
+        return self.selection.chunks
+
+    def send(self, chunk: int) -> int:
+        """See `sensing.upload.outbox.Shipment.send`."""
+        return self.uplink.send_chunk(self, chunk)
 
 
 class Uplink:
-    """Belongs to one agent and has a connection of its own, so that its bytes can be told apart."""
+    """Belongs to one agent and has a connection of its own, so that its bytes can be told apart.
 
-    def __init__(
-        self, agent: str, region: str, bus: Bus, lidar: Lidar, config: UploadConfig, seed: int
-    ) -> None:
+    In lockstep all chunks of a frame go out at once; in realtime an outbox sends them one by one.
+    """
+
+    def __init__(self, agent: str, bus: Bus, kit: Kit, selector: Selector) -> None:
         self.agent = agent
         self.bus = bus
-        self._region = region
-        self._lidar = lidar
-        self._config = config
-        self._seed = seed
+        self._kit = kit
+        self._selector = selector
+        self._plan: Plan | None = None
+        self._outbox = None if kit.lockstep else Outbox(agent)
+        self._done: list[Shipment] = []
         self._counted_bytes = bus.wire_bytes()
         self._counted_frame: int | None = None
+
+    @property
+    def plan_frame(self) -> int:
+        """The frame of the newest plan, -1 before the first one."""
+        return -1 if self._plan is None else self._plan.frame
+
+    @property
+    def unsent_chunks(self) -> int:
+        """Chunks that were overtaken by a newer frame."""
+        return 0 if self._outbox is None else self._outbox.unsent
+
+    def hear(self, plan: Plan) -> None:
+        """Takes the edge's plan; an older one than the newest is left."""
+        if plan.frame > self.plan_frame:
+            self._plan = plan
+            if self._outbox is not None:
+                self._outbox.hear(enough=plan.enough, mbps=plan.mbps)
 
     def sense_and_send(
         self,
@@ -36,45 +102,37 @@ class Uplink:
         map_SE3_sensor: SE3,
         believed_SE3_sensor: SE3,
         own: int | None,
-    ) -> tuple[Upload, list[Span]]:
-        """Casts one scan from the true pose and sends it with the believed one."""
+    ) -> None:
+        """Casts one scan from the true pose and sends it, or its part, with the believed one."""
         sense_start_ns = time.monotonic_ns()
-        rng = stream(self._seed, "scan", self.agent, tick.frame)
-        scan = self._lidar.scan(map_SE3_sensor, tick.poses, tick.types, own, rng)
+        rng = stream(self._kit.seed, "scan", self.agent, tick.frame)
+        scan = self._kit.lidar.scan(map_SE3_sensor, tick.poses, tick.types, own, rng)
         sense_end_ns = time.monotonic_ns()
-        payload = encode_scan(scan, self._config.max_error_m, intensity=self._config.intensity)
-        encode_end_ns = time.monotonic_ns()
-        message = Scan(
-            frame=tick.frame,
-            sim_time_ns=tick.sim_time_ns,
-            agent=self.agent,
-            chunk=0,
-            chunks=1,
-            points=int(np.count_nonzero(scan.range_m)),
-            sensor_pose=believed_SE3_sensor.as_pose(),
-            sense_start_ns=sense_start_ns,
-            sense_end_ns=sense_end_ns,
-            encode_end_ns=encode_end_ns,
-            payload=np.frombuffer(payload, np.uint8),
+        plan = self._plan if self.plan_frame >= tick.frame - MAX_PLAN_AGE else None
+        selection = self._selector.select(scan, believed_SE3_sensor, self.agent, plan)
+        shipment = Shipment(
+            self, tick, scan, selection, believed_SE3_sensor, sense_start_ns, sense_end_ns
         )
-        self.bus.publish("scan", message, region=self._region, agent=self.agent, chunk="0")
-        sent_ns = time.monotonic_ns()
-        upload = Upload(
-            agent=self.agent,
-            chunk=0,
-            points=message.points,
-            payload_bytes=len(payload),
-            sense_start_ns=sense_start_ns,
-            sense_end_ns=sense_end_ns,
-            encode_end_ns=encode_end_ns,
-            sent_ns=sent_ns,
-        )
-        stamps = (sense_start_ns, sense_end_ns, encode_end_ns, sent_ns)
-        stages = zip(("sense", "encode", "send"), stamps, stamps[1:], strict=False)
-        return upload, [
-            Span(stage=name, agent=self.agent, start_ns=start, end_ns=end)
-            for name, start, end in stages
+        shipment.spans = [
+            self._span("sense", sense_start_ns, sense_end_ns),
+            self._span("select", sense_end_ns, time.monotonic_ns()),
         ]
+        if self._kit.detector is not None:
+            self._send_objects(shipment, self._kit.detector)
+        elif self._outbox is not None:
+            self._outbox.put(shipment)
+            return
+        else:
+            for chunk in range(shipment.chunks):
+                shipment.send(chunk)
+        self._done.append(shipment)
+
+    def take_done(self) -> list[Shipment]:
+        """Returns the frames of which nothing more will be sent, once."""
+        done, self._done = self._done, []
+        if self._outbox is not None:
+            done += [s for s in self._outbox.take_done() if isinstance(s, Shipment)]
+        return done
 
     def settle(self, frame: int | None = None) -> list[WireCount]:
         """Returns what TCP sent for the last frame, if any; `frame` is the one that now begins."""
@@ -84,3 +142,97 @@ class Uplink:
         if last is None or sent_bytes <= 0:
             return []
         return [WireCount(agent=self.agent, frame=last, sent_bytes=sent_bytes)]
+
+    def close(self) -> None:
+        """Hangs up."""
+        if self._outbox is not None:
+            self._outbox.close()
+        self.bus.close()
+
+    def send_chunk(self, shipment: Shipment, chunk: int) -> int:
+        """Encodes a chunk and sends it; returns the message's size in bytes."""
+        start_ns = time.monotonic_ns()
+        part = shipment.selection.part(shipment.scan, chunk)
+        config, tick = self._kit.config, shipment.tick
+        payload = encode_scan(part, config.max_error_m, intensity=config.intensity)
+        encode_end_ns = time.monotonic_ns()
+        message = Scan(
+            frame=tick.frame,
+            sim_time_ns=tick.sim_time_ns,
+            agent=self.agent,
+            chunk=chunk,
+            chunks=shipment.chunks,
+            points=int(np.count_nonzero(part.range_m)),
+            plan_frame=shipment.selection.plan_frame,
+            ground_free=self._selector.is_ground_free,
+            sensor_pose=shipment.believed_SE3_sensor.as_pose(),
+            sense_start_ns=shipment.sense_start_ns,
+            sense_end_ns=shipment.sense_end_ns,
+            encode_end_ns=encode_end_ns,
+            payload=np.frombuffer(payload, np.uint8),
+        )
+        size_bytes = self.bus.publish(
+            "scan", message, region=self._kit.region, agent=self.agent, chunk=str(chunk)
+        )
+        sent_ns = time.monotonic_ns()
+        shipment.spans += [
+            self._span("encode", start_ns, encode_end_ns),
+            self._span("send", encode_end_ns, sent_ns),
+        ]
+        shipment.uploads.append(
+            self._upload(shipment, chunk, message.points, len(payload), encode_end_ns, sent_ns)
+        )
+        return size_bytes
+
+    def _send_objects(self, shipment: Shipment, detector: Detector) -> None:
+        start_ns, tick = time.monotonic_ns(), shipment.tick
+        rng = stream(self._kit.seed, "detect", self.agent, tick.frame)
+        found = detector.detect(
+            shipment.selection.part(shipment.scan, 0),
+            shipment.believed_SE3_sensor,
+            rng,
+            ground_free=self._selector.is_ground_free,
+        )
+        detect_end_ns = time.monotonic_ns()
+        message = Objects(
+            frame=tick.frame,
+            sim_time_ns=tick.sim_time_ns,
+            agent=self.agent,
+            boxes=found.boxes.astype(np.float32),
+            scores=found.scores.astype(np.float32),
+            sense_start_ns=shipment.sense_start_ns,
+            sense_end_ns=shipment.sense_end_ns,
+            detect_end_ns=detect_end_ns,
+        )
+        self.bus.publish("objects", message, region=self._kit.region, agent=self.agent)
+        sent_ns = time.monotonic_ns()
+        shipment.spans += [
+            self._span("detect", start_ns, detect_end_ns),
+            self._span("send", detect_end_ns, sent_ns),
+        ]
+        payload_bytes = message.boxes.nbytes + message.scores.nbytes
+        upload = self._upload(shipment, 0, len(found), payload_bytes, detect_end_ns, sent_ns)
+        shipment.uploads.append(upload)
+
+    def _upload(
+        self,
+        shipment: Shipment,
+        chunk: int,
+        points: int,
+        payload_bytes: int,
+        encode_end_ns: int,
+        sent_ns: int,
+    ) -> Upload:
+        return Upload(
+            agent=self.agent,
+            chunk=chunk,
+            points=points,
+            payload_bytes=payload_bytes,
+            sense_start_ns=shipment.sense_start_ns,
+            sense_end_ns=shipment.sense_end_ns,
+            encode_end_ns=encode_end_ns,
+            sent_ns=sent_ns,
+        )
+
+    def _span(self, stage: str, start_ns: int, end_ns: int) -> Span:
+        return Span(stage=stage, agent=self.agent, start_ns=start_ns, end_ns=end_ns)

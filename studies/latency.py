@@ -9,8 +9,8 @@ import numpy as np
 from recorder.run import Run
 
 STAGES = (
-    "sense", "encode", "link", "decode", "place", "wait", "merge", "ground", "detect", "fuse",
-    "count", "decide", "actuate", "end_to_end",
+    "sense", "select", "encode", "link", "decode", "place", "wait", "merge", "ground", "detect",
+    "fuse", "count", "decide", "actuate", "end_to_end",
 )  # fmt: skip
 """The way of a frame; every summary names these, and further ones that a process measured."""
 

@@ -7,7 +7,7 @@ import numpy as np
 from protocol.errors import MessageError
 from protocol.geometry import SE3, Floats
 from protocol.inbox import Envelope, Presence
-from protocol.messages import AgentPose, Equipment, Span, Tick, Upload, WireCount
+from protocol.messages import AgentPose, Equipment, Tick
 from protocol.process import Context
 from sensing.config import PoseErrorConfig
 from sensing.noise import stream
@@ -45,6 +45,7 @@ class VehicleRole:
         """Plays the newest frame."""
         if tick := self._station.pop():
             self._play(tick)
+        self._station.report(tick)
 
     def close(self) -> None:
         """Hangs up every CAV's connection."""
@@ -52,21 +53,18 @@ class VehicleRole:
 
     def _play(self, tick: Tick) -> None:
         mine = self._hosted(tick)
-        scanning = [i for i in mine if tick.equipment[i] == Equipment.CAV]
+        cavs = [i for i in mine if tick.equipment[i] == Equipment.CAV]
+        scanning = cavs if self._station.uploads else []
         names = [tick.ids[i] for i in scanning]
         self._station.publish_roster(tick, [tick.ids[i] for i in mine], names)
-        wire = self._hang_up(set(names))
+        self._hang_up(set(names))
         for agent in names:
-            wire += self._uplink(agent).settle(tick.frame)
-        uploads: list[Upload] = []
-        spans: list[Span] = []
+            self._uplink(agent)
+        self._station.settle(tick)
         for index in mine:
             believed = self._publish_pose(tick, index)
             if index in scanning:
-                upload, stages = self._publish_scan(tick, index, believed)
-                uploads.append(upload)
-                spans += stages
-        self._station.publish_metrics(tick, uploads, spans, wire)
+                self._publish_scan(tick, index, believed)
 
     def _hosted(self, tick: Tick) -> list[int]:
         if self._context.id not in tick.processes:
@@ -93,8 +91,8 @@ class VehicleRole:
         self._context.v2x.publish("pose", message, region=self._station.region, agent=agent)
         return pose
 
-    def _publish_scan(self, tick: Tick, index: int, believed: Floats) -> tuple[Upload, list[Span]]:
-        return self._uplink(tick.ids[index]).sense_and_send(
+    def _publish_scan(self, tick: Tick, index: int, believed: Floats) -> None:
+        self._uplink(tick.ids[index]).sense_and_send(
             tick,
             map_SE3_sensor=SE3.from_pose(tick.poses[index]) @ self._body_SE3_sensor,
             believed_SE3_sensor=SE3.from_pose(believed) @ self._body_SE3_sensor,
@@ -106,10 +104,7 @@ class VehicleRole:
             self._uplinks[agent] = self._station.uplink(agent, self._context.open_v2x())
         return self._uplinks[agent]
 
-    def _hang_up(self, still_here: set[str]) -> list[WireCount]:
-        wire: list[WireCount] = []
+    def _hang_up(self, still_here: set[str]) -> None:
         for agent in sorted(self._uplinks.keys() - still_here):
-            gone = self._uplinks.pop(agent)
-            wire += gone.settle()
-            gone.bus.close()
-        return wire
+            del self._uplinks[agent]
+            self._station.hang_up(agent)

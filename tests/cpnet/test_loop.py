@@ -69,6 +69,40 @@ def test_another_number_of_vehicle_processes_gives_the_same_rows(shell, first_ru
     assert differences(first_run, shell.folder / "second") == []
 
 
+def test_planned_uploads_are_the_same_row_for_row_whatever_the_processes(shell):
+    reap = ("--duration=4", "--cav-rate=0.1", "--set=upload.policy=reap")
+    filtered = (*reap, "--set=upload.filters=[foreground]")
+    for name, more in (("first", ()), ("second", ("--set=processes.vehicle=1",))):
+        status, output = shell.up(*filtered, *more, f"--out={name}").finish()
+        assert status == 0, output
+    assert differences(shell.folder / "first", shell.folder / "second") == []
+    summary = json.loads(shell.run("report", "first", "--json")[1])
+    assert summary["drops"] == 0
+    assert len(summary["agents"]) > 2
+    with sqlite3.connect(f"file:{shell.folder}/first/run.sqlite?mode=ro", uri=True) as database:
+        chunks = "SELECT count(*) FROM uploads WHERE frame = ? AND agent = 'rsu-0'"
+        assert [database.execute(chunks, [frame]).fetchone()[0] for frame in (0, 20)] == [1, 4]
+
+
+@pytest.mark.parametrize("policy", ["objects", "pose"])
+def test_a_run_whose_agents_send_no_points(shell, policy):
+    arguments = ("--duration=1", "--cav-rate=0.1", f"--set=upload.policy={policy}", "--out=run")
+    status, output = shell.up(*arguments).finish()
+    assert status == 0, output
+    summary = json.loads(shell.run("report", "run", "--json")[1])
+    assert (summary["frames"], summary["frames_incomplete"], summary["drops"]) == (10, 0, 0)
+    assert summary["detections_per_frame"]["true"] > 0
+
+
+def test_planned_uploads_in_realtime_end_their_frames_early(shell):
+    arguments = ("--mode=realtime", "--duration=5", "--cav-rate=0.1", "--set=upload.policy=reap")
+    status, output = shell.up(*arguments, "--set=upload.filters=[foreground]", "--out=run").finish()
+    assert status == 0, output
+    summary = json.loads(shell.run("report", "run", "--json")[1])
+    assert summary["frames"] == 50
+    assert summary["frames_incomplete"] < 25
+
+
 def test_roles_in_two_commands_joined_over_tcp_give_the_same_rows(shell, first_run):
     port = free_ports()
     here = shell.up(

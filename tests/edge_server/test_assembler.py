@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
 
 from edge_server import gathering as module
 from edge_server.assembler import Assembler
+from edge_server.coverage import Uploaded
 from edge_server.frame import Frame, Piece
-from protocol.messages import AgentPose, Equipment, Roster
+from protocol.messages import AgentPose, Equipment, Objects, Roster, Scan
 
 WAIT_NS = 1_000
 
@@ -257,3 +259,69 @@ def test_a_process_that_is_not_there_is_not_waited_for_whatever_it_announces() -
         give(assembler, part)
     assert assembler.pop(6) is not None
     assert assembler.drops["absent_process"] == 1
+
+
+def chunk_of(agent: str, chunk: int = 0, chunks: int = 1, frame: int = 0) -> Scan:
+    return Scan(
+        frame=frame,
+        sim_time_ns=0,
+        agent=agent,
+        chunk=chunk,
+        chunks=chunks,
+        points=0,
+        sensor_pose=np.zeros(6),
+        sense_start_ns=0,
+        sense_end_ns=0,
+        encode_end_ns=0,
+        payload=np.zeros(0, np.uint8),
+    )
+
+
+def test_a_frame_ends_before_all_chunks_came_if_they_cover_the_scene() -> None:
+    asked: list[Mapping[str, Uploaded]] = []
+
+    def covers(uploaded: Mapping[str, Uploaded]) -> bool:
+        asked.append(uploaded)
+        return uploaded["a"].came >= 2
+
+    expected = {"vehicle-0": "vehicle"}
+    assembler = Assembler(wait_ns=WAIT_NS, expected=expected, covers=covers)
+    assembler.hear("vehicle-0", "vehicle", alive=True)
+    for part in (roster("vehicle-0", ["a"], ["a"]), piece("a", 0, 4)):
+        give(assembler, part)
+        assert assembler.pop(6) is None
+    assert asked == []  # without poses there is nothing to be asked
+    give(assembler, pose("a"))
+    give(assembler, piece("a", 2, 4))  # a gap before it
+    assert assembler.pop(6) is None
+    give(assembler, piece("a", 1, 4))
+    frame = assembler.pop(6)
+    assert frame is not None
+    assert frame.complete
+    assert [uploaded["a"].came for uploaded in asked] == [1, 3]
+    assert not assembler.wants(chunk_of("a", 3, 4), 7)
+    assert not +assembler.drops
+
+
+def test_boxes_that_an_agent_found_stand_for_its_scan() -> None:
+    assembler = make()
+    objects = Objects(
+        frame=0,
+        sim_time_ns=0,
+        agent="rsu-0",
+        boxes=np.zeros((2, 7), np.float32),
+        scores=np.zeros(2, np.float32),
+        sense_start_ns=0,
+        sense_end_ns=0,
+        detect_end_ns=0,
+    )
+    for part in whole()[:-1]:
+        give(assembler, part)
+    assembler.add_objects(objects, 6)
+    assembler.add_objects(objects, 6)
+    assert +assembler.drops == {"duplicate": 1}
+    frame = assembler.pop(6)
+    assert frame is not None
+    assert frame.objects == [objects]
+    assert frame.agents == ["a", "b", "rsu-0"]
+    assert frame.scanning == ["a", "rsu-0"]

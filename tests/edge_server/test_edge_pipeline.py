@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edge_server.config import EdgeConfig, GroundConfig
+from edge_server.config import EdgeConfig
 from edge_server.frame import Frame, Piece
 from edge_server.pipeline import Pipeline
+from perception.config import GroundConfig
 from protocol.geometry import SE3
 from protocol.messages import AgentPose, Equipment
 from protocol.roadmap import RoadMap

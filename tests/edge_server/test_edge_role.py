@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,11 +26,14 @@ M = TypeVar("M", bound=m.Message)
 class Rig:
     """An edge role, two agent processes and somebody who listens."""
 
-    def __init__(self, road_map: RoadMap, mode: str = "lockstep", **edge: Any) -> None:
+    def __init__(
+        self, road_map: RoadMap, mode: str = "lockstep", policy: str = "full", **edge: Any
+    ) -> None:
         scenario = {
             "seed": 1,
             "mode": mode,
             "region": "r0",
+            "upload": {"policy": policy},
             "edge": EdgeConfig(**edge).model_dump(mode="json"),
             "processes": {"vehicle": 1},
             "roadside_mounts": [{"id": "rsu-0"}],
@@ -45,7 +49,7 @@ class Rig:
         world, v2x = LocalNetwork(BusName.WORLD), LocalNetwork()
         self.inbox, self.seen = Inbox(), Inbox()
         listener = v2x.bus(self.seen)
-        for topic in ("detections", "lanes"):
+        for topic in ("detections", "lanes", "plan"):
             listener.subscribe(topic)
         listener.watch()
         world.bus(self.seen).subscribe("metrics")
@@ -98,23 +102,33 @@ class Rig:
         )
         self.radio.publish("pose", pose, region="r0", agent=agent)
 
-    def say_scan(self, frame: int, agent: str, payload: bytes | None = None) -> None:
+    def say_scan(
+        self,
+        frame: int,
+        agent: str,
+        payload: bytes | None = None,
+        chunk: tuple[int, int] = (0, 1),
+        plan_frame: int = -1,
+        key: str = "",
+    ) -> None:
         points = np.random.default_rng(1).uniform(-50, 50, (100, 3)).astype(np.float32)
         cloud = PointCloud(points, np.zeros(100, np.float32))
         scan = m.Scan(
             frame=frame,
             sim_time_ns=frame * 100,
             agent=agent,
-            chunk=0,
-            chunks=1,
+            chunk=chunk[0],
+            chunks=chunk[1],
             points=100,
-            sensor_pose=np.array([0.0, 0, 3, 0, 0, 0]),
+            plan_frame=plan_frame,
+            sensor_pose=np.array([0.0 if agent == "rsu-0" else -40.0, 0, 3, 0, 0, 0]),
             sense_start_ns=1,
             sense_end_ns=2,
             encode_end_ns=3,
             payload=np.frombuffer(payload or encode_cloud(cloud, 0.02), np.uint8),
         )
-        self.radio.publish("scan", scan, region="r0", agent=agent, chunk="0")
+        where = {"agent": key or agent, "chunk": str(chunk[0])}
+        self.radio.publish("scan", scan, region="r0", **where)
 
 
 def said(heard: list[Envelope | Presence], kind: type[M]) -> list[M]:
@@ -244,3 +258,125 @@ def test_settings_that_cannot_be_are_refused(unwanted: dict[str, Any]) -> None:
 def test_a_size_filter_that_lets_nothing_through_is_refused() -> None:
     with pytest.raises(ValueError, match="min_width_m is 4.0, more than max_width_m, 3.0"):
         EdgeConfig.model_validate({"boxes": {"min_width_m": 4.0}})
+
+
+def kinds(heard: list[Envelope | Presence]) -> list[str]:
+    return [type(item.message).__name__ for item in heard if isinstance(item, Envelope)]
+
+
+def test_in_lockstep_plans_go_out_before_the_counts_and_hold_no_measured_rate(
+    road_map: RoadMap,
+) -> None:
+    rig = Rig(road_map, policy="power")
+    rig.start()
+    rig.say_rosters(3, ["cav"], ["rsu-0"])
+    rig.say_pose(3, "cav")
+    rig.say_scan(3, "cav")
+    rig.say_scan(3, "rsu-0")
+    heard = rig.turn()
+    assert kinds(heard)[:3] == ["Plan", "Plan", "LaneCounts"]
+    plans = said(heard, m.Plan)
+    assert [plan.agent for plan in plans] == ["cav", "rsu-0"]
+    for plan in plans:
+        assert (plan.frame, plan.enough, plan.mbps) == (4, 3, 0)
+        assert plan.agents == ["cav", "rsu-0"]
+        np.testing.assert_allclose(plan.weights_m2[:, 1], [0, 0], atol=1e-6)
+
+
+def test_who_sends_all_it_has_needs_no_plan_in_lockstep(road_map: RoadMap) -> None:
+    rig = Rig(road_map)
+    rig.start()
+    rig.say_rosters(0, [], ["rsu-0"])
+    rig.say_scan(0, "rsu-0")
+    assert said(rig.turn(), m.Plan) == []
+
+
+def test_in_realtime_everybody_hears_its_rate_and_that_the_frame_is_over(
+    road_map: RoadMap,
+) -> None:
+    rig = Rig(road_map, mode="realtime", deadline_ms=10_000)
+    rig.start()
+    rig.say_rosters(0, [], ["rsu-0"])
+    rig.say_scan(0, "rsu-0")
+    (plan,) = said(rig.turn(), m.Plan)
+    assert (plan.frame, plan.enough, plan.agents) == (1, 0, [])
+
+
+def test_in_realtime_a_frame_ends_once_neighbours_cover_the_space_between_them(
+    road_map: RoadMap,
+) -> None:
+    rig = Rig(road_map, mode="realtime", policy="reap", deadline_ms=10_000)
+    rig.start()
+    for frame, plan_frame, last in ((0, -1, 0), (1, 1, 2)):
+        chunks = 1 if frame == 0 else 4
+        rig.say_rosters(frame, ["cav"], ["rsu-0"])
+        rig.say_pose(frame, "cav")
+        rig.say_scan(frame, "cav", chunk=(0, chunks), plan_frame=plan_frame)
+        assert not said(rig.turn(), m.LaneCounts)
+        for chunk in range(last + 1):
+            assert not said(rig.turn(), m.LaneCounts)
+            rig.say_scan(frame, "rsu-0", chunk=(chunk, chunks), plan_frame=plan_frame)
+        heard = rig.turn()
+        (counts,) = said(heard, m.LaneCounts)
+        assert (counts.frame, counts.complete) == (frame, True)
+        assert {plan.enough for plan in said(heard, m.Plan)} == {frame}
+
+
+def test_an_agent_that_was_cut_by_another_plan_keeps_the_frame_open(road_map: RoadMap) -> None:
+    rig = Rig(road_map, mode="realtime", policy="reap", deadline_ms=10_000)
+    rig.start()
+    for frame in (0, 1):
+        rig.say_rosters(frame, ["cav"], ["rsu-0"])
+        rig.say_pose(frame, "cav")
+        for agent in ("cav", "rsu-0"):
+            rig.say_scan(frame, agent)
+        assert said(rig.turn(), m.LaneCounts)
+    rig.say_rosters(2, ["cav"], ["rsu-0"])
+    rig.say_pose(2, "cav")
+    for chunk in range(3):
+        rig.say_scan(2, "cav", chunk=(chunk, 4), plan_frame=1)
+        rig.say_scan(2, "rsu-0", chunk=(chunk, 4), plan_frame=2)
+    assert not said(rig.turn(), m.LaneCounts)
+
+
+def world_at(frame: int) -> m.SignalState:
+    return m.SignalState(
+        frame=frame,
+        sim_time_ns=frame * 100,
+        tls="j",
+        state="GGr",
+        stage="green",
+        green="GGr",
+        source="plan",
+        earliest_change_ns=0,
+    )
+
+
+@pytest.mark.parametrize("chunks", [1, 64])
+def test_a_flood_from_one_agent_delays_no_frame_of_the_others(
+    road_map: RoadMap, chunks: int
+) -> None:
+    """One agent repeats its scan, or claims 64 chunks, of this frame, of old and of future ones."""
+    rig = Rig(road_map, mode="realtime", deadline_ms=50)
+    rig.start()
+    for frame in range(4):
+        rig.radio.publish("state", world_at(frame), tls="j")
+        rig.say_rosters(frame, ["cav"], ["rsu-0"])
+        rig.say_pose(frame, "cav")
+        for repeat in range(200):
+            for claimed in (frame, max(frame - 2, 0), frame + 50 + repeat):
+                rig.say_scan(claimed, "cav", chunk=(repeat % chunks, chunks))
+            rig.say_scan(frame, "rsu-0", chunk=(63, 64), key="cav")  # in another's name
+        rig.say_scan(frame, "rsu-0")
+        assert rig.inbox._queue.qsize() <= 4 * (chunks + 1) + 8
+        heard = rig.turn()
+        if not said(heard, m.LaneCounts):
+            time.sleep(0.05)
+            heard += rig.turn()
+        (counts,) = said(heard, m.LaneCounts)
+        assert counts.frame == frame
+        (metrics,) = said(heard, m.Metrics)
+        assert "rsu-0" in {arrival.agent for arrival in metrics.arrivals}
+        decoded = [span for span in metrics.spans if span.stage == "decode"]
+        assert len(decoded) <= chunks + 1
+    assert {"overtaken", "wrong_sender", "far_frame"} <= metrics.drops.keys()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from edge_server.merge import merge, sensor_in_map
-from edge_server.roadway import Placed
+from perception.roadway import Placed
 from protocol.geometry import SE3
 
 POINTS = np.random.default_rng(1).uniform(-40, 40, (500, 3))

@@ -73,3 +73,32 @@ def test_a_message_holds_what_was_published():
     assert item.message == ROSTER
     assert item.size_bytes == size == bus.wire_bytes()
     assert np.isfinite(item.received_ns)
+
+
+def test_of_a_limited_topic_the_newest_of_each_key_wait_and_nobody_elses_are_lost():
+    inbox = Inbox(capacity=8)
+    inbox.limit("roster", 2)
+    for number in range(100):
+        flood = ROSTER.model_copy(update={"frame": number})
+        inbox.put(Sealed(TOPICS["roster"], "cpnet/v1/r0/roster/flood", encode(flood), 0))
+    inbox.put(sealed(encode(ROSTER)))
+    inbox.put(Presence("edge", "edge", alive=True))
+    came = [inbox.get() for _ in range(5)]
+    frames = [(i.parts["process"], i.message.frame) for i in came if isinstance(i, Envelope)]
+    assert frames == [("flood", 98), ("flood", 99), ("p", 1)]
+    assert came[3] == Presence("edge", "edge", alive=True)
+    assert came[4] is None
+    assert inbox.drops == {"overtaken": 98}
+
+
+def test_a_full_inbox_drops_a_limited_message_whole():
+    inbox = Inbox(capacity=1)
+    inbox.limit("roster", 2)
+    inbox.put(Presence("edge", "edge", alive=True))
+    inbox.put(sealed(encode(ROSTER)))
+    assert inbox.get() == Presence("edge", "edge", alive=True)
+    inbox.put(sealed(encode(ROSTER.model_copy(update={"frame": 7}))))
+    item = inbox.get()
+    assert isinstance(item, Envelope)
+    assert item.message.frame == 7
+    assert inbox.drops == {"inbox_full": 1}

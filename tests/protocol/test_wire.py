@@ -158,6 +158,25 @@ EXAMPLES: list[m.Message] = [
         state="G",
         drops=0,
     ),
+    m.Plan(
+        frame=2,
+        agent="a",
+        mbps=5.0,
+        enough=1,
+        agents=["a", "b"],
+        sites=np.arange(4.0).reshape(2, 2),
+        weights_m2=np.arange(6.0).reshape(2, 3),
+    ),
+    m.Objects(
+        frame=1,
+        sim_time_ns=1,
+        agent="a",
+        boxes=np.ones((1, 7), np.float32),
+        scores=np.ones(1, np.float32),
+        sense_start_ns=1,
+        sense_end_ns=2,
+        detect_end_ns=3,
+    ),
 ]
 GOLDEN = Path(__file__).parent / "golden"
 

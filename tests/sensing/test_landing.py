@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from conftest import SEED, street
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sensing.config import SceneConfig
 from sensing.landing import REACH_M, Landing
 from sensing.terrain import Terrain
+from tests.sensing.conftest import SEED, street
 
 HILLY = Terrain(street(climb_m=8.0), SceneConfig(terrain_amplitude_m=1.0), SEED)
 LANDING = Landing(HILLY)

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import SEED
 from numpy.typing import NDArray
 
 from protocol.errors import MessageError
@@ -18,6 +17,7 @@ from sensing.mesh import TriangleMesh, merge
 from sensing.noise import stream
 from sensing.scene import Scene
 from sensing.shapes import VehicleShapes
+from tests.sensing.conftest import SEED
 
 CONFIG = LidarConfig(channels=48, points_per_second=48 * 900 * 10)
 CLEAN = LidarConfig(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import SEED, lane, street
 
 from protocol.roadmap import RoadMap
 from sensing.config import SceneConfig
 from sensing.mesh import TriangleMesh
 from sensing.road import RoadArea
 from sensing.scene import Scene, build_scene
+from tests.sensing.conftest import SEED, lane, street
 
 PARTS = ("ground", "kerbs", "buildings", "poles", "trees")
 

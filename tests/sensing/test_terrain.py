@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from conftest import SEED, street
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.geometry import SE3
 from sensing.config import SceneConfig
 from sensing.terrain import Terrain
+from tests.sensing.conftest import SEED, street
 
 FLAT = SceneConfig(terrain_amplitude_m=0)
 CLIMB = Terrain(street(climb_m=8.0), FLAT, SEED)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_server.arrays import Bools, Floats, Ints
+from perception.arrays import Bools, Floats, Ints
 
 LIDAR = "lidar"
 

@@ -13,8 +13,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from edge_server.arrays import Floats, Floats32, Ints
-from edge_server.config import GroundConfig
+from perception.arrays import Floats, Floats32, Ints
+from perception.config import GroundConfig
 
 CELL_M = 1.0  # of a tile, hypotheses are scored on the lowest point of each cell
 SAMPLE = 4096  # of the whole cloud, on every n-th point

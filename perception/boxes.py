@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from edge_server.arrays import Bools, Floats, Floats32, Ints, Ints32
-from edge_server.config import BoxConfig
-from edge_server.roadway import Roadway
-from edge_server.vehicles import Vehicles
+from perception.arrays import Bools, Floats, Floats32, Ints, Ints32
+from perception.config import BoxConfig
+from perception.roadway import Roadway
+from perception.vehicles import Vehicles
 
 FIT_POINTS = 160  # of a cluster at most: more do not change the direction
 FEW_POINTS = 12  # fewer tell none

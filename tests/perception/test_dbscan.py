@@ -7,8 +7,8 @@ import numpy.typing as npt
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge_server.cluster import NOISE, cluster
-from edge_server.config import ClusterConfig
+from perception.cluster import NOISE, cluster
+from perception.config import ClusterConfig
 
 EPS_M = 1.25
 

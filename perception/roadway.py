@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from edge_server.arrays import Bools, Bytes, Floats, Floats32, Ints
+from perception.arrays import Bools, Bytes, Floats, Floats32, Ints
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 

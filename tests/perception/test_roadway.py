@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge_server.roadway import Roadway
+from perception.roadway import Roadway
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 

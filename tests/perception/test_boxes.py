@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edge_server.boxes import fit_boxes
-from edge_server.config import BoxConfig
-from edge_server.roadway import Roadway
-from edge_server.vehicles import Vehicles
+from perception.boxes import fit_boxes
+from perception.config import BoxConfig
+from perception.roadway import Roadway
+from perception.vehicles import Vehicles
 from protocol.roadmap import RoadMap
 
 

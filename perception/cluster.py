@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from edge_server.arrays import Bytes, Floats, Floats32, Ints, Ints32
-from edge_server.config import ClusterConfig
+from perception.arrays import Bytes, Floats, Floats32, Ints, Ints32
+from perception.config import ClusterConfig
 
 NOISE = -1
 _SHRINK = 0.9999  # keeps float32 rounding from making two points of a cell no neighbours

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edge_server.config import GroundConfig
-from edge_server.ground import remove_ground
+from perception.config import GroundConfig
+from perception.ground import remove_ground
 
 CLIMB = 0.035
 

@@ -1,0 +1,55 @@
+"""When a frame needs no more chunks: the space between any two neighbours is covered.
+
+An agent whose first chunk came covers its part up to the tight borders, with the second up to the
+plain and with the third up to the wide ones; the fourth is all the rest that it sees. What one
+agent leaves within its tight border, the other covers within its wide one: so two neighbours cover
+the space between them once they have sent four chunks together. Neighbours are agents whose widest
+cells meet. Then every place lies within the borders of an agent: its owner's, or, if the owner sent
+its tight part only and the place lies beyond, those of the one that comes nearest to owning it,
+which is a neighbour of the owner and has sent up to its wide border.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+TOGETHER = 4  # chunks of two neighbours that cover the space between them
+
+
+@dataclass(frozen=True, slots=True)
+class Uploaded:
+    """How far an agent's scan came: chunks without a gap from the first on, of how many.
+
+    `chunks` is 0 while none came; `plan_frame` is then -1.
+    """
+
+    came: int
+    chunks: int
+    plan_frame: int
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all chunks came."""
+        return 0 < self.chunks == self.came
+
+
+@dataclass(frozen=True, slots=True)
+class Borders:
+    """The agents of a plan, those of them whose cell is not empty, and who are neighbours."""
+
+    agents: tuple[str, ...]
+    owners: tuple[str, ...]
+    pairs: tuple[tuple[str, str], ...]
+
+    def covered(self, came: Mapping[str, int]) -> bool:
+        """Whether these numbers of chunks cover the scene.
+
+        An agent that is not among them has left; its part is covered when the next plan comes. An
+        owner without neighbours needs its first chunk: all that it sees lies within its borders.
+        """
+        here = [(a, b) for a, b in self.pairs if a in came and b in came]
+        paired = {agent for pair in here for agent in pair}
+        return all(came[a] + came[b] >= TOGETHER for a, b in here) and all(
+            came[agent] > 0 for agent in self.owners if agent in came and agent not in paired
+        )

@@ -1,0 +1,132 @@
+"""Makes each frame's plan from where the agents stand and what their uplinks carry."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from edge_server.bandwidth import Bandwidth
+from edge_server.config import PlanConfig
+from edge_server.coverage import Borders, Uploaded
+from edge_server.frame import Frame
+from edge_server.plan import PLAIN, cells, partners, power_weights, voronoi_weights
+from perception.arrays import Floats
+from protocol.messages import Plan
+from protocol.roadmap import RoadMap
+from sensing.config import UploadConfig
+from sensing.upload.registry import POLICIES, Policy
+
+KEPT_PLANS = 8
+_BEYOND_M = 600.0  # around the lanes: farther than any sensor on the road sees
+
+
+class Planner:
+    """Plans frame by frame. In lockstep, nothing that a clock measured enters a plan."""
+
+    def __init__(self, scenario: dict[str, Any], config: PlanConfig, road_map: RoadMap) -> None:
+        upload = UploadConfig.model_validate(scenario.get("upload", {}))
+        self._vehicle, self._roadside = (
+            POLICIES[upload.of(kind).policy] for kind in ("vehicle", "roadside")
+        )
+        self._config = config
+        self._lockstep = scenario["mode"] == "lockstep"
+        self._box = _box(road_map)
+        self._posts: dict[str, Floats] = {}
+        self._borders: dict[int, Borders] = {}
+        self.bandwidth = Bandwidth()
+
+    @property
+    def ends_early(self) -> bool:
+        """Whether frames may end before all chunks came: real links, and chunks in an order."""
+        in_order = self._vehicle.chunks > 1 or self._roadside.chunks > 1
+        return in_order and self._config.early_end and not self._lockstep
+
+    def plans(self, frame: Frame) -> list[Plan]:
+        """Returns what every agent that scanned in a frame shall send from the next one on.
+
+        In lockstep these are the agents with cells alone, since the others need no plan.
+        """
+        self.bandwidth.forget(frame.frame)
+        sites = self._sites(frame)
+        agents = sorted(sites)
+        # To the centimetre: two agents stand at one place or truly apart, which no rounding blurs.
+        places = np.round(np.array([sites[agent] for agent in agents]).reshape(-1, 2), 2)
+        weights_m2 = self._weights_m2(agents, places)
+        self._remember(frame.frame + 1, agents, places, weights_m2)
+        nowhere = np.zeros((0, 2)), np.zeros((0, 3))
+        plans = []
+        for agent in frame.scanning:
+            planned = agent in sites
+            if planned or not self._lockstep:
+                site_array, weight_array = (places, weights_m2) if planned else nowhere
+                plans.append(
+                    Plan(
+                        frame=frame.frame + 1,
+                        agent=agent,
+                        mbps=self.bandwidth.mbps(agent) or 0.0,
+                        enough=frame.frame,
+                        agents=agents if planned else [],
+                        sites=site_array,
+                        weights_m2=weight_array,
+                    )
+                )
+        return plans
+
+    def covers(self, uploaded: Mapping[str, Uploaded]) -> bool:
+        """Whether a frame needs no more of its scanning agents than what they have sent.
+
+        Agents with cells must have cut them by one plan. Of newcomers that no plan knew, nothing
+        is needed; of agents that have no cells, all is.
+        """
+        plans = {scan.plan_frame for scan in uploaded.values() if scan.plan_frame >= 0}
+        borders = self._borders.get(min(plans)) if len(plans) == 1 else None
+        if borders is None:
+            return False
+        cut = {agent: scan.came for agent, scan in uploaded.items() if agent in borders.agents}
+        others = [scan for agent, scan in uploaded.items() if agent not in borders.agents]
+        both_have_cells = self._vehicle.cells and self._roadside.cells
+        return borders.covered(cut) and (both_have_cells or all(scan.is_whole for scan in others))
+
+    def _sites(self, frame: Frame) -> dict[str, Floats]:
+        """Returns where the sensors of the agents with cells stand, x and y."""
+        driving = {pose.agent: pose.pose[:2] for pose in frame.poses}
+        seen = {piece.agent: piece.sensor_pose[:2] for piece in frame.pieces}
+        known = self._posts | driving | seen
+        posts = [agent for agent in frame.scanning if agent not in driving and agent in known]
+        self._posts = {agent: known[agent] for agent in posts}
+        return {
+            agent: known[agent]
+            for agent in frame.scanning
+            if agent in known and self._policy(is_driving=agent in driving).cells
+        }
+
+    def _policy(self, *, is_driving: bool) -> Policy:
+        return self._vehicle if is_driving else self._roadside
+
+    def _weights_m2(self, agents: list[str], places: Floats) -> Floats:
+        if not (self._vehicle.weighted or self._roadside.weighted):
+            return voronoi_weights(places)
+        nominal = self._config.nominal_mbps
+        mbps = [self.bandwidth.mbps(agent) or nominal for agent in agents]
+        return power_weights(places, np.array(mbps, np.float64), alpha=self._config.alpha)
+
+    def _remember(self, frame: int, agents: list[str], places: Floats, weights_m2: Floats) -> None:
+        if self.ends_early:
+            self._borders[frame] = borders_of(agents, places, weights_m2, self._box)
+            while len(self._borders) > KEPT_PLANS:
+                del self._borders[min(self._borders)]
+
+
+def borders_of(agents: list[str], sites: Floats, weights_m2: Floats, box: Floats) -> Borders:
+    """Returns who borders on whom in a plan."""
+    plain = cells(sites, weights_m2, box, border=PLAIN)
+    owners = tuple(agent for agent, cell in zip(agents, plain, strict=True) if len(cell))
+    pairs = partners(sites, weights_m2, box)
+    return Borders(tuple(agents), owners, tuple((agents[i], agents[j]) for i, j in pairs))
+
+
+def _box(road_map: RoadMap) -> Floats:
+    places = np.concatenate([lane.points[:, :2] for lane in road_map.lanes])
+    return np.concatenate([places.min(axis=0) - _BEYOND_M, places.max(axis=0) + _BEYOND_M])

@@ -1,0 +1,135 @@
+"""What moves or stands on the road, without the ground and without what is always there.
+
+A sensor that drives takes away what the road map says is ground, corrected tile by tile by the
+height at which most of its low points lie, and what is off the road. A sensor that stands learns
+besides how far each of its beams goes when nothing is in its way: the farthest range that came
+back again and again, unless it ended high over the road, for nothing static stands there. That is
+far sharper than a height: it leaves a car its wheels, and knows poles and house fronts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from sensing.upload.locate import Located
+
+Floats32 = npt.NDArray[np.float32]
+Bytes = npt.NDArray[np.uint8]
+Ints32 = npt.NDArray[np.int32]
+
+GROUND_M = 0.2  # over the ground; lower returns are the ground's
+TILE_M = 10.0
+SAME_M = 0.15  # two ranges of one surface: seven standard deviations of a LiDAR's noise
+LEARNT_FRAMES = 5  # so often a range must come back
+RAISED_M = 0.3  # over the road: higher returns are never background
+_MEMORY = 60  # frames over which a background range is averaged
+_LOW_M, _BIN_M, _BINS = -0.6, 0.05, 24  # heights over the map at which the ground is looked for
+_LEAST_POINTS = 8  # of a tile's ground; with fewer the map's height is taken
+
+
+def driving_foreground(located: Located) -> Bytes:
+    """Returns 1 for the beams (B,) that ended over the road, higher than the ground."""
+    keep = np.zeros(len(located.above_m), np.uint8)
+    _raised(located.xy, located.above_m, keep)
+    return keep
+
+
+class Background:
+    """What one standing sensor has learnt, beam by beam."""
+
+    def __init__(self, beams: int) -> None:
+        self._range_m = np.zeros(beams, np.float32)
+        self._frames = np.zeros(beams, np.uint8)
+
+    def foreground(self, range_m: Floats32, located: Located) -> Bytes:
+        """Learns from a scan's ranges (B,); returns 1 for the beams (B,) that met something new.
+
+        Until a beam's background is learnt, low returns count as the ground.
+        """
+        keep = np.zeros(range_m.size, np.uint8)
+        _raised(located.xy, located.above_m, keep)
+        _learn(range_m, located.above_m, self._range_m, self._frames, keep)
+        return keep
+
+
+@njit("float32[::1](float32[:,::1], float32[::1])", cache=True)
+def _span(xy: Floats32, above_m: Floats32) -> Floats32:
+    """Returns the least and the greatest x and y of the returns on the road; NaN without any."""
+    span = np.full(4, np.float32(np.nan))
+    for beam in range(above_m.size):
+        if not np.isnan(above_m[beam]):
+            span[0], span[1] = np.fmin(span[0], xy[beam, 0]), np.fmin(span[1], xy[beam, 1])
+            span[2], span[3] = np.fmax(span[2], xy[beam, 0]), np.fmax(span[3], xy[beam, 1])
+    return span
+
+
+@njit("int64(float32[:,::1], int64, float32[::1], int64)", cache=True)
+def _tile(xy: Floats32, beam: int, span: Floats32, columns: int) -> int:
+    per_m = np.float32(1 / TILE_M)
+    row, column = int((xy[beam, 1] - span[1]) * per_m), int((xy[beam, 0] - span[0]) * per_m)
+    return row * columns + column
+
+
+@njit("float32[::1](int32[:,::1])", cache=True)
+def _ground(counts: Ints32) -> Floats32:
+    """Returns the tiles' ground (T,) over the map from counts (T, bins + 2) of heights."""
+    ground_m = np.zeros(counts.shape[0], np.float32)
+    for tile in range(counts.shape[0]):
+        most, best = _LEAST_POINTS - 1, -1
+        for slot in range(1, _BINS + 1):
+            total = counts[tile, slot - 1] + counts[tile, slot] + counts[tile, slot + 1]
+            if total > most:
+                most, best = total, slot
+        if best > 0:
+            lean = (counts[tile, best + 1] - counts[tile, best - 1]) / most
+            ground_m[tile] = _LOW_M + (best - 0.5 + lean) * _BIN_M
+    return ground_m
+
+
+@njit("void(float32[:,::1], float32[::1], uint8[::1])", cache=True)
+def _raised(xy: Floats32, above_m: Floats32, keep: Bytes) -> None:
+    """Marks the beams that ended over the road and over the ground of their tile."""
+    span = _span(xy, above_m)
+    if np.isnan(span[0]):
+        return
+    columns, rows = int((span[2] - span[0]) / TILE_M) + 2, int((span[3] - span[1]) / TILE_M) + 2
+    counts = np.zeros((rows * columns, _BINS + 2), np.int32)
+    for beam in range(above_m.size):
+        above = above_m[beam]
+        if above > _LOW_M:
+            slot = int((above - np.float32(_LOW_M)) * np.float32(1 / _BIN_M))
+            if slot < _BINS:
+                counts[_tile(xy, beam, span, columns), slot + 1] += 1
+    ground_m = _ground(counts)
+    for beam in range(above_m.size):
+        if not np.isnan(above_m[beam]):
+            over_m = above_m[beam] - ground_m[_tile(xy, beam, span, columns)]
+            keep[beam] = over_m > GROUND_M
+
+
+@njit("void(float32[::1], float32[::1], float32[::1], uint8[::1], uint8[::1])", cache=True)
+def _learn(
+    range_m: Floats32, above_m: Floats32, usual_m: Floats32, frames: Bytes, keep: Bytes
+) -> None:
+    for beam in range(range_m.size):
+        metres = range_m[beam]
+        if metres <= 0:
+            continue
+        off_m = metres - usual_m[beam]
+        on_road = not np.isnan(above_m[beam])
+        raised = on_road and above_m[beam] > RAISED_M
+        if frames[beam] > 0 and abs(off_m) <= SAME_M:
+            frames[beam] = min(frames[beam] + 1, _MEMORY)
+            usual_m[beam] += off_m / frames[beam]
+            if frames[beam] > LEARNT_FRAMES and not raised:
+                keep[beam] = 0
+                continue
+        elif off_m > 0 and not raised:
+            usual_m[beam], frames[beam] = metres, 1
+        elif frames[beam] > LEARNT_FRAMES:
+            keep[beam] = 1  # in front of the background
+            continue
+        if not on_road:
+            keep[beam] = 1
