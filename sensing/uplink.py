@@ -41,7 +41,12 @@ class Uplink:
         rng = stream(self._seed, "scan", self.agent, tick.frame)
         scan = self._lidar.scan(map_SE3_sensor, tick.poses, tick.types, own, rng)
         sense_end_ns = time.monotonic_ns()
-        payload = encode_scan(scan, self._config.max_error_m, intensity=self._config.intensity)
+        payload = encode_scan(
+            scan,
+            self._config.max_error_m,
+            profile=self._config.profile,
+            intensity=self._config.intensity,
+        )
         encode_end_ns = time.monotonic_ns()
         message = Scan(
             frame=tick.frame,
