@@ -31,7 +31,7 @@ def room_m(max_error_m: float, farthest_m: float, kind: str) -> float:
     Raises:
         CodecError: float32 alone takes half of the bound.
     """
-    room = max_error_m - farthest_m * _ROUNDING
+    room = max_error_m - (farthest_m + max_error_m) * _ROUNDING
     if room < max_error_m / 2:
         raise CodecError(
             f"{kind} {farthest_m:.1f} m at a bound of {max_error_m} m: float32 ends at "
