@@ -61,8 +61,8 @@ def cast_scans() -> list[BenchScan]:
     ]
     away_m = np.linalg.norm(bodies.poses[:, :2] - centre, axis=1)
     for n, wanted_m in enumerate(_CAV_DISTANCES_M):
-        own = int(np.argmin(np.abs(away_m - wanted_m)))
-        sensors.append((f"cav {n}", _above(bodies.poses[own], _ROOF_HEIGHT_M), own))
+        car = int(np.argmin(np.abs(away_m - wanted_m)))
+        sensors.append((f"cav {n}", _above(bodies.poses[car], _ROOF_HEIGHT_M), car))
     result = []
     for name, map_SE3_sensor, own in sensors:
         view = (map_SE3_sensor, bodies.poses, bodies.types, own)
