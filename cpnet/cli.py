@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
 from importlib.metadata import version
@@ -26,6 +27,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+bench_app = typer.Typer(help="Measure parts of the system.", no_args_is_help=True)
+app.add_typer(bench_app, name="bench")
 _console = Console()
 _errors = Console(stderr=True)
 
@@ -168,6 +171,31 @@ def doctor_command(
     findings = checks.examine()
     checks.print_findings(findings, _console)
     raise typer.Exit(0 if all(finding.ok for finding in findings) else 1)
+
+
+@bench_app.command("codec")
+def bench_codec_command(
+    *,
+    points: Annotated[
+        list[Path] | None, typer.Option(metavar="FILE", help="a .bin or .pcd file as well")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="stable keys, for programs")] = False,
+) -> None:
+    """Measure the scan codec beside Draco and zstd at equal maximum error."""
+    from protocol.codec.draco import load_draco
+    from sensing.point_files import read_points
+    from studies.bench_codec import BenchCloud, bench
+    from studies.bench_scans import cast_scans
+    from studies.bench_table import print_bench
+
+    load_draco()
+    files = [BenchCloud(str(path), read_points(path).points) for path in points or []]
+    clouds = [BenchCloud.of_scan(scan) for scan in cast_scans()] + files
+    rows = [row for cloud in clouds for row in bench(cloud)]
+    if as_json:
+        typer.echo(json.dumps([row.as_json() for row in rows], indent=2))
+    else:
+        print_bench(rows, _console)
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from protocol.codec import ScanPattern
+from protocol.codec import Profile, ScanPattern
 from protocol.config import Section
 from sensing.upload.registry import POLICIES, Filter, PolicyName
 
@@ -159,6 +159,12 @@ class UploadConfig(Section):
 
     max_error_m: float = Field(
         0.02, ge=0.001, le=1, description="Farthest that encoding may move a point, m."
+    )
+    profile: Profile = Field(
+        Profile.DEFAULT,
+        description="How much time a scan may take to become small; the bound holds in every "
+        "profile. fast: zstd; default; compact: fewest bytes; draco: for comparison, needs the "
+        "extra `reference`.",
     )
     intensity: bool = Field(False, description="Whether intensities are sent, a byte a ray.")
     policy: PolicyName = Field(

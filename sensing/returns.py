@@ -8,6 +8,7 @@ from numba import njit
 
 from sensing.config import LidarConfig
 
+Floats = npt.NDArray[np.float64]
 Floats32 = npt.NDArray[np.float32]
 
 MIN_RANGE_M = 0.5
@@ -46,6 +47,15 @@ def returns(
     flat = [a.reshape(-1) for a in (distance_m, lot, noise, range_m, intensity)]
     _lose(*flat, rates)
     return range_m, intensity
+
+
+def share_kept(distance_m: Floats, config: LidarConfig) -> Floats:
+    """Returns the probability that a ray which hits something at this distance returns."""
+    intensity = np.exp(-config.atmosphere_attenuation_rate * distance_m)
+    zero, limit = config.dropoff_zero_intensity, config.dropoff_intensity_limit
+    weak = np.where(intensity <= limit, 1.0 - zero + intensity * zero / limit, 1.0)
+    result: Floats = (1.0 - config.dropoff_general_rate) * weak
+    return result
 
 
 @njit(

@@ -154,7 +154,9 @@ class Uplink:
         start_ns = time.monotonic_ns()
         part = shipment.selection.part(shipment.scan, chunk)
         config, tick = self._kit.config, shipment.tick
-        payload = encode_scan(part, config.max_error_m, intensity=config.intensity)
+        payload = encode_scan(
+            part, config.max_error_m, profile=config.profile, intensity=config.intensity
+        )
         encode_end_ns = time.monotonic_ns()
         message = Scan(
             frame=tick.frame,

@@ -1,15 +1,18 @@
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from protocol import codec
 from protocol.codec import PointCloud, RangeScan, ScanPattern, decode, encode_cloud, encode_scan
+from protocol.codec.payload import PREFIX, Form, Head
 from protocol.errors import CodecError
 
 PATTERN = ScanPattern(4, 16, 2.0, -24.9)
 BOUNDS_M = st.sampled_from([0.001, 0.01, 0.02, 0.1, 1.0])
+OWN = ["fast", "default", "compact"]
+PROFILES = st.sampled_from(OWN)
 ranges = hnp.arrays(
     np.float32, (4, 16), elements=st.floats(0, 120, width=32), fill=st.just(np.float32(0))
 )
@@ -23,42 +26,100 @@ def scan_of(range_m: np.ndarray) -> RangeScan:
 
 
 def cloud_of(points: np.ndarray) -> PointCloud:
-    return PointCloud(points, np.linspace(0, 1, len(points), dtype=np.float32))
+    """Gives the points intensities that tell them apart again."""
+    return PointCloud(points, np.arange(len(points), dtype=np.float32) / 255)
 
 
-@given(ranges, BOUNDS_M)
-def test_every_point_of_a_scan_comes_back_within_the_bound(range_m, bound_m):
+def street(seed: int = 1, columns: int = 360) -> RangeScan:
+    """A flat street between walls, with noise and losses."""
+    rng = np.random.default_rng(seed)
+    pattern = ScanPattern(32, columns, 5.0, -25.0)
+    down = -pattern.directions[..., 2]
+    beside = np.abs(pattern.directions[..., 1])
+    clean = np.minimum(2.0 / np.maximum(down, 1e-6), 12.0 / np.maximum(beside, 1e-6))
+    noisy = clean + rng.normal(0, 0.02, clean.shape)
+    lost = (clean > 100) | (rng.random(clean.shape) < 0.1)
+    range_m = np.where(lost, 0, noisy).astype(np.float32)
+    return RangeScan(pattern, range_m, rng.random(clean.shape).astype(np.float32))
+
+
+@settings(deadline=None)  # the machine may be busy
+@given(ranges, BOUNDS_M, PROFILES)
+def test_every_point_of_a_scan_comes_back_within_the_bound(range_m, bound_m, profile):
     scan = scan_of(range_m)
-    back = decode(encode_scan(scan, bound_m))
+    back = decode(encode_scan(scan, bound_m, profile=profile))
     want = scan.cloud().points
     assert back.points.shape == want.shape
     assert np.all(np.linalg.norm(back.points.astype(float) - want, axis=1) <= bound_m)
 
 
-@given(clouds, st.sampled_from([0.01, 0.02, 0.1]))
-def test_every_point_of_a_cloud_comes_back_in_order_within_the_bound(points, bound_m):
-    back = decode(encode_cloud(cloud_of(points), bound_m))
+@pytest.mark.parametrize("profile", OWN)
+@pytest.mark.parametrize("bound_m", [0.001, 0.01, 0.05, 0.2, 5.0])
+def test_every_point_of_a_noisy_street_comes_back_within_the_bound(profile, bound_m):
+    scan = street()
+    back = decode(encode_scan(scan, bound_m, profile=profile, intensity=True))
+    want = scan.cloud()
+    error_m = np.linalg.norm(back.points.astype(float) - want.points, axis=1)
+    assert error_m.max() <= bound_m
+    assert np.allclose(back.intensity, want.intensity, atol=0.5 / 255 + 1e-6)
+
+
+@pytest.mark.parametrize("columns", [1, 3, 4, 31, 33, 257])
+@pytest.mark.parametrize("profile", OWN)
+def test_any_number_of_columns_comes_back(columns, profile):
+    rng = np.random.default_rng(columns)
+    pattern = ScanPattern(3, columns, 0.0, -10.0)
+    range_m = (rng.random((3, columns)) * 50 * (rng.random((3, columns)) < 0.7)).astype(np.float32)
+    scan = RangeScan(pattern, range_m, np.zeros_like(range_m))
+    back = decode(encode_scan(scan, 0.02, profile=profile))
+    assert np.linalg.norm(back.points - scan.cloud().points, axis=1).max(initial=0) <= 0.02
+
+
+def test_profiles_are_worth_their_time():
+    scan = street(columns=1800)
+    sizes = [len(encode_scan(scan, 0.02, profile=profile)) for profile in OWN]
+    assert sizes[0] > 1.5 * sizes[1] > 1.5 * sizes[2] * 1.02
+
+
+@settings(deadline=None)  # the machine may be busy
+@given(clouds, st.sampled_from([0.01, 0.02, 0.1]), PROFILES)
+def test_every_point_of_a_cloud_comes_back_within_the_bound(points, bound_m, profile):
+    back = decode(encode_cloud(cloud_of(points), bound_m, profile=profile, intensity=True))
     assert back.points.shape == points.shape
-    error_m = np.linalg.norm(back.points.astype(float) - points.astype(float), axis=1)
+    named = np.round(back.intensity * 255).astype(int)
+    assert sorted(named) == list(range(len(points)))
+    error_m = np.linalg.norm(back.points.astype(float) - points[named].astype(float), axis=1)
     assert np.all(error_m <= bound_m)
 
 
-@given(ranges)
-def test_intensity_comes_back_within_half_a_byte_step(range_m):
+@settings(deadline=None)  # the machine may be busy
+@given(clouds)
+def test_the_fast_profile_keeps_the_order_of_a_cloud(points):
+    back = decode(encode_cloud(cloud_of(points), 0.05, profile="fast"))
+    assert np.all(np.linalg.norm(back.points.astype(float) - points.astype(float), axis=1) <= 0.05)
+
+
+def test_points_that_coincide_all_come_back():
+    points = np.repeat(np.array([[1, 2, 3], [4, 5, 6]], np.float32), [1000, 7], axis=0)
+    back = decode(encode_cloud(cloud_of(points), 0.02)).points
+    assert np.sum(np.abs(back - [1, 2, 3]).max(axis=1) < 0.02) == 1000
+    assert np.sum(np.abs(back - [4, 5, 6]).max(axis=1) < 0.02) == 7
+
+
+@settings(deadline=None)  # the machine may be busy
+@given(ranges, PROFILES)
+def test_intensity_comes_back_within_half_a_byte_step(range_m, profile):
     scan = scan_of(range_m)
-    back = decode(encode_scan(scan, 0.02, intensity=True))
+    back = decode(encode_scan(scan, 0.02, profile=profile, intensity=True))
     assert np.allclose(back.intensity, scan.cloud().intensity, atol=0.5 / 255 + 1e-6)
 
 
-def test_intensity_of_a_cloud_comes_back_within_half_a_byte_step():
-    cloud = cloud_of(np.ones((9, 3), np.float32))
-    back = decode(encode_cloud(cloud, 0.02, intensity=True))
-    assert np.allclose(back.intensity, cloud.intensity, atol=0.5 / 255 + 1e-6)
-
-
-def test_an_empty_scan_and_an_empty_cloud_have_no_points():
-    assert len(decode(encode_scan(scan_of(np.zeros((4, 16), np.float32)), 0.02)).points) == 0
-    assert len(decode(encode_cloud(cloud_of(np.zeros((0, 3), np.float32)), 0.02)).points) == 0
+@pytest.mark.parametrize("profile", OWN)
+def test_an_empty_scan_and_an_empty_cloud_have_no_points(profile):
+    scan = scan_of(np.zeros((4, 16), np.float32))
+    cloud = cloud_of(np.zeros((0, 3), np.float32))
+    assert decode(encode_scan(scan, 0.02, profile=profile)).points.shape == (0, 3)
+    assert decode(encode_cloud(cloud, 0.02, profile=profile)).points.shape == (0, 3)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0])
@@ -69,31 +130,71 @@ def test_a_range_that_is_no_distance_is_refused(bad):
         encode_scan(scan_of(range_m), 0.02)
 
 
+@pytest.mark.parametrize("profile", OWN)
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e9])
-def test_a_coordinate_out_of_reach_is_refused(bad):
+def test_a_coordinate_out_of_reach_is_refused(bad, profile):
     points = np.ones((5, 3), np.float32)
     points[2, 1] = bad
     with pytest.raises(CodecError, match="coordinate"):
-        encode_cloud(cloud_of(points), 0.02)
+        encode_cloud(cloud_of(points), 0.02, profile=profile)
 
 
-def test_a_range_beyond_the_steps_of_the_form_is_refused_with_the_limit():
-    with pytest.raises(CodecError, match="the form ends at 13.0 m"):
-        encode_scan(scan_of(np.full((4, 16), 50, np.float32)), 0.0001)
+def test_a_distance_that_float32_cannot_hold_within_the_bound_is_refused_with_the_limit():
+    with pytest.raises(CodecError, match=r"float32 ends at 209\.7 m"):
+        encode_scan(scan_of(np.full((4, 16), 300, np.float32)), 0.0001)
+    with pytest.raises(CodecError, match=r"profile fast ends at 11\.5 m"):
+        encode_scan(scan_of(np.full((4, 16), 50, np.float32)), 0.0001, profile="fast")
 
 
+@pytest.mark.parametrize("bound_m", [0.0, -1.0, np.nan, 11.0, 1e-5])
+def test_a_bound_that_makes_no_sense_is_refused(bound_m):
+    with pytest.raises(CodecError, match=r"needs 0\.0001 to 10"):
+        encode_scan(scan_of(np.ones((4, 16), np.float32)), bound_m)
+
+
+def test_an_unknown_profile_is_refused_with_the_known_ones():
+    with pytest.raises(CodecError, match="'tiny': must be one of fast, default, compact, draco"):
+        encode_scan(scan_of(np.ones((4, 16), np.float32)), 0.02, profile="tiny")
+
+
+@settings(deadline=None)  # the machine may be busy
 @given(st.binary(max_size=200))
 def test_random_bytes_raise_one_kind_of_error(data):
     with pytest.raises(CodecError):
         decode(data)
 
 
-@settings(max_examples=300)
+@settings(deadline=None)  # the machine may be busy
+@given(st.sampled_from(list(Form)), st.binary(max_size=300), st.integers(0, 70))
+def test_random_sections_raise_one_kind_of_error(form, data, points):
+    body = Head(form, points, 0.02, 4, 16, 2.0, -24.9).seal(*[data[n::7] for n in range(7)])
+    try:
+        decode(body)
+    except CodecError:
+        return
+    assert points == 0
+
+
+def payloads() -> list[bytes]:
+    scan, ringed = street(columns=64), street(columns=64).cloud()
+    loose = cloud_of(np.random.default_rng(0).normal(0, 9, (200, 3)).astype(np.float32))
+    made = [encode_scan(scan, 0.02, profile=profile) for profile in OWN]
+    made += [encode_cloud(loose, 0.02, profile=profile) for profile in OWN]
+    made += [encode_cloud(ringed, 0.02, profile=profile) for profile in OWN[1:]]
+    return made
+
+
+PAYLOADS = payloads()
+
+
+def test_the_payloads_to_be_damaged_have_all_forms():
+    assert {Form(payload[4]) for payload in PAYLOADS} == set(Form) - {Form.DRACO}
+
+
+@settings(max_examples=1000, deadline=None)
 @given(st.data())
 def test_a_damaged_payload_decodes_or_raises_one_kind_of_error(data):
-    forms = [encode_scan(scan_of(np.full((4, 16), 30, np.float32)), 0.02)]
-    forms.append(encode_cloud(cloud_of(np.ones((7, 3), np.float32)), 0.02))
-    payload = bytearray(data.draw(st.sampled_from(forms)))
+    payload = bytearray(data.draw(st.sampled_from(PAYLOADS)))
     for _ in range(data.draw(st.integers(1, 4))):
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
     cut = data.draw(st.integers(0, len(payload)))
@@ -104,23 +205,32 @@ def test_a_damaged_payload_decodes_or_raises_one_kind_of_error(data):
             continue
 
 
-def test_a_payload_that_claims_more_than_the_limit_is_refused_before_allocation():
-    head = codec.PREFIX.pack(b"SCAN", 1, 0, 0, 0, 0.0, 0.0, 0.02, 2**32 - 1, 2**32 - 1)
+@pytest.mark.parametrize("form", list(Form))
+def test_a_payload_that_claims_more_than_the_limit_is_refused_before_allocation(form):
+    head = PREFIX.pack(b"SCAN", form, 0, 4, 16, 2**32 - 1, 2.0, -24.9, 0.02, 1, 0)
     with pytest.raises(CodecError, match="limit 4194304"):
         decode(head + b"x")
-    head = codec.PREFIX.pack(b"SCAN", 0, 0, 65535, 2**31, 0.0, 0.0, 0.02, 1, 1)
+
+
+@pytest.mark.parametrize("form", [Form.PLANES, Form.IMAGE, Form.FINE, Form.RINGS])
+def test_a_pattern_beyond_the_limit_is_refused_before_allocation(form):
+    head = PREFIX.pack(b"SCAN", form, 0, 65535, 2**31, 1, 2.0, -24.9, 0.02, 1, 0)
     with pytest.raises(CodecError, match="beams"):
         decode(head + b"x")
 
 
 def test_a_frame_that_decompresses_to_more_than_it_claims_is_refused():
-    honest = encode_scan(scan_of(np.ones((4, 16), np.float32)), 0.02)
-    bomb = codec.zstandard.ZstdCompressor().compress(bytes(50_000_000))
+    head = Head(Form.PLANES, 64, 0.02, 4, 16, 2.0, -24.9)
     with pytest.raises(CodecError, match="claims 50000000"):
-        decode(honest[: codec.PREFIX.size] + bomb)
-    silent = codec.zstandard.ZstdCompressor(write_content_size=False).compress(bytes(50_000_000))
+        decode(head.seal(zstandard.ZstdCompressor().compress(bytes(50_000_000))))
+    silent = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(50_000_000))
     with pytest.raises(CodecError):
-        decode(honest[: codec.PREFIX.size] + silent)
+        decode(head.seal(silent))
+
+
+def test_bytes_behind_a_payload_are_refused():
+    with pytest.raises(CodecError, match="claims"):
+        decode(PAYLOADS[1] + b"\0")
 
 
 def test_directions_follow_the_pattern():

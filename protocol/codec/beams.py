@@ -1,0 +1,134 @@
+"""Range images as sections of a payload, with the settings of their model."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from protocol.codec.cloud import Floats32
+from protocol.codec.image import (
+    CONTEXTS,
+    COUNTS,
+    MAX_UNITS,
+    STRIDE,
+    UNITS,
+    describe,
+    landmarks,
+    restore,
+    symbol_room,
+)
+from protocol.codec.payload import Head, Reader
+from protocol.codec.symbols import open_symbols, pack_symbols, read_raw
+from protocol.codec.tokens import I8, i64
+from protocol.errors import CodecError
+
+_QUANTISED = 1.0 - 1.0 / UNITS  # half a unit is lost on each side before steps are taken
+_SIGMAS_OF_JUMP = 5.0
+_SAMPLED_ROWS = 5
+_NOISE_OF_BIN = 1 / 2000.0 / (0.6745 * math.sqrt(2.0))  # median of differences, half a millimetre
+
+
+def image_step_m(room_m: float) -> float:
+    """Returns the step of range for which every decoded range is within `room_m` of its own."""
+    return 2.0 * room_m * _QUANTISED
+
+
+def pack_image(range_m: Floats32, step_m: float) -> tuple[list[bytes], int]:
+    """Returns the sections of an image (channels, columns) and the number of its returns.
+
+    Raises:
+        CodecError: a range takes too many steps.
+    """
+    channels, columns = range_m.shape
+    units_per_m = UNITS / step_m
+    if float(range_m.max()) * units_per_m > MAX_UNITS:
+        raise CodecError(f"range {range_m.max():.1f} m takes too many steps of {step_m} m")
+    tuning = _tune(_noise_m(range_m) / step_m)
+    symbols = np.empty(symbol_room(channels, columns), np.uint16)
+    raw = np.empty(range_m.size + 8, np.uint32)
+    counts, sizes = np.zeros(COUNTS, np.int32), np.zeros(3, np.int64)
+    describe(range_m, units_per_m, tuning, landmarks(units_per_m), symbols, raw, counts, sizes)
+    per_context = counts.reshape(4, -1)[:, : CONTEXTS * STRIDE].sum(axis=0, dtype=np.int64)
+    sections = pack_symbols(symbols, int(sizes[0]), per_context.reshape(CONTEXTS, STRIDE))
+    settings = tuning.astype(np.uint8).tobytes()
+    return [settings, *sections, raw[: sizes[1]].astype("<u4", copy=False).tobytes()], int(sizes[2])
+
+
+def open_image(head: Head, reader: Reader, directions: Floats32, points: int) -> Floats32:
+    """Reads the sections of `pack_image` and returns points (points, 3), ring by ring.
+
+    Args:
+        head: of the payload.
+        reader: at the image.
+        directions: (channels * columns, 3).
+        points: how many the image claims, at most as many as it has beams.
+
+    Raises:
+        CodecError: the sections are damaged.
+    """
+    settings = reader.section()
+    if len(settings) != 4:
+        raise CodecError(f"an image has {len(settings)} bytes of settings, needs 4")
+    tuning = np.frombuffer(settings, np.uint8).astype(np.int64)
+    if tuning[2] > 15 or tuning[3] > 15:
+        raise CodecError(f"an image has settings {tuning.tolist()}")
+    stream = open_symbols(reader, CONTEXTS, symbol_room(1, head.columns))
+    raw = read_raw(reader.section())
+    xyz = np.empty((points + 1, 3), np.float32)
+    units_per_m = UNITS / head.step_m
+    status = restore(
+        stream.words,
+        stream.end,
+        raw,
+        stream.table_of,
+        stream.slots,
+        stream.place,
+        tuning,
+        landmarks(units_per_m),
+        head.columns,
+        head.step_m / UNITS,
+        directions,
+        xyz,
+    )
+    if status < 0:
+        raise CodecError("an image is damaged, or holds other than the points it claims")
+    return xyz[:points]
+
+
+def _tune(noise_steps: float) -> I8:
+    """Returns the settings of the model for range noise of this standard deviation in steps.
+
+    Floor of the gain in 1/256: the coarser the steps, the more each of them says. Steps that make
+    a jump. Shift of activities, so that noise alone is one or two. Lowest bits that are noise.
+    """
+    gain = 0.6 if noise_steps < 1 / 6 else 0.4 if noise_steps < 1 / 3 else 0.25
+    jump = min(255, max(2, math.ceil(_SIGMAS_OF_JUMP * noise_steps)))
+    shift = min(15, max(0, round(math.log2(max(noise_steps, 1e-3)))))
+    return np.array([round(gain * UNITS), jump, shift, max(0, shift - 1)], np.int64)
+
+
+@njit("float64(float32[:,::1])", cache=True)
+def _noise_m(range_m: Floats32) -> float:
+    """Estimates the standard deviation of range noise.
+
+    From the median of the differences between neighbours in a few of the lower rings; slopes of the
+    scene add to it, which does no harm.
+    """
+    channels, columns = range_m.shape
+    bins = np.zeros(256, np.int64)
+    pairs = 0
+    for n in range(_SAMPLED_ROWS):
+        row = channels - 1 - n * channels // (2 * _SAMPLED_ROWS)
+        for column in range(1, columns):
+            a, b = range_m[row, column - 1], range_m[row, column]
+            if a > 0 and b > 0:
+                bins[min(255, i64(abs(a - b) * 2000.0))] += 1
+                pairs += 1
+    below = 0
+    for n in range(256):
+        below += bins[n]
+        if 2 * below >= pairs:
+            return (n + 0.5) * _NOISE_OF_BIN
+    return 0.0

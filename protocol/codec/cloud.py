@@ -1,0 +1,97 @@
+"""What a LiDAR returned: a scan of a known firing pattern, or a cloud of points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from protocol.errors import CodecError
+
+Floats = npt.NDArray[np.float64]
+Floats32 = npt.NDArray[np.float32]
+
+MAX_BEAMS = 1 << 20
+MAX_POINTS = 4 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class ScanPattern:
+    """A LiDAR's firing pattern: rings of equal spacing, columns of equal azimuth."""
+
+    channels: int
+    columns: int
+    upper_fov_deg: float
+    lower_fov_deg: float
+
+    def __post_init__(self) -> None:
+        check_beams(self.channels, self.columns)
+        if not -90 <= self.lower_fov_deg <= self.upper_fov_deg <= 90:
+            raise CodecError(
+                f"field of view {self.lower_fov_deg} to {self.upper_fov_deg} deg: "
+                "needs -90 <= lower <= upper <= 90"
+            )
+
+    @property
+    def directions(self) -> Floats32:
+        """Unit vectors (channels, columns, 3) in the sensor frame.
+
+        Row 0 is the uppermost ring; column c looks to azimuth 2 pi c / columns, CCW from +x.
+        """
+        return _directions(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RangeScan:
+    """One revolution. `range_m` (channels, columns) is 0 where nothing came back."""
+
+    pattern: ScanPattern
+    range_m: Floats32
+    intensity: Floats32
+
+    def __post_init__(self) -> None:
+        shape = (self.pattern.channels, self.pattern.columns)
+        if self.range_m.shape != shape or self.intensity.shape != shape:
+            raise CodecError(
+                f"range has shape {self.range_m.shape}, intensity {self.intensity.shape}, "
+                f"the pattern {shape}"
+            )
+
+    def cloud(self) -> PointCloud:
+        """Returns the points in the sensor frame, ring by ring."""
+        hit = self.range_m > 0
+        points = self.pattern.directions[hit] * self.range_m[hit][:, None]
+        return PointCloud(points, self.intensity[hit])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointCloud:
+    """Points (N, 3) in the sensor frame, metres; intensity (N,) from 0 to 1, 0 where not sent."""
+
+    points: Floats32
+    intensity: Floats32
+
+
+def check_beams(channels: int, columns: int) -> None:
+    """Refuses a pattern that nobody has.
+
+    Raises:
+        CodecError: no beams, or more than the limit.
+    """
+    if not (channels >= 1 and columns >= 1 and channels * columns <= MAX_BEAMS):
+        raise CodecError(f"pattern {channels} x {columns}: 1 to {MAX_BEAMS} beams")
+
+
+@lru_cache(maxsize=16)
+def _directions(pattern: ScanPattern) -> Floats32:
+    elevation = np.radians(
+        np.linspace(pattern.upper_fov_deg, pattern.lower_fov_deg, pattern.channels)
+    )[:, None]
+    azimuth = np.arange(pattern.columns)[None, :] * (2 * np.pi / pattern.columns)
+    flat = np.cos(elevation)
+    up = np.broadcast_to(np.sin(elevation), (pattern.channels, pattern.columns))
+    result = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), up], -1).astype(np.float32)
+    result.setflags(write=False)
+    return result

@@ -1,0 +1,98 @@
+"""The entropy coder: rANS with static tables, eight states that take turns.
+
+A symbol is named by `context * stride + token`; a table gives each token of a context its share of
+4096. The encoder walks the symbols backwards, so that the decoder may walk them forwards and choose
+each context by what it already knows. Source: Duda, arXiv:1311.2540; Giesen, arXiv:1402.3392.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from protocol.codec.tokens import U1, U2, U4, i64, u64
+
+STATES = 8
+SHARE_BITS = 12
+SHARES = 1 << SHARE_BITS
+START = 1 << 16  # every state begins and ends here, which tells a damaged payload
+
+
+@njit("int64(uint16[::1], int64, uint16[:,::1], uint16[::1])", cache=True)
+def encode_symbols(symbols: U2, count: int, shares: U2, words: U2) -> int:
+    """Writes words from the end of `words` backwards; returns where they begin.
+
+    Args:
+        symbols: `context * stride + token`.
+        count: how many of them.
+        shares: (contexts, stride), each row's sum 4096, none above 4095.
+        words: room for `count` and the states.
+    """
+    contexts, stride = shares.shape
+    inverse = np.empty(contexts * stride, np.uint64)
+    place = np.empty(contexts * stride, np.uint32)
+    for context in range(contexts):
+        below = 0
+        for token in range(stride):
+            share = i64(shares[context, token])
+            if share > 0:
+                # Exact for states below share << 20 and shares below 4096.
+                inverse[context * stride + token] = u64((1 << 44) // share + 1)
+                place[context * stride + token] = np.uint32(share | (below << 16))
+                below += share
+    states = np.full(STATES, START, np.uint64)
+    at = len(words)
+    for n in range(count - 1, -1, -1):
+        symbol = symbols[n] & 0xFFF
+        turn = symbols[n] >> 12
+        state = states[turn]
+        share = u64(place[symbol] & np.uint32(0xFFFF))
+        if state >= share << u64(20):
+            at -= 1
+            words[at] = np.uint16(state & u64(0xFFFF))
+            state >>= u64(16)
+        quotient = (state * inverse[symbol]) >> u64(44)
+        low = u64(place[symbol] >> np.uint32(16))
+        states[turn] = state + low + quotient * (u64(SHARES) - share)
+    for n in range(STATES - 1, -1, -1):
+        words[at - 1] = np.uint16(states[n] & u64(0xFFFF))
+        words[at - 2] = np.uint16(states[n] >> u64(16))
+        at -= 2
+    return at
+
+
+@njit("void(uint16[:,::1], uint8[:,::1], uint32[:,::1])", cache=True)
+def open_tables(shares: U2, slots: U1, place: U4) -> None:
+    """Fills what the decoder looks up: the token of each slot, and each token's place."""
+    contexts, stride = shares.shape
+    for context in range(contexts):
+        below = 0
+        for token in range(stride):
+            share = i64(shares[context, token])
+            place[context, token] = np.uint32(share | (below << 16))
+            slots[context, below : below + share] = token
+            below += share
+
+
+@njit("uint64(uint64, uint32)", cache=True)
+def advance(state: int, where: int) -> int:
+    """Returns a decoder's state behind a symbol whose place is `where`; it may need a word."""
+    share, below = u64(where & np.uint32(0xFFFF)), u64(where >> np.uint32(16))
+    slot = state & u64(SHARES - 1)
+    result: int = share * (state >> u64(SHARE_BITS)) + slot - below
+    return result
+
+
+@njit("uint64(uint64, uint16)", cache=True)
+def refill(state: int, word: int) -> int:
+    """Returns the state with the next word, if it needs one."""
+    short = u64(state < u64(START))
+    result: int = (state << (short << u64(4))) | (u64(word) * short)
+    return result
+
+
+@njit("int64(uint64)", cache=True)
+def is_short(state: int) -> int:
+    """Returns 1 if the state needs a word."""
+    result: int = i64(state < u64(START))
+    return result

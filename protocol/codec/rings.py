@@ -1,0 +1,199 @@
+"""The rings hidden in an unordered cloud of one spinning LiDAR.
+
+Such a cloud came from lasers of fixed elevation that fire at equal steps of azimuth, and files keep
+the points exactly enough to find both again. Points that fit a beam within part of the bound become
+a range image; the few that do not are left to a tree.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from protocol.codec.cloud import MAX_BEAMS, MAX_POINTS, Floats, Floats32
+from protocol.codec.spin import claim_beams, measure_beams, turn_rings
+from protocol.errors import CodecError
+
+Ints = npt.NDArray[np.int64]
+
+MAX_RINGS = 512
+_HEAD = struct.Struct("<Id")
+_MIN_POINTS = 256
+_BIN_RAD = 2.5e-4  # of elevation; rings lie at least eight of these apart
+_REACH = 3  # bins to either side that belong to a ring
+_MISFITS = 0.2  # more than this share: not the cloud of one spinning LiDAR
+_BINS = int(np.pi / _BIN_RAD) + 2
+_FULL_RINGS = 8  # those with the most points tell the columns
+_SAMPLE = 4096  # of points
+_USUAL = 0.99  # of the points decide how far beside its beam a point may lie
+_BEAM_SHARE = (0.1, 0.6)  # of the bound, at least and at most
+_AZIMUTHS = 1 << 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rings:
+    """Elevations and azimuths of the first column (channels,), as they are sent, uppermost first.
+
+    Elevations are float32 in rad, azimuths u16, in 1/65536 of a column's width.
+    """
+
+    elevations: Floats32
+    azimuths: npt.NDArray[np.uint16]
+    columns: int
+
+    @property
+    def directions(self) -> Floats32:
+        """Unit vectors (channels, columns, 3)."""
+        elevations = self.elevations.astype(np.float64)
+        offsets = self.azimuths * (2 * np.pi / self.columns / _AZIMUTHS)
+        azimuths = np.arange(self.columns) * (2 * np.pi / self.columns)
+        result = np.empty((len(elevations), self.columns, 3), np.float32)
+        turn_rings(
+            np.stack([np.cos(elevations), np.sin(elevations)], -1),
+            np.stack([np.cos(offsets), np.sin(offsets)], -1),
+            np.stack([np.cos(azimuths), np.sin(azimuths)], -1),
+            result,
+        )
+        return result
+
+    def to_bytes(self, misfits: int, edge_m: float) -> bytes:
+        """Returns the section, with the number of points elsewhere and the edge of their cells."""
+        angles = self.elevations.astype("<f4").tobytes() + self.azimuths.astype("<u2").tobytes()
+        return _HEAD.pack(misfits, edge_m) + angles
+
+    @classmethod
+    def from_bytes(cls, section: bytes, channels: int, columns: int) -> tuple[Self, int, float]:
+        """Reverses `to_bytes`.
+
+        Raises:
+            CodecError: the section does not hold this many rings.
+        """
+        if len(section) != _HEAD.size + 6 * channels:
+            raise CodecError(f"{len(section)} bytes of rings for {channels} channels")
+        misfits, edge_m = _HEAD.unpack_from(section)
+        elevations = np.frombuffer(section, "<f4", channels, _HEAD.size)
+        azimuths = np.frombuffer(section, "<u2", channels, _HEAD.size + 4 * channels)
+        if not (np.isfinite(elevations).all() and 0 < edge_m < 100 and misfits <= MAX_POINTS):
+            raise CodecError(
+                f"rings that are not finite, or {misfits} points in cells of {edge_m} m"
+            )
+        return cls(elevations, azimuths, columns), misfits, edge_m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RingImage:
+    """A cloud as a range image (channels, columns), and the points that have no place in it.
+
+    `beside_m` is the farthest that a point may lie beside its beam; `order` holds the indices of
+    the placed points ring by ring, `misfits` those of the others.
+    """
+
+    rings: Rings
+    range_m: Floats32
+    beside_m: float
+    order: Ints
+    misfits: Ints
+
+
+def find_rings(points: Floats, room_m: float) -> RingImage | None:
+    """Returns the cloud (N, 3) as an image, or None if it is not that of one spinning LiDAR.
+
+    Args:
+        points: in the sensor frame, the sensor at the origin.
+        room_m: how far a point may come to lie from where it was.
+    """
+    if len(points) < _MIN_POINTS:
+        return None
+    x, y, z = points.T
+    flat = np.hypot(x, y)
+    elevation, azimuth = np.arctan2(z, flat), np.arctan2(y, x)
+    bins = ((elevation + np.pi / 2) * (1 / _BIN_RAD)).astype(np.int64) + _REACH
+    rough = _peaks(bins)
+    if not 1 <= len(rough) <= MAX_RINGS:
+        return None
+    ring = _nearest(rough)[bins]
+    middles = _middles(rough, ring, elevation, flat)
+    columns = _columns(ring, azimuth)
+    if columns < 8 or columns * len(middles) > MAX_BEAMS:
+        return None
+    place = azimuth * (columns / (2 * np.pi))
+    rings = Rings(middles.astype(np.float32), _phases(ring, place, len(middles)), columns)
+    column = np.round(place - (rings.azimuths / _AZIMUTHS)[ring]).astype(np.int64) % columns
+    return _image(points, rings, ring * columns + column, room_m)
+
+
+def _peaks(bins: Ints) -> Ints:
+    """Returns the fullest bins of elevation, those of the rings, uppermost first."""
+    size = _BINS + 2 * _REACH
+    counts = np.bincount(bins, minlength=size)
+    ends = np.concatenate([[0], np.cumsum(counts)])
+    around = ends[2 * _REACH + 1 :] - ends[: -2 * _REACH - 1]
+    inner = counts[_REACH : size - _REACH]
+    peak = around >= max(4, len(bins) // 20_000)
+    peak &= inner > 0
+    for offset in range(1, _REACH + 1):
+        # The first of equals, so that two bins of one height make one ring.
+        peak &= inner > counts[_REACH - offset : size - _REACH - offset]
+        peak &= inner >= counts[_REACH + offset : size - _REACH + offset]
+    return np.flatnonzero(peak)[::-1] + _REACH
+
+
+def _nearest(peaks: Ints) -> Ints:
+    """Returns the index of the nearest peak for each bin."""
+    rising = peaks[::-1]
+    borders = (rising[1:] + rising[:-1]) // 2 + 1
+    result: Ints = len(peaks) - 1 - np.searchsorted(borders, np.arange(_BINS + 2 * _REACH), "right")
+    return result
+
+
+def _middles(peaks: Ints, ring: Ints, elevation: Floats, flat: Floats) -> Floats:
+    """Returns the elevations of rings: means over the points nearby, the far ones counting most."""
+    rough = (peaks - _REACH + 0.5) * _BIN_RAD - np.pi / 2
+    away = elevation - rough[ring]
+    weight = np.where(np.abs(away) <= (_REACH + 0.5) * _BIN_RAD, flat**2, 0.0)
+    total = np.bincount(ring, weight, len(peaks))
+    result: Floats = rough + np.bincount(ring, weight * away, len(peaks)) / np.maximum(total, 1e-9)
+    return result
+
+
+def _columns(ring: Ints, azimuth: Floats) -> int:
+    """Returns how many columns one revolution has, from the gaps between neighbours."""
+    full = np.argsort(np.bincount(ring), kind="stable")[-_FULL_RINGS:]
+    chosen = np.isin(np.arange(ring.max() + 1), full)[ring]
+    gaps = np.diff(np.sort(ring[chosen] * 8.0 + azimuth[chosen]))
+    gaps = gaps[(gaps > 1e-5) & (gaps < 0.5)]
+    if not len(gaps):
+        return 0
+    usual = float(np.quantile(gaps, 0.3))
+    single = gaps[np.abs(gaps - usual) < 0.2 * usual]
+    return round(2 * np.pi / float(single.mean()))
+
+
+def _phases(ring: Ints, place: Floats, channels: int) -> npt.NDArray[np.uint16]:
+    """Returns where in a column's width each ring fires, in 1/65536."""
+    turn = 2 * np.pi * place
+    cos = np.bincount(ring, np.cos(turn), channels)
+    sin = np.bincount(ring, np.sin(turn), channels)
+    share = np.arctan2(sin, cos) / (2 * np.pi)
+    return (np.round(share * _AZIMUTHS).astype(np.int64) % _AZIMUTHS).astype(np.uint16)
+
+
+def _image(points: Floats, rings: Rings, beam: Ints, room_m: float) -> RingImage | None:
+    directions = rings.directions.reshape(-1, 3)
+    range_m, beside_m = np.empty(len(points)), np.empty(len(points))
+    measure_beams(points, directions, beam, range_m, beside_m)
+    sample = beside_m[:: max(1, len(points) // _SAMPLE)]
+    usual_m = 1.1 * float(np.quantile(sample, _USUAL))
+    reach_m = min(_BEAM_SHARE[1] * room_m, max(_BEAM_SHARE[0] * room_m, usual_m))
+    image = np.zeros(len(directions), np.float32)
+    owner = np.full(len(directions), -1)
+    misfits = np.empty(len(points), np.int64)
+    count = claim_beams(beam, range_m, beside_m, reach_m, image, owner, misfits)
+    if count > _MISFITS * len(points):
+        return None
+    shape = (len(rings.elevations), rings.columns)
+    return RingImage(rings, image.reshape(shape), reach_m, owner[owner >= 0], misfits[:count])

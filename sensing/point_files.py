@@ -1,0 +1,164 @@
+"""Clouds from files: KITTI's .bin and the Point Cloud Library's .pcd, all three kinds of data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from protocol.codec import PointCloud
+from protocol.errors import ConfigError
+from sensing.lzf import decompress
+
+MAX_FILE_BYTES = 1 << 30
+_MAX_RECORD_BYTES = 1 << 12
+_AXES = ("x", "y", "z")
+_KINDS = {"F": "f", "U": "u", "I": "i"}
+_SIZES = {"f": (4, 8), "u": (1, 2, 4, 8), "i": (1, 2, 4, 8)}
+
+
+def read_points(path: Path) -> PointCloud:
+    """Reads a cloud (N, 3) in the sensor frame; points that are not finite are left out.
+
+    Intensities are scaled so that the largest is at most 1; zeros if the file has none.
+
+    Raises:
+        ConfigError: the file is missing, of another kind, or not what its header says.
+    """
+    readers = {".bin": _read_bin, ".pcd": _read_pcd}
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise ConfigError(f"{path}: cannot read {path.suffix or 'this'}; known are .bin and .pcd")
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise ConfigError(f"{path} has {path.stat().st_size} bytes, limit {MAX_FILE_BYTES}")
+        data = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read: {error.strerror}") from None
+    try:
+        columns = reader(data)
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    points = np.stack([columns[axis] for axis in _AXES], axis=1).astype(np.float32)
+    shade = columns.get("intensity", np.zeros(len(points))).astype(np.float32)
+    finite = np.isfinite(points).all(axis=1)
+    points, shade = points[finite], np.nan_to_num(shade[finite], posinf=0.0, neginf=0.0)
+    return PointCloud(points, shade / np.float32(max(1.0, float(shade.max(initial=0.0)))))
+
+
+Columns = dict[str, npt.NDArray[np.float64]]
+
+
+def _read_bin(data: bytes) -> Columns:
+    """Reads KITTI's rows of four float32: x, y, z, reflectance."""
+    if len(data) % 16:
+        raise ValueError(f"{len(data)} bytes are no rows of four float32")
+    rows = np.frombuffer(data, "<f4").reshape(-1, 4).astype(np.float64)
+    return dict(zip((*_AXES, "intensity"), rows.T, strict=True))
+
+
+def _read_pcd(data: bytes) -> Columns:
+    header, body = _split(data)
+    record, points = _record(header), _whole(header, "POINTS")
+    kind = header["DATA"][0] if header["DATA"] else ""
+    if kind == "ascii":
+        rows = _ascii_rows(body, record, points)
+    elif kind == "binary":
+        rows = _binary_rows(body, record, points)
+    elif kind == "binary_compressed":
+        rows = _compressed_rows(body, record, points)
+    else:
+        raise ValueError(f"DATA {kind!r}: known are ascii, binary and binary_compressed")
+    names = [name for name in (*_AXES, "intensity") if name in (record.names or ())]
+    return {name: rows[name].astype(np.float64) for name in names}
+
+
+def _split(data: bytes) -> tuple[dict[str, list[str]], bytes]:
+    """Returns the words behind each key of the header, and what follows the header."""
+    header: dict[str, list[str]] = {}
+    at = 0
+    while "DATA" not in header:
+        end = data.find(b"\n", at)
+        if end < 0 or end > 1 << 16:
+            raise ValueError("no line DATA within its header")
+        words = data[at:end].decode("ascii", "replace").split()
+        at = end + 1
+        if words and not words[0].startswith("#"):
+            header[words[0]] = words[1:]
+    return header, data[at:]
+
+
+def _record(header: Mapping[str, list[str]]) -> np.dtype[np.void]:
+    """Returns the layout of one point; fields of several values keep their first name only."""
+    names, sizes, kinds = (header.get(key, []) for key in ("FIELDS", "SIZE", "TYPE"))
+    counts = header.get("COUNT", ["1"] * len(names))
+    if not names or not len(names) == len(sizes) == len(kinds) == len(counts):
+        raise ValueError("FIELDS, SIZE, TYPE and COUNT differ in length")
+    layout: list[tuple[str, str, tuple[int, ...]]] = []
+    for n, (name, size, kind, count) in enumerate(zip(names, sizes, kinds, counts, strict=True)):
+        letter = _KINDS.get(kind, "")
+        if not (size.isdigit() and count.isdigit() and int(size) in _SIZES.get(letter, ())):
+            raise ValueError(f"field {name} has TYPE {kind}, SIZE {size}, COUNT {count}")
+        if name in _AXES and (letter != "f" or int(count) != 1):
+            raise ValueError(f"field {name} must be one value of TYPE F")
+        shape = () if int(count) == 1 else (int(count),)
+        taken = any(name == other for other, _, _ in layout)
+        label = f"unnamed {n}" if taken or name == "_" or shape else name
+        layout.append((label, f"<{letter}{size}", shape))
+    if missing := [axis for axis in _AXES if all(axis != label for label, _, _ in layout)]:
+        raise ValueError(f"no field {missing[0]}")
+    record = np.dtype(layout)
+    if record.itemsize > _MAX_RECORD_BYTES:
+        raise ValueError(f"a point takes {record.itemsize} bytes, limit {_MAX_RECORD_BYTES}")
+    return record
+
+
+def _whole(header: Mapping[str, list[str]], key: str) -> int:
+    words = header.get(key, [])
+    if len(words) != 1 or not words[0].isdigit():
+        raise ValueError(f"{key} must be one whole number")
+    return int(words[0])
+
+
+def _ascii_rows(body: bytes, record: np.dtype[np.void], points: int) -> npt.NDArray[np.void]:
+    words = body.split()
+    names = record.names or ()
+    widths = [int(np.prod(record[name].shape, dtype=np.int64)) for name in names]
+    if len(words) != points * sum(widths):
+        raise ValueError(f"{len(words)} numbers for {points} points of {sum(widths)} each")
+    numbers = np.array(words, np.float64).reshape(points, sum(widths))
+    rows = np.zeros(points, record)
+    first = 0
+    for name, width in zip(names, widths, strict=True):
+        if width == 1:
+            rows[name] = numbers[:, first]
+        first += width
+    return rows
+
+
+def _binary_rows(body: bytes, record: np.dtype[np.void], points: int) -> npt.NDArray[np.void]:
+    if len(body) < points * record.itemsize:
+        raise ValueError(f"{len(body)} bytes for {points} points of {record.itemsize} each")
+    return np.frombuffer(body, record, points)
+
+
+def _compressed_rows(body: bytes, record: np.dtype[np.void], points: int) -> npt.NDArray[np.void]:
+    """Reads LZF over the fields one after the other."""
+    if len(body) < 8:
+        raise ValueError("the sizes of compressed data are missing")
+    packed, unpacked = (int(n) for n in np.frombuffer(body, "<u4", 2))
+    if unpacked != points * record.itemsize:
+        raise ValueError(f"{unpacked} bytes for {points} points of {record.itemsize} each")
+    if packed > len(body) - 8:
+        raise ValueError(f"{packed} compressed bytes, {len(body) - 8} are there")
+    raw = decompress(body[8 : 8 + packed], unpacked)
+    rows = np.zeros(points, record)
+    at = 0
+    for name in record.names or ():
+        field = record[name]
+        plain = np.frombuffer(raw, field.base, points * (field.itemsize // field.base.itemsize), at)
+        rows[name] = plain.reshape(points, *field.shape)
+        at += points * field.itemsize
+    return rows

@@ -1,0 +1,85 @@
+"""Scans to measure codecs on: a roadside sensor and CAVs in traffic, at the built-in junction."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from protocol.codec import RangeScan
+from protocol.codec.cloud import Floats32
+from protocol.geometry import SE3, Floats
+from sensing.config import LidarConfig, SceneConfig
+from sensing.lidar import Lidar
+from sensing.noise import stream
+from sensing.returns import MIN_RANGE_M, share_kept
+from sensing.scene import scene_of
+from sensing.shapes import VehicleShapes
+from sim_host.setup import build_setup
+from sim_host.world import World
+
+SEED = 1
+_WARM_UP_STEPS = 600
+_ROADSIDE_HEIGHT_M, _ROOF_HEIGHT_M = 3.0, 2.4
+_CAV_DISTANCES_M = (20.0, 60.0, 120.0)  # from the junction's centre
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BenchScan:
+    """A scan, and what no codec can save on it: range noise, and which beams were lost by chance.
+
+    `noise_std_m` is that of the range noise; `loss_bits` the entropy of the losses, all beams'.
+    """
+
+    name: str
+    scan: RangeScan
+    noise_std_m: float
+    loss_bits: float
+
+
+def cast_scans() -> list[BenchScan]:
+    """Casts the scans; the same ones every time."""
+    with tempfile.TemporaryDirectory() as folder:
+        setup = build_setup({}, Path(folder))
+        scene = scene_of(setup, SceneConfig(), SEED)
+        world = World(setup, Path(folder), scene.terrain)
+        try:
+            world.start(SEED)
+            for _ in range(_WARM_UP_STEPS):
+                world.step()
+            bodies = world.bodies()
+        finally:
+            world.close()
+    config = LidarConfig()
+    lidar = Lidar(config, scene, VehicleShapes.from_setup(setup))
+    centre = np.array(setup.road_map.centre[:2])
+    ground = scene.terrain.body_poses(centre[:1], centre[1:], np.zeros(1))[0]
+    sensors: list[tuple[str, SE3, int | None]] = [
+        ("roadside", _above(ground, _ROADSIDE_HEIGHT_M), None)
+    ]
+    away_m = np.linalg.norm(bodies.poses[:, :2] - centre, axis=1)
+    for n, wanted_m in enumerate(_CAV_DISTANCES_M):
+        car = int(np.argmin(np.abs(away_m - wanted_m)))
+        sensors.append((f"cav {n}", _above(bodies.poses[car], _ROOF_HEIGHT_M), car))
+    result = []
+    for name, map_SE3_sensor, own in sensors:
+        view = (map_SE3_sensor, bodies.poses, bodies.types, own)
+        scan = lidar.scan(*view, stream(SEED, "bench", name))
+        bits = loss_entropy_bits(lidar.distances(*view), config)
+        result.append(BenchScan(name, scan, config.noise_stddev, bits))
+    return result
+
+
+def loss_entropy_bits(distance_m: Floats32, config: LidarConfig) -> float:
+    """Returns the entropy of which beams are lost, their true distances being known."""
+    seen = distance_m[(distance_m >= MIN_RANGE_M) & (distance_m < config.range)].astype(np.float64)
+    kept = share_kept(seen, config)
+    lost = 1.0 - kept
+    terms = [share * np.log2(np.maximum(share, 1e-12)) for share in (kept, lost)]
+    return float(-(terms[0] + terms[1]).sum())
+
+
+def _above(pose: Floats, height_m: float) -> SE3:
+    return SE3.from_pose(pose) @ SE3(np.eye(3), np.array([0.0, 0.0, height_m]))

@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+
+from protocol.codec import PointCloud, ScanPattern, decode, encode_cloud
+from protocol.codec.payload import Form
+from protocol.codec.rings import find_rings
+
+
+def ringed(seed: int = 0, columns: int = 600, loss: float = 0.3) -> np.ndarray:
+    """Points (N, 3) of a sensor in a hall, each ring turned by an angle of its own, shuffled."""
+    rng = np.random.default_rng(seed)
+    elevations = np.radians([14.9, 11, 8, 5, 3, 2, 1.8, 1.6, 1.4, 1.2, 1, 0, -1, -3, -9, -25])
+    turn = rng.uniform(0, 2 * np.pi, 16)[:, None]
+    azimuth = turn + np.arange(columns) * (2 * np.pi / columns)
+    elevation = np.broadcast_to(elevations[:, None], azimuth.shape)
+    flat = np.cos(elevation)
+    away = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], -1)
+    hall = 1 / np.abs(away / [30, 20, 4]).max(axis=-1)
+    range_m = hall + rng.normal(0, 0.02, hall.shape)
+    points = (away * range_m[..., None])[rng.random(hall.shape) >= loss]
+    return rng.permutation(points).astype(np.float32)
+
+
+def named(points: np.ndarray, bound_m: float, names: np.ndarray) -> np.ndarray:
+    """Returns the decoded points that carry a name, in its order."""
+    shade = np.zeros(len(points), np.float32)
+    shade[names] = np.arange(1, len(names) + 1) / 255
+    back = decode(encode_cloud(PointCloud(points, shade), bound_m, intensity=True))
+    kept = np.round(back.intensity * 255).astype(int)
+    assert len(back.points) == len(points)
+    order = np.argsort(kept, kind="stable")[-len(names) :]
+    assert kept[order].tolist() == list(range(1, len(names) + 1))
+    return back.points[order]
+
+
+@pytest.mark.parametrize("loss", [0.05, 0.3, 0.45])
+@pytest.mark.parametrize("bound_m", [0.002, 0.02, 0.2])
+def test_rings_are_found_and_every_point_stays_within_the_bound(bound_m, loss):
+    points = ringed(loss=loss)
+    payload = encode_cloud(PointCloud(points, np.zeros(len(points), np.float32)), bound_m)
+    assert payload[4] == Form.RINGS
+    for start in range(0, len(points), 250 * 8):
+        names = np.arange(start, min(start + 250, len(points)))
+        back = named(points, bound_m, names)
+        assert np.linalg.norm(back.astype(float) - points[names], axis=1).max() <= bound_m
+
+
+def test_the_rings_are_those_of_the_sensor():
+    image = find_rings(ringed().astype(np.float64), 0.02)
+    assert image is not None
+    assert image.rings.columns == 600
+    assert np.allclose(
+        np.degrees(image.rings.elevations),
+        [14.9, 11, 8, 5, 3, 2, 1.8, 1.6, 1.4, 1.2, 1, 0, -1, -3, -9, -25],
+        atol=1e-3,
+    )
+    assert len(image.misfits) == 0
+
+
+def test_points_off_the_rings_and_second_returns_come_back_too():
+    points = ringed()
+    rng = np.random.default_rng(3)
+    loose = rng.normal(0, 8, (100, 3)).astype(np.float32)
+    twice = points[:100] * np.float32(1.5)
+    everything = np.concatenate([points, loose, twice, points[:20], np.zeros((5, 3), np.float32)])
+    payload = encode_cloud(PointCloud(everything, np.zeros(len(everything), np.float32)), 0.02)
+    assert payload[4] == Form.RINGS
+    names = np.arange(len(points), len(everything))
+    back = named(everything, 0.02, names)
+    assert np.linalg.norm(back.astype(float) - everything[names], axis=1).max() <= 0.02
+
+
+def test_a_ringed_cloud_takes_far_less_than_a_tree_of_it():
+    points = ringed()
+    shade = np.zeros(len(points), np.float32)
+    rings = encode_cloud(PointCloud(points, shade), 0.02)
+    moved = points + np.float32([5.0, 3.0, 1.0])  # the sensor is no longer at the origin
+    tree = encode_cloud(PointCloud(moved, shade), 0.02)
+    assert tree[4] == Form.TREE
+    assert len(rings) < 0.6 * len(tree)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_cloud_without_rings_becomes_a_tree(seed):
+    points = np.random.default_rng(seed).normal(0, 20, (3000, 3)).astype(np.float32)
+    payload = encode_cloud(PointCloud(points, np.zeros(3000, np.float32)), 0.02)
+    assert payload[4] == Form.TREE
+
+
+def test_a_ring_image_of_a_pattern_holds_every_return():
+    pattern = ScanPattern(16, 512, 10.0, -10.0)
+    points = (pattern.directions.reshape(-1, 3) * np.float32(12)).astype(np.float64)
+    image = find_rings(points, 0.01)
+    assert image is not None
+    assert (image.range_m > 0).sum() == len(points)
