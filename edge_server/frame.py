@@ -30,6 +30,7 @@ class Piece:
     received_ns: int
     decode_start_ns: int
     decode_end_ns: int
+    arrival_sim_ns: int | None = None
     placed: Placed | None = None
     placed_ns: int = 0
 
@@ -43,7 +44,7 @@ class Frame:
     """A frame as far as it came. `complete` says whether all that was promised is there.
 
     `agents` and `poses` are sorted by agent, `pieces` by agent and chunk. The first part came at
-    `first_ns`; waiting ended at `ready_ns`.
+    `first_ns`; waiting ended at `ready_ns`. `delay_sim_ns` is known where links are virtual.
     """
 
     frame: int
@@ -54,6 +55,7 @@ class Frame:
     complete: bool
     first_ns: int
     ready_ns: int
+    delay_sim_ns: int | None = None
 
 
 def open_scan(scan: Scan, received_ns: int) -> Piece:
@@ -85,4 +87,5 @@ def _piece(scan: Scan, points: Floats32, received_ns: int, start_ns: int) -> Pie
         received_ns=received_ns,
         decode_start_ns=start_ns,
         decode_end_ns=time.monotonic_ns(),
+        arrival_sim_ns=scan.arrival_sim_ns,
     )

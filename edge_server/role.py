@@ -10,10 +10,12 @@ from edge_server.assembler import Assembler
 from edge_server.config import EdgeConfig
 from edge_server.frame import Frame, open_scan, spoilt_scan
 from edge_server.pipeline import Pipeline, Result
+from edge_server.punctual import Punctuality
 from protocol.errors import CodecError
 from protocol.inbox import Envelope, Presence
 from protocol.messages import AgentPose, Arrival, Metrics, Roster, Scan, SignalState, Span
 from protocol.process import Context
+from sensing.link.config import LinkConfig
 
 
 class EdgeRole:
@@ -35,6 +37,7 @@ class EdgeRole:
             else config.deadline_ms / 1000
         )
         self._assembler = Assembler(wait_ns=round(wait_s * 1e9), expected=expected)
+        self._punctuality = punctuality(scenario, config)
 
     @classmethod
     def build(cls, context: Context) -> EdgeRole:
@@ -73,6 +76,7 @@ class EdgeRole:
             self._context.announce("edge")
         frame = self._assembler.pop(time.monotonic_ns())
         if frame is not None:
+            frame = self._cut(frame)
             self._publish(frame, self._pipeline.run(frame))
 
     def close(self) -> None:
@@ -82,6 +86,13 @@ class EdgeRole:
         if presence.role in ("vehicle", "infra"):
             self._missing.discard(presence.id)
             self._assembler.hear(presence.id, presence.role, alive=presence.alive)
+
+    def _cut(self, frame: Frame) -> Frame:
+        if self._punctuality is None:
+            return frame
+        cut, late = self._punctuality.cut(frame)
+        self._assembler.drops["late"] += late
+        return cut
 
     def _take_scan(self, scan: Scan, received_ns: int) -> None:
         try:
@@ -122,6 +133,14 @@ def expected_agents(scenario: dict[str, Any]) -> dict[str, str]:
     return {f"vehicle-{n}": "vehicle" for n in range(vehicles)} | {
         f"infra-{n}": "infra" for n in range(posts)
     }
+
+
+def punctuality(scenario: dict[str, Any], config: EdgeConfig) -> Punctuality | None:
+    """Returns the rule by which virtual links drop what is late; None where links are real."""
+    link = LinkConfig.model_validate(scenario.get("link", {}))
+    if link.way(scenario["mode"]) != "virtual":
+        return None
+    return Punctuality(round(config.deadline_ms * 1e6), round(link.edge_compute_ms * 1e6))
 
 
 def _waits(frame: Frame) -> list[Span]:

@@ -22,7 +22,9 @@ class InfraRole:
         mount = Mount.model_validate(context.setup.scenario["roadside_mounts"][number])
         self._station = Station(context, "roadside")
         self._map_SE3_sensor = mounted(mount, context.setup.road_map, self._station.terrain)
-        self._uplink = self._station.uplink(mount.id, context.v2x)
+        self._bus = context.open_v2x()
+        radio = self._station.radio(mount.id, self._bus)
+        self._uplink = self._station.uplink(mount.id, self._bus, radio)
         self._station.open("infra")
 
     def on(self, item: Envelope | Presence) -> None:
@@ -35,10 +37,16 @@ class InfraRole:
             self._play(tick)
 
     def close(self) -> None:
-        """Holds nothing of its own."""
+        """Hangs up the LiDAR's connection."""
+        self._bus.close()
 
     def _play(self, tick: Tick) -> None:
         agent, pose = self._uplink.agent, self._map_SE3_sensor
+        if self._uplink.radio.is_clogged(tick.sim_time_ns):
+            self._station.publish_roster(tick, [agent], [])
+            self._station.note_skipped_scans(1)
+            self._station.publish_metrics(tick, [], [])
+            return
         self._station.publish_roster(tick, [agent], [agent])
         upload, spans = self._uplink.sense_and_send(
             tick, map_SE3_sensor=pose, believed_SE3_sensor=pose, own=None

@@ -17,7 +17,7 @@ import zenoh
 from protocol.errors import BusError
 from protocol.inbox import Envelope, Inbox, Presence, Sealed
 from protocol.messages import Message
-from protocol.tcpinfo import sent_bytes
+from protocol.tcpinfo import sent_bytes, unsent_bytes
 from protocol.topics import ALIVE, TOPICS, BusName, Delivery, Topic
 from protocol.wire import decode, encode
 
@@ -50,6 +50,9 @@ class Bus(Protocol):
 
     def wire_bytes(self) -> int:
         """Returns the bytes that TCP has sent for this bus, 0 if it is not one connection."""
+
+    def unsent_bytes(self) -> int:
+        """Returns the bytes that TCP holds back because the link is full."""
 
     def close(self) -> None:
         """Ends the bus; its tokens vanish."""
@@ -135,12 +138,21 @@ class ZenohBus:
 
     def wire_bytes(self) -> int:
         """See `Bus.wire_bytes`."""
-        links = self._session.info.links()
-        return sent_bytes(str(links[0].src)) if len(links) == 1 else 0
+        locator = self._locator()
+        return sent_bytes(locator) if locator else 0
+
+    def unsent_bytes(self) -> int:
+        """See `Bus.unsent_bytes`."""
+        locator = self._locator()
+        return unsent_bytes(locator) if locator else 0
 
     def close(self) -> None:
         """See `Bus.close`."""
         self._session.close()  # type: ignore[no-untyped-call]  # zenoh annotates arguments only
+
+    def _locator(self) -> str | None:
+        links = self._session.info.links()
+        return str(links[0].src) if len(links) == 1 else None
 
     def _topic(self, name: str) -> Topic:
         topic = TOPICS[name]

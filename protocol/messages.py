@@ -2,6 +2,8 @@
 
 Times ending in `_ns` without `sim_` come from `time.monotonic_ns` of the process that wrote them.
 Poses are x, y, z in m and roll, pitch, yaw in rad, in the map frame.
+Where links are virtual, `arrival_sim_ns` says when, in simulated time, the edge has a message, and
+`delay_sim_ns` how long after the frame's time a result is there; else they are None.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from protocol.arrays import Boxes, Bytes, Floats32, Indices, Pose6, Poses, Trian
 from protocol.roadmap import RoadMap
 
 Id = str
+MAX_DELAY_NS = 60_000_000_000
 
 
 class Equipment(IntEnum):
@@ -153,6 +156,7 @@ class SignalRequest(Message):
     state: str
     policy: str
     pressures: list[float] = []
+    delay_sim_ns: int | None = Field(None, ge=0, le=MAX_DELAY_NS)
 
 
 class Roster(Message):
@@ -178,6 +182,7 @@ class AgentPose(Message):
     width_m: float = Field(ge=0, le=10)
     height_m: float = Field(ge=0, le=10)
     position_std_m: float = Field(ge=0)
+    arrival_sim_ns: int | None = None
 
 
 class Scan(Message):
@@ -194,6 +199,7 @@ class Scan(Message):
     sense_start_ns: int
     sense_end_ns: int
     encode_end_ns: int
+    arrival_sim_ns: int | None = None
     payload: Bytes
 
 
@@ -227,6 +233,7 @@ class LaneCounts(Message):
     complete: bool
     upstream: dict[str, int]
     downstream: dict[str, int]
+    delay_sim_ns: int | None = Field(None, ge=0, le=MAX_DELAY_NS)
 
 
 class Span(BaseModel):
@@ -239,7 +246,10 @@ class Span(BaseModel):
 
 
 class Upload(BaseModel):
-    """One chunk as its sender saw it. Wire bytes are what TCP sent since the upload before."""
+    """One chunk as its sender saw it. Wire bytes are what TCP sent since the upload before.
+
+    `link_sim_ns` is its time on a virtual link, the queue before it included.
+    """
 
     agent: Id
     chunk: int
@@ -250,6 +260,7 @@ class Upload(BaseModel):
     sense_end_ns: int
     encode_end_ns: int
     sent_ns: int
+    link_sim_ns: int | None = None
 
 
 class Arrival(BaseModel):

@@ -13,7 +13,7 @@ OPEN_FRAMES = 256
 """So many frames before the newest tick are still changed; what is older is settled."""
 
 _LONGEST_NS = 60_000_000_000
-_NOBODY: tuple[None, ...] = (None,) * 7
+_NOBODY: tuple[None, ...] = (None,) * 8
 
 
 @dataclass(slots=True)
@@ -132,7 +132,7 @@ class Ledger:
         return changed
 
 
-def _as_sent(upload: Upload) -> tuple[int, ...]:
+def _as_sent(upload: Upload) -> tuple[int | None, ...]:
     return (
         upload.points,
         upload.payload_bytes,
@@ -141,4 +141,5 @@ def _as_sent(upload: Upload) -> tuple[int, ...]:
         upload.sense_end_ns,
         upload.encode_end_ns,
         upload.sent_ns,
+        upload.link_sim_ns,
     )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, get_args, get_type_hints
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 _SQL_TYPES = {int: "INTEGER", float: "REAL", str: "TEXT", bytes: "BLOB"}
 
 
@@ -38,7 +38,7 @@ class FrameRow(NamedTuple):
 
 
 class UploadRow(NamedTuple):
-    """One chunk: what its sender said of it, then what the edge said."""
+    """One chunk: what its sender said of it (`link_sim_ns` on a virtual link), then the edge."""
 
     frame: int
     agent: str
@@ -50,6 +50,7 @@ class UploadRow(NamedTuple):
     sense_end_ns: int | None
     encode_end_ns: int | None
     sent_ns: int | None
+    link_sim_ns: int | None
     received_ns: int | None
     decoded_ns: int | None
 
@@ -105,13 +106,17 @@ class PhaseRow(NamedTuple):
 
 
 class RequestRow(NamedTuple):
-    """What a policy asked for; `pressures` is a JSON list in vehicles."""
+    """What a policy asked for; `pressures` is a JSON list in vehicles.
+
+    `delay_sim_ns`, with virtual links: how long after the frame's time it reached the cabinet.
+    """
 
     frame: int
     tls: str
     state: str
     policy: str
     pressures: str
+    delay_sim_ns: int | None
 
 
 class TruthRow(NamedTuple):

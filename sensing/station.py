@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 from protocol.bus import Bus
 from protocol.inbox import Envelope, Presence
 from protocol.messages import End, Metrics, Roster, Span, Tick, Upload
 from protocol.process import Context
 from sensing.config import LidarConfig, SceneConfig, UploadConfig
 from sensing.lidar import Lidar
+from sensing.radio import AgentKind, Radio, radio_of
 from sensing.scene import scene_of
 from sensing.shapes import VehicleShapes
 from sensing.uplink import Uplink
@@ -16,18 +19,19 @@ from sensing.uplink import Uplink
 class Station:
     """Keeps the newest tick: an agent that is late goes on with the present, not with the past."""
 
-    def __init__(self, context: Context, lidar: str) -> None:
+    def __init__(self, context: Context, kind: AgentKind) -> None:
         scenario = context.setup.scenario
         self.context = context
         self.seed: int = scenario["seed"]
         self.region: str = scenario["region"]
-        config = LidarConfig.model_validate(scenario["lidar"][lidar])
+        self._kind: AgentKind = kind
+        config = LidarConfig.model_validate(scenario["lidar"][kind])
         scene = scene_of(context.setup, SceneConfig.model_validate(scenario["scene"]), self.seed)
         self.terrain = scene.terrain
         self._lidar = Lidar(config, scene, VehicleShapes.from_setup(context.setup))
         self._upload = UploadConfig.model_validate(scenario["upload"])
         self._tick: Tick | None = None
-        self._skipped = 0
+        self._drops: Counter[str] = Counter()
 
     def open(self, role: str) -> None:
         """Listens to the world and shows that the process is ready."""
@@ -35,16 +39,24 @@ class Station:
         self.context.world.subscribe("end")
         self.context.announce(role)
 
-    def uplink(self, agent: str, bus: Bus) -> Uplink:
+    def radio(self, agent: str, bus: Bus) -> Radio:
+        """Returns the radio of an agent with this connection."""
+        return radio_of(self.context.setup.scenario, self._kind, agent, bus)
+
+    def uplink(self, agent: str, bus: Bus, radio: Radio) -> Uplink:
         """Returns the way to the edge of one agent that has this bus for itself."""
-        return Uplink(agent, self.region, bus, self._lidar, self._upload, self.seed)
+        return Uplink(agent, self.region, bus, radio, self._lidar, self._upload, self.seed)
+
+    def note_skipped_scans(self, number: int) -> None:
+        """Counts scans that were left out because the link had not taken the last one yet."""
+        self._drops["skipped_scans"] += number
 
     def take(self, item: Envelope | Presence) -> None:
         """Looks at what arrived; all but ticks and the end are let pass."""
         if not isinstance(item, Envelope):
             return
         if isinstance(item.message, Tick):
-            self._skipped += self._tick is not None
+            self._drops["skipped_ticks"] += self._tick is not None
             self._tick = item.message
         elif isinstance(item.message, End):
             self.context.stop.set()
@@ -62,9 +74,6 @@ class Station:
 
     def publish_metrics(self, tick: Tick, uploads: list[Upload], spans: list[Span]) -> None:
         """Accounts for a frame."""
-        drops = dict(self.context.inbox.drops)
-        if self._skipped:
-            drops["skipped_ticks"] = self._skipped
         metrics = Metrics(
             process=self.context.id,
             frame=tick.frame,
@@ -72,6 +81,6 @@ class Station:
             spans=spans,
             uploads=uploads,
             points=sum(upload.points for upload in uploads),
-            drops=drops,
+            drops=dict(+(Counter(self.context.inbox.drops) + self._drops)),
         )
         self.context.world.publish("metrics", metrics, process=self.context.id)

@@ -13,16 +13,25 @@ from protocol.messages import Scan, Span, Tick, Upload
 from sensing.config import UploadConfig
 from sensing.lidar import Lidar
 from sensing.noise import stream
+from sensing.radio import ENVELOPE_BYTES, Radio
 
 
 class Uplink:
     """Belongs to one agent and has a connection of its own, so that its bytes can be told apart."""
 
     def __init__(
-        self, agent: str, region: str, bus: Bus, lidar: Lidar, config: UploadConfig, seed: int
+        self,
+        agent: str,
+        region: str,
+        bus: Bus,
+        radio: Radio,
+        lidar: Lidar,
+        config: UploadConfig,
+        seed: int,
     ) -> None:
         self.agent = agent
         self.bus = bus
+        self.radio = radio
         self._region = region
         self._lidar = lidar
         self._config = config
@@ -43,6 +52,7 @@ class Uplink:
         sense_end_ns = time.monotonic_ns()
         payload = encode_scan(scan, self._config.max_error_m, intensity=self._config.intensity)
         encode_end_ns = time.monotonic_ns()
+        passage = self.radio.carry(tick.sim_time_ns, len(payload) + ENVELOPE_BYTES)
         message = Scan(
             frame=tick.frame,
             sim_time_ns=tick.sim_time_ns,
@@ -54,6 +64,7 @@ class Uplink:
             sense_start_ns=sense_start_ns,
             sense_end_ns=sense_end_ns,
             encode_end_ns=encode_end_ns,
+            arrival_sim_ns=passage and passage.arrival_ns,
             payload=np.frombuffer(payload, np.uint8),
         )
         self.bus.publish("scan", message, region=self._region, agent=self.agent, chunk="0")
@@ -68,6 +79,7 @@ class Uplink:
             sense_end_ns=sense_end_ns,
             encode_end_ns=encode_end_ns,
             sent_ns=sent_ns,
+            link_sim_ns=passage and passage.took_ns,
         )
         stamps = (sense_start_ns, sense_end_ns, encode_end_ns, sent_ns)
         stages = zip(("sense", "encode", "send"), stamps, stamps[1:], strict=False)

@@ -81,6 +81,7 @@ class SignalRole:
             state=decision.state,
             policy=self._config.policy,
             pressures=decision.pressures,
+            delay_sim_ns=counts.delay_sim_ns,
         )
         self._context.v2x.publish("request", request, tls=self._signal.tls)
         drops = dict(self._context.inbox.drops)

@@ -11,6 +11,7 @@ from protocol.process import Context
 from sensing.config import PoseErrorConfig
 from sensing.noise import stream
 from sensing.pose import believed_pose, position_std_m
+from sensing.radio import ENVELOPE_BYTES, Radio
 from sensing.station import Station
 from sensing.uplink import Uplink
 
@@ -26,6 +27,7 @@ class VehicleRole:
         self._body_SE3_sensor = SE3.from_pose([0, 0, scenario["sensor_height_m"], 0, 0, 0])
         self._types = {kind.name: kind for kind in context.setup.vehicle_types}
         self._uplinks: dict[str, Uplink] = {}
+        self._radios: dict[str, Radio] = {}
         self._station.open("vehicle")
 
     def on(self, item: Envelope | Presence) -> None:
@@ -38,15 +40,19 @@ class VehicleRole:
             self._play(tick)
 
     def close(self) -> None:
-        """Hangs up every CAV's connection."""
+        """Hangs up every agent's connection."""
         self._hang_up(set())
 
     def _play(self, tick: Tick) -> None:
         mine = self._hosted(tick)
-        scanning = [i for i in mine if tick.equipment[i] == Equipment.CAV]
-        names = [tick.ids[i] for i in scanning]
-        self._station.publish_roster(tick, [tick.ids[i] for i in mine], names)
-        self._hang_up(set(names))
+        present = [tick.ids[i] for i in mine]
+        self._hang_up(set(present))
+        cavs = [i for i in mine if tick.equipment[i] == Equipment.CAV]
+        scanning = [i for i in cavs if not self._is_clogged(tick, tick.ids[i])]
+        self._station.publish_roster(tick, present, [tick.ids[i] for i in scanning])
+        self._station.note_skipped_scans(len(cavs) - len(scanning))
+        for index in mine:
+            self._open(tick, index)
         uploads: list[Upload] = []
         spans: list[Span] = []
         for index in mine:
@@ -68,6 +74,7 @@ class VehicleRole:
         rng = stream(self._station.seed, "pose", agent, tick.frame)
         pose = believed_pose(tick.poses[index], self._pose_error, equipment, rng)
         kind = self._types[tick.types[index]]
+        passage = self._radios[agent].carry(tick.sim_time_ns, ENVELOPE_BYTES)
         message = AgentPose(
             frame=tick.frame,
             sim_time_ns=tick.sim_time_ns,
@@ -78,15 +85,30 @@ class VehicleRole:
             width_m=kind.width_m,
             height_m=kind.height_m,
             position_std_m=position_std_m(self._pose_error, equipment),
+            arrival_sim_ns=passage and passage.arrival_ns,
         )
-        self._context.v2x.publish("pose", message, region=self._station.region, agent=agent)
+        bus = self._uplinks[agent].bus if agent in self._uplinks else self._context.v2x
+        bus.publish("pose", message, region=self._station.region, agent=agent)
         return pose
 
-    def _publish_scan(self, tick: Tick, index: int, believed: Floats) -> tuple[Upload, list[Span]]:
+    def _is_clogged(self, tick: Tick, agent: str) -> bool:
+        radio = self._radios.get(agent)
+        return radio is not None and radio.is_clogged(tick.sim_time_ns)
+
+    def _open(self, tick: Tick, index: int) -> None:
+        """Gives a newcomer its radio; a CAV also has a connection of its own."""
         agent = tick.ids[index]
-        if agent not in self._uplinks:
-            self._uplinks[agent] = self._station.uplink(agent, self._context.open_v2x())
-        return self._uplinks[agent].sense_and_send(
+        if agent in self._radios:
+            return
+        if tick.equipment[index] != Equipment.CAV:
+            self._radios[agent] = self._station.radio(agent, self._context.v2x)
+            return
+        bus = self._context.open_v2x()
+        self._radios[agent] = self._station.radio(agent, bus)
+        self._uplinks[agent] = self._station.uplink(agent, bus, self._radios[agent])
+
+    def _publish_scan(self, tick: Tick, index: int, believed: Floats) -> tuple[Upload, list[Span]]:
+        return self._uplinks[tick.ids[index]].sense_and_send(
             tick,
             map_SE3_sensor=SE3.from_pose(tick.poses[index]) @ self._body_SE3_sensor,
             believed_SE3_sensor=SE3.from_pose(believed) @ self._body_SE3_sensor,
@@ -94,5 +116,7 @@ class VehicleRole:
         )
 
     def _hang_up(self, still_here: set[str]) -> None:
-        for agent in sorted(self._uplinks.keys() - still_here):
-            self._uplinks.pop(agent).bus.close()
+        for agent in sorted(self._radios.keys() - still_here):
+            del self._radios[agent]
+            if agent in self._uplinks:
+                self._uplinks.pop(agent).bus.close()

@@ -84,6 +84,20 @@ def test_roles_in_two_commands_joined_over_tcp_give_the_same_rows(shell, first_r
     assert differences(first_run, shell.folder / "here") == []
 
 
+def test_virtual_links_give_the_same_rows_whatever_the_number_of_processes(shell):
+    slow = ("--duration=6", "--link=lte-poor", "--set", "link.roadside_profile=500kbit,40ms")
+    for out, processes in (("first", 1), ("second", 2)):
+        spread = f"processes.vehicle={processes}"
+        status, output = shell.up(*slow, "--out", out, "--set", spread).finish()
+        assert status == 0, output
+    assert differences(shell.folder / "first", shell.folder / "second") == []
+    drops = json.loads(shell.run("report", "first", "--json")[1])["drops_by_reason"]
+    assert drops["edge"]["late"] > 0
+    with sqlite3.connect(f"file:{shell.folder}/first/run.sqlite?mode=ro", uri=True) as database:
+        delays = database.execute("SELECT delay_sim_ns FROM requests").fetchall()
+    assert {delay_ns for (delay_ns,) in delays} == {80_000_000}  # the deadline
+
+
 def test_the_report_has_its_stable_keys(shell, first_run):
     status, output = shell.run("report", str(first_run), "--json")
     summary = json.loads(output)

@@ -38,7 +38,7 @@ def whole_run(run_dir: Path) -> None:
         database.add(FrameRow, [row])
         sent = (start + 2 * MS, start + 8 * MS, start + 9 * MS, start + 10 * MS)
         wire = 2200 if frame else 0
-        upload = UploadRow(frame, "rsu-0", 0, 9, 2000, wire, *sent, start + 12 * MS, None)
+        upload = UploadRow(frame, "rsu-0", 0, 9, 2000, wire, *sent, None, start + 12 * MS, None)
         database.add(UploadRow, [upload])
         database.add(StageRow, [StageRow(frame, "edge", "", "detect", start, (frame + 1) * MS)])
         state, stage = ("Gr", "green") if frame < 4 else ("rG", "green")
