@@ -21,11 +21,22 @@ from protocol.tcpinfo import sent_bytes, unsent_bytes
 from protocol.topics import ALIVE, TOPICS, BusName, Delivery, Topic
 from protocol.wire import decode, encode
 
-__all__ = ["Bus", "Endpoint", "Envelope", "Inbox", "Presence", "ZenohBus", "fetch", "open_bus"]
+__all__ = [
+    "Bus",
+    "Endpoint",
+    "Envelope",
+    "Inbox",
+    "Presence",
+    "ZenohBus",
+    "fetch",
+    "open_bus",
+    "roomy",
+]
 
 M = TypeVar("M", bound=Message)
 
 CONNECT_TIMEOUT_MS = 20_000
+SEND_BUFFER_BYTES = 1 << 20  # the kernel caps it at net.core.wmem_max
 _PRIORITY = {
     Delivery.BULK: zenoh.Priority.DATA,
     Delivery.PROMPT: zenoh.Priority.INTERACTIVE_HIGH,
@@ -168,6 +179,14 @@ def open_bus(name: BusName, endpoint: Endpoint, inbox: Inbox) -> ZenohBus:
         BusError: the port is in use, or nothing answers there within 20 s.
     """
     return ZenohBus(_open_session(name, endpoint), name, inbox)
+
+
+def roomy(endpoint: Endpoint) -> Endpoint:
+    """Returns the endpoint with a socket that takes a whole scan while the link is full.
+
+    Then publishing blocks nobody, and the kernel tells how much waits.
+    """
+    return Endpoint(f"{endpoint.locator}#so_sndbuf={SEND_BUFFER_BYTES}", endpoint.listen)
 
 
 def fetch(name: BusName, endpoint: Endpoint, topic_name: str, message: type[M]) -> M:

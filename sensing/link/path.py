@@ -46,6 +46,22 @@ class Path:
         bits = 8 * on_air_bytes(size_bytes)
         return self.rate_bps.reach(start_ns, bits * 1_000_000_000)
 
+    def bytes_in(self, start_ns: int, span_ns: int) -> int:
+        """Returns how many bytes the link takes in a span, headers included."""
+        return self.rate_bps.integral(start_ns, start_ns + span_ns) // 8_000_000_000
+
+    def arrival_ns(self, start_ns: int, departure_ns: int) -> int:
+        """Returns when all of a message has arrived that leaves bit by bit between these times.
+
+        No packet overtakes another: one that left while the round trip was long holds up others.
+        """
+        arrival_ns = departure_ns + self.delay_ns(departure_ns)
+        for change_ns in self.rtt_ns.changes(start_ns, departure_ns):
+            last_ns = change_ns - 1
+            if last_ns >= start_ns and self.rate_bps.at(last_ns) > 0:
+                arrival_ns = max(arrival_ns, last_ns + self.delay_ns(last_ns))
+        return arrival_ns
+
     def delay_ns(self, time_ns: int) -> int:
         """Returns how long a packet travels that departs then: one way."""
         return self.rtt_ns.at(time_ns) // 2

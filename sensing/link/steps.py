@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import accumulate
 
 
@@ -34,6 +34,19 @@ class Steps:
     def at(self, time_ns: int) -> int:
         """Returns the value at a time."""
         return self.values[bisect_right(self.starts_ns, time_ns % self.period_ns) - 1]
+
+    def changes(self, after_ns: int, until_ns: int) -> Iterator[int]:
+        """Yields the starts of steps in (after, until], in their order."""
+        turn, inside_ns = divmod(after_ns, self.period_ns)
+        step = bisect_right(self.starts_ns, inside_ns)
+        while True:
+            if step == len(self.starts_ns):
+                turn, step = turn + 1, 0
+            start_ns = turn * self.period_ns + self.starts_ns[step]
+            if start_ns > until_ns:
+                return
+            yield start_ns
+            step += 1
 
     def integral(self, start_ns: int, end_ns: int) -> int:
         """Returns the integral, in value x ns."""

@@ -20,7 +20,7 @@ class VirtualLink:
         """
         start_ns = now_ns if self._free_ns is None else max(now_ns, self._free_ns)
         self._free_ns = self._path.departure_ns(start_ns, size_bytes)
-        arrival_ns = self._free_ns + self._path.delay_ns(self._free_ns)
+        arrival_ns = self._path.arrival_ns(start_ns, self._free_ns)
         if self._arrived_ns is not None:
             arrival_ns = max(arrival_ns, self._arrived_ns)
         self._arrived_ns = arrival_ns

@@ -98,6 +98,19 @@ def test_virtual_links_give_the_same_rows_whatever_the_number_of_processes(shell
     assert {delay_ns for (delay_ns,) in delays} == {80_000_000}  # the deadline
 
 
+def test_emulated_links_delay_scans_and_nothing_else(shell):
+    slow = ("--mode=realtime", "--duration=5", "--link=5mbit,80ms", "--set=edge.deadline_ms=90")
+    status, output = shell.up(*slow, "--out=run").finish()
+    assert status == 0, output
+    assert children_of(shell.folder / "run") == {}
+    with sqlite3.connect(f"file:{shell.folder}/run/run.sqlite?mode=ro", uri=True) as database:
+        sql = "SELECT min(received_ns - encode_end_ns) FROM uploads WHERE agent {} 'rsu-0'"
+        ((vehicle_ns,),) = database.execute(sql.format("<>")).fetchall()
+        ((roadside_ns,),) = database.execute(sql.format("=")).fetchall()
+    assert vehicle_ns > 40_000_000
+    assert roadside_ns < 40_000_000
+
+
 def test_the_report_has_its_stable_keys(shell, first_run):
     status, output = shell.run("report", str(first_run), "--json")
     summary = json.loads(output)
@@ -143,6 +156,16 @@ def test_a_stopped_run_ends_cleanly_with_its_summary(shell, number):
     assert "Traceback" not in output
     assert children_of(shell.folder / "run") == {}
     assert rows(shell.folder / "run", "trips") > 0
+
+
+def test_a_killed_relay_ends_the_run_by_name(shell):
+    command = shell.up("--mode=realtime", "--duration=600", "--link=lte", "--out=run")
+    command.read_until("frame")
+    os.kill(children_of(shell.folder / "run")["relay-vehicle"], signal.SIGKILL)
+    status, output = command.finish()
+    assert status == 1
+    assert "relay-vehicle was killed by SIGKILL" in output
+    assert children_of(shell.folder / "run") == {}
 
 
 def test_processes_end_when_their_supervisor_is_killed(shell):

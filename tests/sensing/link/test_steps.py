@@ -30,6 +30,12 @@ def test_an_amount_is_reached_at_the_first_moment_that_holds_it(trace, start, am
     assert amount == 0 or trace.integral(start, end - 1) < amount
 
 
+@given(steps(), TIMES, st.integers(0, 700))
+def test_changes_are_the_starts_of_steps(trace, after, length):
+    expected = [t for t in range(after + 1, after + length + 1) if t % 200 in trace.starts_ns]
+    assert list(trace.changes(after, after + length)) == expected
+
+
 def test_what_is_always_zero_is_never_reached():
     with pytest.raises(ValueError, match="nothing ever passes"):
         Steps([0], [0], 10).reach(0, 1)

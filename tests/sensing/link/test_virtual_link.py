@@ -83,6 +83,16 @@ def test_the_round_trip_of_a_trace_is_its_own():
     assert [path.delay_ns(t) for t in (0, 1 * MS)] == [0, 25 * MS]
 
 
+def test_a_packet_that_travels_long_holds_up_those_behind_it():
+    trace = TraceRate(
+        starts_us=[0, 10_000], rates_bps=[8_000_000] * 2, rtt_us=[200_000, 0], period_us=900_000
+    )
+    link = VirtualLink(Path.draw(LinkProfile(rate=trace), 1, "a"))
+    arrival_ns = link.send(5 * MS, 14 * 948)  # leaves from 5 to 19 ms, the first half goes slowly
+    assert arrival_ns == 110 * MS - 1
+    assert link.send(200 * MS, 948) == 201 * MS
+
+
 @pytest.mark.parametrize("name", BUILTIN)
 def test_built_in_profiles_have_the_figures_they_name(name):
     profile = BUILTIN[name]
