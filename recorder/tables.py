@@ -66,6 +66,31 @@ class StageRow(NamedTuple):
     duration_ns: int
 
 
+class AccountRow(NamedTuple):
+    """Where the time of a frame went for one agent; the stages sum to `end_to_end_ns`."""
+
+    frame: int
+    agent: str
+    sense_ns: int
+    select_ns: int
+    encode_ns: int
+    send_ns: int
+    link_ns: int
+    decode_ns: int
+    place_ns: int
+    wait_ns: int
+    merge_ns: int
+    ground_ns: int
+    detect_ns: int
+    fuse_ns: int
+    count_ns: int
+    decide_ns: int
+    actuate_ns: int
+    other_ns: int
+    end_to_end_ns: int
+    clock_error_ns: int
+
+
 class DetectionRow(NamedTuple):
     """One detected vehicle: its box's centre, size and heading in the map frame."""
 
@@ -232,6 +257,7 @@ TABLES: dict[type, Table] = {
         Table("frames", FrameRow, 1),
         Table("uploads", UploadRow, 3),
         Table("stages", StageRow, 0),
+        Table("account", AccountRow, 2),
         Table("detections", DetectionRow, 2, is_result=True),
         Table("counts", CountRow, 3, is_result=True),
         Table("phases", PhaseRow, 2, is_result=True),

@@ -14,7 +14,7 @@ from recorder.run import Run
 from recorder.tables import DropRow
 from studies.bandwidth import by_agent
 from studies.ecvpr import score
-from studies.latency import latencies
+from studies.latency import clock_error_ms, latencies
 
 Summary = dict[str, Any]
 
@@ -42,6 +42,7 @@ def summarise(run_dir: Path) -> Summary:
             **_pace(run, period_s),
             "agents": by_agent(run, period_s),
             "latency_ms": latencies(run),
+            "clock_error_ms": clock_error_ms(run),
             **_perception(run),
             **_traffic(run),
             **_drops(run),

@@ -14,7 +14,10 @@ import zenoh
 from protocol.messages import Roster
 from protocol.topics import PREFIX
 from protocol.wire import encode
+from recorder.account import stage_sum_ns
 from recorder.compare import differences
+from recorder.run import Run
+from recorder.tables import AccountRow, FrameRow
 from tests.cpnet.conftest import Shell, children_of
 
 ROLES = ["edge", "sim", "record", "signal", "infra-0", "vehicle-0", "vehicle-1"]
@@ -37,6 +40,23 @@ def rows(run_dir: Path, table: str) -> int:
     with sqlite3.connect(f"file:{run_dir}/run.sqlite?mode=ro", uri=True) as database:
         count: int = database.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
     return count
+
+
+def check_account(run_dir: Path, *, exactly: bool) -> None:
+    """Checks that the stages of every frame and agent sum to its end-to-end time."""
+    with Run(run_dir) as run:
+        accounts = list(run.rows(AccountRow))
+        whole = {row.frame: row.end_to_end_ns for row in run.rows(FrameRow)}
+    assert accounts
+    for row in accounts:
+        assert stage_sum_ns(row) == row.end_to_end_ns
+        assert row.clock_error_ns == 0
+        assert row.link_ns >= 0
+        assert row.wait_ns >= 0
+        assert (row.other_ns == 0) if exactly else (row.other_ns >= 0)
+    for frame in {row.frame for row in accounts}:
+        mine = [row.end_to_end_ns for row in accounts if row.frame == frame]
+        assert max(mine) == whole[frame]
 
 
 def wait_for_frames(run_dir: Path) -> None:
@@ -96,6 +116,7 @@ def test_virtual_links_give_the_same_rows_whatever_the_number_of_processes(shell
     with sqlite3.connect(f"file:{shell.folder}/first/run.sqlite?mode=ro", uri=True) as database:
         delays = database.execute("SELECT delay_sim_ns FROM requests").fetchall()
     assert {delay_ns for (delay_ns,) in delays} == {80_000_000}  # the deadline
+    check_account(shell.folder / "first", exactly=True)
 
 
 def test_emulated_links_delay_scans_and_nothing_else(shell):
@@ -109,6 +130,7 @@ def test_emulated_links_delay_scans_and_nothing_else(shell):
         ((roadside_ns,),) = database.execute(sql.format("=")).fetchall()
     assert vehicle_ns > 40_000_000
     assert roadside_ns < 40_000_000
+    check_account(shell.folder / "run", exactly=False)
 
 
 def test_the_report_has_its_stable_keys(shell, first_run):
