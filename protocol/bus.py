@@ -142,10 +142,27 @@ class ZenohBus:
     def serve(self, topic_name: str, message: Message) -> None:
         """Answers whoever asks for this topic with this message."""
         data = encode(message)
+        self._answer(topic_name, lambda: data)
+
+    def answer(self, topic_name: str, make: Callable[[], Message]) -> None:
+        """Answers whoever asks for this topic with a message made there and then."""
+        self._answer(topic_name, lambda: encode(make()))
+
+    def ask(self, topic_name: str, message: type[M], timeout_s: float) -> M | None:
+        """Returns what the router's host answers, None if nobody does in time.
+
+        Raises:
+            ProtocolError: the answer is not such a message.
+        """
+        for reply in self._session.get(self._topic(topic_name).key(), timeout=timeout_s):
+            if reply.ok is not None:
+                return decode(reply.ok.payload.to_bytes(), message)
+        return None
+
+    def _answer(self, topic_name: str, make: Callable[[], bytes]) -> None:
         key = self._topic(topic_name).key()
-        self._kept.append(
-            self._session.declare_queryable(key, lambda query: query.reply(key, data))
-        )
+        queryable = self._session.declare_queryable(key, lambda query: query.reply(key, make()))
+        self._kept.append(queryable)
 
     def wire_bytes(self) -> int:
         """See `Bus.wire_bytes`."""

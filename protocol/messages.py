@@ -303,4 +303,25 @@ class Progress(Message):
     drops: int
 
 
+class TimeReply(Message):
+    """What the host of the world bus answers to who asks for its clock."""
+
+    kind: ClassVar[int] = 15
+    machine: str
+    heard_ns: int
+    told_ns: int
+
+
+class ClockReading(Message):
+    """What to add to a process's clock to have that of the world bus's host.
+
+    It is wrong by `error_ns` at most; both are 0 on the same machine.
+    """
+
+    kind: ClassVar[int] = 16
+    process: Id
+    offset_ns: int
+    error_ns: int = Field(ge=0)
+
+
 MESSAGES: dict[int, type[Message]] = {m.kind: m for m in Message.__subclasses__()}

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Protocol
 
 from protocol.bus import Bus, Endpoint, ZenohBus, open_bus, roomy
+from protocol.clock import ClockWatch, time_reply
 from protocol.errors import CpnetError
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import Setup
@@ -102,8 +103,13 @@ def _live(
     setup = read_setup(arguments.setup)
     world = open_bus(BusName.WORLD, arguments.world, inbox)
     v2x = open_bus(BusName.V2X, arguments.v2x, inbox)
+    clock = None
     if arguments.world.listen:
         world.serve("setup", setup)
+        world.answer("time", time_reply())
+    else:
+        clock = ClockWatch(arguments.id, world)
+        clock.start()
     uplink = arguments.uplink or Endpoint(arguments.v2x.locator, listen=False)
     context = Context(
         arguments.id,
@@ -124,6 +130,8 @@ def _live(
         finally:
             role.close()
     finally:
+        if clock is not None:
+            clock.stop()
         _close(v2x, world)
 
 

@@ -90,6 +90,7 @@ class RecordRole:
             "tick": self._on_tick,
             "trips": self._on_trips,
             "metrics": self._on_metrics,
+            "clock": self._on_clock,
             "end": self._on_end,
             "state": self._on_state,
             "request": self._on_request,
@@ -128,6 +129,11 @@ class RecordRole:
             took_ns = note.end_to_end_ns(self._clocks)
             self._glance.end_to_end_ns = took_ns or self._glance.end_to_end_ns
         self._database.add(tables.StageRow, rows.stage_rows(metrics))
+
+    def _on_clock(self, reading: m.ClockReading, _: int) -> None:
+        found = (reading.offset_ns, reading.error_ns)
+        self._clocks[reading.process] = found
+        self._database.add(tables.ClockRow, [tables.ClockRow(reading.process, *found)])
 
     def _on_end(self, end: m.End, received_ns: int) -> None:
         self._ending.begin(received_ns)

@@ -173,6 +173,14 @@ class TripRow(NamedTuple):
     teleported: int
 
 
+class ClockRow(NamedTuple):
+    """What to add to a process's clock to have that of the world's host, at the end of the run."""
+
+    process: str
+    offset_ns: int
+    error_ns: int
+
+
 class DropRow(NamedTuple):
     """How often a process dropped input for one reason, since its start."""
 
@@ -264,6 +272,7 @@ TABLES: dict[type, Table] = {
         Table("requests", RequestRow, 2, is_result=True),
         Table("truth", TruthRow, 2, is_result=True),
         Table("trips", TripRow, 1, is_result=True),
+        Table("clocks", ClockRow, 1),
         Table("drops", DropRow, 2),
         Table("clouds", CloudRow, 3, rowid=True),
     )

@@ -158,6 +158,8 @@ EXAMPLES: list[m.Message] = [
         state="G",
         drops=0,
     ),
+    m.TimeReply(machine="here", heard_ns=5, told_ns=6),
+    m.ClockReading(process="edge", offset_ns=-7, error_ns=8),
 ]
 GOLDEN = Path(__file__).parent / "golden"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.messages import Arrival, Span, Upload
@@ -103,6 +103,7 @@ def test_without_the_cabinets_word_there_is_no_account_yet() -> None:
     assert made.unused_end_to_end_ns({}, 5) is None
 
 
+@settings(deadline=None)
 @given(st.integers(-(10**15), 10**15), st.integers(-(10**15), 10**15), st.integers(0, 10**6))
 def test_clocks_of_other_machines_are_aligned_and_their_error_is_kept(vehicle, edge, error) -> None:
     there = evidence()

@@ -1,7 +1,7 @@
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.errors import ConfigError
@@ -74,6 +74,7 @@ def test_a_folder_and_bytes_are_refused(tmp_path):
         profile_named(str(tmp_path))
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=80).map(sorted))
 def test_a_mahimahi_trace_lets_pass_what_its_lines_say(tmp_path_factory, stamps):
     if stamps[-1] == 0:

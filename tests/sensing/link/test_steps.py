@@ -1,5 +1,5 @@
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sensing.link.steps import Steps
@@ -16,12 +16,14 @@ def steps(draw: st.DrawFn) -> Steps:
     return Steps(starts, values, 200)
 
 
+@settings(deadline=None)
 @given(steps(), TIMES, st.integers(0, 700))
 def test_the_integral_is_the_sum_over_every_nanosecond(trace, start, length):
     expected = sum(trace.at(t) for t in range(start, start + length))
     assert trace.integral(start, start + length) == expected
 
 
+@settings(deadline=None)
 @given(steps(), TIMES, st.integers(0, 30_000))
 def test_an_amount_is_reached_at_the_first_moment_that_holds_it(trace, start, amount):
     end = trace.reach(start, amount)
@@ -30,6 +32,7 @@ def test_an_amount_is_reached_at_the_first_moment_that_holds_it(trace, start, am
     assert amount == 0 or trace.integral(start, end - 1) < amount
 
 
+@settings(deadline=None)
 @given(steps(), TIMES, st.integers(0, 700))
 def test_changes_are_the_starts_of_steps(trace, after, length):
     expected = [t for t in range(after + 1, after + length + 1) if t % 200 in trace.starts_ns]
