@@ -137,7 +137,7 @@ def expected_agents(scenario: dict[str, Any]) -> dict[str, str]:
 
 def punctuality(scenario: dict[str, Any], config: EdgeConfig) -> Punctuality | None:
     """Returns the rule by which virtual links drop what is late; None where links are real."""
-    link = LinkConfig.model_validate(scenario.get("link", {}))
+    link = LinkConfig.of(scenario)
     if link.way(scenario["mode"]) != "virtual":
         return None
     return Punctuality(round(config.deadline_ms * 1e6), round(link.edge_compute_ms * 1e6))

@@ -73,7 +73,7 @@ class RelayRole:
 
 
 def _profile(context: Context, kind: str) -> LinkProfile:
-    config = LinkConfig.model_validate(context.setup.scenario["link"])
+    config = LinkConfig.of(context.setup.scenario)
     profile = config.profile if kind == "vehicle" else config.roadside_profile
     if profile is None:
         raise ConfigError(f"the scenario has no link profile for {kind} agents")

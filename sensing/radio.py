@@ -86,9 +86,10 @@ class VirtualRadio:
         return Passage(sent_ns, arrival_ns)
 
 
-def radio_of(scenario: dict[str, Any], kind: AgentKind, agent: str, bus: Bus) -> Radio:
+def radio_of(
+    scenario: dict[str, Any], config: LinkConfig, kind: AgentKind, agent: str, bus: Bus
+) -> Radio:
     """Returns the radio that a scenario gives to an agent with this connection."""
-    config = LinkConfig.model_validate(scenario.get("link", {}))
     if scenario["mode"] == "realtime":
         return RealRadio(bus)
     if config.way(scenario["mode"]) == "none":

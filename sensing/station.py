@@ -10,6 +10,7 @@ from protocol.messages import End, Metrics, Roster, Span, Tick, Upload
 from protocol.process import Context
 from sensing.config import LidarConfig, SceneConfig, UploadConfig
 from sensing.lidar import Lidar
+from sensing.link.config import LinkConfig
 from sensing.radio import AgentKind, Radio, radio_of
 from sensing.scene import scene_of
 from sensing.shapes import VehicleShapes
@@ -24,6 +25,7 @@ class Station:
         self.context = context
         self.seed: int = scenario["seed"]
         self.region: str = scenario["region"]
+        self.link = LinkConfig.of(scenario)
         self._kind: AgentKind = kind
         config = LidarConfig.model_validate(scenario["lidar"][kind])
         scene = scene_of(context.setup, SceneConfig.model_validate(scenario["scene"]), self.seed)
@@ -41,7 +43,7 @@ class Station:
 
     def radio(self, agent: str, bus: Bus) -> Radio:
         """Returns the radio of an agent with this connection."""
-        return radio_of(self.context.setup.scenario, self._kind, agent, bus)
+        return radio_of(self.context.setup.scenario, self.link, self._kind, agent, bus)
 
     def uplink(self, agent: str, bus: Bus, radio: Radio) -> Uplink:
         """Returns the way to the edge of one agent that has this bus for itself."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from protocol.bus import Bus
 from protocol.geometry import SE3, Floats
 from protocol.inbox import Envelope, Presence
 from protocol.messages import AgentPose, Equipment, Span, Tick, Upload
@@ -14,6 +15,7 @@ from sensing.pose import believed_pose, position_std_m
 from sensing.radio import ENVELOPE_BYTES, Radio
 from sensing.station import Station
 from sensing.uplink import Uplink
+from vehicle_agent.connections import Connections
 
 
 class VehicleRole:
@@ -26,8 +28,11 @@ class VehicleRole:
         self._pose_error = PoseErrorConfig.model_validate(scenario["pose"])
         self._body_SE3_sensor = SE3.from_pose([0, 0, scenario["sensor_height_m"], 0, 0, 0])
         self._types = {kind.name: kind for kind in context.setup.vehicle_types}
-        self._uplinks: dict[str, Uplink] = {}
+        self._connections = Connections(context.open_v2x, wait=scenario["mode"] == "lockstep")
+        self._shapes_poses = self._station.link.way(scenario["mode"]) == "emulated"
+        self._buses: dict[str, Bus] = {}
         self._radios: dict[str, Radio] = {}
+        self._uplinks: dict[str, Uplink] = {}
         self._station.open("vehicle")
 
     def on(self, item: Envelope | Presence) -> None:
@@ -41,18 +46,17 @@ class VehicleRole:
 
     def close(self) -> None:
         """Hangs up every agent's connection."""
-        self._hang_up(set())
+        self._connections.close()
 
     def _play(self, tick: Tick) -> None:
-        mine = self._hosted(tick)
-        present = [tick.ids[i] for i in mine]
-        self._hang_up(set(present))
-        cavs = [i for i in mine if tick.equipment[i] == Equipment.CAV]
-        scanning = [i for i in cavs if not self._is_clogged(tick, tick.ids[i])]
-        self._station.publish_roster(tick, present, [tick.ids[i] for i in scanning])
-        self._station.note_skipped_scans(len(cavs) - len(scanning))
-        for index in mine:
-            self._open(tick, index)
+        hosted = self._hosted(tick)
+        self._forget_all_but({tick.ids[i] for i in hosted})
+        mine = [i for i in hosted if self._connect(tick, i)]
+        scanning = [i for i in mine if self._scans(tick, i)]
+        names = ([tick.ids[i] for i in indices] for indices in (mine, scanning))
+        self._station.publish_roster(tick, *names)
+        cavs = sum(tick.equipment[i] == Equipment.CAV for i in hosted)
+        self._station.note_skipped_scans(cavs - len(scanning))
         uploads: list[Upload] = []
         spans: list[Span] = []
         for index in mine:
@@ -87,25 +91,30 @@ class VehicleRole:
             position_std_m=position_std_m(self._pose_error, equipment),
             arrival_sim_ns=passage and passage.arrival_ns,
         )
-        bus = self._uplinks[agent].bus if agent in self._uplinks else self._context.v2x
-        bus.publish("pose", message, region=self._station.region, agent=agent)
+        self._buses[agent].publish("pose", message, region=self._station.region, agent=agent)
         return pose
 
-    def _is_clogged(self, tick: Tick, agent: str) -> bool:
-        radio = self._radios.get(agent)
-        return radio is not None and radio.is_clogged(tick.sim_time_ns)
+    def _connect(self, tick: Tick, index: int) -> bool:
+        """Gives a newcomer its connection and radio; false while the connection is being opened.
 
-    def _open(self, tick: Tick, index: int) -> None:
-        """Gives a newcomer its radio; a CAV also has a connection of its own."""
-        agent = tick.ids[index]
+        CVs share the process's own connection, unless links are emulated: those lie in connections.
+        """
+        agent, is_cav = tick.ids[index], tick.equipment[index] == Equipment.CAV
         if agent in self._radios:
-            return
-        if tick.equipment[index] != Equipment.CAV:
-            self._radios[agent] = self._station.radio(agent, self._context.v2x)
-            return
-        bus = self._context.open_v2x()
-        self._radios[agent] = self._station.radio(agent, bus)
-        self._uplinks[agent] = self._station.uplink(agent, bus, self._radios[agent])
+            return True
+        has_own = is_cav or self._shapes_poses
+        bus = self._connections.get(agent) if has_own else self._context.v2x
+        if bus is None:
+            return False
+        self._buses[agent] = bus
+        self._radios[agent] = radio = self._station.radio(agent, bus)
+        if is_cav:
+            self._uplinks[agent] = self._station.uplink(agent, bus, radio)
+        return True
+
+    def _scans(self, tick: Tick, index: int) -> bool:
+        agent = tick.ids[index]
+        return agent in self._uplinks and not self._radios[agent].is_clogged(tick.sim_time_ns)
 
     def _publish_scan(self, tick: Tick, index: int, believed: Floats) -> tuple[Upload, list[Span]]:
         return self._uplinks[tick.ids[index]].sense_and_send(
@@ -115,8 +124,8 @@ class VehicleRole:
             own=index,
         )
 
-    def _hang_up(self, still_here: set[str]) -> None:
-        for agent in sorted(self._radios.keys() - still_here):
-            del self._radios[agent]
-            if agent in self._uplinks:
-                self._uplinks.pop(agent).bus.close()
+    def _forget_all_but(self, present: set[str]) -> None:
+        for known in (self._buses, self._radios, self._uplinks):
+            for agent in sorted(known.keys() - present):
+                del known[agent]
+        self._connections.close_all_but(present)

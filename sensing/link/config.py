@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal, Self
 
 from pydantic import Field, field_validator
 
@@ -33,6 +33,11 @@ class LinkConfig(Section):
     edge_compute_ms: float = Field(
         0.0, ge=0, le=10_000, description="virtual: from the last arrival until the request is out"
     )
+
+    @classmethod
+    def of(cls, scenario: dict[str, Any]) -> Self:
+        """Reads the section of a scenario's data."""
+        return cls.model_validate(scenario.get("link", {}))
 
     @field_validator("profile", "roadside_profile", mode="before")
     @classmethod
