@@ -66,6 +66,9 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     net: Annotated[Path | None, typer.Option(help="your own .net.xml")] = None,
     sumocfg: Annotated[Path | None, typer.Option(help="your own .sumocfg")] = None,
     tls: Annotated[str | None, typer.Option(help="id of the signal in that net")] = None,
+    link: Annotated[
+        str | None, typer.Option(help="uplink of vehicles: 5g-urban, lte, 5mbit,20ms, a trace file")
+    ] = None,
     set_: Override = None,
     out: Annotated[Path | None, typer.Option(help="run folder; default runs/NAME-TIME")] = None,
     only: Annotated[str | None, typer.Option(metavar="ROLE,...", help="roles to run here")] = None,
@@ -83,6 +86,7 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
         "seed": seed,
         "traffic.cav_rate": cav_rate,
         "traffic.cv_rate": cv_rate,
+        "link.profile": link,
         "traffic.net": _absolute(net),
         "traffic.sumocfg": _absolute(sumocfg),
         "traffic.tls": tls,

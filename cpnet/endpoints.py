@@ -28,7 +28,7 @@ def resolve(listen: list[str], connect: list[str], hosted: set[BusName]) -> Endp
     result = {}
     for bus in BusName:
         if bus in hosted:
-            locator = listens.get(bus) or f"tcp/127.0.0.1:{_free_port()}"
+            locator = listens.get(bus) or free_locator()
             _check_free(locator)
             result[bus] = Endpoint(locator, listen=True)
         elif bus in connects:
@@ -64,10 +64,11 @@ def _read(option: str, texts: list[str]) -> dict[BusName, str]:
     return result
 
 
-def _free_port() -> int:
+def free_locator() -> str:
+    """Returns a place on loopback that nobody uses now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def _check_free(locator: str) -> None:

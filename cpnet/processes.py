@@ -31,6 +31,10 @@ ROLES = (
 )
 """In starting order: the hosts of the buses first."""
 
+RELAY = RoleEntry("relay", "link_relay")
+AGENTS = {"vehicle": "vehicle", "infra": "roadside"}
+"""Roles whose connections a relay may shape, and what their links are called."""
+
 
 @dataclass(frozen=True, slots=True)
 class ProcessEntry:
@@ -52,6 +56,16 @@ def choose_roles(only: str | None) -> list[RoleEntry]:
         if name not in names:
             raise ConfigError(f"--only: there is no role {name!r}; allowed: {', '.join(names)}")
     return [row for row in ROLES if row.role in wanted]
+
+
+def relays_of(roles: list[RoleEntry], scenario: Scenario) -> list[ProcessEntry]:
+    """Returns the relays that agents of these roles need on their machine."""
+    link = scenario.link
+    if link.way(scenario.mode) != "emulated":
+        return []
+    profiles = {"vehicle": link.profile, "roadside": link.roadside_profile}
+    kinds = [AGENTS[row.role] for row in roles if row.role in AGENTS]
+    return [ProcessEntry(f"relay-{kind}", RELAY) for kind in kinds if profiles[kind] is not None]
 
 
 def processes_of(roles: list[RoleEntry], scenario: Scenario) -> list[ProcessEntry]:

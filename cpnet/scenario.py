@@ -15,6 +15,7 @@ from protocol.config import Section
 from protocol.errors import ConfigError
 from recorder.config import RecordConfig
 from sensing.config import LidarConfig, Mount, PoseErrorConfig, SceneConfig, UploadConfig
+from sensing.link.config import LinkConfig
 from signal_controller.config import SignalConfig
 from sim_host.config import CabinetConfig, TrafficConfig
 
@@ -70,6 +71,7 @@ class Scenario(Section):
     scene: SceneConfig = SceneConfig()
     pose: PoseErrorConfig = PoseErrorConfig()
     upload: UploadConfig = UploadConfig()
+    link: LinkConfig = LinkConfig()
     edge: EdgeConfig = EdgeConfig()
     signal: SignalConfig = SignalConfig()
     record: RecordConfig = RecordConfig()
@@ -105,6 +107,7 @@ def validate(data: dict[str, Any], source: str) -> Scenario:
         raise ConfigError(f"{source}: " + "\n".join(lines)) from None
     _check_period(scenario, source)
     _check_mounts(scenario, source)
+    _check_link(scenario, source)
     return scenario
 
 
@@ -193,8 +196,10 @@ def _explain(item: dict[str, Any]) -> str:
 def _keys_at(path: list[int | str]) -> list[str]:
     model: Any = Scenario
     for part in path:
-        in_list = isinstance(part, int)
-        model = model.__args__[0] if in_list else model.model_fields[part].annotation
+        if isinstance(part, int):
+            model = model.__args__[0]
+        elif part in model.model_fields:  # else it is the tag of a union
+            model = _section_of(model.model_fields[part].annotation)
     return list(model.model_fields)
 
 
@@ -202,6 +207,21 @@ def _check_mounts(scenario: Scenario, source: str) -> None:
     names = [mount.id for mount in scenario.roadside_mounts]
     if len(set(names)) < len(names):
         raise ConfigError(f"{source}: roadside_mounts have the ids {names}, each may stand once")
+
+
+def _section_of(annotation: Any) -> Any:  # noqa: ANN401 - whatever stands behind a colon
+    """Returns the section of `Section | None`, anything else as it is."""
+    choices = [choice for choice in getattr(annotation, "__args__", ()) if _is_section(choice)]
+    return choices[0] if choices and not hasattr(annotation, "__origin__") else annotation
+
+
+def _check_link(scenario: Scenario, source: str) -> None:
+    asked, fits = scenario.link.apply, {"lockstep": "virtual", "realtime": "emulated"}
+    if asked not in ("auto", "none", fits[scenario.mode]):
+        raise ConfigError(
+            f"{source}: link.apply is {asked}, but in mode {scenario.mode} links can only be "
+            f"{fits[scenario.mode]}; write auto, or change the mode"
+        )
 
 
 def _check_period(scenario: Scenario, source: str) -> None:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from cpnet.endpoints import Endpoints, connecting
-from cpnet.processes import ProcessEntry
+from cpnet.endpoints import Endpoints, connecting, free_locator
+from cpnet.processes import AGENTS, RELAY, ProcessEntry
 from protocol.bus import Endpoint
 from protocol.topics import BusName
 
@@ -48,6 +48,7 @@ class Supervisor:
     def __init__(self, run_dir: Path, endpoints: Endpoints) -> None:
         self._run_dir = run_dir
         self._endpoints = endpoints
+        self._uplinks: dict[str, str] = {}
         self._children: list[Child] = []
 
     def __enter__(self) -> Supervisor:
@@ -58,6 +59,8 @@ class Supervisor:
 
     def start(self, entries: list[ProcessEntry]) -> None:
         """Starts the processes; their standard error goes to `logs/ID.log` of the run folder."""
+        for relay in (entry for entry in entries if entry.role is RELAY):
+            self._uplinks[relay.id.removeprefix("relay-")] = free_locator()
         folder = self._run_dir / "logs"
         folder.mkdir(parents=True, exist_ok=True)
         for entry in entries:
@@ -121,7 +124,15 @@ class Supervisor:
         command += ["--setup", str(self._run_dir / "setup.msgpack"), "--run", str(self._run_dir)]
         for bus in BusName:
             command += [f"--{bus.value}", str(self._endpoint(bus, entry))]
-        return command
+        uplink = self._uplink(entry)
+        return command + (["--uplink", str(uplink)] if uplink else [])
+
+    def _uplink(self, entry: ProcessEntry) -> Endpoint | None:
+        """Returns where a relay listens, or where an agent finds the relay before the edge."""
+        is_relay = entry.role is RELAY
+        kind = entry.id.removeprefix("relay-") if is_relay else AGENTS.get(entry.role.role, "")
+        locator = self._uplinks.get(kind)
+        return Endpoint(locator, listen=is_relay) if locator else None
 
     def _endpoint(self, bus: BusName, entry: ProcessEntry) -> Endpoint:
         endpoint = self._endpoints[bus]

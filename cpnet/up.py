@@ -18,7 +18,7 @@ from rich.markup import escape
 from cpnet import scenario as scenarios
 from cpnet.display import Display
 from cpnet.endpoints import Endpoints, connecting, resolve
-from cpnet.processes import choose_roles, processes_of
+from cpnet.processes import choose_roles, processes_of, relays_of
 from cpnet.supervisor import Death, Supervisor
 from cpnet.watch import Watch
 from protocol.bus import Endpoint, fetch
@@ -68,7 +68,7 @@ def up(options: Options, console: Console) -> tuple[int, Path]:
     (run_dir / "scenario.json").write_text(json.dumps(setup.scenario, indent=2) + "\n", "utf-8")
     console.print(f"{scenario.name}: {', '.join(names)} → {run_dir}", markup=False, soft_wrap=True)
     with Interruption() as interruption, Supervisor(run_dir, endpoints) as supervisor:
-        supervisor.start(processes_of(roles, scenario))
+        supervisor.start(relays_of(roles, scenario) + processes_of(roles, scenario))
         status = _attend(supervisor, endpoints, scenario, interruption, console)
     return status, run_dir
 

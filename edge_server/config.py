@@ -46,7 +46,11 @@ class EdgeConfig(Section):
     """The edge server: how long it waits, how it merges, detects and counts."""
 
     deadline_ms: float = Field(
-        80.0, gt=0, le=10_000, description="realtime: a frame waits so long after its first arrival"
+        80.0,
+        gt=0,
+        le=10_000,
+        description="realtime: a frame waits so long after its first arrival; lockstep with "
+        "virtual links: what arrives later than this after the frame's time is left out",
     )
     lockstep_timeout_s: float = Field(
         20.0, gt=0, le=600, description="lockstep: the same, only for agents that hang"

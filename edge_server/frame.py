@@ -19,7 +19,7 @@ class Piece:
     """One decoded chunk of a scan: points (N, 3) in the sensor frame.
 
     `sensor_pose` (6,) is `map_SE3_sensor` as the agent believes it. For `plan_frame` and
-    `ground_free` see `protocol.messages.Scan`.
+    `ground_free` see `protocol.messages.Scan`; `size_bytes` is that of the payload.
     """
 
     frame: int
@@ -34,6 +34,8 @@ class Piece:
     decode_end_ns: int
     plan_frame: int = -1
     ground_free: bool = False
+    arrival_sim_ns: int | None = None
+    size_bytes: int = 0
     placed: Placed | None = None
     placed_ns: int = 0
 
@@ -48,7 +50,7 @@ class Frame:
 
     `agents`, `poses` and `objects` are sorted by agent, `pieces` by agent and chunk. The first part
     came at `first_ns`; waiting ended at `ready_ns`. `scanning` are the agents, sorted, that
-    announced a scan, be it here or not.
+    announced a scan, be it here or not. `delay_sim_ns` is known where links are virtual.
     """
 
     frame: int
@@ -61,6 +63,7 @@ class Frame:
     ready_ns: int
     scanning: Sequence[str] = ()
     objects: Sequence[Objects] = ()
+    delay_sim_ns: int | None = None
 
 
 def open_scan(scan: Scan, received_ns: int) -> Piece:
@@ -94,4 +97,6 @@ def _piece(scan: Scan, points: Floats32, received_ns: int, start_ns: int) -> Pie
         decode_end_ns=time.monotonic_ns(),
         plan_frame=scan.plan_frame,
         ground_free=scan.ground_free,
+        arrival_sim_ns=scan.arrival_sim_ns,
+        size_bytes=scan.payload.size,
     )

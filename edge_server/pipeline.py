@@ -127,6 +127,7 @@ class Pipeline:
             complete=frame.complete,
             upstream=upstream,
             downstream=downstream,
+            delay_sim_ns=frame.delay_sim_ns,
         )
 
 

@@ -16,6 +16,8 @@ from perception.arrays import Floats
 from protocol.messages import Plan
 from protocol.roadmap import RoadMap
 from sensing.config import UploadConfig
+from sensing.link.config import LinkConfig
+from sensing.radio import ENVELOPE_BYTES
 from sensing.upload.registry import POLICIES, Policy
 
 KEPT_PLANS = 8
@@ -23,7 +25,10 @@ _BEYOND_M = 600.0  # around the lanes: farther than any sensor on the road sees
 
 
 class Planner:
-    """Plans frame by frame. In lockstep, nothing that a clock measured enters a plan."""
+    """Plans frame by frame. In lockstep, nothing that a clock measured enters a plan.
+
+    What an uplink carries shows there on virtual links alone, in simulated time.
+    """
 
     def __init__(self, scenario: dict[str, Any], config: PlanConfig, road_map: RoadMap) -> None:
         upload = UploadConfig.model_validate(scenario.get("upload", {}))
@@ -32,6 +37,9 @@ class Planner:
         )
         self._config = config
         self._lockstep = scenario["mode"] == "lockstep"
+        link = LinkConfig.of(scenario)
+        self._is_virtual = link.way(scenario["mode"]) == "virtual"
+        self._lead_ns = round(link.agent_compute_ms * 1e6)
         self._box = _box(road_map)
         self._posts: dict[str, Floats] = {}
         self._borders: dict[int, Borders] = {}
@@ -39,15 +47,18 @@ class Planner:
 
     @property
     def ends_early(self) -> bool:
-        """Whether frames may end before all chunks came: real links, and chunks in an order."""
+        """Whether frames may end before all chunks came: they take time and come in an order."""
         in_order = self._vehicle.chunks > 1 or self._roadside.chunks > 1
-        return in_order and self._config.early_end and not self._lockstep
+        return in_order and self._config.early_end and (self._is_virtual or not self._lockstep)
 
-    def plans(self, frame: Frame) -> list[Plan]:
+    def plans(self, frame: Frame, enough_sim_ns: int | None = None) -> list[Plan]:
         """Returns what every agent that scanned in a frame shall send from the next one on.
 
-        In lockstep these are the agents with cells alone, since the others need no plan.
+        In lockstep these are the agents with cells alone, since the others need no plan. Over
+        virtual links the edge has had enough of the frame since `enough_sim_ns`.
         """
+        if self._is_virtual:
+            self._hear_virtual(frame)
         self.bandwidth.forget(frame.frame)
         sites = self._sites(frame)
         agents = sorted(sites)
@@ -67,6 +78,7 @@ class Planner:
                         agent=agent,
                         mbps=self.bandwidth.mbps(agent) or 0.0,
                         enough=frame.frame,
+                        enough_sim_ns=enough_sim_ns,
                         agents=agents if planned else [],
                         sites=site_array,
                         weights_m2=weight_array,
@@ -88,6 +100,18 @@ class Planner:
         others = [scan for agent, scan in uploaded.items() if agent not in borders.agents]
         both_have_cells = self._vehicle.cells and self._roadside.cells
         return borders.covered(cut) and (both_have_cells or all(scan.is_whole for scan in others))
+
+    def _hear_virtual(self, frame: Frame) -> None:
+        """Takes note, agent by agent, of how long what came of a frame was on its virtual link."""
+        sent_ns = frame.sim_time_ns + self._lead_ns
+        came = [(pose.agent, -1, 0, pose.arrival_sim_ns) for pose in frame.poses]
+        came += [(p.agent, p.chunk, p.size_bytes, p.arrival_sim_ns) for p in frame.pieces]
+        for agent, _, payload_bytes, arrival_ns in sorted(came, key=lambda part: part[:2]):
+            if arrival_ns is not None:
+                size_bytes = payload_bytes + ENVELOPE_BYTES
+                self.bandwidth.heard(
+                    agent, frame.frame, size_bytes, sent_ns=sent_ns, received_ns=arrival_ns
+                )
 
     def _sites(self, frame: Frame) -> dict[str, Floats]:
         """Returns where the sensors of the agents with cells stand, x and y."""

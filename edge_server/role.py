@@ -11,6 +11,7 @@ from edge_server.config import EdgeConfig
 from edge_server.frame import Frame, open_scan, spoilt_scan
 from edge_server.pipeline import Pipeline, Result
 from edge_server.planner import Planner
+from edge_server.punctual import Punctuality
 from protocol.errors import CodecError
 from protocol.inbox import Envelope, Presence
 from protocol.messages import (
@@ -24,6 +25,7 @@ from protocol.messages import (
     Span,
 )
 from protocol.process import Context
+from sensing.link.config import LinkConfig
 
 
 class EdgeRole:
@@ -42,10 +44,12 @@ class EdgeRole:
         self._lockstep = scenario["mode"] == "lockstep"
         wait_s = config.lockstep_timeout_s if self._lockstep else config.deadline_ms / 1000
         self._planner = Planner(scenario, config.plan, context.setup.road_map)
+        self._punctuality = punctuality(scenario, config)
+        self._covers = self._planner.covers if self._planner.ends_early else None
         self._assembler = Assembler(
             wait_ns=round(wait_s * 1e9),
             expected=expected,
-            covers=self._planner.covers if self._planner.ends_early else None,
+            covers=None if self._punctuality else self._covers,
         )
 
     @classmethod
@@ -91,6 +95,7 @@ class EdgeRole:
             self._context.announce("edge")
         frame = self._assembler.pop(time.monotonic_ns())
         if frame is not None:
+            frame = self._cut(frame)
             self._publish_plans(frame)
             self._publish(frame, self._pipeline.run(frame))
 
@@ -101,6 +106,14 @@ class EdgeRole:
         if presence.role in ("vehicle", "infra"):
             self._missing.discard(presence.id)
             self._assembler.hear(presence.id, presence.role, alive=presence.alive)
+
+    def _cut(self, frame: Frame) -> Frame:
+        """Leaves out, over virtual links, what has not arrived in simulated time."""
+        if self._punctuality is None:
+            return frame
+        cut, late = self._punctuality.cut(frame, self._covers)
+        self._assembler.drops["late"] += late
+        return cut
 
     def _take_scan(self, scan: Scan, came: Envelope) -> None:
         """Decodes what is wanted. What is late still tells how much its uplink carries."""
@@ -126,7 +139,8 @@ class EdgeRole:
 
         In lockstep an agent waits for it before it begins the next frame.
         """
-        for plan in self._planner.plans(frame):
+        enough_sim_ns = self._punctuality.end_ns(frame) if self._punctuality else None
+        for plan in self._planner.plans(frame, enough_sim_ns):
             self._context.v2x.publish("plan", plan, region=self._region, agent=plan.agent)
 
     def _publish(self, frame: Frame, result: Result) -> None:
@@ -166,6 +180,14 @@ def _is_its_own(item: Envelope) -> bool:
     """Whether a message says of its sender what the key does on which it came."""
     header = item.message
     return all(str(getattr(header, name, part)) == part for name, part in item.parts.items())
+
+
+def punctuality(scenario: dict[str, Any], config: EdgeConfig) -> Punctuality | None:
+    """Returns the rule by which virtual links drop what is late; None where links are real."""
+    link = LinkConfig.of(scenario)
+    if link.way(scenario["mode"]) != "virtual":
+        return None
+    return Punctuality(round(config.deadline_ms * 1e6), round(link.edge_compute_ms * 1e6))
 
 
 def _waits(frame: Frame) -> list[Span]:

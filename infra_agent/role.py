@@ -22,7 +22,9 @@ class InfraRole:
         mount = Mount.model_validate(context.setup.scenario["roadside_mounts"][number])
         self._station = Station(context, "roadside")
         self._map_SE3_sensor = mounted(mount, context.setup.road_map, self._station.terrain)
-        self._uplink = self._station.uplink(mount.id, context.open_v2x())
+        self._bus = context.open_v2x()
+        radio = self._station.radio(mount.id, self._bus)
+        self._uplink = self._station.uplink(mount.id, self._bus, radio)
         self._station.open("infra")
 
     def on(self, item: Envelope | Presence) -> None:
@@ -36,15 +38,17 @@ class InfraRole:
         self._station.report(tick)
 
     def close(self) -> None:
-        """Hangs up."""
+        """Accounts for the last frame and hangs up."""
         self._station.hang_up(self._uplink.agent)
+        self._station.report()
+        self._bus.close()
 
     def _play(self, tick: Tick) -> None:
         agent, pose = self._uplink.agent, self._map_SE3_sensor
-        uploads = self._station.uploads
-        self._station.publish_roster(tick, [agent], [agent] if uploads else [])
-        self._station.settle(tick)
-        if uploads:
+        self._station.begin(tick)
+        scans = self._station.admits(agent, tick)
+        self._station.publish_roster(tick, [agent], [agent] if scans else [])
+        if scans:
             self._uplink.sense_and_send(
                 tick, map_SE3_sensor=pose, believed_SE3_sensor=pose, own=None
             )

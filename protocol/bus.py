@@ -18,16 +18,27 @@ import zenoh
 from protocol.errors import BusError
 from protocol.inbox import Envelope, Inbox, Presence, Sealed
 from protocol.messages import Message
-from protocol.tcpinfo import sent_bytes
+from protocol.tcpinfo import sent_bytes, unsent_bytes
 from protocol.topics import ALIVE, TOPICS, BusName, Delivery, Topic
 from protocol.wire import decode, encode
 
-__all__ = ["Bus", "Endpoint", "Envelope", "Inbox", "Presence", "ZenohBus", "fetch", "open_bus"]
+__all__ = [
+    "Bus",
+    "Endpoint",
+    "Envelope",
+    "Inbox",
+    "Presence",
+    "ZenohBus",
+    "fetch",
+    "open_bus",
+    "roomy",
+]
 
 M = TypeVar("M", bound=Message)
 
 CONNECT_TIMEOUT_MS = 60_000
 LEASE_MS = 20_000  # a process may be stopped for so long; its death shows as the end of its TCP
+SEND_BUFFER_BYTES = 1 << 20  # the kernel caps it at net.core.wmem_max
 _PRIORITY = {
     Delivery.BULK: zenoh.Priority.DATA,
     Delivery.PROMPT: zenoh.Priority.INTERACTIVE_HIGH,
@@ -52,6 +63,9 @@ class Bus(Protocol):
 
     def wire_bytes(self) -> int:
         """Returns the bytes that TCP has sent for this bus, 0 if it is not one connection."""
+
+    def unsent_bytes(self) -> int:
+        """Returns the bytes that TCP holds back because the link is full."""
 
     def close(self) -> None:
         """Ends the bus; its tokens vanish."""
@@ -133,19 +147,45 @@ class ZenohBus:
     def serve(self, topic_name: str, message: Message) -> None:
         """Answers whoever asks for this topic with this message."""
         data = encode(message)
+        self._answer(topic_name, lambda: data)
+
+    def answer(self, topic_name: str, make: Callable[[], Message]) -> None:
+        """Answers whoever asks for this topic with a message made there and then."""
+        self._answer(topic_name, lambda: encode(make()))
+
+    def ask(self, topic_name: str, message: type[M], timeout_s: float) -> M | None:
+        """Returns what the router's host answers, None if nobody does in time.
+
+        Raises:
+            ProtocolError: the answer is not such a message.
+        """
+        for reply in self._session.get(self._topic(topic_name).key(), timeout=timeout_s):
+            if reply.ok is not None:
+                return decode(reply.ok.payload.to_bytes(), message)
+        return None
+
+    def _answer(self, topic_name: str, make: Callable[[], bytes]) -> None:
         key = self._topic(topic_name).key()
-        self._kept.append(
-            self._session.declare_queryable(key, lambda query: query.reply(key, data))
-        )
+        queryable = self._session.declare_queryable(key, lambda query: query.reply(key, make()))
+        self._kept.append(queryable)
 
     def wire_bytes(self) -> int:
         """See `Bus.wire_bytes`."""
-        links = self._session.info.links()
-        return sent_bytes(str(links[0].src)) if len(links) == 1 else 0
+        locator = self._locator()
+        return sent_bytes(locator) if locator else 0
+
+    def unsent_bytes(self) -> int:
+        """See `Bus.unsent_bytes`."""
+        locator = self._locator()
+        return unsent_bytes(locator) if locator else 0
 
     def close(self) -> None:
         """See `Bus.close`."""
         self._session.close()  # type: ignore[no-untyped-call]  # zenoh annotates arguments only
+
+    def _locator(self) -> str | None:
+        links = self._session.info.links()
+        return str(links[0].src) if len(links) == 1 else None
 
     def _topic(self, name: str) -> Topic:
         topic = TOPICS[name]
@@ -163,6 +203,14 @@ def open_bus(
         BusError: the port is in use, or nothing answers there in time.
     """
     return ZenohBus(_open_session(name, endpoint, timeout_ms), name, inbox)
+
+
+def roomy(endpoint: Endpoint) -> Endpoint:
+    """Returns the endpoint with a socket that takes a whole scan while the link is full.
+
+    Then publishing blocks nobody, and the kernel tells how much waits.
+    """
+    return Endpoint(f"{endpoint.locator}#so_sndbuf={SEND_BUFFER_BYTES}", endpoint.listen)
 
 
 def fetch(name: BusName, endpoint: Endpoint, topic_name: str, message: type[M]) -> M:

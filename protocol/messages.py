@@ -4,6 +4,9 @@ Times ending in `_ns` without `sim_` come from `time.monotonic_ns` of the proces
 Poses are x, y, z in m and roll, pitch, yaw in rad, in the map frame.
 
 Every number, text and list has a bound, so that one absurd message cannot spoil what is kept.
+Where links are virtual, `arrival_sim_ns` says when, in simulated time, the edge has a message, and
+`delay_sim_ns` how long after the frame's time a result is there; else they are None. What arrives
+at `NEVER_NS` was taken off the link before it left.
 """
 
 from __future__ import annotations
@@ -54,6 +57,9 @@ Poses = Annotated[arrays.Poses, AfterValidator(_within_reach)]
 _Bounded = (FailFast(), Field(max_length=MAX_ITEMS))  # one error will do, a million cost memory
 Ids = Annotated[list[Id], *_Bounded]
 Texts = Annotated[list[Text], *_Bounded]
+MAX_DELAY_NS = 60_000_000_000
+NEVER_NS = (1 << 62) - 1  # the arrival of what a virtual link was not given any more
+DelayNs = Annotated[int, Field(ge=0, le=MAX_DELAY_NS)]
 
 
 class Equipment(IntEnum):
@@ -224,6 +230,7 @@ class SignalRequest(Message):
     state: Text
     policy: Text
     pressures: Annotated[list[float], *_Bounded] = []
+    delay_sim_ns: DelayNs | None = None
 
 
 class Roster(Message):
@@ -249,6 +256,7 @@ class AgentPose(Message):
     width_m: float = Field(ge=0, le=10)
     height_m: float = Field(ge=0, le=10)
     position_std_m: float = Field(ge=0, le=1000)
+    arrival_sim_ns: TimeNs | None = None
 
 
 class Scan(Message):
@@ -272,6 +280,7 @@ class Scan(Message):
     sense_start_ns: TimeNs
     sense_end_ns: TimeNs
     encode_end_ns: TimeNs
+    arrival_sim_ns: TimeNs | None = None
     payload: Bytes
 
     @model_validator(mode="after")
@@ -316,6 +325,7 @@ class LaneCounts(Message):
     complete: bool
     upstream: dict[Id, Count] = Field(max_length=MAX_ITEMS)
     downstream: dict[Id, Count] = Field(max_length=MAX_ITEMS)
+    delay_sim_ns: DelayNs | None = None
 
 
 class Span(Part):
@@ -328,7 +338,10 @@ class Span(Part):
 
 
 class Upload(Part):
-    """One chunk as its sender saw it."""
+    """One chunk as its sender saw it.
+
+    `link_sim_ns` is its time on a virtual link, the queue before it included.
+    """
 
     agent: Id
     chunk: Count
@@ -338,10 +351,14 @@ class Upload(Part):
     sense_end_ns: TimeNs
     encode_end_ns: TimeNs
     sent_ns: TimeNs
+    link_sim_ns: DelayNs | None = None
 
 
 class WireCount(Part):
-    """What TCP sent for an agent from one frame's upload until the next one's began."""
+    """What TCP sent for an agent from one frame's upload until the next one's began.
+
+    Over a virtual link: what the link took of the frame, with the headers of TCP and IP.
+    """
 
     agent: Id
     frame: FrameNumber
@@ -401,7 +418,8 @@ class Plan(Message):
     weight. All agents of a frame get the same arrays; without cells they are empty.
 
     `mbps` is what the agent's uplink carries as the edge believes, 0 if it does not know. Of
-    `enough` and the frames before it no more chunks are needed.
+    `enough` and the frames before it no more chunks are needed; where links are virtual,
+    `enough_sim_ns` says since when.
     """
 
     kind: ClassVar[int] = 15
@@ -409,6 +427,7 @@ class Plan(Message):
     agent: Id
     mbps: float = Field(ge=0, le=1e6)
     enough: int = Field(ge=-1, lt=1 << 40)
+    enough_sim_ns: TimeNs | None = None
     agents: Ids
     sites: Sites
     weights_m2: Borders
@@ -434,6 +453,7 @@ class Objects(Message):
     sense_start_ns: TimeNs
     sense_end_ns: TimeNs
     detect_end_ns: TimeNs
+    arrival_sim_ns: TimeNs | None = None
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
@@ -453,6 +473,27 @@ def _check_lengths(message: Message, *columns: str) -> None:
     lengths = {name: len(getattr(message, name)) for name in columns}
     if len(set(lengths.values())) > 1:
         raise ValueError(f"lists have lengths {lengths}, need one")
+
+
+class TimeReply(Message):
+    """What the host of the world bus answers to who asks for its clock."""
+
+    kind: ClassVar[int] = 17
+    machine: Text
+    heard_ns: TimeNs
+    told_ns: TimeNs
+
+
+class ClockReading(Message):
+    """What to add to a process's clock to have that of the world bus's host.
+
+    It is wrong by `error_ns` at most; both are 0 on the same machine.
+    """
+
+    kind: ClassVar[int] = 18
+    process: Id
+    offset_ns: TimeNs
+    error_ns: TimeNs = Field(ge=0)
 
 
 MESSAGES: dict[int, type[Message]] = {m.kind: m for m in Message.__subclasses__()}

@@ -20,7 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from protocol.bus import Bus, Endpoint, ZenohBus, open_bus
+from protocol.bus import Bus, Endpoint, ZenohBus, open_bus, roomy
+from protocol.clock import ClockWatch, time_reply
 from protocol.errors import CpnetError, ProtocolError
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import Setup
@@ -29,12 +30,16 @@ from protocol.wire import decode
 
 POLL_S = 0.02
 MAX_BATCH = 256  # so that a flood cannot keep a role from acting
+_NOWHERE = Endpoint("", listen=False)  # of a role that is built without a network
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
-    """What a role is handed. `open_v2x` opens one more V2X session, with its own connection."""
+    """What a role is handed. `open_v2x` opens one more V2X session, with its own connection.
+
+    That connection goes to `uplink`: the edge's router, or a relay before it.
+    """
 
     id: str
     setup: Setup
@@ -44,6 +49,8 @@ class Context:
     inbox: Inbox
     stop: threading.Event
     open_v2x: Callable[[], Bus]
+    v2x_endpoint: Endpoint = _NOWHERE
+    uplink: Endpoint = _NOWHERE
 
     def announce(self, role: str) -> None:
         """Shows this process on both buses: it is ready."""
@@ -97,8 +104,12 @@ def _live(
     world = open_bus(BusName.WORLD, arguments.world, inbox)
     if arguments.world.listen:
         world.serve("setup", setup)  # before all else: whoever hosts the V2X bus may wait for it
+        world.answer("time", time_reply())
     v2x = open_bus(BusName.V2X, arguments.v2x, inbox)
-    extra = Endpoint(arguments.v2x.locator, listen=False)
+    clock = None if arguments.world.listen else ClockWatch(arguments.id, world)
+    if clock is not None:
+        clock.start()
+    uplink = arguments.uplink or Endpoint(arguments.v2x.locator, listen=False)
     context = Context(
         arguments.id,
         setup,
@@ -107,7 +118,9 @@ def _live(
         v2x,
         inbox,
         stop,
-        lambda: open_bus(BusName.V2X, extra, inbox),
+        lambda: open_bus(BusName.V2X, roomy(uplink), inbox),
+        arguments.v2x,
+        uplink,
     )
     try:
         role = build(context)
@@ -116,6 +129,8 @@ def _live(
         finally:
             role.close()
     finally:
+        if clock is not None:
+            clock.stop()
         _close(v2x, world)
 
 
@@ -162,5 +177,6 @@ def _parse(role_name: str) -> argparse.Namespace:
     parser.add_argument("--run", required=True, type=Path, help="run folder")
     parser.add_argument("--world", required=True, type=Endpoint.parse, help="listen:… or connect:…")
     parser.add_argument("--v2x", required=True, type=Endpoint.parse, help="listen:… or connect:…")
+    parser.add_argument("--uplink", type=Endpoint.parse, help="agents: another way to the V2X bus")
     parser.add_argument("--supervised", action="store_true", help="stop when standard input closes")
     return parser.parse_args()

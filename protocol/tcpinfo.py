@@ -1,4 +1,4 @@
-"""Bytes that the kernel sent for a TCP connection of this process (TCP_INFO, Linux)."""
+"""What the kernel knows of a TCP connection of this process (TCP_INFO, Linux)."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import struct
 from functools import lru_cache
 from pathlib import Path
 
-_BYTES_SENT = struct.Struct("@Q")
-_OFFSET = 200  # of tcpi_bytes_sent in struct tcp_info, linux/tcp.h since 4.19
+# Offsets in struct tcp_info, linux/tcp.h since 4.19.
+_NOTSENT_BYTES = (144, struct.Struct("@I"))
+_BYTES_SENT = (200, struct.Struct("@Q"))
 
 
 def sent_bytes(locator: str) -> int:
@@ -17,12 +18,23 @@ def sent_bytes(locator: str) -> int:
 
     Headers of TCP and IP are not in it. 0 if there is no such socket or the kernel is too old.
     """
+    return _read(locator, *_BYTES_SENT)
+
+
+def unsent_bytes(locator: str) -> int:
+    """Returns the bytes that wait in the kernel for the other side's window; 0 as above."""
+    return _read(locator, *_NOTSENT_BYTES)
+
+
+def _read(locator: str, offset: int, number: struct.Struct) -> int:
     port = locator.rsplit(":", 1)[-1].split("?")[0].split("#")[0]
     connection = _socket_at(int(port)) if port.isdigit() else None
     if connection is None:
         return 0
     info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 232)
-    return int(_BYTES_SENT.unpack_from(info, _OFFSET)[0]) if len(info) >= _OFFSET + 8 else 0
+    if len(info) < offset + number.size:
+        return 0
+    return int(number.unpack_from(info, offset)[0])
 
 
 @lru_cache(maxsize=1024)

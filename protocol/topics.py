@@ -75,6 +75,8 @@ TOPICS = _table(
     Topic("trips", "world/trips", m.Trips, _W, _B),
     Topic("end", "world/end", m.End, _W, _B),
     Topic("progress", "world/progress", m.Progress, _W, _T),
+    Topic("time", "world/time", m.TimeReply, _W, _P),
+    Topic("clock", "world/clock/{process}", m.ClockReading, _W, _T),
     Topic("state", "signal/{tls}/state", m.SignalState, _V, _P),
     Topic("request", "signal/{tls}/request", m.SignalRequest, _V, _P),
     Topic("roster", "{region}/roster/{process}", m.Roster, _V, _P),

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from protocol.errors import MessageError
-from protocol.messages import Arrival, Metrics, Span, Upload
-from recorder.tables import FrameRow, UploadRow
+from protocol.messages import LaneCounts, Metrics, Upload
+from recorder.account import Evidence
+from recorder.tables import AccountRow, FrameRow, UploadRow
 
 OPEN_FRAMES = 256
 """So many frames before the newest tick are still changed; what is older is settled."""
 
-_LONGEST_NS = 60_000_000_000
-_NOBODY: tuple[None, ...] = (None,) * 7
+Clocks = Mapping[str, tuple[int, int]]
+_NOBODY: tuple[None, ...] = (None,) * 8
 
 
 @dataclass(slots=True)
@@ -31,38 +32,42 @@ class FrameNote:
     complete: bool | None = None
     tick_ns: int | None = None
     request_ns: int | None = None
-    actuate: Span | None = None
-    uploads: dict[tuple[str, int], Upload] = field(default_factory=dict)
-    arrivals: dict[tuple[str, int], Arrival] = field(default_factory=dict)
     wire: dict[str, int] = field(default_factory=dict)
+    evidence: Evidence = field(default_factory=Evidence)
     heard: set[str] = field(default_factory=set)
 
     def measured(self, metrics: Metrics) -> None:
         """Adds what one process measured in this frame."""
         self.heard.add(metrics.process)
-        self.uploads |= {(upload.agent, upload.chunk): upload for upload in metrics.uploads}
-        self.arrivals |= {(arrival.agent, arrival.chunk): arrival for arrival in metrics.arrivals}
+        known = self.evidence
+        known.spans[metrics.process] += metrics.spans
+        known.senders |= {upload.agent: metrics.process for upload in metrics.uploads}
+        known.uploads |= {(upload.agent, upload.chunk): upload for upload in metrics.uploads}
+        known.arrivals |= {(arrival.agent, arrival.chunk): arrival for arrival in metrics.arrivals}
         if metrics.process == "edge":
             self.points = metrics.points
-        if metrics.process == "sim":
-            acts = [span for span in metrics.spans if span.stage == "actuate"]
-            self.actuate = acts[-1] if acts else self.actuate
 
-    @property
-    def end_to_end_ns(self) -> int | None:
-        """From the first sensing (without any, the tick) until the signal cabinet has acted.
+    def counted(self, lanes: LaneCounts) -> None:
+        """Adds what the edge made of the frame."""
+        self.complete, self.agents = lanes.complete, len(lanes.agents)
+        self.evidence.complete = lanes.complete
+        self.evidence.delay_sim_ns = lanes.delay_sim_ns
 
-        None if the request came before the frame was sensed, for it then answers an earlier one,
-        or if a minute lies between, for the clocks are then those of different machines.
+    def accounts(self, clocks: Clocks) -> list[AccountRow]:
+        """Returns where the frame's time went, by agent."""
+        return self.evidence.accounts(self.frame, clocks)
+
+    def end_to_end_ns(self, clocks: Clocks) -> int | None:
+        """From the first sensing until the signal cabinet has acted.
+
+        Where no scan was used, of the scans that were not; where there was none, from the tick.
         """
-        senses = [upload.sense_start_ns for upload in self.uploads.values()]
-        start_ns = min(senses, default=self.tick_ns)
-        if start_ns is None or self.actuate is None or self.actuate.start_ns < start_ns:
-            return None
-        took_ns = self.actuate.end_ns - start_ns
-        return took_ns if took_ns <= _LONGEST_NS else None
+        accounts = self.accounts(clocks)
+        if accounts:
+            return max(account.end_to_end_ns for account in accounts)
+        return self.evidence.unused_end_to_end_ns(clocks, self.tick_ns)
 
-    def row(self) -> FrameRow:
+    def row(self, clocks: Clocks) -> FrameRow:
         """Returns the frame as a row."""
         return FrameRow(
             self.frame,
@@ -76,7 +81,7 @@ class FrameNote:
             None if self.complete is None else int(self.complete),
             self.tick_ns,
             self.request_ns,
-            self.end_to_end_ns,
+            self.end_to_end_ns(clocks),
         )
 
     def upload_rows(self) -> Iterator[UploadRow]:
@@ -84,9 +89,9 @@ class FrameNote:
 
         TCP's bytes of an agent's frame stand at its first chunk.
         """
-        wire = dict(self.wire)
-        for key in sorted(self.uploads.keys() | self.arrivals.keys()):
-            sent, came = self.uploads.get(key), self.arrivals.get(key)
+        uploads, arrivals, wire = self.evidence.uploads, self.evidence.arrivals, dict(self.wire)
+        for key in sorted(uploads.keys() | arrivals.keys()):
+            sent, came = uploads.get(key), arrivals.get(key)
             sender = _NOBODY if sent is None else _as_sent(sent, wire.pop(key[0], None))
             edge = (None, None) if came is None else (came.received_ns, came.decoded_ns)
             yield UploadRow(self.frame, *key, *sender, *edge)
@@ -146,4 +151,5 @@ def _as_sent(upload: Upload, wire_bytes: int | None) -> tuple[int | None, ...]:
         upload.sense_end_ns,
         upload.encode_end_ns,
         upload.sent_ns,
+        upload.link_sim_ns,
     )

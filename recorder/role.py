@@ -46,6 +46,7 @@ class RecordRole:
         self._ledger = Ledger()
         self._glance = Glance(self._frame_period_ns)
         self._ending = Ending()
+        self._clocks: dict[str, tuple[int, int]] = {}
         self._drops: dict[str, dict[str, int]] = {}
         self._committed_ns = self._told_ns = time.monotonic_ns()
         self._handlers = self._routes()
@@ -94,6 +95,7 @@ class RecordRole:
             "tick": self._on_tick,
             "trips": self._on_trips,
             "metrics": self._on_metrics,
+            "clock": self._on_clock,
             "end": self._on_end,
             "state": self._on_state,
             "request": self._on_request,
@@ -130,9 +132,15 @@ class RecordRole:
             self._ledger.note(count.frame).wire[count.agent] = count.sent_bytes
         self._drops[metrics.process] = metrics.drops
         self._glance.measured(metrics)
-        if note.end_to_end_ns is not None:
-            self._glance.end_to_end_ns = note.end_to_end_ns
+        if metrics.process == "sim":
+            took_ns = note.end_to_end_ns(self._clocks)
+            self._glance.end_to_end_ns = took_ns or self._glance.end_to_end_ns
         self._database.add(tables.StageRow, rows.stage_rows(metrics))
+
+    def _on_clock(self, reading: m.ClockReading, _: int) -> None:
+        found = (reading.offset_ns, reading.error_ns)
+        self._clocks[reading.process] = found
+        self._database.add(tables.ClockRow, [tables.ClockRow(reading.process, *found)])
 
     def _on_end(self, end: m.End, received_ns: int) -> None:
         self._ending.begin(received_ns)
@@ -159,7 +167,7 @@ class RecordRole:
 
     def _on_lanes(self, lanes: m.LaneCounts, _: int) -> None:
         note = self._ledger.note(lanes.frame)
-        note.complete, note.agents = lanes.complete, len(lanes.agents)
+        note.counted(lanes)
         self._database.add(tables.CountRow, rows.count_rows(lanes))
 
     def _on_scan(self, scan: m.Scan, _: int) -> None:
@@ -179,7 +187,8 @@ class RecordRole:
 
     def _commit(self, now_ns: int) -> None:
         for note in self._ledger.take_changed():
-            self._database.add(tables.FrameRow, [note.row()])
+            self._database.add(tables.FrameRow, [note.row(self._clocks)])
+            self._database.add(tables.AccountRow, note.accounts(self._clocks))
             self._database.add(tables.UploadRow, note.upload_rows())
         for process, drops in self._all_drops().items():
             self._database.add(tables.DropRow, rows.drop_rows(process, drops))

@@ -62,7 +62,8 @@ def phase_row(message: SignalState) -> PhaseRow:
 def request_row(message: SignalRequest) -> RequestRow:
     """Returns a policy's wish in a frame."""
     pressures = json.dumps(message.pressures)
-    return RequestRow(message.frame, message.tls, message.state, message.policy, pressures)
+    m = message
+    return RequestRow(m.frame, m.tls, m.state, m.policy, pressures, m.delay_sim_ns)
 
 
 def truth_rows(message: Truth) -> Iterator[TruthRow]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, get_args, get_type_hints
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 _SQL_TYPES = {int: "INTEGER", float: "REAL", str: "TEXT", bytes: "BLOB"}
 
 
@@ -38,7 +38,7 @@ class FrameRow(NamedTuple):
 
 
 class UploadRow(NamedTuple):
-    """One chunk: what its sender said of it, then what the edge said."""
+    """One chunk: what its sender said of it (`link_sim_ns` on a virtual link), then the edge."""
 
     frame: int
     agent: str
@@ -50,6 +50,7 @@ class UploadRow(NamedTuple):
     sense_end_ns: int | None
     encode_end_ns: int | None
     sent_ns: int | None
+    link_sim_ns: int | None
     received_ns: int | None
     decoded_ns: int | None
 
@@ -63,6 +64,31 @@ class StageRow(NamedTuple):
     stage: str
     start_ns: int
     duration_ns: int
+
+
+class AccountRow(NamedTuple):
+    """Where the time of a frame went for one agent; the stages sum to `end_to_end_ns`."""
+
+    frame: int
+    agent: str
+    sense_ns: int
+    select_ns: int
+    encode_ns: int
+    send_ns: int
+    link_ns: int
+    decode_ns: int
+    place_ns: int
+    wait_ns: int
+    merge_ns: int
+    ground_ns: int
+    detect_ns: int
+    fuse_ns: int
+    count_ns: int
+    decide_ns: int
+    actuate_ns: int
+    other_ns: int
+    end_to_end_ns: int
+    clock_error_ns: int
 
 
 class DetectionRow(NamedTuple):
@@ -105,13 +131,17 @@ class PhaseRow(NamedTuple):
 
 
 class RequestRow(NamedTuple):
-    """What a policy asked for; `pressures` is a JSON list in vehicles."""
+    """What a policy asked for; `pressures` is a JSON list in vehicles.
+
+    `delay_sim_ns`, with virtual links: how long after the frame's time it reached the cabinet.
+    """
 
     frame: int
     tls: str
     state: str
     policy: str
     pressures: str
+    delay_sim_ns: int | None
 
 
 class TruthRow(NamedTuple):
@@ -141,6 +171,14 @@ class TripRow(NamedTuple):
     arrive_s: float | None
     time_loss_s: float
     teleported: int
+
+
+class ClockRow(NamedTuple):
+    """What to add to a process's clock to have that of the world's host, at the end of the run."""
+
+    process: str
+    offset_ns: int
+    error_ns: int
 
 
 class DropRow(NamedTuple):
@@ -227,12 +265,14 @@ TABLES: dict[type, Table] = {
         Table("frames", FrameRow, 1),
         Table("uploads", UploadRow, 3),
         Table("stages", StageRow, 0),
+        Table("account", AccountRow, 2),
         Table("detections", DetectionRow, 2, is_result=True),
         Table("counts", CountRow, 3, is_result=True),
         Table("phases", PhaseRow, 2, is_result=True),
         Table("requests", RequestRow, 2, is_result=True),
         Table("truth", TruthRow, 2, is_result=True),
         Table("trips", TripRow, 1, is_result=True),
+        Table("clocks", ClockRow, 1),
         Table("drops", DropRow, 2),
         Table("clouds", CloudRow, 3, rowid=True),
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from typing import Literal
 
 from perception.roadway import Roadway
 from protocol.bus import Bus
@@ -13,9 +12,11 @@ from protocol.messages import End, Metrics, Plan, Roster, Span, Tick, Upload, Wi
 from protocol.process import Context
 from sensing.config import LidarConfig, SceneConfig, UploadConfig
 from sensing.lidar import Lidar
+from sensing.link.config import LinkConfig
+from sensing.radio import AgentKind, Radio, radio_of
 from sensing.scene import scene_of
 from sensing.shapes import VehicleShapes
-from sensing.uplink import Kit, Uplink
+from sensing.uplink import Kit, Shipment, Uplink
 from sensing.upload.objects import Detector
 from sensing.upload.registry import POLICIES
 from sensing.upload.selection import Selector
@@ -30,11 +31,13 @@ class Station:
     made of it, so that the same plan is followed however long it was on its way.
     """
 
-    def __init__(self, context: Context, kind: Literal["vehicle", "roadside"]) -> None:
+    def __init__(self, context: Context, kind: AgentKind) -> None:
         scenario = context.setup.scenario
         self.context = context
         self.seed: int = scenario["seed"]
         self.region: str = scenario["region"]
+        self.link = LinkConfig.of(scenario)
+        self._kind: AgentKind = kind
         road_map = context.setup.road_map
         config = LidarConfig.model_validate(scenario["lidar"][kind])
         scene = scene_of(context.setup, SceneConfig.model_validate(scenario["scene"]), self.seed)
@@ -57,6 +60,7 @@ class Station:
         self._uplinks: dict[str, Uplink] = {}
         self._scanned: tuple[int, list[str]] = (-1, [])
         self._settled: list[WireCount] = []
+        self._left: list[Shipment] = []
         self._tick: Tick | None = None
         self._ticked_ns = 0
         self._drops: Counter[str] = Counter()
@@ -72,7 +76,11 @@ class Station:
         self.context.world.subscribe("end")
         self.context.announce(role)
 
-    def uplink(self, agent: str, bus: Bus) -> Uplink:
+    def radio(self, agent: str, bus: Bus) -> Radio:
+        """Returns the radio of an agent with this connection."""
+        return radio_of(self.context.setup.scenario, self.link, self._kind, agent, bus)
+
+    def uplink(self, agent: str, bus: Bus, radio: Radio) -> Uplink:
         """Opens the way to the edge of one agent that has this bus for itself."""
         if self._policy.cells or not self._kit.lockstep:
             bus.subscribe("plan", region=self.region, agent=agent)
@@ -83,15 +91,31 @@ class Station:
             self._pattern,
             standing=self._standing,
         )
-        self._uplinks[agent] = Uplink(agent, bus, self._kit, selector)
+        self._uplinks[agent] = Uplink(agent, bus, radio, self._kit, selector)
         return self._uplinks[agent]
 
     def hang_up(self, agent: str) -> None:
-        """Closes an agent's way to the edge."""
+        """Ends an agent's way to the edge; its connection is the caller's to close."""
         uplink = self._uplinks.pop(agent)
+        uplink.finish()
+        self._left += uplink.take_done()
         self._settled += uplink.settle()
         self._drops["overtaken_chunks"] += uplink.unsent_chunks
-        uplink.close()
+
+    def begin(self, tick: Tick) -> None:
+        """Begins a frame on all ways to the edge."""
+        for _, uplink in sorted(self._uplinks.items()):
+            uplink.begin(tick.sim_time_ns)
+            self._settled += uplink.settle(tick.frame)
+
+    def admits(self, agent: str, tick: Tick) -> bool:
+        """Whether an agent is to scan; if not, its link has not taken the last scan yet."""
+        uplink = self._uplinks.get(agent)
+        if uplink is None or not self.uploads:
+            return False
+        clogged = uplink.radio.is_clogged(tick.sim_time_ns)
+        self._drops["skipped_scans"] += clogged
+        return not clogged
 
     def take(self, item: Envelope | Presence) -> None:
         """Looks at what arrived; all but ticks, plans and the end are let pass."""
@@ -120,21 +144,18 @@ class Station:
         self.context.v2x.publish("roster", roster, region=self.region, process=process)
         self._scanned = (tick.frame, scanning)
 
-    def settle(self, tick: Tick) -> None:
-        """Counts what TCP sent for the frame before a tick's."""
-        for _, uplink in sorted(self._uplinks.items()):
-            self._settled += uplink.settle(tick.frame)
-
     def report(self, tick: Tick | None = None) -> None:
         """Accounts for the frames that are done with, and for that of a tick in any case."""
         frames: dict[int, tuple[Tick, list[Upload], list[Span]]] = {}
         if tick is not None:
             frames[tick.frame] = (tick, [], [])
+        done, self._left = self._left, []
         for _, uplink in sorted(self._uplinks.items()):
-            for shipment in uplink.take_done():
-                _, uploads, spans = frames.setdefault(shipment.frame, (shipment.tick, [], []))
-                uploads += shipment.uploads
-                spans += shipment.spans
+            done += uplink.take_done()
+        for shipment in done:
+            _, uploads, spans = frames.setdefault(shipment.frame, (shipment.tick, [], []))
+            uploads += shipment.uploads
+            spans += shipment.spans
         for _, (of, uploads, spans) in sorted(frames.items()):
             wire, self._settled = self._settled, []
             self._publish_metrics(of, uploads, spans, wire)

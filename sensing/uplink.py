@@ -13,7 +13,9 @@ from protocol.geometry import SE3
 from protocol.messages import Objects, Plan, Scan, Span, Tick, Upload, WireCount
 from sensing.config import UploadConfig
 from sensing.lidar import Lidar
+from sensing.link.virtual import Passage
 from sensing.noise import stream
+from sensing.radio import ENVELOPE_BYTES, Radio
 from sensing.upload.objects import Detector
 from sensing.upload.outbox import Outbox
 from sensing.upload.selection import Selection, Selector
@@ -65,18 +67,22 @@ class Shipment:
 class Uplink:
     """Belongs to one agent and has a connection of its own, so that its bytes can be told apart.
 
-    In lockstep all chunks of a frame go out at once; in realtime an outbox sends them one by one.
+    In lockstep all chunks of a frame go out at once, and over a virtual link it shows when the next
+    frame begins which of them left; in realtime an outbox sends them one by one.
     """
 
-    def __init__(self, agent: str, bus: Bus, kit: Kit, selector: Selector) -> None:
+    def __init__(self, agent: str, bus: Bus, radio: Radio, kit: Kit, selector: Selector) -> None:
         self.agent = agent
         self.bus = bus
+        self.radio = radio
         self._kit = kit
         self._selector = selector
         self._plan: Plan | None = None
         self._outbox = None if kit.lockstep else Outbox(agent)
+        self._under_way: Shipment | None = None
         self._done: list[Shipment] = []
-        self._counted_bytes = bus.wire_bytes()
+        self._recalled = 0
+        self._counted_bytes = radio.wire_bytes()
         self._counted_frame: int | None = None
 
     @property
@@ -86,8 +92,8 @@ class Uplink:
 
     @property
     def unsent_chunks(self) -> int:
-        """Chunks that were overtaken by a newer frame."""
-        return 0 if self._outbox is None else self._outbox.unsent
+        """Chunks that a newer frame or the edge's having had enough made useless."""
+        return self._recalled + (0 if self._outbox is None else self._outbox.unsent)
 
     def hear(self, plan: Plan) -> None:
         """Takes the edge's plan; an older one than the newest is left."""
@@ -95,6 +101,17 @@ class Uplink:
             self._plan = plan
             if self._outbox is not None:
                 self._outbox.hear(enough=plan.enough, mbps=plan.mbps)
+
+    def begin(self, sim_time_ns: int) -> None:
+        """Begins a frame: what of the last one has not begun to leave is not sent any more."""
+        last, self._under_way = self._under_way, None
+        is_told = last is not None and self._plan is not None and self._plan.enough >= last.frame
+        enough_sim_ns = self._plan.enough_sim_ns if self._plan is not None and is_told else None
+        recalled = self.radio.begin(sim_time_ns, enough_sim_ns)
+        self._recalled += recalled
+        if last is not None:
+            del last.uploads[len(last.uploads) - recalled :]
+            self._done.append(last)
 
     def sense_and_send(
         self,
@@ -125,7 +142,10 @@ class Uplink:
         else:
             for chunk in range(shipment.chunks):
                 shipment.send(chunk)
-        self._done.append(shipment)
+        if self.radio.is_virtual:
+            self._under_way = shipment
+        else:
+            self._done.append(shipment)
 
     def take_done(self) -> list[Shipment]:
         """Returns the frames of which nothing more will be sent, once."""
@@ -136,18 +156,20 @@ class Uplink:
 
     def settle(self, frame: int | None = None) -> list[WireCount]:
         """Returns what TCP sent for the last frame, if any; `frame` is the one that now begins."""
-        before, self._counted_bytes = self._counted_bytes, self.bus.wire_bytes()
+        before, self._counted_bytes = self._counted_bytes, self.radio.wire_bytes()
         last, self._counted_frame = self._counted_frame, frame
         sent_bytes = self._counted_bytes - before
         if last is None or sent_bytes <= 0:
             return []
         return [WireCount(agent=self.agent, frame=last, sent_bytes=sent_bytes)]
 
-    def close(self) -> None:
-        """Hangs up."""
+    def finish(self) -> None:
+        """Sends nothing more; what is on a virtual link still leaves."""
         if self._outbox is not None:
             self._outbox.close()
-        self.bus.close()
+        if self._under_way is not None:
+            self._done.append(self._under_way)
+            self._under_way = None
 
     def send_chunk(self, shipment: Shipment, chunk: int) -> int:
         """Encodes a chunk and sends it; returns the message's size in bytes."""
@@ -158,6 +180,7 @@ class Uplink:
             part, config.max_error_m, profile=config.profile, intensity=config.intensity
         )
         encode_end_ns = time.monotonic_ns()
+        passage = self._carry(tick, len(payload))
         message = Scan(
             frame=tick.frame,
             sim_time_ns=tick.sim_time_ns,
@@ -171,6 +194,7 @@ class Uplink:
             sense_start_ns=shipment.sense_start_ns,
             sense_end_ns=shipment.sense_end_ns,
             encode_end_ns=encode_end_ns,
+            arrival_sim_ns=passage and passage.arrival_ns,
             payload=np.frombuffer(payload, np.uint8),
         )
         size_bytes = self.bus.publish(
@@ -181,9 +205,9 @@ class Uplink:
             self._span("encode", start_ns, encode_end_ns),
             self._span("send", encode_end_ns, sent_ns),
         ]
-        shipment.uploads.append(
-            self._upload(shipment, chunk, message.points, len(payload), encode_end_ns, sent_ns)
-        )
+        sizes = message.points, len(payload)
+        upload = self._upload(shipment, chunk, sizes, (encode_end_ns, sent_ns), passage)
+        shipment.uploads.append(upload)
         return size_bytes
 
     def _send_objects(self, shipment: Shipment, detector: Detector) -> None:
@@ -196,15 +220,18 @@ class Uplink:
             ground_free=self._selector.is_ground_free,
         )
         detect_end_ns = time.monotonic_ns()
+        boxes, scores = found.boxes.astype(np.float32), found.scores.astype(np.float32)
+        passage = self._carry(tick, boxes.nbytes + scores.nbytes)
         message = Objects(
             frame=tick.frame,
             sim_time_ns=tick.sim_time_ns,
             agent=self.agent,
-            boxes=found.boxes.astype(np.float32),
-            scores=found.scores.astype(np.float32),
+            boxes=boxes,
+            scores=scores,
             sense_start_ns=shipment.sense_start_ns,
             sense_end_ns=shipment.sense_end_ns,
             detect_end_ns=detect_end_ns,
+            arrival_sim_ns=passage and passage.arrival_ns,
         )
         self.bus.publish("objects", message, region=self._kit.region, agent=self.agent)
         sent_ns = time.monotonic_ns()
@@ -212,28 +239,32 @@ class Uplink:
             self._span("detect", start_ns, detect_end_ns),
             self._span("send", detect_end_ns, sent_ns),
         ]
-        payload_bytes = message.boxes.nbytes + message.scores.nbytes
-        upload = self._upload(shipment, 0, len(found), payload_bytes, detect_end_ns, sent_ns)
+        sizes = len(found), boxes.nbytes + scores.nbytes
+        upload = self._upload(shipment, 0, sizes, (detect_end_ns, sent_ns), passage)
         shipment.uploads.append(upload)
+
+    def _carry(self, tick: Tick, payload_bytes: int) -> Passage | None:
+        return self.radio.carry(tick.sim_time_ns, payload_bytes + ENVELOPE_BYTES, is_chunk=True)
 
     def _upload(
         self,
         shipment: Shipment,
         chunk: int,
-        points: int,
-        payload_bytes: int,
-        encode_end_ns: int,
-        sent_ns: int,
+        sizes: tuple[int, int],
+        stamps_ns: tuple[int, int],
+        passage: Passage | None,
     ) -> Upload:
+        """Describes a chunk by its points and bytes, and by when it was encoded and sent."""
         return Upload(
             agent=self.agent,
             chunk=chunk,
-            points=points,
-            payload_bytes=payload_bytes,
+            points=sizes[0],
+            payload_bytes=sizes[1],
             sense_start_ns=shipment.sense_start_ns,
             sense_end_ns=shipment.sense_end_ns,
-            encode_end_ns=encode_end_ns,
-            sent_ns=sent_ns,
+            encode_end_ns=stamps_ns[0],
+            sent_ns=stamps_ns[1],
+            link_sim_ns=passage and passage.took_ns,
         )
 
     def _span(self, stage: str, start_ns: int, end_ns: int) -> Span:

@@ -116,6 +116,7 @@ class SignalRole:
             state=decision.state,
             policy=self._config.policy,
             pressures=decision.pressures,
+            delay_sim_ns=counts.delay_sim_ns,
         )
         self._context.v2x.publish("request", request, tls=self._signal.tls)
         drops = dict(+(Counter(self._context.inbox.drops) + self._drops))

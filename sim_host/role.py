@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import time
 from enum import Enum
-from typing import Any
 
 from protocol.errors import BusError, CpnetError
 from protocol.inbox import Envelope, Presence
@@ -19,6 +18,7 @@ from sim_host.cabinet import SignalCabinet
 from sim_host.clock import Beat
 from sim_host.config import CabinetConfig
 from sim_host.fleet import Fleet
+from sim_host.pending import Pending
 from sim_host.roll_call import RollCall, expected_processes
 from sim_host.setup import traffic_config
 from sim_host.world import World
@@ -68,6 +68,7 @@ class SimRole:
         self._tick_ns = 0
         self._ticks = 0
         self._request: Envelope | None = None
+        self._pending = Pending()
         self._out_of_turn = 0
 
     @classmethod
@@ -190,9 +191,11 @@ class SimRole:
         return True
 
     def _finish_frame(self) -> None:
-        self._actuate()
+        if self._request is not None and isinstance(self._request.message, SignalRequest):
+            self._pending.add(self._request, self._request.message)
         start_ns = time.monotonic_ns()
         for _ in range(self._steps):
+            self._actuate()
             self._step()
         stepped = Span(stage="world", start_ns=start_ns, end_ns=time.monotonic_ns())
         self._publish_trips(with_unfinished=False)
@@ -203,22 +206,23 @@ class SimRole:
             self._end("finished")
 
     def _actuate(self) -> None:
-        """Hands the request to the cabinet and shows what it makes of it.
+        """Hands the request that is due to the cabinet and shows what it makes of it.
 
-        The time it took belongs to the frame that the request was made of: in realtime that is
-        often an older one.
+        The time it took belongs to the frame that the request was made of: in realtime and with
+        virtual links that is often an older one.
         """
-        if self._request is None:
+        due = self._pending.take(self._world.time_ns)
+        if due is None:
             return
-        request: Any = self._request.message
+        request, envelope = due
+        since_ns = time.monotonic_ns() if request.delay_sim_ns else envelope.received_ns
         reason = self._cabinet.request(request, self._world.time_ns)
         if reason is not None:
             if self._cabinet.refusals[reason] == 1:
                 _log.warning("request %r refused: %s (then only counted)", request.state, reason)
             return
         self._world.set_signal(self._cabinet.advance(self._world.time_ns))
-        start_ns = self._request.received_ns
-        shown = Span(stage="actuate", start_ns=start_ns, end_ns=time.monotonic_ns())
+        shown = Span(stage="actuate", start_ns=since_ns, end_ns=time.monotonic_ns())
         self._publish_metrics(request.frame, request.sim_time_ns, shown)
 
     def _step(self) -> None:
@@ -245,7 +249,11 @@ class SimRole:
 
     def _drops(self) -> dict[str, int]:
         refused = {f"request_{why}": n for why, n in self._cabinet.refusals.items()}
-        own = {"request_out_of_turn": self._out_of_turn, "late": self._beat.late}
+        own = {
+            "request_out_of_turn": self._out_of_turn,
+            "request_overtaken": self._pending.overtaken,
+            "late": self._beat.late,
+        }
         return {**self._context.inbox.drops, **refused, **{k: n for k, n in own.items() if n}}
 
     def _end(self, reason: str) -> None:

@@ -9,41 +9,39 @@ import numpy as np
 from recorder.run import Run
 
 STAGES = (
-    "sense", "select", "encode", "link", "decode", "place", "wait", "merge", "ground", "detect",
-    "fuse", "count", "decide", "actuate", "end_to_end",
+    "sense", "select", "encode", "send", "link", "decode", "place", "wait", "merge", "ground",
+    "detect", "fuse", "count", "decide", "actuate", "other", "end_to_end",
 )  # fmt: skip
 """The way of a frame; every summary names these, and further ones that a process measured."""
 
 _PERCENTILES = (50, 95, 99)
-_LONGEST_NS = 60_000_000_000
-# A span that an agent or the edge did not measure itself follows from an upload's time stamps.
-_FROM_UPLOADS = {
-    "sense": "sense_end_ns - sense_start_ns",
-    "encode": "encode_end_ns - sense_end_ns",
-    "link": "received_ns - encode_end_ns",
-    "decode": "decoded_ns - received_ns",
-}
+_FROM_ACCOUNT = ("send", "link", "wait", "other")
+"""What no single process can measure: it follows from what several of them said."""
 
 
 def latencies(run: Run) -> dict[str, dict[str, float | None]]:
     """Returns p50, p95 and p99 in ms by stage; None where nothing was measured.
 
-    Differences that are negative or above a minute are left out: they compare the clocks of two
-    machines.
+    `send`, `link`, `wait` and `other` are taken over agents and frames, for the scans that were
+    used; clocks of different machines are aligned. Over virtual links `link` is simulated time.
     """
     durations = _durations(run)
     others = sorted(durations.keys() - set(STAGES))
     return {stage: _percentiles(durations.get(stage, [])) for stage in (*STAGES, *others)}
 
 
+def clock_error_ms(run: Run) -> float | None:
+    """Returns how wrong a latency between machines may be at most; 0 on one machine."""
+    ((worst_ns,),) = run.query("SELECT max(clock_error_ns) FROM account")
+    return None if worst_ns is None else worst_ns / 1e6
+
+
 def _durations(run: Run) -> dict[str, list[int]]:
     durations: dict[str, list[int]] = defaultdict(list)
     for stage, duration_ns in run.query("SELECT stage, duration_ns FROM stages"):
         durations[stage].append(duration_ns)
-    for stage, took in _FROM_UPLOADS.items():
-        if stage not in durations:
-            sql = f"SELECT {took} FROM uploads WHERE {took} BETWEEN 0 AND ?"
-            durations[stage] = [ns for (ns,) in run.query(sql, _LONGEST_NS)]
+    for stage in _FROM_ACCOUNT:
+        durations[stage] = [ns for (ns,) in run.query(f"SELECT {stage}_ns FROM account")]
     sql = "SELECT end_to_end_ns FROM frames WHERE end_to_end_ns IS NOT NULL"
     durations["end_to_end"] = [ns for (ns,) in run.query(sql)]
     return durations

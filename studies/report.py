@@ -19,6 +19,8 @@ def print_report(summary: Summary, console: Console) -> None:
     """Prints the summary; a figure that the run does not yield is a dash."""
     console.print(_headline(summary))
     console.print(Columns([_result_table(summary), _latency_table(summary)]))
+    if summary["clock_error_ms"]:
+        console.print(f"latencies between machines: ± {summary['clock_error_ms']:.2f} ms")
     if summary["agents"]:
         console.print(_agent_table(summary))
     if summary["drops"]:

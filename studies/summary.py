@@ -14,7 +14,7 @@ from recorder.run import Run
 from recorder.tables import DropRow
 from studies.bandwidth import by_agent, total_mbps
 from studies.ecvpr import score
-from studies.latency import latencies
+from studies.latency import clock_error_ms, latencies
 
 Summary = dict[str, Any]
 
@@ -44,6 +44,7 @@ def summarise(run_dir: Path) -> Summary:
             "agents": by_agent(run, period_s),
             "uplink_mbps": total_mbps(run, period_s),
             "latency_ms": latencies(run),
+            "clock_error_ms": clock_error_ms(run),
             **_perception(run),
             **_traffic(run),
             **_drops(run),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from protocol.bus import Bus
 from protocol.errors import MessageError
 from protocol.geometry import SE3, Floats
 from protocol.inbox import Envelope, Presence
@@ -12,8 +13,10 @@ from protocol.process import Context
 from sensing.config import PoseErrorConfig
 from sensing.noise import stream
 from sensing.pose import believed_pose, position_std_m
+from sensing.radio import ENVELOPE_BYTES, Radio
 from sensing.station import Station
 from sensing.uplink import Uplink
+from vehicle_agent.connections import Connections
 
 
 class VehicleRole:
@@ -25,8 +28,12 @@ class VehicleRole:
         self._station = Station(context, "vehicle")
         self._pose_error = PoseErrorConfig.model_validate(scenario["pose"])
         self._body_SE3_sensor = SE3.from_pose([0, 0, scenario["sensor_height_m"], 0, 0, 0])
-        self._types = {kind.name: kind for kind in context.setup.vehicle_types}
+        self._connections = Connections(context.open_v2x, wait=scenario["mode"] == "lockstep")
+        self._shapes_poses = self._station.link.way(scenario["mode"]) == "emulated"
+        self._buses: dict[str, Bus] = {}
+        self._radios: dict[str, Radio] = {}
         self._uplinks: dict[str, Uplink] = {}
+        self._types = {kind.name: kind for kind in context.setup.vehicle_types}
         self._station.open("vehicle")
 
     def on(self, item: Envelope | Presence) -> None:
@@ -48,19 +55,19 @@ class VehicleRole:
         self._station.report(tick)
 
     def close(self) -> None:
-        """Hangs up every CAV's connection."""
-        self._hang_up(set())
+        """Accounts for the last frame and hangs up every agent's connection."""
+        self._forget_all_but(set())
+        self._station.report()
+        self._connections.close()
 
     def _play(self, tick: Tick) -> None:
-        mine = self._hosted(tick)
-        cavs = [i for i in mine if tick.equipment[i] == Equipment.CAV]
-        scanning = cavs if self._station.uploads else []
-        names = [tick.ids[i] for i in scanning]
-        self._station.publish_roster(tick, [tick.ids[i] for i in mine], names)
-        self._hang_up(set(names))
-        for agent in names:
-            self._uplink(agent)
-        self._station.settle(tick)
+        hosted = self._hosted(tick)
+        self._forget_all_but({tick.ids[i] for i in hosted})
+        mine = [i for i in hosted if self._connect(tick, i)]
+        self._station.begin(tick)
+        scanning = [i for i in mine if self._station.admits(tick.ids[i], tick)]
+        names = ([tick.ids[i] for i in indices] for indices in (mine, scanning))
+        self._station.publish_roster(tick, *names)
         for index in mine:
             believed = self._publish_pose(tick, index)
             if index in scanning:
@@ -77,6 +84,7 @@ class VehicleRole:
         rng = stream(self._station.seed, "pose", agent, tick.frame)
         pose = believed_pose(tick.poses[index], self._pose_error, equipment, rng)
         kind = self._types[tick.types[index]]
+        passage = self._radios[agent].carry(tick.sim_time_ns, ENVELOPE_BYTES, is_chunk=False)
         message = AgentPose(
             frame=tick.frame,
             sim_time_ns=tick.sim_time_ns,
@@ -87,24 +95,42 @@ class VehicleRole:
             width_m=kind.width_m,
             height_m=kind.height_m,
             position_std_m=position_std_m(self._pose_error, equipment),
+            arrival_sim_ns=passage and passage.arrival_ns,
         )
-        self._context.v2x.publish("pose", message, region=self._station.region, agent=agent)
+        self._buses[agent].publish("pose", message, region=self._station.region, agent=agent)
         return pose
 
+    def _connect(self, tick: Tick, index: int) -> bool:
+        """Gives a newcomer its connection and radio; false while the connection is being opened.
+
+        CVs share the process's own connection, unless links are emulated: those lie in connections.
+        """
+        agent, is_cav = tick.ids[index], tick.equipment[index] == Equipment.CAV
+        if agent in self._radios:
+            return True
+        has_own = is_cav or self._shapes_poses
+        bus = self._connections.get(agent) if has_own else self._context.v2x
+        if bus is None:
+            return False
+        self._buses[agent] = bus
+        self._radios[agent] = radio = self._station.radio(agent, bus)
+        if is_cav:
+            self._uplinks[agent] = self._station.uplink(agent, bus, radio)
+        return True
+
     def _publish_scan(self, tick: Tick, index: int, believed: Floats) -> None:
-        self._uplink(tick.ids[index]).sense_and_send(
+        self._uplinks[tick.ids[index]].sense_and_send(
             tick,
             map_SE3_sensor=SE3.from_pose(tick.poses[index]) @ self._body_SE3_sensor,
             believed_SE3_sensor=SE3.from_pose(believed) @ self._body_SE3_sensor,
             own=index,
         )
 
-    def _uplink(self, agent: str) -> Uplink:
-        if agent not in self._uplinks:
-            self._uplinks[agent] = self._station.uplink(agent, self._context.open_v2x())
-        return self._uplinks[agent]
-
-    def _hang_up(self, still_here: set[str]) -> None:
-        for agent in sorted(self._uplinks.keys() - still_here):
+    def _forget_all_but(self, present: set[str]) -> None:
+        for agent in sorted(self._uplinks.keys() - present):
             del self._uplinks[agent]
             self._station.hang_up(agent)
+        for known in (self._buses, self._radios):
+            for agent in sorted(known.keys() - present):
+                del known[agent]
+        self._connections.close_all_but(present)

@@ -14,7 +14,10 @@ import zenoh
 from protocol.messages import Roster
 from protocol.topics import PREFIX
 from protocol.wire import encode
+from recorder.account import stage_sum_ns
 from recorder.compare import differences
+from recorder.run import Run
+from recorder.tables import AccountRow, FrameRow
 from tests.cpnet.conftest import Shell, children_of
 
 ROLES = ["edge", "sim", "record", "signal", "infra-0", "vehicle-0", "vehicle-1"]
@@ -37,6 +40,23 @@ def rows(run_dir: Path, table: str) -> int:
     with sqlite3.connect(f"file:{run_dir}/run.sqlite?mode=ro", uri=True) as database:
         count: int = database.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
     return count
+
+
+def check_account(run_dir: Path, *, exactly: bool) -> None:
+    """Checks that the stages of every frame and agent sum to its end-to-end time."""
+    with Run(run_dir) as run:
+        accounts = list(run.rows(AccountRow))
+        whole = {row.frame: row.end_to_end_ns for row in run.rows(FrameRow)}
+    assert accounts
+    for row in accounts:
+        assert stage_sum_ns(row) == row.end_to_end_ns
+        assert row.clock_error_ns == 0
+        assert row.link_ns >= 0
+        assert row.wait_ns >= 0
+        assert (row.other_ns == 0) if exactly else (row.other_ns >= 0)
+    for frame in {row.frame for row in accounts}:
+        mine = [row.end_to_end_ns for row in accounts if row.frame == frame]
+        assert max(mine) == whole[frame]
 
 
 def wait_for_frames(run_dir: Path) -> None:
@@ -153,6 +173,35 @@ def test_a_death_on_the_other_machine_ends_the_run_here(shell):
     assert "left another machine before the run ended" in output
 
 
+def test_virtual_links_give_the_same_rows_whatever_the_number_of_processes(shell):
+    slow = ("--duration=6", "--link=lte-poor", "--set", "link.roadside_profile=500kbit,40ms")
+    for out, processes in (("first", 1), ("second", 2)):
+        spread = f"processes.vehicle={processes}"
+        status, output = shell.up(*slow, "--out", out, "--set", spread).finish()
+        assert status == 0, output
+    assert differences(shell.folder / "first", shell.folder / "second") == []
+    drops = json.loads(shell.run("report", "first", "--json")[1])["drops_by_reason"]
+    assert drops["edge"]["late"] > 0
+    with sqlite3.connect(f"file:{shell.folder}/first/run.sqlite?mode=ro", uri=True) as database:
+        delays = database.execute("SELECT delay_sim_ns FROM requests").fetchall()
+    assert {delay_ns for (delay_ns,) in delays} == {80_000_000}  # the deadline
+    check_account(shell.folder / "first", exactly=True)
+
+
+def test_emulated_links_delay_scans_and_nothing_else(shell):
+    slow = ("--mode=realtime", "--duration=5", "--link=5mbit,80ms", "--set=edge.deadline_ms=90")
+    status, output = shell.up(*slow, "--out=run").finish()
+    assert status == 0, output
+    assert children_of(shell.folder / "run") == {}
+    with sqlite3.connect(f"file:{shell.folder}/run/run.sqlite?mode=ro", uri=True) as database:
+        sql = "SELECT min(received_ns - encode_end_ns) FROM uploads WHERE agent {} 'rsu-0'"
+        ((vehicle_ns,),) = database.execute(sql.format("<>")).fetchall()
+        ((roadside_ns,),) = database.execute(sql.format("=")).fetchall()
+    assert vehicle_ns > 40_000_000
+    assert roadside_ns < 40_000_000
+    check_account(shell.folder / "run", exactly=False)
+
+
 def test_the_report_has_its_stable_keys(shell, first_run):
     status, output = shell.run("report", str(first_run), "--json")
     summary = json.loads(output)
@@ -198,6 +247,16 @@ def test_a_stopped_run_ends_cleanly_with_its_summary(shell, number):
     assert "Traceback" not in output
     assert children_of(shell.folder / "run") == {}
     assert rows(shell.folder / "run", "trips") > 0
+
+
+def test_a_killed_relay_ends_the_run_by_name(shell):
+    command = shell.up("--mode=realtime", "--duration=600", "--link=lte", "--out=run")
+    command.read_until("frame")
+    os.kill(children_of(shell.folder / "run")["relay-vehicle"], signal.SIGKILL)
+    status, output = command.finish()
+    assert status == 1
+    assert "relay-vehicle was killed by SIGKILL" in output
+    assert children_of(shell.folder / "run") == {}
 
 
 def test_processes_end_when_their_supervisor_is_killed(shell):

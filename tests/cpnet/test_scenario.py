@@ -84,3 +84,25 @@ def test_a_list_item_with_a_wrong_key_is_named():
 def test_the_name_of_each_built_in_file_is_its_scenarios_name():
     for name in scenarios.builtin_names():
         assert load(name, {}).name == name
+
+
+def test_a_link_is_kept_in_full_so_that_other_machines_need_no_file(tmp_path):
+    trace = tmp_path / "city.up"
+    trace.write_text("1\n2\n4\n")
+    data = load("t_junction", {"link.profile": str(trace)}).model_dump(mode="json")
+    trace.unlink()
+    again = scenarios.validate(data, "again")
+    assert again.link.profile is not None
+    assert again.link.profile.rate.period_us == 4000
+
+
+def test_a_link_that_does_not_fit_the_mode_is_refused():
+    asked = {"link.profile": "lte", "link.apply": "emulated"}
+    with pytest.raises(ConfigError, match="in mode lockstep links can only be virtual"):
+        load("t_junction", asked)
+
+
+def test_an_unknown_key_in_a_link_is_named_with_those_allowed():
+    rate = {"kind": "varying", "mean": 5}
+    with pytest.raises(ConfigError, match="allows: kind, mean_mbps, variation"):
+        load("t_junction", {"link.profile": {"rate": rate}})

@@ -177,6 +177,8 @@ EXAMPLES: list[m.Message] = [
         sense_end_ns=2,
         detect_end_ns=3,
     ),
+    m.TimeReply(machine="here", heard_ns=5, told_ns=6),
+    m.ClockReading(process="edge", offset_ns=-7, error_ns=8),
 ]
 GOLDEN = Path(__file__).parent / "golden"
 

@@ -80,13 +80,16 @@ class Rig:
                 return said
         raise AssertionError("no frame began")
 
-    def ask(self, tick: m.Tick, state: str, frame: int | None = None) -> None:
+    def ask(
+        self, tick: m.Tick, state: str, frame: int | None = None, delay_sim_ns: int | None = None
+    ) -> None:
         request = m.SignalRequest(
             frame=tick.frame if frame is None else frame,
             sim_time_ns=tick.sim_time_ns,
             tls="J",
             state=state,
             policy="test",
+            delay_sim_ns=delay_sim_ns,
         )
         self.listener_v2x.publish("request", request, tls="J")
 
@@ -177,6 +180,31 @@ def test_an_unsafe_request_is_counted_and_the_frame_goes_on(make: type[Rig]) -> 
     [metrics] = only(rig.turn(), m.Metrics)
     assert metrics.drops == {"request_conflict": 1, "request_out_of_turn": 1}
     assert [span.stage for span in metrics.spans] == ["world"]
+
+
+def test_a_request_with_a_delay_acts_that_much_later_in_simulated_time(make: type[Rig]) -> None:
+    rig = make(duration_s=1)
+    rig.appear(*OTHERS)
+    [tick] = only(rig.until_frame(), m.Tick)
+    for frame in range(9):
+        rig.ask(tick, MAIN, delay_sim_ns=250_000_000)  # on a grid of 0.1 s
+        said = rig.turn()
+        acted = [one.frame for one in only(said, m.Metrics) if stages([one]) == ["actuate"]]
+        assert acted == ([frame - 3] if frame >= 3 else [])
+        [tick] = only(said, m.Tick)
+
+
+def test_a_request_that_a_newer_one_has_overtaken_is_counted(make: type[Rig]) -> None:
+    rig = make()
+    rig.appear(*OTHERS)
+    [tick] = only(rig.until_frame(), m.Tick)
+    rig.ask(tick, MAIN, delay_sim_ns=150_000_000)
+    [tick] = only(rig.turn(), m.Tick)
+    rig.ask(tick, MAIN)
+    said = rig.turn()
+    assert [one.frame for one in only(said, m.Metrics) if stages([one]) == ["actuate"]] == [1]
+    rig.ask(only(said, m.Tick)[0], MAIN)
+    assert only(rig.turn(), m.Metrics)[-1].drops == {"request_overtaken": 1}
 
 
 def test_who_never_appears_is_named(make: type[Rig]) -> None:

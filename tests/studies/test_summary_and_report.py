@@ -10,6 +10,7 @@ from rich.console import Console
 from protocol.errors import ConfigError
 from recorder.database import Database
 from recorder.tables import (
+    AccountRow,
     DropRow,
     FrameRow,
     MetaRow,
@@ -38,9 +39,14 @@ def whole_run(run_dir: Path) -> None:
         database.add(FrameRow, [row])
         sent = (start + 2 * MS, start + 8 * MS, start + 9 * MS, start + 10 * MS)
         wire = 2200 if frame else 0
-        upload = UploadRow(frame, "rsu-0", 0, 9, 2000, wire, *sent, start + 12 * MS, None)
+        upload = UploadRow(frame, "rsu-0", 0, 9, 2000, wire, *sent, None, start + 12 * MS, None)
         database.add(UploadRow, [upload])
         database.add(StageRow, [StageRow(frame, "edge", "", "detect", start, (frame + 1) * MS)])
+        took = dict.fromkeys(AccountRow._fields[2:], 0) | {
+            "link_ns": 3 * MS,
+            "clock_error_ns": frame,
+        }
+        database.add(AccountRow, [AccountRow(frame, "rsu-0", **took)])
         state, stage = ("Gr", "green") if frame < 4 else ("rG", "green")
         stage = "yellow" if frame == 4 else stage
         database.add(PhaseRow, [PhaseRow(frame, "t", frame * 100 * MS, state, stage, state, "p")])
@@ -68,7 +74,8 @@ def test_the_summary_holds_the_figures_of_a_run(tmp_path: Path) -> None:
     assert agent["wire_bytes_per_frame"] == pytest.approx(1980)
     assert list(summary["latency_ms"]) == list(STAGES)
     assert summary["latency_ms"]["end_to_end"]["p50"] == pytest.approx(44.5)
-    assert summary["latency_ms"]["sense"]["p99"] == pytest.approx(6.0)
+    assert summary["latency_ms"]["sense"]["p99"] is None
+    assert summary["clock_error_ms"] == pytest.approx(9e-6)
     assert summary["latency_ms"]["link"]["p50"] == pytest.approx(3.0)
     assert summary["latency_ms"]["detect"]["p50"] == pytest.approx(5.5)
     assert summary["latency_ms"]["decode"]["p50"] is None

@@ -1,0 +1,85 @@
+"""The relay role: agents of this machine reach the edge through it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+
+from link_relay.shaper import Address, Shaper
+from protocol.bus import Endpoint
+from protocol.errors import BusError, ConfigError
+from protocol.inbox import Envelope, Presence
+from protocol.messages import End
+from protocol.process import Context
+from sensing.link.config import LinkConfig
+from sensing.link.path import Path
+from sensing.link.profile import LinkProfile
+
+_log = logging.getLogger(__name__)
+
+
+class RelayRole:
+    """Shapes the connections of one kind of agent, the last word of the process's id.
+
+    A connection does not say whose it is: paths are drawn by the order in which agents connect.
+    """
+
+    def __init__(self, context: Context, shaper: Shaper) -> None:
+        self._context = context
+        self._shaper = shaper
+        self._thread = threading.Thread(target=shaper.run, name="shaper")
+        self._thread.start()
+
+    @classmethod
+    def build(cls, context: Context) -> RelayRole:
+        """Listens for agents and shows itself.
+
+        Raises:
+            ConfigError: the scenario has no link for these agents.
+            BusError: the port is in use.
+        """
+        kind = context.id.rpartition("-")[2]
+        profile = _profile(context, kind)
+        seed: int = context.setup.scenario["seed"]
+        listen, upstream = _address(context.uplink), _address(context.v2x_endpoint)
+        try:
+            shaper = Shaper(listen, upstream, lambda n: Path.draw(profile, seed, f"{kind} {n}"))
+        except OSError as error:
+            raise BusError(f"cannot listen at {context.uplink}: {error.strerror}") from None
+        role = cls(context, shaper)
+        context.world.subscribe("end")
+        context.announce("relay")
+        _log.info("%s links like %s: %s to %s", kind, profile.name, context.uplink, upstream)
+        return role
+
+    def on(self, item: Envelope | Presence) -> None:
+        """Takes the end of the world."""
+        if isinstance(item, Envelope) and isinstance(item.message, End):
+            self._context.stop.set()
+
+    def poll(self) -> None:
+        """The work is done in the relay's own thread; without it the process is of no use.
+
+        Raises:
+            BusError: the relay has failed.
+        """
+        if not self._thread.is_alive():
+            raise BusError("the relay has failed; the reason is above")
+
+    def close(self) -> None:
+        """Ends all connections."""
+        self._shaper.stop()
+        self._thread.join()
+
+
+def _profile(context: Context, kind: str) -> LinkProfile:
+    config = LinkConfig.of(context.setup.scenario)
+    profile = config.profile if kind == "vehicle" else config.roadside_profile
+    if profile is None:
+        raise ConfigError(f"the scenario has no link profile for {kind} agents")
+    return profile
+
+
+def _address(endpoint: Endpoint) -> Address:
+    host, _, port = endpoint.locator.removeprefix("tcp/").rpartition(":")
+    return host.strip("[]"), int(port)

@@ -1,0 +1,159 @@
+"""Clocks of several machines: how far apart they are, from round trips on the bus.
+
+A question goes to the process that hosts the bus's router; half the round trip, less what the
+answer took there, is the most by which the estimate can be wrong. The round trip with the smallest
+such error counts (minimum-delay filter); its error grows as it ages, for clocks drift.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from protocol.errors import ProtocolError
+from protocol.messages import ClockReading, Message, TimeReply
+
+DRIFT = 100e-6  # 50 ppm a quartz, two of them
+KEPT = 32
+BURST = 8
+BURST_PERIOD_S = 0.02
+PERIOD_S = 2.0
+PATIENCE_S = 0.5
+_log = logging.getLogger(__name__)
+M = TypeVar("M", bound=Message)
+
+
+class ClockBus(Protocol):
+    """What is needed of a bus."""
+
+    def publish(self, topic_name: str, message: Message, **parts: str) -> int:
+        """See `protocol.bus.Bus`."""
+
+    def ask(self, topic_name: str, message: type[M], timeout_s: float) -> M | None:
+        """Returns the answer of the router's host, None if none came."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """One question and its answer: asked and answered by this clock, heard and told by that."""
+
+    asked_ns: int
+    heard_ns: int
+    told_ns: int
+    answered_ns: int
+
+    @property
+    def offset_ns(self) -> int:
+        """What to add to this clock to have that one, if both ways took equally long."""
+        return (self.heard_ns - self.asked_ns + self.told_ns - self.answered_ns) // 2
+
+    @property
+    def error_ns(self) -> int:
+        """The most by which the offset can be wrong, however unequal the ways were."""
+        return (self.answered_ns - self.asked_ns - (self.told_ns - self.heard_ns) + 1) // 2
+
+    def error_at_ns(self, now_ns: int) -> int:
+        """The same later on."""
+        return self.error_ns + round(DRIFT * max(0, now_ns - self.answered_ns))
+
+
+class OffsetFilter:
+    """Keeps the last exchanges and tells the best."""
+
+    def __init__(self) -> None:
+        self._kept: deque[Exchange] = deque(maxlen=KEPT)
+
+    def add(self, exchange: Exchange) -> None:
+        """Takes an exchange; one that contradicts itself is left."""
+        if exchange.error_ns >= 0 and exchange.told_ns >= exchange.heard_ns:
+            self._kept.append(exchange)
+
+    def best(self, now_ns: int) -> tuple[int, int] | None:
+        """Returns offset and error in ns, None before the first exchange."""
+        if not self._kept:
+            return None
+        best = min(self._kept, key=lambda exchange: exchange.error_at_ns(now_ns))
+        return best.offset_ns, best.error_at_ns(now_ns)
+
+
+class ClockWatch:
+    """Asks from time to time, in a thread of its own, and publishes what it finds."""
+
+    def __init__(self, process: str, bus: ClockBus, machine: str | None = None) -> None:
+        self._process = process
+        self._bus = bus
+        self._machine = machine or this_machine()
+        self._filter = OffsetFilter()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="clock", daemon=True)
+
+    def start(self) -> None:
+        """Begins to ask."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ends the thread."""
+        self._stop.set()
+        self._thread.join(2 * PATIENCE_S)
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            if self.ask_once():
+                return
+            self._stop.wait(PERIOD_S)
+
+    def ask_once(self) -> bool:
+        """Asks a few times and tells the offset; returns whether it is known for good."""
+        for _ in range(BURST):
+            asked_ns = time.monotonic_ns()
+            reply = self._ask()
+            answered_ns = time.monotonic_ns()
+            if reply is not None and reply.machine == self._machine:
+                self._tell(0, 0)  # the same clock
+                return True
+            if reply is not None:
+                exchange = Exchange(asked_ns, reply.heard_ns, reply.told_ns, answered_ns)
+                self._filter.add(exchange)
+            if self._stop.wait(BURST_PERIOD_S):
+                return True
+        if found := self._filter.best(time.monotonic_ns()):
+            self._tell(*found)
+        return False
+
+    def _ask(self) -> TimeReply | None:
+        try:
+            return self._bus.ask("time", TimeReply, PATIENCE_S)
+        except ProtocolError as error:
+            _log.warning("the clock's answer cannot be read: %s", error)
+            return None
+
+    def _tell(self, offset_ns: int, error_ns: int) -> None:
+        reading = ClockReading(process=self._process, offset_ns=offset_ns, error_ns=error_ns)
+        self._bus.publish("clock", reading, process=self._process)
+
+
+def time_reply(machine: str | None = None) -> Callable[[], TimeReply]:
+    """Returns what the router's host answers with."""
+    name = machine or this_machine()
+
+    def reply() -> TimeReply:
+        heard_ns = time.monotonic_ns()
+        return TimeReply(machine=name, heard_ns=heard_ns, told_ns=time.monotonic_ns())
+
+    return reply
+
+
+def this_machine() -> str:
+    """Returns a name that two processes share only if they read the same monotonic clock."""
+    boot = Path("/proc/sys/kernel/random/boot_id")
+    namespace = Path("/proc/self/ns/time")
+    try:
+        return f"{boot.read_text().strip()} {namespace.readlink()}"
+    except OSError:  # not Linux, or older than 5.6: the clock is asked, which is right as well
+        return f"process {time.monotonic_ns()}"

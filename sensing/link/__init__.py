@@ -1,0 +1,1 @@
+"""Links between agents and the edge: profiles, and what they do to bytes."""

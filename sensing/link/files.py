@@ -1,0 +1,147 @@
+"""Recorded links: CSV traces and Mahimahi trace files.
+
+CSV: a first line that names the columns, then one line a step. `time_s` ascends from any start;
+`rate_mbps` is the uplink's rate from then on, 0 for no connection; `rtt_ms` may be left out. Other
+columns are ignored. The last step lasts as long as the one before it (one alone never ends); then
+the trace begins anew.
+
+Mahimahi: a line is the millisecond at which one packet of 1500 bytes can leave; a millisecond may
+stand on several lines. The trace begins anew after its last millisecond.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections import Counter
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from protocol.errors import ConfigError
+from sensing.link.profile import MAX_STEPS, LinkProfile, RoundTrip, TraceRate
+
+MAX_FILE_BYTES = 64 << 20
+_PACKET_BITS = 1500 * 8
+_COLUMNS = ("time_s", "rate_mbps")
+
+
+def read_trace(path: Path, rtt_ms: float = 0.0) -> LinkProfile:
+    """Reads a trace: `.csv` by its columns, anything else as Mahimahi's.
+
+    Args:
+        path: the file.
+        rtt_ms: round trip where the file gives none.
+
+    Raises:
+        ConfigError: the file cannot be read, or a line of it; names file and line.
+    """
+    lines = _lines(path)
+    rate = _read_csv(path, lines) if path.suffix.lower() == ".csv" else _read_mahimahi(path, lines)
+    return LinkProfile(
+        name=path.name[:80], source=f"file {path}", rate=rate, rtt=RoundTrip.steady(rtt_ms)
+    )
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise ConfigError(
+                f"{path}: has {path.stat().st_size} bytes, limit {MAX_FILE_BYTES}: cut the trace"
+            )
+        lines = path.read_text("utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from None
+    if not any(line.strip() for line in lines):
+        raise ConfigError(f"{path}: line 1: the trace is empty")
+    return lines
+
+
+def _read_csv(path: Path, lines: list[str]) -> TraceRate:
+    reader = csv.DictReader(lines, skipinitialspace=True)
+    names = [name.strip() for name in reader.fieldnames or []]
+    missing = [name for name in _COLUMNS if name not in names]
+    if missing:
+        raise ConfigError(
+            f"{path}: line 1: lacks the column {missing[0]}; needs time_s, rate_mbps and, if you "
+            f"like, rtt_ms; has {', '.join(names)}"
+        )
+    reader.fieldnames = names
+    times_us, rates_bps, rtts_us = [], [], []
+    for row in reader:
+        where = f"{path}: line {reader.line_num}"
+        times_us.append(round(_number(where, "time_s", row["time_s"], least=None) * 1e6))
+        rates_bps.append(round(_number(where, "rate_mbps", row["rate_mbps"]) * 1e6))
+        if "rtt_ms" in names:
+            rtts_us.append(round(_number(where, "rtt_ms", row["rtt_ms"]) * 1e3))
+        if len(times_us) > 1 and times_us[-1] <= times_us[-2]:
+            raise ConfigError(f"{where}: time_s must be later than on the line before")
+    if not times_us:
+        raise ConfigError(f"{path}: line 2: no step follows the column names")
+    starts_us = [time_us - times_us[0] for time_us in times_us]
+    last_us = starts_us[-1] - starts_us[-2] if len(starts_us) > 1 else 1_000_000
+    return _trace(path, starts_us, rates_bps, rtts_us, starts_us[-1] + last_us)
+
+
+def _read_mahimahi(path: Path, lines: list[str]) -> TraceRate:
+    packets: Counter[int] = Counter()
+    last_ms = 0
+    for number, line in enumerate(lines, 1):
+        text = line.strip()
+        if not text:
+            continue
+        if not text.isascii() or not text.isdigit() or len(text) > 12:
+            raise ConfigError(f"{path}: line {number}: {text[:40]!r} is not a whole millisecond")
+        time_ms = int(text)
+        if time_ms < last_ms:
+            raise ConfigError(
+                f"{path}: line {number}: {time_ms} ms comes after {last_ms} ms; must not descend"
+            )
+        last_ms = time_ms
+        packets[max(time_ms - 1, 0)] += 1  # what can leave at t ms gathered in the ms before it
+    if last_ms == 0:
+        raise ConfigError(f"{path}: line {len(lines)}: the trace has no length, it ends at 0 ms")
+    starts_us, rates_bps = _runs(packets)
+    return _trace(path, starts_us, rates_bps, [], last_ms * 1000)
+
+
+def _runs(packets: Counter[int]) -> tuple[list[int], list[int]]:
+    """Returns steps in which the number of packets per millisecond does not change."""
+    starts_us, rates_bps = [0], [0]
+    ends_ms = 0
+    for time_ms in sorted(packets):
+        rate_bps = packets[time_ms] * _PACKET_BITS * 1000
+        if time_ms > ends_ms and rates_bps[-1] != 0:
+            starts_us.append(ends_ms * 1000)
+            rates_bps.append(0)
+        if rate_bps != rates_bps[-1]:
+            starts_us.append(time_ms * 1000)
+            rates_bps.append(rate_bps)
+        ends_ms = time_ms + 1
+    if len(starts_us) > 1 and starts_us[1] == 0:
+        del starts_us[0], rates_bps[0]
+    return starts_us, rates_bps
+
+
+def _trace(
+    path: Path, starts_us: list[int], rates_bps: list[int], rtts_us: list[int], period_us: int
+) -> TraceRate:
+    if len(starts_us) > MAX_STEPS:
+        raise ConfigError(f"{path}: has {len(starts_us)} steps, limit {MAX_STEPS}: cut the trace")
+    try:
+        return TraceRate(
+            starts_us=starts_us, rates_bps=rates_bps, rtt_us=rtts_us, period_us=period_us
+        )
+    except ValidationError as error:
+        message = error.errors()[0]["msg"].removeprefix("Value error, ")
+        raise ConfigError(f"{path}: {message}") from None
+
+
+def _number(where: str, name: str, text: str | None, least: float | None = 0.0) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        raise ConfigError(f"{where}: {name} is {text!r}, needs a number") from None
+    if not math.isfinite(value) or (least is not None and value < least) or abs(value) > 1e9:
+        raise ConfigError(f"{where}: {name} is {text!r}, needs a number from {least or 0:g} to 1e9")
+    return value

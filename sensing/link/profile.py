@@ -1,0 +1,91 @@
+"""What a link is like: its rate over time, its round trip, when it is gone."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from protocol.config import Section
+
+MAX_STEPS = 200_000  # of a trace: it travels to every process in the setup
+
+
+class VaryingRate(Section):
+    """A rate drawn by seed and agent: log-normal around its mean, correlated in time."""
+
+    kind: Literal["varying"] = "varying"
+    mean_mbps: float = Field(10.0, gt=0.001, le=100_000, description="mean uplink rate, Mbit/s")
+    variation: float = Field(
+        0.0, ge=0, le=3, description="standard deviation over mean; 0 for a fixed rate"
+    )
+    correlation_s: float = Field(
+        1.0, gt=0, le=600, description="time in which its correlation falls to 1/e"
+    )
+
+
+class TraceRate(Section):
+    """A recorded rate; it repeats after `period_us`. Rates are of IP packets, headers included."""
+
+    kind: Literal["trace"] = "trace"
+    starts_us: list[int] = Field([0], min_length=1, max_length=MAX_STEPS, description="ascending")
+    rates_bps: list[int] = Field([10_000_000], min_length=1, max_length=MAX_STEPS)
+    rtt_us: list[int] = Field([], max_length=MAX_STEPS, description="as long as rates, or empty")
+    period_us: int = Field(1_000_000, gt=0, description="when it begins anew")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if len(self.rates_bps) != len(self.starts_us):
+            raise ValueError(
+                f"rates_bps has {len(self.rates_bps)} entries, needs {len(self.starts_us)}"
+            )
+        if self.rtt_us and len(self.rtt_us) != len(self.starts_us):
+            raise ValueError(f"rtt_us has {len(self.rtt_us)} entries, needs {len(self.starts_us)}")
+        edges = [*self.starts_us, self.period_us]
+        if edges[0] != 0 or any(a >= b for a, b in pairwise(edges)):
+            raise ValueError("starts_us must begin with 0 and ascend, and end before period_us")
+        if min(self.rates_bps) < 0 or max(self.rates_bps) <= 0 or min(self.rtt_us, default=0) < 0:
+            raise ValueError("rates_bps and rtt_us must not be negative, nor all rates 0")
+        return self
+
+
+class RoundTrip(Section):
+    """The round trip of a small packet on an idle link; one half of it each way."""
+
+    median_ms: float = Field(0.0, ge=0, le=60_000, description="half of all are faster")
+    p95_ms: float = Field(0.0, ge=0, le=60_000, description="95 of 100 are faster")
+    p99_ms: float = Field(0.0, ge=0, le=60_000, description="99 of 100 are faster")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if not self.median_ms <= self.p95_ms <= self.p99_ms:
+            raise ValueError(
+                f"median {self.median_ms:g}, p95 {self.p95_ms:g} and p99 {self.p99_ms:g} ms "
+                "must not descend"
+            )
+        return self
+
+    @classmethod
+    def steady(cls, rtt_ms: float) -> RoundTrip:
+        """Returns a round trip without jitter."""
+        return cls(median_ms=rtt_ms, p95_ms=rtt_ms, p99_ms=rtt_ms)
+
+
+class Outages(Section):
+    """When the connection is lost: what is sent meanwhile waits."""
+
+    per_minute: float = Field(0.0, ge=0, le=60, description="losses per minute of connection")
+    mean_s: float = Field(1.0, gt=0, le=60, description="mean length; lengths are exponential")
+
+
+class LinkProfile(Section):
+    """One kind of link. `source` says where its figures come from."""
+
+    name: str = Field("own", min_length=1, max_length=80, description="as reports call it")
+    source: str = Field("", description="where the figures come from")
+    rate: VaryingRate | TraceRate = Field(
+        VaryingRate(), discriminator="kind", description="of the uplink, IP headers included"
+    )
+    rtt: RoundTrip = Field(RoundTrip(), description="a trace's own round trip comes before it")
+    outages: Outages = Field(Outages(), description="losses of connection")

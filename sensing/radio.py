@@ -1,0 +1,130 @@
+"""One agent's radio: whether its link takes more, and when what it sends arrives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Literal, Protocol
+
+from protocol.bus import Bus
+from protocol.messages import NEVER_NS
+from sensing.link.config import LinkConfig
+from sensing.link.path import Path, on_air_bytes
+from sensing.link.virtual import Passage, VirtualLink
+
+ENVELOPE_BYTES = 320  # a scan without its payload, or a pose, with Zenoh's key and framing
+
+AgentKind = Literal["vehicle", "roadside"]
+
+
+class Radio(Protocol):
+    """What an agent asks before it senses, and tells when it sends."""
+
+    is_virtual: bool
+
+    def begin(self, sim_time_ns: int, enough_sim_ns: int | None) -> int:
+        """Begins a frame; returns how many of the last frame's chunks never left.
+
+        A chunk that has not begun to leave is given up when the new frame is there, or when the
+        agent hears that the edge has had enough since `enough_sim_ns`.
+        """
+
+    def is_clogged(self, sim_time_ns: int) -> bool:
+        """Whether what is queued takes longer to leave than a frame lasts: skip a scan."""
+
+    def carry(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> Passage | None:
+        """Takes note of a message of a frame; None where the link is real."""
+
+    def wire_bytes(self) -> int:
+        """Returns what the link has taken so far."""
+
+
+class RealRadio:
+    """The transport itself is the link. TCP tells what it could not send yet."""
+
+    is_virtual = False
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._sent_bytes = bus.wire_bytes()
+
+    def begin(self, sim_time_ns: int, enough_sim_ns: int | None) -> int:  # noqa: ARG002
+        """Does nothing: an outbox gives up chunks in real time."""
+        return 0
+
+    def is_clogged(self, sim_time_ns: int) -> bool:  # noqa: ARG002 - a real link has its own time
+        """Compares what waits with what left since the last frame."""
+        before, self._sent_bytes = self._sent_bytes, self._bus.wire_bytes()
+        return self._bus.unsent_bytes() > max(0, self._sent_bytes - before)
+
+    def carry(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> None:
+        """See `Radio.carry`."""
+
+    def wire_bytes(self) -> int:
+        """Returns what TCP has sent."""
+        return self._bus.wire_bytes()
+
+
+class IdealRadio(RealRadio):
+    """Takes everything; used in lockstep where no link is modelled."""
+
+    def is_clogged(self, sim_time_ns: int) -> bool:  # noqa: ARG002 - never
+        """See `Radio.is_clogged`."""
+        return False
+
+
+class VirtualRadio:
+    """A virtual link, or none for an agent that is wired; sends `lead_ns` after a frame's time."""
+
+    is_virtual = True
+
+    def __init__(self, link: VirtualLink | None, lead_ns: int, period_ns: int) -> None:
+        self._link = link
+        self._lead_ns = lead_ns
+        self._period_ns = period_ns
+        self._taken_bytes = 0
+
+    def begin(self, sim_time_ns: int, enough_sim_ns: int | None) -> int:
+        """See `Radio.begin`."""
+        if self._link is None:
+            return 0
+        until_ns = sim_time_ns + self._lead_ns
+        if enough_sim_ns is not None:
+            until_ns = min(until_ns, enough_sim_ns + self._link.delay_ns(enough_sim_ns))
+        recalled = self._link.recall(until_ns)
+        self._taken_bytes -= sum(passage.on_air_bytes for passage in recalled)
+        return len(recalled)
+
+    def is_clogged(self, sim_time_ns: int) -> bool:
+        """See `Radio.is_clogged`."""
+        if self._link is None:
+            return False
+        return self._link.backlog_ns(sim_time_ns + self._lead_ns) >= self._period_ns
+
+    def carry(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> Passage:
+        """See `Radio.carry`; a chunk that the next frame will overtake never arrives."""
+        sent_ns = sim_time_ns + self._lead_ns
+        if self._link is None:
+            passage = Passage(sent_ns, sent_ns, sent_ns, sent_ns, on_air_bytes(size_bytes))
+        else:
+            passage = self._link.send(sent_ns, size_bytes, recallable=is_chunk)
+        self._taken_bytes += passage.on_air_bytes
+        overtaken = is_chunk and passage.left_ns >= sent_ns + self._period_ns
+        return replace(passage, arrival_ns=NEVER_NS) if overtaken else passage
+
+    def wire_bytes(self) -> int:
+        """Returns what the link has taken so far, with the headers of TCP and IP."""
+        return self._taken_bytes
+
+
+def radio_of(
+    scenario: dict[str, Any], config: LinkConfig, kind: AgentKind, agent: str, bus: Bus
+) -> Radio:
+    """Returns the radio that a scenario gives to an agent with this connection."""
+    if scenario["mode"] == "realtime":
+        return RealRadio(bus)
+    if config.way(scenario["mode"]) == "none":
+        return IdealRadio(bus)
+    profile = config.profile if kind == "vehicle" else config.roadside_profile
+    link = None if profile is None else VirtualLink(Path.draw(profile, scenario["seed"], agent))
+    lead_ns = round(config.agent_compute_ms * 1e6)
+    return VirtualRadio(link, lead_ns, round(scenario["frame_period_s"] * 1e9))

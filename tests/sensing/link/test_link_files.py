@@ -1,0 +1,135 @@
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from protocol.errors import ConfigError
+from sensing.link.config import LinkConfig
+from sensing.link.files import read_trace
+from sensing.link.named import profile_named
+from sensing.link.path import Path as LinkPath
+from sensing.link.profile import LinkProfile, TraceRate
+
+
+def written(folder: Path, name: str, text: str) -> Path:
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def rate_of(profile: LinkProfile | None) -> TraceRate:
+    assert profile is not None
+    assert isinstance(profile.rate, TraceRate)
+    return profile.rate
+
+
+def test_a_csv_trace_keeps_rate_and_round_trip(tmp_path):
+    text = "lat, time_s, rate_mbps, rtt_ms\n1, 10.0, 2.5, 30\n1, 10.5, 0, 40\n1, 12, 4, 50\n"
+    rate = rate_of(read_trace(written(tmp_path, "drive.csv", text)))
+    assert rate.starts_us == [0, 500_000, 2_000_000]
+    assert rate.rates_bps == [2_500_000, 0, 4_000_000]
+    assert rate.rtt_us == [30_000, 40_000, 50_000]
+    assert rate.period_us == 3_500_000
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "line 1: the trace is empty"),
+        ("time_s,speed\n0,1\n", "line 1: lacks the column rate_mbps.*has time_s, speed"),
+        ("time_s,rate_mbps\n", "line 2: no step"),
+        ("time_s,rate_mbps\n0,1\n1,fast\n", "line 3: rate_mbps is 'fast'"),
+        ("time_s,rate_mbps\n0,1\n1\n", "line 3: rate_mbps is None"),
+        ("time_s,rate_mbps\n0,1\n1,-2\n", "line 3: rate_mbps is '-2'"),
+        ("time_s,rate_mbps\n0,1\n1,nan\n", "line 3: rate_mbps is 'nan'"),
+        ("time_s,rate_mbps\n0,1\n0,2\n", "line 3: time_s must be later"),
+        ("time_s,rate_mbps\n0,0\n1,0\n", "nor all rates 0"),
+    ],
+)
+def test_a_csv_that_is_no_trace_is_refused_with_file_and_line(tmp_path, text, message):
+    with pytest.raises(ConfigError, match=rf"drive\.csv: .*{message}|drive\.csv: {message}"):
+        read_trace(written(tmp_path, "drive.csv", text))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("\n\n", "line 1: the trace is empty"),
+        ("1\n2\nx\n", "line 3: 'x' is not a whole millisecond"),
+        ("5\n4\n", "line 2: 4 ms comes after 5 ms"),
+        ("0\n0\n", "line 2: the trace has no length"),
+    ],
+)
+def test_a_mahimahi_file_that_is_none_is_refused_with_file_and_line(tmp_path, text, message):
+    with pytest.raises(ConfigError, match=rf"city\.up: {message}"):
+        read_trace(written(tmp_path, "city.up", text))
+
+
+def test_a_folder_and_bytes_are_refused(tmp_path):
+    (tmp_path / "bytes.up").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_trace(tmp_path / "bytes.up")
+    with pytest.raises(ConfigError, match="neither a file"):
+        profile_named(str(tmp_path))
+
+
+@settings(deadline=None)
+@given(st.lists(st.integers(0, 40), min_size=1, max_size=80).map(sorted))
+def test_a_mahimahi_trace_lets_pass_what_its_lines_say(tmp_path_factory, stamps):
+    if stamps[-1] == 0:
+        stamps.append(3)
+    text = "".join(f"{ms}\n" for ms in stamps)
+    path = written(tmp_path_factory.mktemp("trace"), "city.up", text)
+    link = LinkPath.draw(read_trace(path), 1, "a")
+    assert link.rate_bps.period_ns == stamps[-1] * 1_000_000
+    for turn in (0, 2):
+        for ms in range(1, stamps[-1] + 1):
+            start = turn * link.rate_bps.period_ns
+            bits = link.rate_bps.integral(start, start + ms * 1_000_000) // 10**9
+            assert bits == 12_000 * sum(stamp <= ms for stamp in stamps)
+
+
+def test_a_packet_every_millisecond_is_12_mbit(tmp_path):
+    rate = rate_of(profile_named(str(written(tmp_path, "steady", "1\n"))))
+    assert (rate.starts_us, rate.rates_bps, rate.period_us) == ([0], [12_000_000], 1000)
+
+
+@pytest.mark.parametrize(
+    ("text", "mbps", "rtt_ms"),
+    [("5mbit", 5, 0), ("300kbit,80ms", 0.3, 80), ("1.5Gbit/s,0.5ms", 1500, 0.5)],
+)
+def test_a_rate_is_a_profile(text, mbps, rtt_ms):
+    profile = profile_named(text)
+    assert profile is not None
+    assert profile.rate.mean_mbps == pytest.approx(mbps)
+    assert profile.rtt.p99_ms == rtt_ms
+
+
+@pytest.mark.parametrize("text", ["6g", "5mbps", "0mbit", "nowhere.csv"])
+def test_what_is_no_profile_is_refused_with_what_is_allowed(text):
+    with pytest.raises(ConfigError, match=r"5g-urban|above 1kbit"):
+        profile_named(text)
+
+
+def test_a_scenario_keeps_the_whole_profile():
+    config = LinkConfig.model_validate({"profile": "lte", "roadside_profile": "none"})
+    again = LinkConfig.model_validate(config.model_dump(mode="json"))
+    assert again == config
+    assert config.profile is not None
+    assert config.profile.name == "lte"
+    assert config.roadside_profile is None
+
+
+@pytest.mark.parametrize(
+    ("data", "mode", "way"),
+    [
+        ({}, "lockstep", "none"),
+        ({"profile": "lte"}, "lockstep", "virtual"),
+        ({"profile": "lte"}, "realtime", "emulated"),
+        ({"roadside_profile": "lte"}, "realtime", "emulated"),
+        ({"profile": "lte", "apply": "none"}, "realtime", "none"),
+    ],
+)
+def test_the_mode_decides_how_a_link_is_applied(data, mode, way):
+    assert LinkConfig.model_validate(data).way(mode) == way

@@ -1,0 +1,52 @@
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sensing.link.steps import Steps
+
+TIMES = st.integers(-10_000, 10_000)
+
+
+@st.composite
+def steps(draw: st.DrawFn) -> Steps:
+    starts = sorted({0, *draw(st.lists(st.integers(1, 199), max_size=6))})
+    values = draw(st.lists(st.integers(0, 50), min_size=len(starts), max_size=len(starts)))
+    if not any(values):
+        values[0] = 1
+    return Steps(starts, values, 200)
+
+
+@settings(deadline=None)
+@given(steps(), TIMES, st.integers(0, 700))
+def test_the_integral_is_the_sum_over_every_nanosecond(trace, start, length):
+    expected = sum(trace.at(t) for t in range(start, start + length))
+    assert trace.integral(start, start + length) == expected
+
+
+@settings(deadline=None)
+@given(steps(), TIMES, st.integers(0, 30_000))
+def test_an_amount_is_reached_at_the_first_moment_that_holds_it(trace, start, amount):
+    end = trace.reach(start, amount)
+    assert end >= start
+    assert trace.integral(start, end) >= amount
+    assert amount == 0 or trace.integral(start, end - 1) < amount
+
+
+@settings(deadline=None)
+@given(steps(), TIMES, st.integers(0, 700))
+def test_changes_are_the_starts_of_steps(trace, after, length):
+    expected = [t for t in range(after + 1, after + length + 1) if t % 200 in trace.starts_ns]
+    assert list(trace.changes(after, after + length)) == expected
+
+
+def test_what_is_always_zero_is_never_reached():
+    with pytest.raises(ValueError, match="nothing ever passes"):
+        Steps([0], [0], 10).reach(0, 1)
+
+
+@pytest.mark.parametrize(
+    ("starts", "values"), [([1], [1]), ([0, 5, 5], [1, 1, 1]), ([0, 10], [1, 1]), ([0], [-1])]
+)
+def test_steps_that_cannot_be_are_refused(starts, values):
+    with pytest.raises(ValueError, match="steps"):
+        Steps(starts, values, 10)
