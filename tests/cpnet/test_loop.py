@@ -251,7 +251,7 @@ def test_a_stopped_run_ends_cleanly_with_its_summary(shell, number):
 
 def test_a_killed_relay_ends_the_run_by_name(shell):
     command = shell.up("--mode=realtime", "--duration=600", "--link=lte", "--out=run")
-    command.read_until("frame")
+    command.read_until("vehicles")
     os.kill(children_of(shell.folder / "run")["relay-vehicle"], signal.SIGKILL)
     status, output = command.finish()
     assert status == 1
