@@ -13,14 +13,18 @@ import typer
 import yaml
 from rich.console import Console
 from rich.markup import escape
+from rich.progress import track
 
 from cpnet import doctor as checks
 from cpnet import scenario as scenarios
+from cpnet.bench import LINK_CHOICES, POLICY_CHOICES, UplinkBench, measure
 from cpnet.up import Options, up
 from protocol.errors import CpnetError
 from recorder.compare import differences
+from studies.bench_traffic import FRAME_PERIOD_S
 from studies.report import print_report
 from studies.summary import summarise, to_json
+from studies.uplink_table import print_uplink
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -200,6 +204,40 @@ def bench_codec_command(
         typer.echo(json.dumps([row.as_json() for row in rows], indent=2))
     else:
         print_bench(rows, _console)
+
+
+@bench_app.command("uplink")
+def bench_uplink_command(
+    *,
+    policies: Annotated[
+        str, typer.Option(metavar="NAME[+FILTER],...", help="upload policies")
+    ] = ",".join(POLICY_CHOICES),
+    link: Annotated[
+        list[str] | None, typer.Option(help="uplink of all agents; may be given several times")
+    ] = None,
+    agents: Annotated[int, typer.Option(help="a roadside LiDAR and CAVs")] = 6,
+    frames: Annotated[int, typer.Option(help="frames of each run")] = 60,
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="emulated links and the wall clock")
+    ] = False,
+    rate: Annotated[float, typer.Option(min=1, max=100, help="realtime: frames a second")] = 10,
+    as_json: Annotated[bool, typer.Option("--json", help="stable keys, for programs")] = False,
+) -> None:
+    """Measure upload policies on links: bytes, latency, what is still detected and counted."""
+    bench = UplinkBench(
+        policies=tuple(policies.split(",")),
+        links=tuple(link or LINK_CHOICES),
+        agents=agents,
+        frames=frames,
+        realtime=realtime,
+        rate_hz=rate if realtime else 1 / FRAME_PERIOD_S,
+    )
+    cells = len(bench.policies) * len(bench.links)
+    rows = list(track(measure(bench), "measuring", cells, console=_errors, transient=True))
+    if as_json:
+        typer.echo(json.dumps([row.as_json() for row in rows], indent=2))
+    else:
+        print_uplink(rows, _console)
 
 
 def main() -> None:

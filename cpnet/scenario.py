@@ -61,6 +61,11 @@ class Scenario(Section):
     region: str = Field(
         "r0", pattern=r"^[A-Za-z0-9_.-]+$", description="part of the city this edge serves"
     )
+    recording: str | None = Field(
+        None,
+        description="folder whose traffic and scans are played in the place of SUMO and the LiDAR "
+        "model; a frame of it a step: needs traffic.step_s as frame_period_s, traffic.warmup_s 0",
+    )
     traffic: TrafficConfig = TrafficConfig()
     cabinet: CabinetConfig = CabinetConfig()
     lidar: LidarPair = LidarPair()
@@ -107,6 +112,7 @@ def validate(data: dict[str, Any], source: str) -> Scenario:
         raise ConfigError(f"{source}: " + "\n".join(lines)) from None
     _check_period(scenario, source)
     _check_mounts(scenario, source)
+    _check_recording(scenario, source)
     _check_link(scenario, source)
     return scenario
 
@@ -207,6 +213,18 @@ def _check_mounts(scenario: Scenario, source: str) -> None:
     names = [mount.id for mount in scenario.roadside_mounts]
     if len(set(names)) < len(names):
         raise ConfigError(f"{source}: roadside_mounts have the ids {names}, each may stand once")
+
+
+def _check_recording(scenario: Scenario, source: str) -> None:
+    traffic = scenario.traffic
+    if scenario.recording is None:
+        return
+    if traffic.step_s != scenario.frame_period_s or traffic.warmup_s != 0:
+        raise ConfigError(
+            f"{source}: a recording is played a frame a step, without warm-up: traffic.step_s is "
+            f"{traffic.step_s:g}, must be frame_period_s, {scenario.frame_period_s:g}; "
+            f"traffic.warmup_s is {traffic.warmup_s:g}, must be 0"
+        )
 
 
 def _section_of(annotation: Any) -> Any:  # noqa: ANN401 - whatever stands behind a colon

@@ -11,11 +11,10 @@ from protocol.inbox import Envelope, Presence
 from protocol.messages import End, Metrics, Plan, Roster, Span, Tick, Upload, WireCount
 from protocol.process import Context
 from sensing.config import LidarConfig, SceneConfig, UploadConfig
-from sensing.lidar import Lidar
 from sensing.link.config import LinkConfig
 from sensing.radio import AgentKind, Radio, radio_of
-from sensing.scene import scene_of
-from sensing.shapes import VehicleShapes
+from sensing.source import source_of
+from sensing.terrain import Terrain
 from sensing.uplink import Kit, Shipment, Uplink
 from sensing.upload.objects import Detector
 from sensing.upload.registry import POLICIES
@@ -40,8 +39,8 @@ class Station:
         self._kind: AgentKind = kind
         road_map = context.setup.road_map
         config = LidarConfig.model_validate(scenario["lidar"][kind])
-        scene = scene_of(context.setup, SceneConfig.model_validate(scenario["scene"]), self.seed)
-        self.terrain = scene.terrain
+        scene = SceneConfig.model_validate(scenario["scene"])
+        self.terrain = Terrain(road_map, scene, self.seed)
         self._pattern = config.pattern
         self._standing = kind == "roadside"
         upload = UploadConfig.model_validate(scenario["upload"])
@@ -52,7 +51,7 @@ class Station:
         self._kit = Kit(
             region=self.region,
             seed=self.seed,
-            lidar=Lidar(config, scene, VehicleShapes.from_setup(context.setup)),
+            source=source_of(context.setup, config),
             config=upload,
             detector=Detector.of(road_map, scenario["edge"]) if detects else None,
             lockstep=scenario["mode"] == "lockstep",

@@ -12,10 +12,10 @@ from protocol.codec import RangeScan, encode_scan
 from protocol.geometry import SE3
 from protocol.messages import Objects, Plan, Scan, Span, Tick, Upload, WireCount
 from sensing.config import UploadConfig
-from sensing.lidar import Lidar
 from sensing.link.virtual import Passage
 from sensing.noise import stream
 from sensing.radio import ENVELOPE_BYTES, Radio
+from sensing.source import ScanSource
 from sensing.upload.objects import Detector
 from sensing.upload.outbox import Outbox
 from sensing.upload.selection import Selection, Selector
@@ -29,7 +29,7 @@ class Kit:
 
     region: str
     seed: int
-    lidar: Lidar
+    source: ScanSource
     config: UploadConfig
     detector: Detector | None  # of agents that send objects
     lockstep: bool
@@ -120,10 +120,9 @@ class Uplink:
         believed_SE3_sensor: SE3,
         own: int | None,
     ) -> None:
-        """Casts one scan from the true pose and sends it, or its part, with the believed one."""
+        """Senses once from the true pose and sends it, or its part, with the believed one."""
         sense_start_ns = time.monotonic_ns()
-        rng = stream(self._kit.seed, "scan", self.agent, tick.frame)
-        scan = self._kit.lidar.scan(map_SE3_sensor, tick.poses, tick.types, own, rng)
+        scan = self._kit.source.scan(self.agent, tick, map_SE3_sensor, own)
         sense_end_ns = time.monotonic_ns()
         plan = self._plan if self.plan_frame >= tick.frame - MAX_PLAN_AGE else None
         selection = self._selector.select(scan, believed_SE3_sensor, self.agent, plan)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from enum import Enum
+from pathlib import Path
 
 from protocol.errors import BusError, CpnetError
 from protocol.inbox import Envelope, Presence
@@ -12,6 +13,7 @@ from protocol.messages import End, Metrics, SignalRequest, Span, Trips
 from protocol.process import Context
 from protocol.topics import BusName
 from sensing.config import SceneConfig
+from sensing.recording import Recording
 from sensing.terrain import Terrain
 from sim_host.broadcast import tick_of, truth_of
 from sim_host.cabinet import SignalCabinet
@@ -19,8 +21,10 @@ from sim_host.clock import Beat
 from sim_host.config import CabinetConfig
 from sim_host.fleet import Fleet
 from sim_host.pending import Pending
+from sim_host.recorded import RecordedWorld
 from sim_host.roll_call import RollCall, expected_processes
 from sim_host.setup import traffic_config
+from sim_host.traffic import Traffic
 from sim_host.world import World
 
 _SLICE_NS = 50_000_000  # how long warm-up may keep the loop from hearing a stop
@@ -47,7 +51,7 @@ class SimRole:
     follows is decided when the frame ends, so that no change begins on an older frame's request.
     """
 
-    def __init__(self, context: Context, world: World) -> None:
+    def __init__(self, context: Context, world: Traffic) -> None:
         scenario = context.setup.scenario
         self._context = context
         self._world = world
@@ -81,8 +85,14 @@ class SimRole:
         setup = context.setup
         scene = SceneConfig.model_validate(setup.scenario["scene"])
         seed: int = setup.scenario["seed"]
-        world = World(setup, context.run_dir, Terrain(setup.road_map, scene, seed))
-        world.start(seed)
+        recording = setup.scenario.get("recording")
+        world: Traffic
+        if recording:
+            step_ns = round(traffic_config(setup.scenario).step_s * 1e9)
+            world = RecordedWorld(Recording(Path(recording)), step_ns)
+        else:
+            world = World(setup, context.run_dir, Terrain(setup.road_map, scene, seed))
+            world.start(seed)
         role = cls(context, world)
         context.v2x.subscribe("request", tls=setup.road_map.signal.tls)
         context.world.watch()

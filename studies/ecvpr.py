@@ -47,10 +47,10 @@ def score(run: Run, reach: Reach | None = None, margin_m: float = MARGIN_M) -> l
     reach = reach or Reach(run.setup.road_map)
     types = {kind.name: kind for kind in run.setup.vehicle_types}
     perceived = {n for (n,) in run.query("SELECT frame FROM frames WHERE detections IS NOT NULL")}
-    detections = _by_frame(run.rows(DetectionRow))
+    detections = by_frame(run.rows(DetectionRow))
     waiting = next(detections, None)
     scores = []
-    for frame, vehicles in _by_frame(run.rows(TruthRow)):
+    for frame, vehicles in by_frame(run.rows(TruthRow)):
         while waiting is not None and waiting[0] < frame:
             waiting = next(detections, None)
         found = waiting[1] if waiting is not None and waiting[0] == frame else []
@@ -98,6 +98,19 @@ def _size(types: dict[str, VehicleType], name: str) -> tuple[float, float]:
     return (kind.length_m, kind.width_m) if kind else (0.0, 0.0)
 
 
-def _by_frame(rows: Iterator[R]) -> Iterator[tuple[int, list[R]]]:
+def matched_vehicles(
+    detections: list[DetectionRow], vehicles: list[TruthRow], types: dict[str, VehicleType]
+) -> tuple[set[str], int]:
+    """Returns which vehicles that do not report themselves were detected, and false detections."""
+    reporting = {detection.source for detection in detections}
+    others = [vehicle for vehicle in vehicles if vehicle.vehicle not in reporting]
+    names = {vehicle.vehicle for vehicle in vehicles}
+    seen = [detection for detection in detections if detection.source not in names]
+    pairs = _pairs(seen, others, types, MARGIN_M)
+    return {others[vehicle].vehicle for _, vehicle in pairs}, len(seen) - len(pairs)
+
+
+def by_frame(rows: Iterator[R]) -> Iterator[tuple[int, list[R]]]:
+    """Groups rows that are in the order of frames."""
     for frame, group in groupby(rows, key=attrgetter("frame")):
         yield frame, list(group)

@@ -30,6 +30,14 @@ def latencies(run: Run) -> dict[str, dict[str, float | None]]:
     return {stage: _percentiles(durations.get(stage, [])) for stage in (*STAGES, *others)}
 
 
+def end_to_end_ms(run: Run, after_frame: int = 0) -> dict[str, float | None]:
+    """Returns mean, p50, p95 and p99 of the end-to-end latency from a frame on."""
+    sql = "SELECT end_to_end_ns FROM frames WHERE end_to_end_ns IS NOT NULL AND frame >= ?"
+    durations_ns = [ns for (ns,) in run.query(sql, after_frame)]
+    mean_ms = float(np.mean(durations_ns)) / 1e6 if durations_ns else None
+    return {"mean": mean_ms, **_percentiles(durations_ns)}
+
+
 def clock_error_ms(run: Run) -> float | None:
     """Returns how wrong a latency between machines may be at most; 0 on one machine."""
     ((worst_ns,),) = run.query("SELECT max(clock_error_ns) FROM account")

@@ -1,0 +1,118 @@
+"""`cpnet bench uplink`: the whole system on recorded traffic, once for each policy and link."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+from rich.console import Console
+
+from cpnet.up import Options, up
+from protocol.errors import ConfigError
+from recorder.run import Run
+from sensing.recording import Recording
+from sensing.upload.registry import POLICIES, Filter
+from studies.bench_traffic import FRAME_PERIOD_S, record_traffic, visible_vehicles
+from studies.bench_uplink import LEARNING_FRAMES, UplinkRow, row_of
+
+POLICY_CHOICES = (
+    "full", "roi", "foreground", "voronoi", "power", "reap", "reap+roi", "reap+foreground",
+    "objects",
+)  # fmt: skip
+LINK_CHOICES = ("5mbit,20ms", "lte", "5g-urban")
+_PATIENT_MS = 5_000.0  # nothing is left out for being late: latency shows it instead
+
+
+@dataclass(frozen=True, slots=True)
+class UplinkBench:
+    """What is measured. In realtime, links are emulated and `rate_hz` frames come a second."""
+
+    policies: tuple[str, ...] = POLICY_CHOICES
+    links: tuple[str, ...] = LINK_CHOICES
+    agents: int = 6
+    frames: int = 60
+    realtime: bool = False
+    rate_hz: float = 1 / FRAME_PERIOD_S
+
+    def check(self) -> None:
+        """Raises ConfigError if it cannot be measured."""
+        if not 2 <= self.agents <= 16:
+            raise ConfigError(f"--agents {self.agents}: must be 2 to 16")
+        if not LEARNING_FRAMES < self.frames <= 600:
+            raise ConfigError(f"--frames {self.frames}: must be {LEARNING_FRAMES + 1} to 600")
+        for policy in self.policies:
+            upload_of(policy)
+
+
+def upload_of(policy: str) -> dict[str, Any]:
+    """Returns the scenario keys of a policy with filters, written as `reap+foreground`.
+
+    Raises:
+        ConfigError: there is no such policy or filter.
+    """
+    name, *filters = policy.split("+")
+    if name not in POLICIES:
+        raise ConfigError(f"policy {name!r}: must be one of {', '.join(POLICIES)}")
+    unknown = sorted(set(filters) - set(get_args(Filter)))
+    if unknown:
+        raise ConfigError(
+            f"policy {policy!r}: filter {unknown[0]!r} must be one of {', '.join(get_args(Filter))}"
+        )
+    return {"upload.policy": name, "upload.filters": filters}
+
+
+def measure(bench: UplinkBench) -> Iterator[UplinkRow]:
+    """Yields a row for each policy on each link.
+
+    Raises:
+        ConfigError: what is asked for cannot be measured.
+    """
+    bench.check()
+    with tempfile.TemporaryDirectory(prefix="cpnet-bench-") as scratch:
+        traffic = Path(scratch) / "traffic"
+        traffic.mkdir()
+        record_traffic(traffic, bench.agents, bench.frames)
+        for link in bench.links:
+            for policy in bench.policies:
+                run_dir = Path(scratch) / f"{policy}-{link}".replace("/", "_")
+                yield run_cell(bench, traffic, policy, link, run_dir)
+
+
+def run_cell(bench: UplinkBench, traffic: Path, policy: str, link: str, run_dir: Path) -> UplinkRow:
+    """Runs one policy on one link and reads what came of it.
+
+    Raises:
+        ConfigError: the run failed; the text holds what it printed.
+    """
+    said = io.StringIO()
+    options = Options("t_junction", overrides(bench, traffic, policy, link), None, [], [], run_dir)
+    status, _ = up(options, Console(file=said))
+    if status != 0:
+        raise ConfigError(f"{policy} on {link} failed:\n{said.getvalue()}")
+    recording, visible = Recording(traffic), visible_vehicles(traffic)
+    with Run(run_dir) as run:
+        return row_of(
+            run, policy, link, lambda frame: visible[recording.place(frame)], 1 / bench.rate_hz
+        )
+
+
+def overrides(bench: UplinkBench, traffic: Path, policy: str, link: str) -> dict[str, Any]:
+    """Returns the scenario keys of a cell."""
+    period_s = 1 / bench.rate_hz
+    return {
+        **upload_of(policy),
+        "name": "bench",
+        "mode": "realtime" if bench.realtime else "lockstep",
+        "recording": str(traffic),
+        "frame_period_s": period_s,
+        "duration_s": bench.frames * period_s,
+        "traffic.step_s": period_s,
+        "traffic.warmup_s": 0,
+        "link.profile": link,
+        "link.roadside_profile": link,
+        "edge.deadline_ms": _PATIENT_MS,
+    }

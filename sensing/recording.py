@@ -1,0 +1,112 @@
+"""A recording: traffic and scans of a stretch of time, to be played instead of being simulated.
+
+A folder. `recording.json` names agents, scan pattern and frame period; `truth.bin` holds a `Truth`
+message a frame, each behind its length (u32); `ranges.npy` the scans (frames, agents, channels,
+columns) in steps of 2 mm, 0 for no return. It is played there and back, so that nothing ever jumps.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from protocol.codec import RangeScan, ScanPattern
+from protocol.errors import ConfigError, ProtocolError
+from protocol.messages import Truth
+from protocol.wire import decode, encode
+
+STEP_M = 0.002
+_ABOUT, _TRUTH, _RANGES = "recording.json", "truth.bin", "ranges.npy"
+
+
+class Recording:
+    """The reading side; scans stay on disk until they are asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        """Opens a recording.
+
+        Raises:
+            ConfigError: the folder holds none, or a damaged one.
+        """
+        try:
+            about = json.loads((folder / _ABOUT).read_text("utf-8"))
+            self.agents: list[str] = about["agents"]
+            self.pattern = ScanPattern(**about["pattern"])
+            self.frame_period_s = float(about["frame_period_s"])
+            self._steps = np.load(folder / _RANGES, mmap_mode="r")
+            self._truth_bytes = (folder / _TRUTH).read_bytes()
+            shape = (len(self.truths), len(self.agents), *self.pattern.directions.shape[:2])
+        except (OSError, ValueError, KeyError, TypeError, ProtocolError) as error:
+            raise ConfigError(f"recording {folder}: {error}") from None
+        if self._steps.shape != shape or self._steps.dtype != np.uint16 or not shape[0]:
+            raise ConfigError(
+                f"recording {folder}: {_RANGES} is {self._steps.dtype} {self._steps.shape}, "
+                f"needs uint16 {shape} and a frame at least"
+            )
+
+    @cached_property
+    def truths(self) -> list[Truth]:
+        """Where the bodies were, frame by frame."""
+        truths, at = [], 0
+        while at < len(self._truth_bytes):
+            end = at + 4 + int.from_bytes(self._truth_bytes[at : at + 4], "little")
+            truths.append(decode(self._truth_bytes[at + 4 : end], Truth))
+            at = end
+        return truths
+
+    def place(self, frame: int) -> int:
+        """Returns which recorded frame is played as a frame: there and back, again and again."""
+        turn = max(2 * len(self.truths) - 2, 1)
+        return min(frame % turn, turn - frame % turn) if turn > 1 else 0
+
+    def scan(self, agent: str, frame: int) -> RangeScan:
+        """Returns an agent's scan in a frame; intensities are 0.
+
+        Raises:
+            ConfigError: the recording has no such agent.
+        """
+        if agent not in self.agents:
+            raise ConfigError(
+                f"the recording has no agent {agent}; it has {', '.join(self.agents)}"
+            )
+        steps = self._steps[self.place(frame), self.agents.index(agent)]
+        range_m = steps.astype(np.float32) * np.float32(STEP_M)
+        return RangeScan(self.pattern, range_m, np.zeros_like(range_m))
+
+
+def write_recording(
+    folder: Path,
+    frame_period_s: float,
+    truths: Sequence[Truth],
+    scans: Mapping[str, Sequence[RangeScan]],
+) -> None:
+    """Writes a recording; every agent has a scan for every truth."""
+    agents = sorted(scans)
+    pattern = scans[agents[0]][0].pattern
+    steps: npt.NDArray[np.uint16] = np.stack(
+        [np.stack([_steps(scans[agent][n]) for agent in agents]) for n in range(len(truths))]
+    )
+    np.save(folder / _RANGES, steps)
+    messages = [encode(truth) for truth in truths]
+    (folder / _TRUTH).write_bytes(b"".join(len(m).to_bytes(4, "little") + m for m in messages))
+    about = {
+        "agents": agents,
+        "frame_period_s": frame_period_s,
+        "pattern": {
+            "channels": pattern.channels,
+            "columns": pattern.columns,
+            "upper_fov_deg": pattern.upper_fov_deg,
+            "lower_fov_deg": pattern.lower_fov_deg,
+        },
+    }
+    (folder / _ABOUT).write_text(json.dumps(about, indent=2) + "\n", "utf-8")
+
+
+def _steps(scan: RangeScan) -> npt.NDArray[np.uint16]:
+    steps: npt.NDArray[np.float32] = np.rint(scan.range_m / np.float32(STEP_M))
+    return np.minimum(steps, np.float32(np.iinfo(np.uint16).max)).astype(np.uint16)

@@ -1,0 +1,61 @@
+"""Where an agent's scans come from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Protocol
+
+from protocol.codec import RangeScan
+from protocol.geometry import SE3
+from protocol.messages import Setup, Tick
+from sensing.config import LidarConfig, SceneConfig
+from sensing.lidar import Lidar
+from sensing.noise import stream
+from sensing.recording import Recording
+from sensing.scene import scene_of
+from sensing.shapes import VehicleShapes
+
+
+class ScanSource(Protocol):
+    """Serves all agents of one kind of a process."""
+
+    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> RangeScan:
+        """Returns what an agent's sensor there sees; `own` is the body that carries it."""
+
+
+class Cast:
+    """Scans of the LiDAR model."""
+
+    def __init__(self, lidar: Lidar, seed: int) -> None:
+        self._lidar = lidar
+        self._seed = seed
+
+    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> RangeScan:
+        """See `ScanSource.scan`; noise follows from seed, agent and frame."""
+        rng = stream(self._seed, "scan", agent, tick.frame)
+        return self._lidar.scan(map_SE3_sensor, tick.poses, tick.types, own, rng)
+
+
+class Played:
+    """Scans of a recording."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+
+    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> RangeScan:  # noqa: ARG002
+        """See `ScanSource.scan`; the sensor was where the recording's tick has it."""
+        return self._recording.scan(agent, tick.frame)
+
+
+def source_of(setup: Setup, config: LidarConfig) -> ScanSource:
+    """Returns the source that a scenario asks for.
+
+    Raises:
+        ConfigError: its recording cannot be read.
+    """
+    scenario: dict[str, Any] = setup.scenario
+    if scenario.get("recording"):
+        return Played(Recording(Path(scenario["recording"])))
+    seed: int = scenario["seed"]
+    scene = scene_of(setup, SceneConfig.model_validate(scenario["scene"]), seed)
+    return Cast(Lidar(config, scene, VehicleShapes.from_setup(setup)), seed)

@@ -1,0 +1,131 @@
+"""Recorded traffic to measure uplinks on: a roadside LiDAR and CAVs at the built-in junction.
+
+Casting takes no part in what is measured later, and every policy is shown the same scans.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from protocol.codec import RangeScan
+from protocol.geometry import SE3
+from protocol.messages import Equipment, Setup, Truth
+from sensing.config import LidarConfig, SceneConfig
+from sensing.lidar import Lidar
+from sensing.noise import stream
+from sensing.recording import write_recording
+from sensing.returns import returns
+from sensing.scene import Scene, scene_of
+from sensing.shapes import VehicleShapes
+from sim_host.setup import build_setup
+from sim_host.world import Bodies, World
+
+SEED = 1
+FRAME_PERIOD_S = 0.1
+VISIBLE_POINTS = 5  # in the clouds of all agents together, as in Chen et al. 2022
+POST = "rsu-0"
+VISIBLE_NAME = "visible.json"
+_WARM_UP_STEPS = 600
+_POST_HEIGHT_M, _ROOF_HEIGHT_M = 3.0, 2.4
+_NEAR_M = 120.0  # from the junction's centre: where the agents drive
+
+
+def record_traffic(folder: Path, agents: int, frames: int, seed: int = SEED) -> None:
+    """Records `agents` scanning agents, one of them the post, over some frames of 0.1 s."""
+    with tempfile.TemporaryDirectory() as scratch:
+        setup = build_setup({}, Path(scratch))
+        scene = scene_of(setup, SceneConfig(), seed)
+        moments = _traffic(setup, scene, Path(scratch), frames, seed)
+    centre = np.array(setup.road_map.centre[:2])
+    cavs = _choose(moments, centre, agents - 1)
+    config = LidarConfig()
+    lidar = Lidar(config, scene, VehicleShapes.from_setup(setup))
+    base = scene.terrain.body_poses(centre[:1], centre[1:], np.zeros(1))[0]
+    post = SE3.from_pose(base) @ SE3(np.eye(3), np.array([0.0, 0.0, _POST_HEIGHT_M]))
+    scans: dict[str, list[RangeScan]] = {name: [] for name in [POST, *cavs]}
+    visible = []
+    for frame, bodies in enumerate(moments):
+        hits = np.zeros(len(bodies.ids), np.int64)
+        for name in scans:
+            own = bodies.ids.index(name) if name in bodies.ids else None
+            sensor = post if own is None else _on_roof(bodies, own)
+            view = (sensor, bodies.poses, bodies.types, own)
+            distance_m = lidar.distances(*view)
+            bare_m = lidar.distances(sensor, bodies.poses[:0], [], None)
+            drawn = returns(distance_m, config, stream(seed, "scan", name, frame))
+            scan = RangeScan(config.pattern, *drawn)
+            hits += _hits(scan, distance_m < bare_m, sensor, bodies)
+            scans[name].append(scan)
+        seen = [n for n, hit in zip(bodies.ids, hits, strict=True) if hit >= VISIBLE_POINTS]
+        visible.append(sorted(set(seen) - set(cavs)))
+    truths = [_truth(frame, bodies, cavs) for frame, bodies in enumerate(moments)]
+    write_recording(folder, FRAME_PERIOD_S, truths, scans)
+    (folder / VISIBLE_NAME).write_text(json.dumps(visible) + "\n", "utf-8")
+
+
+def visible_vehicles(folder: Path) -> list[set[str]]:
+    """Returns by recorded frame the vehicles without a radio that the agents together see."""
+    return [set(names) for names in json.loads((folder / VISIBLE_NAME).read_text("utf-8"))]
+
+
+def _traffic(setup: Setup, scene: Scene, folder: Path, frames: int, seed: int) -> list[Bodies]:
+    world = World(setup, folder, scene.terrain)
+    moments = []
+    try:
+        world.start(seed)
+        for _ in range(_WARM_UP_STEPS):
+            world.step()
+        for _ in range(frames):
+            moments.append(world.bodies())
+            world.step()
+    finally:
+        world.close()
+    return moments
+
+
+def _choose(moments: Sequence[Bodies], centre: np.ndarray, count: int) -> list[str]:
+    """Returns vehicles that stay near the junction all the while, evenly by their distance."""
+    always = set(moments[0].ids)
+    for bodies in moments:
+        away_m = np.linalg.norm(bodies.poses[:, :2] - centre, axis=1)
+        always &= {name for name, m in zip(bodies.ids, away_m, strict=True) if m <= _NEAR_M}
+    middle = moments[len(moments) // 2]
+    away_m = np.linalg.norm(middle.poses[:, :2] - centre, axis=1)
+    order = [middle.ids[i] for i in np.argsort(away_m, kind="stable") if middle.ids[i] in always]
+    picks = np.linspace(0, len(order) - 1, count).round().astype(int)
+    return [order[i] for i in picks]
+
+
+def _on_roof(bodies: Bodies, own: int) -> SE3:
+    return SE3.from_pose(bodies.poses[own]) @ SE3(np.eye(3), np.array([0.0, 0.0, _ROOF_HEIGHT_M]))
+
+
+def _hits(
+    scan: RangeScan, on_bodies: np.ndarray, map_SE3_sensor: SE3, bodies: Bodies
+) -> np.ndarray:
+    """Counts by body (N,) the returns that came from it: each hit belongs to the nearest one."""
+    hit = on_bodies & (scan.range_m > 0)
+    points = scan.pattern.directions[hit] * scan.range_m[hit][:, None]
+    there = points.astype(np.float64) @ map_SE3_sensor.rotation.T + map_SE3_sensor.translation
+    gaps_m = np.linalg.norm(there[:, None, :2] - bodies.poses[None, :, :2], axis=2)
+    return np.bincount(gaps_m.argmin(axis=1), minlength=len(bodies.ids))
+
+
+def _truth(frame: int, bodies: Bodies, cavs: Sequence[str]) -> Truth:
+    kinds = [Equipment.CAV if name in cavs else Equipment.NONE for name in bodies.ids]
+    return Truth(
+        frame=frame,
+        sim_time_ns=round(frame * FRAME_PERIOD_S * 1e9),
+        ids=bodies.ids,
+        types=bodies.types,
+        lanes=bodies.lanes,
+        poses=bodies.poses,
+        speeds_mps=bodies.speeds_mps,
+        lane_positions_m=bodies.lane_positions_m,
+        equipment=np.array(kinds, np.uint8),
+    )

@@ -1,0 +1,57 @@
+"""The rows of the uplink bench as a table for people."""
+
+from __future__ import annotations
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from studies.bench_uplink import UplinkRow
+
+_HEADS = (
+    "policy", "kB", "Mbit/s", "mean ms", "p50", "p95", "p99", "scans/s", "seen %", "false",
+    "count ±",
+)  # fmt: skip
+
+
+def print_uplink(rows: list[UplinkRow], console: Console) -> None:
+    """Prints a table for each link."""
+    for link in dict.fromkeys(row.link for row in rows):
+        here = [row for row in rows if row.link == link]
+        table = Table(
+            title=f"{link}: {here[0].agents} agents, each",
+            box=box.SIMPLE_HEAD,
+            title_justify="left",
+            padding=0,
+            pad_edge=False,
+        )
+        for head in _HEADS:
+            table.add_column(head, justify="left" if head == "policy" else "right")
+        for row in here:
+            table.add_row(row.policy, *_figures(row))
+        console.print(table)
+    console.print(
+        "kB and Mbit/s: payload of an agent's frame; ms: sensing to signal, end to end; scans/s: "
+        "used by the edge, per agent; seen: of the vehicles that all agents together hit with 5 "
+        "points or more; false: detections of nothing, a frame; count: mean error of a lane",
+        style="dim",
+    )
+
+
+def _figures(row: UplinkRow) -> list[str]:
+    kilobytes = None if row.bytes_per_frame is None else row.bytes_per_frame / 1e3
+    seen = None if row.recall_visible is None else 100 * row.recall_visible
+    latencies = [_text(row.latency_ms[key], 1) for key in ("mean", "p50", "p95", "p99")]
+    return [
+        _text(kilobytes, 1),
+        _text(row.mbps_per_agent, 2),
+        *latencies,
+        _text(row.fps, 1),
+        _text(seen, 1),
+        _text(row.false_per_frame, 1),
+        _text(row.count_error, 2),
+    ]
+
+
+def _text(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
