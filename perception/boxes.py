@@ -12,6 +12,7 @@ from numba import njit
 
 from perception.arrays import Bools, Floats, Floats32, Ints, Ints32
 from perception.config import BoxConfig
+from perception.grouping import group
 from perception.roadway import Roadway
 from perception.vehicles import Vehicles
 
@@ -39,12 +40,12 @@ def fit_boxes(
     A box stands on the ground and reaches up to its highest point. `sensors` (S, 3) are the places
     the points were seen from.
     """
-    order = np.argsort(labels, kind="stable")
-    order = order[np.searchsorted(labels[order], 0) :]
-    if len(order) == 0:
+    if len(labels) == 0 or labels.max() < 0:
         return Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
-    members = np.bincount(labels[order])
-    starts = np.concatenate([[0], np.cumsum(members)])
+    order, _, starts = group(labels.astype(np.int64) + 1, int(labels.max()) + 2)
+    noise = int(np.count_nonzero(labels < 0))
+    order, starts = order[noise:], starts[starts >= noise] - noise
+    members = np.diff(starts)
     grouped = points[order]
     middles = np.add.reduceat(grouped.astype(np.float64), starts[:-1], axis=0) / members[:, None]
     yaws = roadway.yaw_at(middles)

@@ -13,6 +13,7 @@ from numba import njit
 
 from perception.arrays import Bytes, Floats, Floats32, Ints, Ints32
 from perception.config import ClusterConfig
+from perception.grouping import group
 
 NOISE = -1
 _SHRINK = 0.9999  # keeps float32 rounding from making two points of a cell no neighbours
@@ -28,9 +29,7 @@ def cluster(points: Floats32, *, config: ClusterConfig) -> Ints32:
     side_m = config.eps_m / np.sqrt(3) * _SHRINK
     keys = np.empty(len(points), np.int64)
     stride = _place(points, side_m, keys)
-    order = np.argsort(keys, kind="stable")
-    cells, starts = np.unique(keys[order], return_index=True)
-    starts = np.append(starts, len(points)).astype(np.int64)
+    order, cells, starts = group(keys, int(keys.max()) + 1)
     square_m2 = config.eps_m**2
     pairs = _pairs(cells, _windows(stride))
     ordered = np.ascontiguousarray(points[order])
