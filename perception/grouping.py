@@ -18,7 +18,8 @@ def group(keys: Ints, span: int) -> tuple[Ints, Ints, Ints]:
         each begins in that order, with N at the end (G + 1,).
     """
     if span <= max(_ROOM, 8 * len(keys)):
-        return _counted(keys, span)  # several times as fast as sorting
+        order, groups, starts = _counted(keys, span)  # several times as fast as sorting
+        return order, groups, starts
     order = np.argsort(keys, kind="stable")
     groups, starts = np.unique(keys[order], return_index=True)
     return order, groups, np.append(starts, len(keys))

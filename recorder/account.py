@@ -6,7 +6,8 @@ from the start of the agent's sensing until the cabinet has acted on the frame.
 
 Over real links, clocks of different machines are aligned first, and `clock_error_ns` says how
 wrong that may be. Over virtual links each agent's computing, as measured, and its time on the link
-are laid end to end: as if every agent had a computer of its own.
+are laid together, as if every agent had a computer of its own: a chunk is computed while those
+before it are on the link, so that of `link` only what comes after the computing counts.
 """
 
 from __future__ import annotations
@@ -89,8 +90,7 @@ class Evidence:
 
     def _way(self, frame: int, upload: Upload, arrival: Arrival) -> _Way:
         agent = upload.agent
-        mine = [s for s in self.spans[self.senders[agent]] if s.agent == agent]
-        sent = _sums(s for s in mine if s.end_ns <= upload.sent_ns)
+        sent = self._sent(upload)
         edge = [s for s in self.spans["edge"] if s.agent == agent]
         came = _sums(s for s in edge if s.start_ns >= arrival.received_ns)
         shared = _sums(s for s in self.spans["edge"] if not s.agent)
@@ -140,7 +140,7 @@ class Evidence:
         return row._replace(other_ns=took_ns - stage_sum_ns(row))
 
     def _virtual(self, ways: list[_Way], acted: Span) -> list[AccountRow]:
-        rows = [way.row._replace(link_ns=way.upload.link_sim_ns or 0) for way in ways]
+        rows = [way.row._replace(link_ns=self._virtual_link_ns(way)) for way in ways]
         there_ns = [_until_placed_ns(row) for row in rows]
         deadline_ns = 0 if self.complete else self.delay_sim_ns or 0
         ready_ns = max(*there_ns, deadline_ns)
@@ -150,6 +150,29 @@ class Evidence:
             waited = row._replace(wait_ns=ready_ns - here_ns, actuate_ns=actuate_ns)
             done.append(waited._replace(end_to_end_ns=stage_sum_ns(waited)))
         return done
+
+    def _virtual_link_ns(self, way: _Way) -> int:
+        """Returns what of an agent's time on a virtual link comes after its last chunk was sent.
+
+        Simulated, all chunks were queued at once, each behind the one before it; here each is
+        queued when it was ready.
+        """
+        agent, there_ns, before_ns = way.upload.agent, 0, 0
+        for chunk in range(way.upload.chunk + 1):
+            upload = self.uploads.get((agent, chunk))
+            if upload is None:
+                continue
+            took_ns = upload.link_sim_ns or 0
+            ready_ns = sum(self._sent(upload).values())
+            queued = there_ns > ready_ns
+            there_ns = there_ns + max(took_ns - before_ns, 0) if queued else ready_ns + took_ns
+            before_ns = took_ns
+        return there_ns - sum(self._sent(way.upload).values())
+
+    def _sent(self, upload: Upload) -> dict[str, int]:
+        """Returns by stage what an agent had computed when it had sent a chunk."""
+        mine = (s for s in self.spans[self.senders[upload.agent]] if s.agent == upload.agent)
+        return _sums(span for span in mine if span.end_ns <= upload.sent_ns)
 
 
 @dataclass(frozen=True, slots=True)

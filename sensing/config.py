@@ -174,7 +174,11 @@ class UploadConfig(Section):
     filters: list[Filter] = Field(
         [],
         description="What is left out besides. roi: what is off the map's road; foreground: the "
-        "ground and what a standing sensor has learnt to be always there.",
+        "ground and what a standing sensor has learnt to be always there; of the rest, "
+        "beams that crowd on near surfaces are thinned to one every `thin_m`.",
+    )
+    thin_m: float = Field(
+        0.07, ge=0, le=2, description="foreground: most between beams of a ring, m; 0: no thinning"
     )
     roi_margin_m: float = Field(
         1.0, ge=0, le=20, description="How far beyond a lane's edge the road reaches for roi, m."

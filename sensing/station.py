@@ -88,6 +88,7 @@ class Station:
             self._chosen.filters,
             self._roadway,
             self._pattern,
+            thin_m=self._kit.config.thin_m,
             standing=self._standing,
         )
         self._uplinks[agent] = Uplink(agent, bus, radio, self._kit, selector)

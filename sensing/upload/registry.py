@@ -35,7 +35,7 @@ class Policy:
 POLICIES: dict[PolicyName, Policy] = {
     "full": Policy("the whole scan"),
     "roi": Policy("what lies on the map's road", filters=("roi",)),
-    "foreground": Policy("without ground and static background", filters=("foreground",)),
+    "foreground": Policy("no ground, background or crowded beams", filters=("foreground",)),
     "voronoi": Policy("the places nearest to the agent", cells=True),
     "power": Policy("the same, more for a faster uplink", cells=True, weighted=True),
     "reap": Policy(

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from numba import njit
 
 from perception.roadway import Roadway
+from perception.thin import thin
 from protocol.codec import RangeScan, ScanPattern
 from protocol.geometry import SE3
 from protocol.messages import Plan
@@ -57,12 +58,14 @@ class Selector:
         roadway: Roadway,
         pattern: ScanPattern,
         *,
+        thin_m: float,
         standing: bool,
     ) -> None:
         self._policy = policy
         self._roadway = roadway
         self._roi = "roi" in filters
         self._foreground = "foreground" in filters
+        self._spacing_m = thin_m
         beams = pattern.channels * pattern.columns
         self._background = Background(beams) if standing and self._foreground else None
 
@@ -89,6 +92,8 @@ class Selector:
             keep = self._background.foreground(range_m.reshape(-1), located)
         elif self._foreground:
             keep = driving_foreground(located)
+        if self._foreground:
+            thin(range_m, self._spacing_m, keep.reshape(shape))
         chunk = np.empty(range_m.size, np.uint8)
         _begin(range_m.reshape(-1), located.above_m, keep, self._roi, chunk)
         if not follows or plan is None:

@@ -55,7 +55,14 @@ def plan(frame: int = 3) -> Plan:
 
 def selector(policy: PolicyName, roadway: Roadway, *, standing: bool = False) -> Selector:
     chosen = UploadConfig(policy=policy).of("vehicle")
-    return Selector(POLICIES[policy], chosen.filters, roadway, CONFIG.pattern, standing=standing)
+    return Selector(
+        POLICIES[policy],
+        chosen.filters,
+        roadway,
+        CONFIG.pattern,
+        thin_m=0.1,
+        standing=standing,
+    )
 
 
 def scan(lidar: Lidar, pose: SE3, traffic: tuple[np.ndarray, list[str]], frame: int) -> RangeScan:
