@@ -26,7 +26,6 @@ def upload(agent: str, chunk: int, sent_ms: float, link_ms: float | None = None)
         chunk=chunk,
         points=1,
         payload_bytes=1,
-        wire_bytes=1,
         sense_start_ns=0,
         sense_end_ns=4 * MS,
         encode_end_ns=round((sent_ms - 1) * MS),
@@ -42,7 +41,10 @@ def arrival(agent: str, chunk: int, at_ms: float) -> Arrival:
 
 
 def evidence(link_ms: Mapping[str, float] | None = None) -> Evidence:
-    """Two agents: a sends two chunks, b one; the edge is ready at 40 ms, the cabinet at 60."""
+    """Two agents: a sends two chunks, b one; the edge is ready at 40 ms, the cabinet at 60.
+
+    On a virtual link a's second chunk comes 3 ms after its first.
+    """
     link = link_ms or {}
     made = Evidence(complete=True)
     made.senders |= HOSTS
@@ -55,7 +57,8 @@ def evidence(link_ms: Mapping[str, float] | None = None) -> Evidence:
                 span("encode", sent - 3, sent - 1, agent),
                 span("send", sent - 1, sent, agent),
             ]
-            made.uploads[agent, chunk] = upload(agent, chunk, sent, link.get(agent))
+            on_link = link[agent] + 3 * chunk if agent in link else None
+            made.uploads[agent, chunk] = upload(agent, chunk, sent, on_link)
             came = 20 + 5 * chunk
             made.arrivals[agent, chunk] = arrival(agent, chunk, came)
             made.spans["edge"] += [
@@ -135,7 +138,7 @@ def test_an_arrival_before_the_call_returned_leaves_no_negative_link() -> None:
 
 def test_over_virtual_links_each_agents_time_is_laid_end_to_end() -> None:
     a, b = evidence({"a": 30, "b": 70}).accounts(1, {})
-    assert in_ms(a)["link"] == 30
+    assert in_ms(a)["link"] == 30  # the second chunk was computed while the first was under way
     assert in_ms(b)["link"] == 70
     assert in_ms(b)["wait"] == 0
     assert in_ms(a)["wait"] == 37  # b: 8 ms until sent, a: 11
@@ -163,3 +166,9 @@ def test_what_took_more_than_a_minute_or_less_than_nothing_is_left_out(start_ms)
     for key, sent in made.uploads.items():
         made.uploads[key] = sent.model_copy(update={"sense_start_ns": start_ms * MS})
     assert made.accounts(1, {}) == []
+
+
+def test_a_link_that_is_free_before_the_next_chunk_is_ready_waits_for_it() -> None:
+    made = evidence({"a": 1, "b": 1})
+    (a, _) = made.accounts(1, {})
+    assert in_ms(a)["link"] == 4  # nothing was queued before it
