@@ -116,6 +116,8 @@ def _make_run_dir(out: Path | None, name: str) -> Path:
     if out is None:
         stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
         out = Path("runs") / f"{name}-{stamp}"
+    if "," in str(out.absolute()):
+        raise ConfigError(f"--out {out}: SUMO takes no path with a comma in it")
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             raise ConfigError(f"--out {out}: it exists and is not an empty folder")

@@ -6,7 +6,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping
 
 from edge_server.coverage import Uploaded
-from edge_server.frame import Frame, Piece
+from edge_server.frame import Found, Frame, Piece
 from edge_server.gathering import Gathering
 from protocol.horizon import Horizon
 from protocol.messages import AgentPose, Objects, Roster, Scan
@@ -76,7 +76,7 @@ class Assembler:
     def add_objects(self, objects: Objects, received_ns: int) -> None:
         """Takes what an agent detected for itself."""
         if part := self._part(objects.frame, received_ns):
-            part.add_objects(objects)
+            part.add_found(Found(objects, received_ns))
 
     def wants(self, scan: Scan, received_ns: int) -> bool:
         """Whether it is worth decoding a scan; counts it if not."""
@@ -164,7 +164,7 @@ class Assembler:
         return {a: part.uploaded(a) for roster in rosters for a in roster.scanning}
 
     def _close(self, number: int, part: Gathering, *, complete: bool, now_ns: int) -> Frame:
-        agents = sorted({*part.poses, *part.objects, *(agent for agent, _ in part.pieces)})
+        agents = sorted({*part.poses, *part.found, *(agent for agent, _ in part.pieces)})
         latest_ns = max(self._times_ns.values(), default=0)
         own_ns = latest_ns if part.time_ns is None else part.time_ns
         return Frame(
@@ -177,5 +177,5 @@ class Assembler:
             first_ns=part.first_ns,
             ready_ns=now_ns,
             scanning=sorted({a for roster in part.rosters.values() for a in roster.scanning}),
-            objects=[part.objects[agent] for agent in sorted(part.objects)],
+            found=[part.found[agent] for agent in sorted(part.found)],
         )

@@ -45,10 +45,28 @@ class Piece:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """Boxes that an agent found for itself, and when they came."""
+
+    objects: Objects
+    received_ns: int
+
+    @property
+    def agent(self) -> str:
+        """Whose they are."""
+        return self.objects.agent
+
+    @property
+    def arrival_sim_ns(self) -> int | None:
+        """When they came over a virtual link."""
+        return self.objects.arrival_sim_ns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """A frame as far as it came. `complete` says whether all that is needed is there.
 
-    `agents`, `poses` and `objects` are sorted by agent, `pieces` by agent and chunk. The first part
+    `agents`, `poses` and `found` are sorted by agent, `pieces` by agent and chunk. The first part
     came at `first_ns`; waiting ended at `ready_ns`. `scanning` are the agents, sorted, that
     announced a scan, be it here or not. `delay_sim_ns` is known where links are virtual.
     """
@@ -62,7 +80,7 @@ class Frame:
     first_ns: int
     ready_ns: int
     scanning: Sequence[str] = ()
-    objects: Sequence[Objects] = ()
+    found: Sequence[Found] = ()
     delay_sim_ns: int | None = None
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from edge_server.coverage import Uploaded
-from edge_server.frame import Piece
-from protocol.messages import AgentPose, Objects, Roster, Scan
+from edge_server.frame import Found, Piece
+from protocol.messages import AgentPose, Roster, Scan
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -29,7 +29,7 @@ class Gathering:
     poses: dict[str, AgentPose] = field(default_factory=dict)
     pieces: dict[tuple[str, int], Piece] = field(default_factory=dict)
     chunks: dict[str, int] = field(default_factory=dict)
-    objects: dict[str, Objects] = field(default_factory=dict)
+    found: dict[str, Found] = field(default_factory=dict)
 
     def add_roster(self, roster: Roster) -> None:
         """Takes a process's first roster."""
@@ -54,15 +54,15 @@ class Gathering:
         self.poses[pose.agent] = pose
         self._date(pose.sim_time_ns)
 
-    def add_objects(self, objects: Objects) -> None:
+    def add_found(self, found: Found) -> None:
         """Takes the first boxes that an agent found for itself."""
-        if objects.agent in self.objects:
+        if found.agent in self.found:
             self.drops["duplicate"] += 1
-        elif len(self.objects) >= MAX_AGENTS:
+        elif len(self.found) >= MAX_AGENTS:
             self.drops["too_many_agents"] += 1
         else:
-            self.objects[objects.agent] = objects
-            self._date(objects.sim_time_ns)
+            self.found[found.agent] = found
+            self._date(found.objects.sim_time_ns)
 
     def wants(self, scan: Scan) -> bool:
         """Whether a chunk is new, agrees with its fellows and has room; counts it if not."""
@@ -94,7 +94,7 @@ class Gathering:
 
     def uploaded(self, agent: str) -> Uploaded:
         """Returns how far an agent's scan came; boxes of its own count as a whole scan."""
-        if agent in self.objects:
+        if agent in self.found:
             return Uploaded(1, 1, -1)
         chunks, came = self.chunks.get(agent, 0), 0
         while came < chunks and (agent, came) in self.pieces:

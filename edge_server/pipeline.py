@@ -68,7 +68,7 @@ class Pipeline:
                 sensors=_sensors(frame),
                 config=config.boxes,
             )
-            for objects in frame.objects:
+            for objects in (one.objects for one in frame.found):
                 found += Vehicles.from_lidar(
                     objects.boxes.astype(np.float64), objects.scores.astype(np.float64)
                 )

@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from edge_server.coverage import Uploaded
-from edge_server.frame import Frame, Piece
-from protocol.messages import MAX_DELAY_NS, NEVER_NS, AgentPose, Objects
+from edge_server.frame import Found, Frame, Piece
+from protocol.messages import MAX_DELAY_NS, NEVER_NS, AgentPose
 
-Part = AgentPose | Objects | Piece
+Part = AgentPose | Found | Piece
 Covers = Callable[[Mapping[str, Uploaded]], bool]
 
 
@@ -28,7 +28,7 @@ class Punctuality:
         it says that they are enough.
         """
         latest_ns = frame.sim_time_ns + self.deadline_ns
-        parts: list[Part] = [*frame.poses, *frame.objects, *frame.pieces]
+        parts: list[Part] = [*frame.poses, *frame.found, *frame.pieces]
         needed_ns = max([frame.sim_time_ns, *(_arrival_ns(part) for part in parts)])
         if covers is not None:
             needed_ns = min(needed_ns, _covered_ns(frame, covers))
@@ -40,7 +40,7 @@ class Punctuality:
             frame,
             agents=sorted(agents),
             poses=[pose for pose in frame.poses if _arrival_ns(pose) <= end_ns],
-            objects=[boxes for boxes in frame.objects if _arrival_ns(boxes) <= end_ns],
+            found=[boxes for boxes in frame.found if _arrival_ns(boxes) <= end_ns],
             pieces=[piece for piece in frame.pieces if _arrival_ns(piece) <= end_ns],
             complete=frame.complete and in_time,
             delay_sim_ns=min(end_ns - frame.sim_time_ns + self.compute_ns, MAX_DELAY_NS),
@@ -58,7 +58,7 @@ def _arrival_ns(part: Part) -> int:
 
 def _covered_ns(frame: Frame, covers: Covers) -> int:
     """Returns when all poses and enough chunks had come; `NEVER_NS` if that was never so."""
-    others: list[Part] = [*frame.poses, *frame.objects]
+    others: list[Part] = [*frame.poses, *frame.found]
     least_ns = max((_arrival_ns(part) for part in others), default=frame.sim_time_ns)
     moments_ns = {max(least_ns, _arrival_ns(piece)) for piece in frame.pieces} | {least_ns}
     for moment_ns in sorted(moments_ns):
@@ -70,7 +70,7 @@ def _covered_ns(frame: Frame, covers: Covers) -> int:
 def _uploaded(frame: Frame, until_ns: int) -> dict[str, Uploaded]:
     """Returns how far the scans of all who announced one had come then."""
     uploaded = dict.fromkeys(frame.scanning, Uploaded(0, 0, -1))
-    uploaded |= {boxes.agent: Uploaded(1, 1, -1) for boxes in frame.objects}
+    uploaded |= {boxes.agent: Uploaded(1, 1, -1) for boxes in frame.found}
     for piece in frame.pieces:  # in the order of chunks
         came = uploaded.get(piece.agent, Uploaded(0, 0, -1)).came
         if piece.chunk == came and _arrival_ns(piece) <= until_ns:

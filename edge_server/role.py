@@ -152,15 +152,7 @@ class EdgeRole:
             frame=frame.frame,
             sim_time_ns=frame.sim_time_ns,
             spans=_waits(frame) + result.spans,
-            arrivals=[
-                Arrival(
-                    agent=piece.agent,
-                    chunk=piece.chunk,
-                    received_ns=piece.received_ns,
-                    decoded_ns=piece.decode_end_ns,
-                )
-                for piece in frame.pieces
-            ],
+            arrivals=_arrivals(frame),
             points=result.points,
             drops=dict(+(Counter(self._context.inbox.drops) + self._assembler.drops)),
         )
@@ -188,6 +180,15 @@ def punctuality(scenario: dict[str, Any], config: EdgeConfig) -> Punctuality | N
     if link.way(scenario["mode"]) != "virtual":
         return None
     return Punctuality(round(config.deadline_ms * 1e6), round(link.edge_compute_ms * 1e6))
+
+
+def _arrivals(frame: Frame) -> list[Arrival]:
+    chunks = [(p.agent, p.chunk, p.received_ns, p.decode_end_ns) for p in frame.pieces]
+    boxes = [(one.agent, 0, one.received_ns, one.received_ns) for one in frame.found]
+    return [
+        Arrival(agent=agent, chunk=chunk, received_ns=received_ns, decoded_ns=decoded_ns)
+        for agent, chunk, received_ns, decoded_ns in chunks + boxes
+    ]
 
 
 def _waits(frame: Frame) -> list[Span]:

@@ -322,6 +322,6 @@ def test_boxes_that_an_agent_found_stand_for_its_scan() -> None:
     assert +assembler.drops == {"duplicate": 1}
     frame = assembler.pop(6)
     assert frame is not None
-    assert frame.objects == [objects]
+    assert [one.objects for one in frame.found] == [objects]
     assert frame.agents == ["a", "b", "rsu-0"]
     assert frame.scanning == ["a", "rsu-0"]
