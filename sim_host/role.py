@@ -47,8 +47,8 @@ class SimRole:
     """Owns the world, the cabinet and the clock.
 
     REST lies between frames: a tick follows. FRAME waits for what ends the frame: in lockstep its
-    request, in realtime the clock. The signal state of a tick is what was shown until then; what
-    follows is decided when the frame ends, so that no change begins on an older frame's request.
+    request, on which the cabinet then acts; in realtime the clock, while requests act as they come.
+    The signal state of a tick is what was shown until then.
     """
 
     def __init__(self, context: Context, world: Traffic) -> None:
@@ -101,14 +101,17 @@ class SimRole:
         return role
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes a presence, or the newest request; in lockstep only the present frame's counts."""
+        """Takes a presence or a request: in realtime it acts at once, in lockstep at frame's end."""
         if isinstance(item, Presence):
             self._hear(item)
         elif isinstance(item.message, SignalRequest):
-            if self._lockstep and item.message.frame != self._frame:
-                self._out_of_turn += 1
-            else:
+            if not self._lockstep:
+                self._pending.add(item, item.message)
+                self._actuate()
+            elif item.message.frame == self._frame:
                 self._request = item
+            else:
+                self._out_of_turn += 1
 
     def poll(self) -> None:
         """Goes on with what is due.
@@ -191,13 +194,15 @@ class SimRole:
         return self._request is not None
 
     def _clock_struck(self, now_ns: int) -> bool:
-        """Tells whether the frame's time is over; sleeps the last bit, so that ticks keep time."""
+        """Tells whether the frame's time is over; stays for the last bit, so that ticks keep time."""
         wait_ns = self._beat.wait_ns(now_ns)
         if wait_ns > _NAP_NS:
             return False
-        time.sleep(wait_ns / 1e9)
-        while (item := self._context.inbox.get()) is not None:
-            self.on(item)
+        while wait_ns > 0:
+            item = self._context.inbox.get(wait_ns / 1e9)
+            if item is not None:
+                self.on(item)
+            wait_ns = self._beat.wait_ns(time.monotonic_ns())
         return True
 
     def _finish_frame(self) -> None:
