@@ -16,12 +16,14 @@ from protocol.errors import ConfigError
 from recorder.run import Run
 from sensing.recording import Recording
 from sensing.upload.registry import POLICIES, Filter
+from studies.bench_sharing import POLICY as SHARING
+from studies.bench_sharing import measure_sharing
 from studies.bench_traffic import FRAME_PERIOD_S, record_traffic, visible_vehicles
 from studies.bench_uplink import LEARNING_FRAMES, UplinkRow, row_of
 
 POLICY_CHOICES = (
     "full", "roi", "foreground", "voronoi", "power", "reap", "reap+roi", "reap+foreground",
-    "objects",
+    "objects", SHARING,
 )  # fmt: skip
 LINK_CHOICES = ("5mbit", "lte", "5g-urban")
 _PATIENT_MS = 5_000.0  # nothing is left out for being late: latency shows it instead
@@ -45,7 +47,12 @@ class UplinkBench:
         if not LEARNING_FRAMES < self.frames <= 600:
             raise ConfigError(f"--frames {self.frames}: must be {LEARNING_FRAMES + 1} to 600")
         for policy in self.policies:
-            upload_of(policy)
+            if policy != SHARING:
+                upload_of(policy)
+        if SHARING in self.policies and self.realtime:
+            raise ConfigError(
+                f"{SHARING} is measured over virtual links alone: leave out --realtime"
+            )
 
 
 def upload_of(policy: str) -> dict[str, Any]:
@@ -56,7 +63,8 @@ def upload_of(policy: str) -> dict[str, Any]:
     """
     name, *filters = policy.split("+")
     if name not in POLICIES:
-        raise ConfigError(f"policy {name!r}: must be one of {', '.join(POLICIES)}")
+        known = ", ".join([*POLICIES, SHARING])
+        raise ConfigError(f"policy {name!r}: must be one of {known}")
     unknown = sorted(set(filters) - set(get_args(Filter)))
     if unknown:
         raise ConfigError(
@@ -78,7 +86,10 @@ def measure(bench: UplinkBench) -> Iterator[UplinkRow]:
         record_traffic(traffic, bench.agents, bench.frames)
         cells = [(policy, link) for link in bench.links for policy in bench.policies]
         for number, (policy, link) in enumerate(cells):
-            yield run_cell(bench, traffic, policy, link, Path(scratch) / f"{number}")
+            if policy == SHARING:
+                yield measure_sharing(traffic, link, bench.frames)
+            else:
+                yield run_cell(bench, traffic, policy, link, Path(scratch) / f"{number}")
 
 
 def run_cell(bench: UplinkBench, traffic: Path, policy: str, link: str, run_dir: Path) -> UplinkRow:

@@ -101,7 +101,7 @@ class SimRole:
         return role
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes a presence or a request: in realtime it acts at once, in lockstep at frame's end."""
+        """Takes a presence or a request: it acts at once in realtime, else as the frame ends."""
         if isinstance(item, Presence):
             self._hear(item)
         elif isinstance(item.message, SignalRequest):
@@ -194,7 +194,7 @@ class SimRole:
         return self._request is not None
 
     def _clock_struck(self, now_ns: int) -> bool:
-        """Tells whether the frame's time is over; stays for the last bit, so that ticks keep time."""
+        """Tells whether the frame's time is over; stays for the last bit, lest the tick be late."""
         wait_ns = self._beat.wait_ns(now_ns)
         if wait_ns > _NAP_NS:
             return False

@@ -22,6 +22,7 @@ from sensing.recording import write_recording
 from sensing.returns import returns
 from sensing.scene import Scene, scene_of
 from sensing.shapes import VehicleShapes
+from sensing.terrain import Terrain
 from sim_host.setup import build_setup
 from sim_host.world import Bodies, World
 
@@ -31,7 +32,8 @@ VISIBLE_POINTS = 5  # in the clouds of all agents together, as in Chen et al. 20
 POST = "rsu-0"
 VISIBLE_NAME = "visible.json"
 _WARM_UP_STEPS = 600
-_POST_HEIGHT_M, _ROOF_HEIGHT_M = 3.0, 2.4
+_POST_HEIGHT_M = 3.0
+ROOF_HEIGHT_M = 2.4
 _NEAR_M = 120.0  # from the junction's centre: where the agents drive
 
 
@@ -45,8 +47,7 @@ def record_traffic(folder: Path, agents: int, frames: int, seed: int = SEED) -> 
     cavs = _choose(moments, centre, agents - 1)
     config = LidarConfig()
     lidar = Lidar(config, scene, VehicleShapes.from_setup(setup))
-    base = scene.terrain.body_poses(centre[:1], centre[1:], np.zeros(1))[0]
-    post = SE3.from_pose(base) @ SE3(np.eye(3), np.array([0.0, 0.0, _POST_HEIGHT_M]))
+    post = post_pose(setup, scene.terrain)
     scans: dict[str, list[RangeScan]] = {name: [] for name in [POST, *cavs]}
     visible = []
     for frame, bodies in enumerate(moments):
@@ -66,6 +67,13 @@ def record_traffic(folder: Path, agents: int, frames: int, seed: int = SEED) -> 
     truths = [_truth(frame, bodies, cavs) for frame, bodies in enumerate(moments)]
     write_recording(folder, FRAME_PERIOD_S, truths, scans)
     (folder / VISIBLE_NAME).write_text(json.dumps(visible) + "\n", "utf-8")
+
+
+def post_pose(setup: Setup, terrain: Terrain) -> SE3:
+    """Returns where the roadside LiDAR stands: at the junction's centre."""
+    centre = np.array(setup.road_map.centre[:2])
+    base = terrain.body_poses(centre[:1], centre[1:], np.zeros(1))[0]
+    return SE3.from_pose(base) @ SE3(np.eye(3), np.array([0.0, 0.0, _POST_HEIGHT_M]))
 
 
 def visible_vehicles(folder: Path) -> list[set[str]]:
@@ -102,7 +110,7 @@ def _choose(moments: Sequence[Bodies], centre: np.ndarray, count: int) -> list[s
 
 
 def _on_roof(bodies: Bodies, own: int) -> SE3:
-    return SE3.from_pose(bodies.poses[own]) @ SE3(np.eye(3), np.array([0.0, 0.0, _ROOF_HEIGHT_M]))
+    return SE3.from_pose(bodies.poses[own]) @ SE3(np.eye(3), np.array([0.0, 0.0, ROOF_HEIGHT_M]))
 
 
 def _hits(

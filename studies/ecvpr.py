@@ -16,11 +16,11 @@ import numpy as np
 
 from protocol.messages import VehicleType
 from recorder.run import Run
-from recorder.tables import DetectionRow, TruthRow
+from recorder.tables import CountRow, DetectionRow, TruthRow
 from studies.matching import MARGIN_M, match
 from studies.reach import Reach
 
-R = TypeVar("R", TruthRow, DetectionRow)
+R = TypeVar("R", TruthRow, DetectionRow, CountRow)
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,11 @@ def latencies(run: Run) -> dict[str, dict[str, float | None]]:
 def end_to_end_ms(run: Run, after_frame: int = 0) -> dict[str, float | None]:
     """Returns mean, p50, p95 and p99 of the end-to-end latency from a frame on."""
     sql = "SELECT end_to_end_ns FROM frames WHERE end_to_end_ns IS NOT NULL AND frame >= ?"
-    durations_ns = [ns for (ns,) in run.query(sql, after_frame)]
+    return distribution_ms([ns for (ns,) in run.query(sql, after_frame)])
+
+
+def distribution_ms(durations_ns: list[int]) -> dict[str, float | None]:
+    """Returns mean, p50, p95 and p99; None where nothing was measured."""
     mean_ms = float(np.mean(durations_ns)) / 1e6 if durations_ns else None
     return {"mean": mean_ms, **_percentiles(durations_ns)}
 

@@ -1,0 +1,153 @@
+"""Sharing without an edge, the baseline of EMP: every agent broadcasts, every vehicle detects.
+
+Each agent sends its whole scan once, over its own uplink, to all; what a vehicle hears comes scan
+after scan over its own downlink, which is as fast; it leaves out a frame while an earlier one takes
+longer to come than a frame lasts. Then it merges and detects by itself. Computing is measured here,
+one vehicle after the other, as if each had a computer of its own; links are virtual.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from edge_server.config import EdgeConfig
+from edge_server.frame import Frame, Piece
+from edge_server.pipeline import Pipeline
+from protocol.codec import decode, encode_scan
+from protocol.geometry import SE3
+from protocol.messages import Equipment, Setup, Truth
+from recorder.rows import count_rows, detection_rows, truth_rows
+from sensing.config import PoseErrorConfig, SceneConfig, UploadConfig
+from sensing.link.named import profile_named
+from sensing.link.path import Path as LinkPath
+from sensing.link.virtual import VirtualLink
+from sensing.noise import stream
+from sensing.pose import believed_pose
+from sensing.radio import ENVELOPE_BYTES
+from sensing.recording import Recording
+from sensing.terrain import Terrain
+from sim_host.setup import build_setup
+from studies.bench_traffic import POST, ROOF_HEIGHT_M, SEED, post_pose, visible_vehicles
+from studies.bench_uplink import LEARNING_FRAMES, UplinkRow
+from studies.latency import distribution_ms
+from studies.tally import Tally
+
+POLICY = "sharing"
+
+
+def measure_sharing(traffic: Path, link: str, frames: int) -> UplinkRow:
+    """Plays a recording as `sharing` on a link.
+
+    Raises:
+        ConfigError: there is no such link.
+    """
+    with tempfile.TemporaryDirectory() as scratch:
+        setup = build_setup({}, Path(scratch))
+    return _Sharing(setup, traffic, link).play(frames)
+
+
+class _Sharing:
+    def __init__(self, setup: Setup, traffic: Path, link: str) -> None:
+        self._recording = Recording(traffic)
+        self._visible = visible_vehicles(traffic)
+        self._post = post_pose(setup, Terrain(setup.road_map, SceneConfig(), SEED))
+        self._pipeline = Pipeline(setup.road_map, EdgeConfig(), seed=SEED)
+        self._tally = Tally(setup)
+        self._link = link
+        self._period_ns = round(self._recording.frame_period_s * 1e9)
+        self._up, self._down = (self._links(way) for way in ("up", "down"))
+        self._bytes: list[int] = []
+        self._latencies_ns: list[int] = []
+
+    def play(self, frames: int) -> UplinkRow:
+        for frame in range(frames):
+            self._play(frame)
+        period_s = self._recording.frame_period_s
+        mean_bytes = float(np.mean(self._bytes))
+        receivers = len(self._recording.agents) - 1
+        return UplinkRow(
+            policy=POLICY,
+            link=self._link,
+            agents=len(self._recording.agents),
+            bytes_per_frame=mean_bytes,
+            mbps_per_agent=mean_bytes * 8e-6 / period_s,
+            latency_ms=distribution_ms(self._latencies_ns),
+            fps=len(self._latencies_ns) / receivers / (frames - LEARNING_FRAMES) / period_s,
+            recall_visible=self._tally.recall_visible,
+            count_error=self._tally.count_error,
+            false_per_frame=self._tally.false_per_frame,
+        )
+
+    def _links(self, way: str) -> dict[str, VirtualLink | None]:
+        profile, agents = profile_named(self._link), self._recording.agents
+        if profile is None:
+            return dict.fromkeys(agents)
+        return {a: VirtualLink(LinkPath.draw(profile, SEED, f"{a} {way}")) for a in agents}
+
+    def _play(self, frame: int) -> None:
+        place = self._recording.place(frame)
+        truth = self._recording.truths[place].model_copy(update={"frame": frame})
+        now_ns = frame * self._period_ns
+        sent: dict[str, tuple[Piece, bytes, int]] = {}
+        for agent in self._recording.agents:
+            begin_ns = time.perf_counter_ns()
+            scan = self._recording.scan(agent, frame)
+            payload = encode_scan(scan, UploadConfig().max_error_m)
+            ready_ns = now_ns + time.perf_counter_ns() - begin_ns
+            at_ns = _carry(self._up[agent], ready_ns, len(payload))
+            sent[agent] = (self._piece(agent, truth), payload, at_ns)
+            self._bytes.append(len(payload))
+        for agent in self._recording.agents:
+            link = self._down[agent]
+            clogged = link is not None and link.backlog_ns(now_ns) >= self._period_ns
+            if agent != POST and not clogged:
+                self._receive(agent, truth, now_ns, sent)
+
+    def _piece(self, agent: str, truth: Truth) -> Piece:
+        nothing = np.zeros((0, 3), np.float32)
+        pose = self._believed(agent, truth).as_pose()
+        return Piece(truth.frame, truth.sim_time_ns, agent, 0, 1, pose, nothing, 0, 0, 0)
+
+    def _believed(self, agent: str, truth: Truth) -> SE3:
+        if agent == POST:
+            return self._post
+        rng = stream(SEED, "pose", agent, truth.frame)
+        pose = truth.poses[truth.ids.index(agent)]
+        believed = believed_pose(pose, PoseErrorConfig(), Equipment.CAV, rng)
+        return SE3.from_pose(believed) @ SE3.from_pose([0, 0, ROOF_HEIGHT_M, 0, 0, 0])
+
+    def _receive(
+        self, agent: str, truth: Truth, now_ns: int, sent: dict[str, tuple[Piece, bytes, int]]
+    ) -> None:
+        others = sorted((at_ns, name) for name, (_, _, at_ns) in sent.items() if name != agent)
+        last_ns = now_ns
+        for at_ns, name in others:
+            last_ns = _carry(self._down[agent], at_ns, len(sent[name][1]))
+        begin_ns = time.perf_counter_ns()
+        pieces = []
+        for name in sorted(sent):
+            piece, payload, _ = sent[name]
+            points = np.ascontiguousarray(decode(payload).points, np.float32)
+            pieces.append(self._pipeline.place_early(replace(piece, points=points)))
+        whole = Frame(
+            truth.frame, now_ns, sorted(sent), [], pieces, complete=True, first_ns=0, ready_ns=0
+        )
+        result = self._pipeline.run(whole)
+        if truth.frame >= LEARNING_FRAMES:
+            took_ns = time.perf_counter_ns() - begin_ns
+            self._latencies_ns.append(last_ns - now_ns + took_ns)
+            self._tally.add(
+                self._visible[self._recording.place(truth.frame)],
+                list(detection_rows(result.detections)),
+                list(count_rows(result.counts)),
+                list(truth_rows(truth)),
+            )
+
+
+def _carry(link: VirtualLink | None, now_ns: int, payload_bytes: int) -> int:
+    return now_ns if link is None else link.send(now_ns, payload_bytes + ENVELOPE_BYTES).arrival_ns
