@@ -7,11 +7,13 @@ import math
 import numpy as np
 from numba import njit
 
-from protocol.codec.cloud import Floats32
+from protocol.codec.cloud import Floats, Floats32
 from protocol.codec.image import (
+    CONTEXT_OF,
     CONTEXTS,
     COUNTS,
     MAX_UNITS,
+    NEXT_KIND,
     STRIDE,
     UNITS,
     describe,
@@ -48,21 +50,27 @@ def pack_image(range_m: Floats32, step_m: float) -> tuple[list[bytes], int]:
     tuning = _tune(_noise_m(range_m) / step_m)
     symbols = np.empty(symbol_room(channels, columns), np.uint16)
     raw = np.empty(range_m.size + 8, np.uint32)
-    counts, sizes = np.zeros(COUNTS, np.int32), np.zeros(3, np.int64)
-    describe(range_m, units_per_m, tuning, landmarks(units_per_m), symbols, raw, counts, sizes)
-    per_context = counts.reshape(4, -1)[:, : CONTEXTS * STRIDE].sum(axis=0, dtype=np.int64)
+    counts, sizes = np.zeros((2, COUNTS), np.int32), np.zeros(3, np.int64)
+    marks = landmarks(units_per_m)
+    describe(
+        range_m, units_per_m, tuning, marks, CONTEXT_OF, NEXT_KIND, symbols, raw, counts, sizes
+    )
+    per_context = counts[:, : CONTEXTS * STRIDE].sum(axis=0, dtype=np.int64)
     sections = pack_symbols(symbols, int(sizes[0]), per_context.reshape(CONTEXTS, STRIDE))
     settings = tuning.astype(np.uint8).tobytes()
     return [settings, *sections, raw[: sizes[1]].astype("<u4", copy=False).tobytes()], int(sizes[2])
 
 
-def open_image(head: Head, reader: Reader, directions: Floats32, points: int) -> Floats32:
+def open_image(
+    head: Head, reader: Reader, turns: Floats, azimuths: Floats, points: int
+) -> Floats32:
     """Reads the sections of `pack_image` and returns points (points, 3), ring by ring.
 
     Args:
         head: of the payload.
         reader: at the image.
-        directions: (channels * columns, 3).
+        turns: (channels, 3), of each ring: how far out, how far round and how far up it points.
+        azimuths: (columns, 2), cosine and sine of each column.
         points: how many the image claims, at most as many as it has beams.
 
     Raises:
@@ -72,24 +80,25 @@ def open_image(head: Head, reader: Reader, directions: Floats32, points: int) ->
     if len(settings) != 4:
         raise CodecError(f"an image has {len(settings)} bytes of settings, needs 4")
     tuning = np.frombuffer(settings, np.uint8).astype(np.int64)
-    if tuning[2] > 15 or tuning[3] > 15:
+    if tuning[2] > 15 or tuning[3] > tuning[2]:
         raise CodecError(f"an image has settings {tuning.tolist()}")
     stream = open_symbols(reader, CONTEXTS, symbol_room(1, head.columns))
     raw = read_raw(reader.section())
     xyz = np.empty((points + 1, 3), np.float32)
-    units_per_m = UNITS / head.step_m
+    table_of = np.concatenate([stream.table_of[CONTEXT_OF], stream.table_of[-4:]])
     status = restore(
         stream.words,
         stream.end,
         raw,
-        stream.table_of,
+        table_of,
         stream.slots,
         stream.place,
         tuning,
-        landmarks(units_per_m),
-        head.columns,
+        landmarks(UNITS / head.step_m),
+        NEXT_KIND,
         head.step_m / UNITS,
-        directions,
+        turns,
+        azimuths,
         xyz,
     )
     if status < 0:
