@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 
 import numpy as np
 from numba import njit
@@ -23,10 +24,11 @@ from protocol.codec.image import (
 )
 from protocol.codec.payload import Head, Reader
 from protocol.codec.symbols import open_symbols, pack_symbols, read_raw
-from protocol.codec.tokens import I8, i64
+from protocol.codec.tokens import I8, U2, U4, i64
 from protocol.errors import CodecError
 
 _QUANTISED = 1.0 - 1.0 / UNITS  # half a unit is lost on each side before steps are taken
+_CONTEXTS = CONTEXT_OF.tobytes()
 _SIGMAS_OF_JUMP = 5.0
 _SAMPLED_ROWS = 5
 _NOISE_OF_BIN = 1 / 2000.0 / (0.6745 * math.sqrt(2.0))  # median of differences, half a millimetre
@@ -48,8 +50,7 @@ def pack_image(range_m: Floats32, step_m: float) -> tuple[list[bytes], int]:
     if float(range_m.max()) * units_per_m > MAX_UNITS:
         raise CodecError(f"range {range_m.max():.1f} m takes too many steps of {step_m} m")
     tuning = _tune(_noise_m(range_m) / step_m)
-    symbols = np.empty(symbol_room(channels, columns), np.uint16)
-    raw = np.empty(range_m.size + 8, np.uint32)
+    symbols, raw = _scratch(channels, columns)
     counts, sizes = np.zeros((2, COUNTS), np.int32), np.zeros(3, np.int64)
     marks = landmarks(units_per_m)
     describe(
@@ -59,6 +60,19 @@ def pack_image(range_m: Floats32, step_m: float) -> tuple[list[bytes], int]:
     sections = pack_symbols(symbols, int(sizes[0]), per_context.reshape(CONTEXTS, STRIDE))
     settings = tuning.astype(np.uint8).tobytes()
     return [settings, *sections, raw[: sizes[1]].astype("<u4", copy=False).tobytes()], int(sizes[2])
+
+
+_kept = threading.local()
+
+
+def _scratch(channels: int, columns: int) -> tuple[U2, U4]:
+    """Returns room for symbols and raw bits, one for each thread: fresh memory takes longer."""
+    symbols: U2 | None = getattr(_kept, "symbols", None)
+    needed = symbol_room(channels, columns)
+    if symbols is None or len(symbols) < needed:
+        symbols = _kept.symbols = np.empty(needed, np.uint16)
+        _kept.raw = np.empty(needed, np.uint32)
+    return symbols, _kept.raw
 
 
 def open_image(
@@ -85,12 +99,12 @@ def open_image(
     stream = open_symbols(reader, CONTEXTS, symbol_room(1, head.columns))
     raw = read_raw(reader.section())
     xyz = np.empty((points + 1, 3), np.float32)
-    table_of = np.concatenate([stream.table_of[CONTEXT_OF], stream.table_of[-4:]])
+    table_of = _CONTEXTS.translate(stream.table_of.tobytes().ljust(256)) + stream.table_of[-4:].tobytes()
     status = restore(
         stream.words,
         stream.end,
         raw,
-        table_of,
+        np.frombuffer(table_of, np.uint8),
         stream.slots,
         stream.place,
         tuning,

@@ -47,7 +47,6 @@ COUNTS = 1 << 13  # of symbols
 _TAIL = 80
 _LOST, _GONE = 0, 4  # the token of a lost beam, and the smallest kind of one
 _TOKENS = ESCAPE + 2  # the last of them is the escape
-_NO_RETURN = -(1 << 31)
 _FAR_M = (56.0, 75.0, 95.0)  # beyond these, returns are lost more and more often
 _START_M = 10.0
 
@@ -198,9 +197,9 @@ def describe(
             base, at = sector * wide, SECTORS + sector
             for j in range(wide):
                 metres = range_m[row, base + j] if base + j < columns else np.float32(0)
-                there = metres > 0
-                beams[at] = np.int32(metres * units_per_m + 0.5) if there else _NO_RETURN
-                points += i64(there)
+                units, there = np.int32(metres * units_per_m + 0.5), i64(metres > 0)
+                beams[at] = units * there - (1 - there)
+                points += there
                 at += SECTORS
         change = rise
         for at in range(SECTORS, end):
@@ -210,7 +209,7 @@ def describe(
             last = i64(here[at - SECTORS])
             ahead = last + slopes[at]
             expected = max(min(last, under), min(max(last, under), ahead))
-            there = i64(beams[at] != _NO_RETURN)
+            there = i64(beams[at] >= 0)
             k = ((i64(beams[at]) - expected + UNITS // 2) >> 8) * there
             steps[at] = k
             calm = seen[at & 7]
@@ -224,7 +223,7 @@ def describe(
         for sector in range(SECTORS):
             kind[sector] = kind_below[SECTORS + sector]
         for at in range(SECTORS, end):
-            there = i64(beams[at] != _NO_RETURN)
+            there = i64(beams[at] >= 0)
             before, base = i64(kind[at - SECTORS]), i64(bases[at])
             context = i64(context_of[(base << 4) | before])
             whole = fold(i64(steps[at]))
@@ -260,8 +259,9 @@ def describe(
 
 
 @njit(
-    "int64(uint16[::1], int64, uint32[::1], uint8[::1], uint8[::1], uint32[::1], int64[::1], "
-    "int64[::1], uint8[::1], float64, Array(float64, 2, 'C', readonly=True), "
+    "int64(uint16[::1], int64, uint32[::1], Array(uint8, 1, 'C', readonly=True), uint8[::1], "
+    "uint32[::1], int64[::1], int64[::1], uint8[::1], float64, "
+    "Array(float64, 2, 'C', readonly=True), "
     "Array(float64, 2, 'C', readonly=True), float32[:,::1])",
     cache=True,
 )
