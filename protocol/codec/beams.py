@@ -9,6 +9,8 @@ import numpy as np
 from numba import njit
 
 from protocol.codec.cloud import Floats, Floats32
+from protocol.codec.fine import CONTEXTS as FINE_CONTEXTS
+from protocol.codec.fine import SIZE_CLASSES, describe_fine, restore_fine
 from protocol.codec.image import (
     CONTEXT_OF,
     CONTEXTS,
@@ -22,7 +24,7 @@ from protocol.codec.image import (
     restore,
     symbol_room,
 )
-from protocol.codec.payload import Head, Reader
+from protocol.codec.payload import Form, Head, Reader
 from protocol.codec.symbols import open_symbols, pack_symbols, read_raw
 from protocol.codec.tokens import I8, U2, U4, i64
 from protocol.errors import CodecError
@@ -39,7 +41,7 @@ def image_step_m(room_m: float) -> float:
     return 2.0 * room_m * _QUANTISED
 
 
-def pack_image(range_m: Floats32, step_m: float) -> tuple[list[bytes], int]:
+def pack_image(range_m: Floats32, step_m: float, fine: bool = False) -> tuple[list[bytes], int]:
     """Returns the sections of an image (channels, columns) and the number of its returns.
 
     Raises:
@@ -52,12 +54,14 @@ def pack_image(range_m: Floats32, step_m: float) -> tuple[list[bytes], int]:
     tuning = _tune(_noise_m(range_m) / step_m)
     symbols, raw = _scratch(channels, columns)
     counts, sizes = np.zeros((2, COUNTS), np.int32), np.zeros(3, np.int64)
-    marks = landmarks(units_per_m)
-    describe(
-        range_m, units_per_m, tuning, marks, CONTEXT_OF, NEXT_KIND, symbols, raw, counts, sizes
-    )
-    per_context = counts[:, : CONTEXTS * STRIDE].sum(axis=0, dtype=np.int64)
-    sections = pack_symbols(symbols, int(sizes[0]), per_context.reshape(CONTEXTS, STRIDE))
+    given = (range_m, units_per_m, tuning, landmarks(units_per_m))
+    if fine:
+        describe_fine(*given, SIZE_CLASSES, symbols, raw, counts, sizes)
+    else:
+        describe(*given, CONTEXT_OF, NEXT_KIND, symbols, raw, counts, sizes)
+    contexts = FINE_CONTEXTS if fine else CONTEXTS
+    per_context = counts[:, : contexts * STRIDE].sum(axis=0, dtype=np.int64)
+    sections = pack_symbols(symbols, int(sizes[0]), per_context.reshape(contexts, STRIDE))
     settings = tuning.astype(np.uint8).tobytes()
     return [settings, *sections, raw[: sizes[1]].astype("<u4", copy=False).tobytes()], int(sizes[2])
 
@@ -96,20 +100,24 @@ def open_image(
     tuning = np.frombuffer(settings, np.uint8).astype(np.int64)
     if tuning[2] > 15 or tuning[3] > tuning[2]:
         raise CodecError(f"an image has settings {tuning.tolist()}")
-    stream = open_symbols(reader, CONTEXTS, symbol_room(1, head.columns))
+    fine = head.form is Form.FINE
+    contexts = FINE_CONTEXTS if fine else CONTEXTS
+    stream = open_symbols(reader, contexts, symbol_room(1, head.columns))
     raw = read_raw(reader.section())
     xyz = np.empty((points + 1, 3), np.float32)
-    table_of = _CONTEXTS.translate(stream.table_of.tobytes().ljust(256)) + stream.table_of[-4:].tobytes()
-    status = restore(
+    tables = stream.table_of.tobytes()
+    if not fine:
+        tables = _CONTEXTS.translate(tables.ljust(256)) + tables[-4:]
+    status = (restore_fine if fine else restore)(
         stream.words,
         stream.end,
         raw,
-        np.frombuffer(table_of, np.uint8),
+        np.frombuffer(tables, np.uint8),
         stream.slots,
         stream.place,
         tuning,
         landmarks(UNITS / head.step_m),
-        NEXT_KIND,
+        SIZE_CLASSES if fine else NEXT_KIND,
         head.step_m / UNITS,
         turns,
         azimuths,

@@ -64,7 +64,9 @@ def encode_scan(
         head = replace(head, form=Form.PLANES, step_m=step_m)
         sections = [squeeze(raw)]
     else:
-        sections, points = pack_image(range_m, head.step_m)
+        fine = chosen is Profile.COMPACT
+        sections, points = pack_image(range_m, head.step_m, fine)
+        head = replace(head, form=Form.FINE if fine else Form.IMAGE)
     shades = seal_intensity(scan.intensity[range_m > 0], True) if intensity else []
     return replace(head, points=points).seal(*sections, *shades)
 
