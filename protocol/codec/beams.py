@@ -10,7 +10,7 @@ from numba import njit
 
 from protocol.codec.cloud import Floats, Floats32
 from protocol.codec.fine import CONTEXTS as FINE_CONTEXTS
-from protocol.codec.fine import SIZE_CLASSES, describe_fine, restore_fine
+from protocol.codec.fine import SIZE_CLASSES, WEIGHT_BITS, WEIGHTS, describe_fine, restore_fine
 from protocol.codec.image import (
     CONTEXT_OF,
     CONTEXTS,
@@ -26,11 +26,13 @@ from protocol.codec.image import (
 )
 from protocol.codec.payload import Form, Head, Reader
 from protocol.codec.symbols import open_symbols, pack_symbols, read_raw
-from protocol.codec.tokens import I8, U2, U4, i64
+from protocol.codec.tokens import I4, I8, U2, U4, i64
 from protocol.errors import CodecError
 
 _QUANTISED = 1.0 - 1.0 / UNITS  # half a unit is lost on each side before steps are taken
 _CONTEXTS = CONTEXT_OF.tobytes()
+_LESSONS = (True, False)  # the first pass over the image finds the filter's weights
+_COARSE = 150  # floor of the gain: steps above six times the noise have no use for the filter
 _SIGMAS_OF_JUMP = 5.0
 _SAMPLED_ROWS = 5
 _NOISE_OF_BIN = 1 / 2000.0 / (0.6745 * math.sqrt(2.0))  # median of differences, half a millimetre
@@ -55,15 +57,30 @@ def pack_image(range_m: Floats32, step_m: float, fine: bool = False) -> tuple[li
     symbols, raw = _scratch(channels, columns)
     counts, sizes = np.zeros((2, COUNTS), np.int32), np.zeros(3, np.int64)
     given = (range_m, units_per_m, tuning, landmarks(units_per_m))
+    weights = np.zeros(WEIGHTS if fine else 0, np.int32)
     if fine:
-        describe_fine(*given, SIZE_CLASSES, symbols, raw, counts, sizes)
+        for learns in _LESSONS if tuning[0] < _COARSE else (False,):
+            counts[:] = 0
+            gram = np.zeros((WEIGHTS + 1, WEIGHTS + 1) if learns else (0, 0))
+            describe_fine(*given, SIZE_CLASSES, weights, gram, symbols, raw, counts, sizes)
+            if learns:
+                weights = _solve(gram)
     else:
         describe(*given, CONTEXT_OF, NEXT_KIND, symbols, raw, counts, sizes)
     contexts = FINE_CONTEXTS if fine else CONTEXTS
     per_context = counts[:, : contexts * STRIDE].sum(axis=0, dtype=np.int64)
     sections = pack_symbols(symbols, int(sizes[0]), per_context.reshape(contexts, STRIDE))
-    settings = tuning.astype(np.uint8).tobytes()
+    settings = tuning.astype(np.uint8).tobytes() + weights.astype("<i2").tobytes()
     return [settings, *sections, raw[: sizes[1]].astype("<u4", copy=False).tobytes()], int(sizes[2])
+
+
+def _solve(gram: Floats) -> I4:
+    """Returns the weights that solve normal equations, as whole numbers."""
+    inputs, wanted = gram[:-1, :-1], gram[:-1, -1]
+    ridge = np.eye(WEIGHTS) * (1e-12 + 1e-4 * float(np.trace(inputs)))
+    weights = np.linalg.solve(inputs + ridge, wanted) * (1 << WEIGHT_BITS)
+    result: I4 = np.clip(np.round(weights), -(1 << 15), (1 << 15) - 1).astype(np.int32)
+    return result
 
 
 _kept = threading.local()
@@ -95,12 +112,13 @@ def open_image(
         CodecError: the sections are damaged.
     """
     settings = reader.section()
-    if len(settings) != 4:
-        raise CodecError(f"an image has {len(settings)} bytes of settings, needs 4")
-    tuning = np.frombuffer(settings, np.uint8).astype(np.int64)
+    fine = head.form is Form.FINE
+    needed = 4 + 2 * WEIGHTS * fine
+    if len(settings) != needed:
+        raise CodecError(f"an image has {len(settings)} bytes of settings, needs {needed}")
+    tuning = np.frombuffer(settings, np.uint8, 4).astype(np.int64)
     if tuning[2] > 15 or tuning[3] > tuning[2]:
         raise CodecError(f"an image has settings {tuning.tolist()}")
-    fine = head.form is Form.FINE
     contexts = FINE_CONTEXTS if fine else CONTEXTS
     stream = open_symbols(reader, contexts, symbol_room(1, head.columns))
     raw = read_raw(reader.section())
@@ -108,21 +126,14 @@ def open_image(
     tables = stream.table_of.tobytes()
     if not fine:
         tables = _CONTEXTS.translate(tables.ljust(256)) + tables[-4:]
-    status = (restore_fine if fine else restore)(
-        stream.words,
-        stream.end,
-        raw,
-        np.frombuffer(tables, np.uint8),
-        stream.slots,
-        stream.place,
-        tuning,
-        landmarks(UNITS / head.step_m),
-        SIZE_CLASSES if fine else NEXT_KIND,
-        head.step_m / UNITS,
-        turns,
-        azimuths,
-        xyz,
-    )
+    coded = (stream.words, stream.end, raw, np.frombuffer(tables, np.uint8), stream.slots)
+    model = (stream.place, tuning, landmarks(UNITS / head.step_m))
+    placing = (head.step_m / UNITS, turns, azimuths, xyz)
+    if fine:
+        weights = np.frombuffer(settings, "<i2", WEIGHTS, 4).astype(np.int32)
+        status = restore_fine(*coded, *model, SIZE_CLASSES, weights, *placing)
+    else:
+        status = restore(*coded, *model, NEXT_KIND, *placing)
     if status < 0:
         raise CodecError("an image is damaged, or holds other than the points it claims")
     return xyz[:points]

@@ -3,9 +3,9 @@
 Rings are walked from the lowest, each along its columns. Three things are added to what `image`
 does. A ring that is complete is smoothed once more, backwards (Rauch, Tung and Striebel, 1965), so
 that the ring above follows a calmer one. What is expected is corrected by a linear filter over the
-last residuals of this ring and what smoothing took off the ring below, whose weights follow the
-residuals (normalised least mean squares, Widrow and Hoff, 1960). And tokens are told apart by the
-residuals of six neighbours, in half octaves.
+last residuals of this ring and what smoothing took off the ring below; the encoder finds the
+weights by least squares and sends them. And tokens are told apart by the residuals of six
+neighbours, in half octaves.
 
 All arithmetic that both sides share is of whole numbers, with shifts and floor division; none of it
 depends on the order of a sum or on floating point, so that every machine decodes the same.
@@ -39,10 +39,9 @@ CONTEXTS = 60
 _NEAR, _FAR, _MIXED, _SKY, _TAIL = 0, 26, 44, 50, 56
 _PAD = 16  # columns to either side, those of the ring's other end
 _TAPS = 8  # of the filter, on the ring and on the ring below
-_WEIGHTS = 2 * _TAPS + 3
-_WEIGHT_BITS, _RATE_BITS = 14, 10
-_RATE = 84 << _RATE_BITS  # 0.005 in weights
-_HEAVIEST = 1 << 15
+WEIGHTS = 2 * _TAPS + 3
+WEIGHT_BITS = 14
+_UNEASE = 5e3  # added to the power of the inputs, by whose square a beam counts less
 _LARGEST = 127  # size of a residual
 _CLASSES = 1 << 10
 # Rows of whole numbers along a ring: its filtered ranges and those of the ring below, smoothed;
@@ -63,14 +62,13 @@ def _size_classes() -> U1:
 SIZE_CLASSES = _size_classes()
 
 
-@njit("void(int32[:,::1], int64, int32[::1], int64)", cache=True)
-def _begin(rows: I4, columns: int, weights: I4, step: int) -> None:
+@njit("void(int32[:,::1], int64, int64)", cache=True)
+def _begin(rows: I4, columns: int, step: int) -> None:
     """Makes the ring that is complete the ring below: smooths it and closes its circle.
 
     Args:
         rows: of `_ROWS`.
         columns: of a ring.
-        weights: of the filter, kept.
         step: share of a correction that reaches the column before, in 1/256.
     """
     correction = 0
@@ -98,8 +96,8 @@ def _expect(rows: I4, weights: I4, extra: I4, at: int, last: int, scale: int, mo
 
     Args:
         rows: of `_ROWS`.
-        weights: (_WEIGHTS,).
-        extra: (3,), filled.
+        weights: (WEIGHTS,).
+        extra: (4,), filled, and last what the median alone expects.
         at: column and `_PAD`.
         last: filtered range to the left.
         scale: bits by which inputs are shorter than ranges.
@@ -112,6 +110,7 @@ def _expect(rows: I4, weights: I4, extra: I4, at: int, last: int, scale: int, mo
     median = max(min(last, under), min(max(last, under), ahead))
     bend = right - 2 * under + left
     turn = i64(rows[_BELOW, at + 2]) - right - left + i64(rows[_BELOW, at - 2])
+    extra[3] = median
     extra[0] = max(-most, min(most, (ahead - median) >> scale))
     extra[1] = max(-most, min(most, bend >> scale))
     extra[2] = max(-most, min(most, turn >> scale))
@@ -122,43 +121,38 @@ def _expect(rows: I4, weights: I4, extra: I4, at: int, last: int, scale: int, mo
         total = np.int32(total + np.int32(weights[_TAPS + n] * rows[_OFF, at - _TAPS // 2 + n]))
     for n in range(3):
         total = np.int32(total + np.int32(weights[2 * _TAPS + n] * extra[n]))
-    change = (i64(total) << scale) >> _WEIGHT_BITS
+    change = (i64(total) << scale) >> WEIGHT_BITS
     widest = most << scale
     return median + max(-widest, min(widest, change))
 
 
-@njit("void(int32[:,::1], int32[::1], int32[::1], int64, int64, int64)", cache=True)
-def _learn(rows: I4, weights: I4, extra: I4, at: int, residual: int, most: int) -> None:
-    """Moves the weights towards those that would have met the range.
+@njit("void(int32[:,::1], int32[::1], int64, int64, float64[::1], float64[:,::1])", cache=True)
+def _note(rows: I4, extra: I4, at: int, wanted: int, inputs: Floats, gram: Floats) -> None:
+    """Adds a beam to the normal equations of the filter.
 
     Args:
         rows: of `_ROWS`.
-        weights: (_WEIGHTS,), changed.
-        extra: (3,), as `_expect` filled it.
+        extra: (4,), as `_expect` filled it.
         at: column and `_PAD`.
-        residual: as an input of the filter.
-        most: largest input.
+        wanted: what the filter should have said, as an input.
+        inputs: (WEIGHTS + 1,), overwritten.
+        gram: (WEIGHTS + 1, WEIGHTS + 1), products of inputs with each other, and last the wanted.
     """
-    power = np.int32(1 + (most >> 2) * (most >> 2))
     for n in range(_TAPS):
-        x = rows[_RESIDUAL, at - _TAPS + n]
-        power = np.int32(power + np.int32(x * x))
-    for n in range(_TAPS):
-        x = rows[_OFF, at - _TAPS // 2 + n]
-        power = np.int32(power + np.int32(x * x))
+        inputs[n] = rows[_RESIDUAL, at - _TAPS + n]
+        inputs[_TAPS + n] = rows[_OFF, at - _TAPS // 2 + n]
     for n in range(3):
-        power = np.int32(power + np.int32(extra[n] * extra[n]))
-    gain = np.int32(residual * _RATE // power)
-    half, most_ = np.int32(1 << (_RATE_BITS - 1)), np.int32(_HEAVIEST)
-    for n in range(_TAPS):
-        step = np.int32(np.int32(gain * rows[_RESIDUAL, at - _TAPS + n]) + half) >> _RATE_BITS
-        weights[n] = max(-most_, min(most_, np.int32(weights[n] + step)))
-    for n in range(_TAPS):
-        step = np.int32(np.int32(gain * rows[_OFF, at - _TAPS // 2 + n]) + half) >> _RATE_BITS
-        weights[_TAPS + n] = max(-most_, min(most_, np.int32(weights[_TAPS + n] + step)))
-    for n in range(3):
-        step = np.int32(np.int32(gain * extra[n]) + half) >> _RATE_BITS
-        weights[2 * _TAPS + n] = max(-most_, min(most_, np.int32(weights[2 * _TAPS + n] + step)))
+        inputs[2 * _TAPS + n] = extra[n]
+    inputs[WEIGHTS] = wanted
+    power = 0.0
+    for a in range(WEIGHTS):
+        power += inputs[a] * inputs[a]
+    calm = 1.0 / (_UNEASE + power)
+    for a in range(WEIGHTS + 1):
+        x = inputs[a] * calm * calm
+        if x != 0:
+            for b in range(WEIGHTS + 1):
+                gram[a, b] += x * inputs[b]
 
 
 @njit("int64(int32[:,::1], uint8[::1], int64, int64, int64[::1])", cache=True)
@@ -193,35 +187,31 @@ def _tail_of(context: int) -> int:
     return 3
 
 
-@njit("int64(int32[:,::1], int32[::1], int32[::1], int64[::1], int64[::1], int64, int64)", cache=True)
-def _settle(
-    rows: I4, weights: I4, extra: I4, tuning: I8, place: I8, expected: int, k: int
-) -> int:
-    """Takes a residual of `k` steps into the rows; returns the filtered range.
+@njit("int64(int32[:,::1], int64[::1], int64[::1], int64, int64, int64)", cache=True)
+def _settle(rows: I4, tuning: I8, place: I8, median: int, value: int, k: int) -> int:
+    """Takes a decoded range into the rows; returns the filtered range.
 
     Args:
         rows: of `_ROWS`.
-        weights: of the filter.
-        extra: its last inputs.
         tuning: floor of the gain in 1/256, steps of a jump, shift of activities, low bits.
         place: column and `_PAD`, returns since a jump, bits of scale, largest input.
-        expected: of this beam.
-        k: steps.
+        median: what the median alone expected; the rows go on from it, so that the filter's weights
+            do not act on its own inputs.
+        value: the range.
+        k: its steps from what was expected.
     """
     at, seen, scale, most = place[0], place[1], place[2], place[3]
-    rows[_EXPECTED, at], rows[_GONE, at] = expected, 0
+    residual = value - median
+    rows[_EXPECTED, at], rows[_GONE, at] = median, 0
     rows[_SIZE, at] = min(((fold(k) >> tuning[3]) + 1) >> 1, _LARGEST)
-    if abs(k) >= tuning[1]:
-        here = expected + k * UNITS
-        rows[_HERE, at], rows[_JUMP, at], rows[_RESIDUAL, at], rows[_OFF, at] = here, 1, 0, 0
+    if abs(residual) >= tuning[1] * UNITS:
+        rows[_HERE, at], rows[_JUMP, at], rows[_RESIDUAL, at], rows[_OFF, at] = value, 1, 0, 0
         place[1] = 0
-        return here
-    residual = max(-most, min(most, (k * UNITS) >> scale))
-    if abs(k * UNITS) >> scale <= most:
-        _learn(rows, weights, extra, at, residual, most)
-    here = expected + max(UNITS * 2 // (2 * seen + 3), tuning[0]) * k
-    rows[_HERE, at], rows[_JUMP, at], rows[_RESIDUAL, at] = here, 0, residual
-    rows[_OFF, at] = max(-most, min(most, (expected + k * UNITS - here) >> scale))
+        return value
+    here = median + ((max(UNITS * 2 // (2 * seen + 3), tuning[0]) * residual) >> 8)
+    rows[_HERE, at], rows[_JUMP, at] = here, 0
+    rows[_RESIDUAL, at] = max(-most, min(most, residual >> scale))
+    rows[_OFF, at] = max(-most, min(most, (value - here) >> scale))
     place[1] = min(seen + 1, 30)
     return here
 
@@ -245,8 +235,8 @@ def _measure(tuning: I8, place: I8) -> None:
 
 
 @njit(
-    "void(float32[:,::1], float64, int64[::1], int64[::1], uint8[::1], uint16[::1], uint32[::1], "
-    "int32[:,::1], int64[::1])",
+    "void(float32[:,::1], float64, int64[::1], int64[::1], uint8[::1], int32[::1], "
+    "float64[:,::1], uint16[::1], uint32[::1], int32[:,::1], int64[::1])",
     cache=True,
 )
 def describe_fine(
@@ -255,24 +245,40 @@ def describe_fine(
     tuning: I8,
     marks: I8,
     size_classes: U1,
+    weights: I4,
+    gram: Floats,
     symbols: U2,
     raw: U4,
     counts: I4,
     sizes: I8,
 ) -> None:
-    """Turns an image into symbols and raw bits, as `image.describe`."""
+    """Turns an image into symbols and raw bits, as `image.describe`.
+
+    Args:
+        range_m: as there, and so are all arguments but those named here.
+        units_per_m: as there.
+        tuning: as there.
+        marks: as there.
+        size_classes: `SIZE_CLASSES`.
+        weights: (WEIGHTS,), of the filter.
+        gram: (WEIGHTS + 1, WEIGHTS + 1), to learn better weights: filled. Or empty.
+        symbols: as there.
+        raw: as there.
+        counts: as there.
+        sizes: as there.
+    """
     channels, columns = range_m.shape
     low = tuning[3]
     rows = np.zeros((_ROWS, columns + 2 * _PAD), np.int32)
     for at in range(columns + 2 * _PAD):
         rows[_HERE, at] = rows[_EXPECTED, at] = marks[3]
-    weights, extra = np.zeros(_WEIGHTS, np.int32), np.zeros(3, np.int32)
-    place = np.zeros(4, np.int64)
+    extra = np.zeros(4, np.int32)
+    place, inputs, learns = np.zeros(4, np.int64), np.zeros(WEIGHTS + 1), len(gram) > 0
     _measure(tuning, place)
     count, words, held, points, rise = 0, 0, 0, 0, 0
     bits = u64(0)
     for row in range(channels - 1, -1, -1):
-        _begin(rows, columns, weights, UNITS - tuning[0])
+        _begin(rows, columns, UNITS - tuning[0])
         last = i64(rows[_BELOW, _PAD]) + rise
         place[1] = 0
         for column in range(columns):
@@ -309,13 +315,17 @@ def describe_fine(
                         words += 1
                         bits >>= u64(32)
                         held -= 32
-                last = _settle(rows, weights, extra, tuning, place, expected, k)
+                value, median = expected + k * UNITS, i64(extra[3])
+                wanted = (value - median) >> place[2]
+                if learns and column & 3 == row & 3 and abs(wanted) <= place[3]:
+                    _note(rows, extra, at, wanted, inputs, gram)
+                last = _settle(rows, tuning, place, median, value, k)
             else:
                 symbols[count] = turn | context * STRIDE
                 counts[count & 1, context * STRIDE] += 1
                 count += 1
-                _pass_over(rows, at, expected)
-                last = expected
+                last = i64(extra[3])
+                _pass_over(rows, at, last)
             if column == 0:
                 rise = last - i64(rows[_BELOW, at])
     if held > 0:
@@ -326,7 +336,8 @@ def describe_fine(
 
 @njit(
     "int64(uint16[::1], int64, uint32[::1], Array(uint8, 1, 'C', readonly=True), uint8[::1], "
-    "uint32[::1], int64[::1], int64[::1], uint8[::1], float64, Array(float64, 2, 'C', readonly=True), "
+    "uint32[::1], int64[::1], int64[::1], uint8[::1], int32[::1], float64, "
+    "Array(float64, 2, 'C', readonly=True), "
     "Array(float64, 2, 'C', readonly=True), float32[:,::1])",
     cache=True,
 )
@@ -340,6 +351,7 @@ def restore_fine(
     tuning: I8,
     marks: I8,
     size_classes: U1,
+    weights: I4,
     m_per_unit: float,
     turns: Floats,
     azimuths: Floats,
@@ -357,6 +369,7 @@ def restore_fine(
         tuning: as there.
         marks: as there.
         size_classes: `SIZE_CLASSES`.
+        weights: (WEIGHTS,), as the encoder's.
         m_per_unit: as there.
         turns: as there.
         azimuths: as there.
@@ -367,7 +380,7 @@ def restore_fine(
     rows = np.zeros((_ROWS, columns + 2 * _PAD), np.int32)
     for at in range(columns + 2 * _PAD):
         rows[_HERE, at] = rows[_EXPECTED, at] = marks[3]
-    weights, extra = np.zeros(_WEIGHTS, np.int32), np.zeros(3, np.int32)
+    extra = np.zeros(4, np.int32)
     place, beams = np.zeros(4, np.int64), np.zeros(columns, np.int32)
     _measure(tuning, place)
     states = np.empty(STATES, np.uint64)
@@ -379,7 +392,7 @@ def restore_fine(
     for row in range(channels - 1, -1, -1):
         if at_word > u64(end_word):
             return -1
-        _begin(rows, columns, weights, UNITS - tuning[0])
+        _begin(rows, columns, UNITS - tuning[0])
         last = i64(rows[_BELOW, _PAD]) + rise
         place[1] = 0
         returns = 0
@@ -420,12 +433,13 @@ def restore_fine(
                     held -= length
                     number = ((number + (more >> low)) << low) | (more & ((1 << low) - 1))
                 k = unfold(number)
-                beams[column] = expected + k * UNITS
-                last = _settle(rows, weights, extra, tuning, place, expected, k)
+                value, median = expected + k * UNITS, i64(extra[3])
+                beams[column] = value
+                last = _settle(rows, tuning, place, median, value, k)
                 returns += 1
             else:
-                _pass_over(rows, at, expected)
-                last = expected
+                last = i64(extra[3])
+                _pass_over(rows, at, last)
             states[column & (STATES - 1)] = state
             if column == 0:
                 rise = last - i64(rows[_BELOW, at])
