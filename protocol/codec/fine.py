@@ -123,7 +123,8 @@ def _expect(rows: I4, weights: I4, extra: I4, at: int, last: int, scale: int, mo
         total = np.int32(total + np.int32(weights[2 * _TAPS + n] * extra[n]))
     change = (i64(total) << scale) >> WEIGHT_BITS
     widest = most << scale
-    return median + max(-widest, min(widest, change))
+    expected: int = median + max(-widest, min(widest, change))
+    return expected
 
 
 @njit("void(int32[:,::1], int32[::1], int64, int64, float64[::1], float64[:,::1])", cache=True)
@@ -166,14 +167,14 @@ def _context(rows: I4, size_classes: U1, at: int, expected: int, marks: I8) -> i
         + rows[_SIZE_BELOW, at + 1]
         + rows[_SIZE_BELOW, at + 2]
     )
-    size = i64(size_classes[min(total, _CLASSES - 1)])
+    size: int = i64(size_classes[min(total, _CLASSES - 1)])
     below = rows[_GONE_BELOW, at - 1] + rows[_GONE_BELOW, at] + rows[_GONE_BELOW, at + 1]
     gone = i64(rows[_GONE, at - 1] + rows[_GONE, at - 2] + below)
     if gone >= 4:
         return _SKY + size // 5
     if gone == 3:
         return _MIXED + size // 5
-    distance = i64(expected > marks[0]) + i64(expected > marks[1]) + i64(expected > marks[2])
+    distance: int = i64(expected > marks[0]) + i64(expected > marks[1]) + i64(expected > marks[2])
     if distance > 0:
         return _FAR + (distance - 1) * 6 + size // 5
     return _NEAR + size
@@ -208,7 +209,7 @@ def _settle(rows: I4, tuning: I8, place: I8, median: int, value: int, k: int) ->
         rows[_HERE, at], rows[_JUMP, at], rows[_RESIDUAL, at], rows[_OFF, at] = value, 1, 0, 0
         place[1] = 0
         return value
-    here = median + ((max(UNITS * 2 // (2 * seen + 3), tuning[0]) * residual) >> 8)
+    here: int = median + ((max(UNITS * 2 // (2 * seen + 3), tuning[0]) * residual) >> 8)
     rows[_HERE, at], rows[_JUMP, at] = here, 0
     rows[_RESIDUAL, at] = max(-most, min(most, residual >> scale))
     rows[_OFF, at] = max(-most, min(most, (value - here) >> scale))

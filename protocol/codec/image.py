@@ -79,7 +79,7 @@ def _contexts() -> U1:
 
 
 def _next_kinds() -> U1:
-    """Returns the kind of a beam, by size class (4: lost), size class below and kind to the left."""
+    """Returns the kind of a beam, by its size class (4: lost), that below and the kind before."""
     result = np.zeros((5, 4, 16), np.uint8)
     for below in range(4):
         for kind in range(16):
