@@ -175,6 +175,7 @@ def describe(
     """
     channels, columns = range_m.shape
     floor, jump, shift, low = tuning[0], tuning[1], tuning[2], tuning[3]
+    plain = low == 0  # no raw bits but those of escapes
     wide = (columns + SECTORS - 1) // SECTORS
     room, end = (wide + 2) * SECTORS, (wide + 1) * SECTORS
     lines = np.full((2, room), np.int32(marks[3]), np.int32)
@@ -234,6 +235,8 @@ def describe(
             counts[at & 1, symbol] += 1
             count += 1
             kind[at] = next_kind[i64(classes[token]) | ((base & 24) << 1) | before]
+            if number != ESCAPE and plain:
+                continue
             extra, length = whole & ((1 << low) - 1), low * there
             if number == ESCAPE:
                 over = (whole >> low) - ESCAPE
@@ -299,6 +302,7 @@ def restore(
     """
     channels, columns = len(turns), len(azimuths)
     floor, jump, shift, low = tuning[0], tuning[1], tuning[2], tuning[3]
+    plain = low == 0  # no raw bits but those of escapes
     wide = (columns + SECTORS - 1) // SECTORS
     room, end = (wide + 2) * SECTORS, (wide + 1) * SECTORS
     lines = np.full((2, room), np.int32(marks[3]), np.int32)
@@ -342,6 +346,8 @@ def restore(
             steps[at] = step_of[token]
             there = i64(token != u64(_LOST))
             returns += there
+            if token != u64(_TOKENS - 1) and plain:
+                continue
             length = low * there
             if token == u64(_TOKENS - 1):
                 table = u64(table_of[tails + i64(before & u64(3))])
