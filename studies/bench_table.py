@@ -40,8 +40,8 @@ def _table(title: str, *heads: str, left: int = 1) -> Table:
 def _cloud_table(name: str, rows: list[BenchRow]) -> Table:
     table = _table(
         f"{name}, {rows[0].points} points",
-        "codec", "bound\ncm", "error\ncm", "bytes", "bits/\npoint", "encode\nms", "decode\nms",
-        "bytes /\nDraco", "encode\nx Draco", "decode\nx Draco",
+        "codec", "bound\ncm", "error\ncm", "bytes", "bits/\npoint", "enc.\nms", "dec.\nms",
+        "bytes /\nDraco", "enc. x\nDraco", "dec. x\nDraco",
     )  # fmt: skip
     bound_m = rows[0].bound_m
     for row in rows:

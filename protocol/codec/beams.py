@@ -32,8 +32,8 @@ from protocol.errors import CodecError
 _QUANTISED = 1.0 - 1.0 / UNITS  # half a unit is lost on each side before steps are taken
 _CONTEXTS = CONTEXT_OF.tobytes()
 _LESSONS = (True, False)  # the first pass over the image finds the filter's weights
-_COARSE = 150  # floor of the gain: steps above six times the noise have no use for the filter
-_SIGMAS_OF_JUMP = 5.0
+_COARSE = 0.3  # noise in steps below which the filter does harm
+_SIGMAS_OF_JUMP = 4.0
 _SAMPLED_ROWS = 5
 _NOISE_OF_BIN = 1 / 2000.0 / (0.6745 * math.sqrt(2.0))  # median of differences, half a millimetre
 
@@ -53,13 +53,14 @@ def pack_image(range_m: Floats32, step_m: float, fine: bool = False) -> tuple[li
     units_per_m = UNITS / step_m
     if float(range_m.max()) * units_per_m > MAX_UNITS:
         raise CodecError(f"range {range_m.max():.1f} m takes too many steps of {step_m} m")
-    tuning = _tune(_noise_m(range_m) / step_m)
+    noise_steps = _noise_m(range_m) / step_m
+    tuning = _tune(noise_steps)
     symbols, raw = _scratch(channels, columns)
     counts, sizes = np.zeros((2, COUNTS), np.int32), np.zeros(3, np.int64)
     given = (range_m, units_per_m, tuning, landmarks(units_per_m))
     weights = np.zeros(WEIGHTS if fine else 0, np.int32)
     if fine:
-        for learns in _LESSONS if tuning[0] < _COARSE else (False,):
+        for learns in _LESSONS if noise_steps >= _COARSE else (False,):
             counts[:] = 0
             gram = np.zeros((WEIGHTS + 1, WEIGHTS + 1) if learns else (0, 0))
             describe_fine(*given, SIZE_CLASSES, weights, gram, symbols, raw, counts, sizes)
@@ -145,7 +146,7 @@ def _tune(noise_steps: float) -> I8:
     Floor of the gain in 1/256: the coarser the steps, the more each of them says. Steps that make
     a jump. Shift of activities, so that noise alone is one or two. Lowest bits that are noise.
     """
-    gain = 0.6 if noise_steps < 1 / 6 else 0.4 if noise_steps < 1 / 3 else 0.25
+    gain = min(0.68, max(0.25, 0.84 - 3.2 * noise_steps))
     jump = min(255, max(2, math.ceil(_SIGMAS_OF_JUMP * noise_steps)))
     shift = min(15, max(0, round(math.log2(max(noise_steps, 1e-3)))))
     return np.array([round(gain * UNITS), jump, shift, max(0, shift - 1)], np.int64)
