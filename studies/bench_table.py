@@ -39,9 +39,9 @@ def _table(title: str, *heads: str, left: int = 1) -> Table:
 
 def _cloud_table(name: str, rows: list[BenchRow]) -> Table:
     table = _table(
-        f"{name}, {rows[0].points} points",
+        f"{name}, {rows[0].points} points; bytes of, and x times as fast as, Draco at this error",
         "codec", "bound\ncm", "error\ncm", "bytes", "bits/\npoint", "enc.\nms", "dec.\nms",
-        "bytes /\nDraco", "enc. x\nDraco", "dec. x\nDraco",
+        "of\nDraco", "enc.\nx", "dec.\nx",
     )  # fmt: skip
     bound_m = rows[0].bound_m
     for row in rows:

@@ -81,7 +81,8 @@ def encode_cloud(
     """Encodes an unordered cloud; every point moves by at most `max_error_m`.
 
     Profile `fast` keeps the order of the points; the others do not. A cloud of one spinning LiDAR
-    becomes a range image of the rings that are found in it, any other an octree.
+    becomes a range image of the rings that are found in it, any other an octree; `compact` does the
+    same as `default`.
 
     Args:
         cloud: in the sensor frame.
