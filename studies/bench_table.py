@@ -39,7 +39,7 @@ def _table(title: str, *heads: str, left: int = 1) -> Table:
 
 def _cloud_table(name: str, rows: list[BenchRow]) -> Table:
     table = _table(
-        f"{name}, {rows[0].points} points; bytes of, and x times as fast as, Draco at this error",
+        f"{name}, {rows[0].points} points (of, x: beside Draco at this error)",
         "codec", "bound\ncm", "error\ncm", "bytes", "bits/\npoint", "enc.\nms", "dec.\nms",
         "of\nDraco", "enc.\nx", "dec.\nx",
     )  # fmt: skip
