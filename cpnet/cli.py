@@ -185,19 +185,21 @@ def doctor_command(
 def bench_codec_command(
     *,
     points: Annotated[
-        list[Path] | None, typer.Option(metavar="FILE", help="a .bin or .pcd file as well")
+        list[Path] | None,
+        typer.Option(metavar="PATH", help="a .bin or .pcd file as well, or all in a folder"),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="stable keys, for programs")] = False,
 ) -> None:
     """Measure the scan codec beside Draco and zstd at equal maximum error."""
     from protocol.codec.draco import load_draco
-    from sensing.point_files import read_points
+    from sensing.point_files import point_files, read_points
     from studies.bench_codec import BenchCloud, bench
     from studies.bench_scans import cast_scans
     from studies.bench_table import print_bench
 
     load_draco()
-    files = [BenchCloud(str(path), read_points(path).points) for path in points or []]
+    paths = point_files(points or [])
+    files = [BenchCloud(str(path), read_points(path).points) for path in paths]
     clouds = [BenchCloud.of_scan(scan) for scan in cast_scans()] + files
     rows = [row for cloud in clouds for row in bench(cloud)]
     if as_json:

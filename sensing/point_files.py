@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +15,31 @@ from sensing.lzf import decompress
 MAX_FILE_BYTES = 1 << 30
 _MAX_RECORD_BYTES = 1 << 12
 _AXES = ("x", "y", "z")
+_KNOWN = (".bin", ".pcd")
 _KINDS = {"F": "f", "U": "u", "I": "i"}
 _SIZES = {"f": (4, 8), "u": (1, 2, 4, 8), "i": (1, 2, 4, 8)}
+
+
+def point_files(paths: Iterable[Path]) -> list[Path]:
+    """Returns the files among these, and in place of a folder all .bin and .pcd under it, sorted.
+
+    Raises:
+        ConfigError: a path does not exist, or a folder holds no such file.
+    """
+    result: list[Path] = []
+    for path in paths:
+        if not path.is_dir():
+            if not path.exists():
+                raise ConfigError(f"{path} does not exist")
+            result.append(path)
+            continue
+        found = sorted(
+            file for file in path.rglob("*") if file.suffix.lower() in _KNOWN and file.is_file()
+        )
+        if not found:
+            raise ConfigError(f"{path} holds no .bin or .pcd file")
+        result += found
+    return result
 
 
 def read_points(path: Path) -> PointCloud:

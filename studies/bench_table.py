@@ -23,13 +23,26 @@ def print_bench(rows: list[BenchRow], console: Console) -> None:
         console.print(_floor_table(floors))
 
 
-def _cloud_table(name: str, rows: list[BenchRow]) -> Table:
+def _table(title: str, *heads: str, left: int = 1) -> Table:
+    """Returns an empty table narrow enough for 80 columns; the first `left` columns are words."""
     table = Table(
-        title=f"{name}, {rows[0].points} points", box=box.SIMPLE_HEAD, title_justify="left"
+        title=title,
+        box=box.SIMPLE_HEAD,
+        title_justify="left",
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
     )
-    for head in ("bound cm", "codec", "bytes", "bits/point", "encode ms", "decode ms", "error cm",
-                 "of Draco", "x encode", "x decode"):  # fmt: skip
-        table.add_column(head, justify="left" if head == "codec" else "right")
+    for n, head in enumerate(heads):
+        table.add_column(head, justify="left" if n < left else "right", no_wrap=n < left)
+    return table
+
+
+def _cloud_table(name: str, rows: list[BenchRow]) -> Table:
+    table = _table(
+        f"{name}, {rows[0].points} points (of, x: beside Draco at this error)",
+        "codec", "bound\ncm", "error\ncm", "bytes", "bits/\npoint", "enc.\nms", "dec.\nms",
+        "of\nDraco", "enc.\nx", "dec.\nx",
+    )  # fmt: skip
     bound_m = rows[0].bound_m
     for row in rows:
         if row.bound_m != bound_m:
@@ -40,13 +53,13 @@ def _cloud_table(name: str, rows: list[BenchRow]) -> Table:
         if draco is not None and draco is not row:
             ratios = [f"{ratio(row, draco):.2f}" for ratio in _RATIOS.values()]
         table.add_row(
-            f"{100 * row.bound_m:.2f}",
             row.codec,
+            f"{100 * row.bound_m:.2f}",
+            f"{100 * row.max_error_m:.2f}",
             str(row.bytes),
             f"{row.bits_per_point:.2f}",
             f"{row.encode_ms:.2f}",
             f"{row.decode_ms:.2f}",
-            f"{100 * row.max_error_m:.2f}",
             *ratios,
         )
     return table
@@ -70,10 +83,11 @@ _RATIOS: dict[str, Callable[[BenchRow, BenchRow], float]] = {
 
 def _summary_table(rows: list[BenchRow]) -> Table:
     """Beside Draco at equal error: mean and worst over clouds, by codec and bits."""
-    table = Table(title="beside Draco", box=box.SIMPLE_HEAD, title_justify="left")
-    for head in ("clouds", "codec", "Draco's bits", "bytes", "worst", "x encode", "worst",
-                 "x decode", "worst"):  # fmt: skip
-        table.add_column(head, justify="right")
+    table = _table(
+        "beside Draco at equal maximum error: mean and least favourable cloud",
+        "clouds", "codec", "Draco's\nbits", "bytes /\nDraco", "worst", "encode\nx Draco", "worst",
+        "decode\nx Draco", "worst", left=2,
+    )  # fmt: skip
     groups: dict[tuple[str, str, str], list[tuple[BenchRow, BenchRow]]] = {}
     for row in rows:
         draco = draco_beside(row, rows)
@@ -93,14 +107,11 @@ def _summary_table(rows: list[BenchRow]) -> Table:
 
 def _floor_table(rows: list[BenchRow]) -> Table:
     """Bits a point beside what range noise and lost beams must cost."""
-    table = Table(
-        title=f"above the floor, at a bound of {100 * FLOOR_BOUND_M:g} cm",
-        box=box.SIMPLE_HEAD,
-        title_justify="left",
-    )
-    for head in ("cloud", "codec", "bits/point", "noise floor", "x noise", "noise + losses",
-                 "x both"):  # fmt: skip
-        table.add_column(head, justify="right")
+    table = _table(
+        f"above the floor, at a bound of {100 * FLOOR_BOUND_M:g} cm",
+        "cloud", "codec", "bits/\npoint", "noise\nfloor", "x\nnoise", "noise +\nlosses",
+        "x\nboth", left=2,
+    )  # fmt: skip
     for row in rows:
         noise = row.noise_floor_bits or 0.0
         both = noise + (row.loss_floor_bits or 0.0)

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
+import threading
 
 import numpy as np
 from numba import njit
 
-from protocol.codec.cloud import Floats32
+from protocol.codec.cloud import Floats, Floats32
+from protocol.codec.fine import CONTEXTS as FINE_CONTEXTS
+from protocol.codec.fine import SIZE_CLASSES, WEIGHT_BITS, WEIGHTS, describe_fine, restore_fine
 from protocol.codec.image import (
+    CONTEXT_OF,
     CONTEXTS,
     COUNTS,
     MAX_UNITS,
+    NEXT_KIND,
     STRIDE,
     UNITS,
     describe,
@@ -19,13 +24,16 @@ from protocol.codec.image import (
     restore,
     symbol_room,
 )
-from protocol.codec.payload import Head, Reader
+from protocol.codec.payload import Form, Head, Reader
 from protocol.codec.symbols import open_symbols, pack_symbols, read_raw
-from protocol.codec.tokens import I8, i64
+from protocol.codec.tokens import I4, I8, U2, U4, i64
 from protocol.errors import CodecError
 
 _QUANTISED = 1.0 - 1.0 / UNITS  # half a unit is lost on each side before steps are taken
-_SIGMAS_OF_JUMP = 5.0
+_CONTEXTS = CONTEXT_OF.tobytes()
+_LESSONS = (True, False)  # the first pass over the image finds the filter's weights
+_COARSE = 0.3  # noise in steps below which the filter does harm
+_SIGMAS_OF_JUMP = 4.0
 _SAMPLED_ROWS = 5
 _NOISE_OF_BIN = 1 / 2000.0 / (0.6745 * math.sqrt(2.0))  # median of differences, half a millimetre
 
@@ -35,7 +43,7 @@ def image_step_m(room_m: float) -> float:
     return 2.0 * room_m * _QUANTISED
 
 
-def pack_image(range_m: Floats32, step_m: float) -> tuple[list[bytes], int]:
+def pack_image(range_m: Floats32, step_m: float, fine: bool = False) -> tuple[list[bytes], int]:
     """Returns the sections of an image (channels, columns) and the number of its returns.
 
     Raises:
@@ -45,53 +53,88 @@ def pack_image(range_m: Floats32, step_m: float) -> tuple[list[bytes], int]:
     units_per_m = UNITS / step_m
     if float(range_m.max()) * units_per_m > MAX_UNITS:
         raise CodecError(f"range {range_m.max():.1f} m takes too many steps of {step_m} m")
-    tuning = _tune(_noise_m(range_m) / step_m)
-    symbols = np.empty(symbol_room(channels, columns), np.uint16)
-    raw = np.empty(range_m.size + 8, np.uint32)
-    counts, sizes = np.zeros(COUNTS, np.int32), np.zeros(3, np.int64)
-    describe(range_m, units_per_m, tuning, landmarks(units_per_m), symbols, raw, counts, sizes)
-    per_context = counts.reshape(4, -1)[:, : CONTEXTS * STRIDE].sum(axis=0, dtype=np.int64)
-    sections = pack_symbols(symbols, int(sizes[0]), per_context.reshape(CONTEXTS, STRIDE))
-    settings = tuning.astype(np.uint8).tobytes()
+    noise_steps = _noise_m(range_m) / step_m
+    tuning = _tune(noise_steps)
+    symbols, raw = _scratch(channels, columns)
+    counts, sizes = np.zeros((2, COUNTS), np.int32), np.zeros(3, np.int64)
+    given = (range_m, units_per_m, tuning, landmarks(units_per_m))
+    weights = np.zeros(WEIGHTS if fine else 0, np.int32)
+    if fine:
+        for learns in _LESSONS if noise_steps >= _COARSE else (False,):
+            counts[:] = 0
+            gram = np.zeros((WEIGHTS + 1, WEIGHTS + 1) if learns else (0, 0))
+            describe_fine(*given, SIZE_CLASSES, weights, gram, symbols, raw, counts, sizes)
+            if learns:
+                weights = _solve(gram)
+    else:
+        describe(*given, CONTEXT_OF, NEXT_KIND, symbols, raw, counts, sizes)
+    contexts = FINE_CONTEXTS if fine else CONTEXTS
+    per_context = counts[:, : contexts * STRIDE].sum(axis=0, dtype=np.int64)
+    sections = pack_symbols(symbols, int(sizes[0]), per_context.reshape(contexts, STRIDE))
+    settings = tuning.astype(np.uint8).tobytes() + weights.astype("<i2").tobytes()
     return [settings, *sections, raw[: sizes[1]].astype("<u4", copy=False).tobytes()], int(sizes[2])
 
 
-def open_image(head: Head, reader: Reader, directions: Floats32, points: int) -> Floats32:
+def _solve(gram: Floats) -> I4:
+    """Returns the weights that solve normal equations, as whole numbers."""
+    inputs, wanted = gram[:-1, :-1], gram[:-1, -1]
+    ridge = np.eye(WEIGHTS) * (1e-12 + 1e-4 * float(np.trace(inputs)))
+    weights = np.linalg.solve(inputs + ridge, wanted) * (1 << WEIGHT_BITS)
+    result: I4 = np.clip(np.round(weights), -(1 << 15), (1 << 15) - 1).astype(np.int32)
+    return result
+
+
+_kept = threading.local()
+
+
+def _scratch(channels: int, columns: int) -> tuple[U2, U4]:
+    """Returns room for symbols and raw bits, one for each thread: fresh memory takes longer."""
+    symbols: U2 | None = getattr(_kept, "symbols", None)
+    needed = symbol_room(channels, columns)
+    if symbols is None or len(symbols) < needed:
+        symbols = _kept.symbols = np.empty(needed, np.uint16)
+        _kept.raw = np.empty(needed, np.uint32)
+    return symbols, _kept.raw
+
+
+def open_image(
+    head: Head, reader: Reader, turns: Floats, azimuths: Floats, points: int
+) -> Floats32:
     """Reads the sections of `pack_image` and returns points (points, 3), ring by ring.
 
     Args:
         head: of the payload.
         reader: at the image.
-        directions: (channels * columns, 3).
+        turns: (channels, 3), of each ring: how far out, how far round and how far up it points.
+        azimuths: (columns, 2), cosine and sine of each column.
         points: how many the image claims, at most as many as it has beams.
 
     Raises:
         CodecError: the sections are damaged.
     """
     settings = reader.section()
-    if len(settings) != 4:
-        raise CodecError(f"an image has {len(settings)} bytes of settings, needs 4")
-    tuning = np.frombuffer(settings, np.uint8).astype(np.int64)
-    if tuning[2] > 15 or tuning[3] > 15:
+    fine = head.form is Form.FINE
+    needed = 4 + 2 * WEIGHTS * fine
+    if len(settings) != needed:
+        raise CodecError(f"an image has {len(settings)} bytes of settings, needs {needed}")
+    tuning = np.frombuffer(settings, np.uint8, 4).astype(np.int64)
+    if tuning[2] > 15 or tuning[3] > tuning[2]:
         raise CodecError(f"an image has settings {tuning.tolist()}")
-    stream = open_symbols(reader, CONTEXTS, symbol_room(1, head.columns))
+    contexts = FINE_CONTEXTS if fine else CONTEXTS
+    stream = open_symbols(reader, contexts, symbol_room(1, head.columns))
     raw = read_raw(reader.section())
     xyz = np.empty((points + 1, 3), np.float32)
-    units_per_m = UNITS / head.step_m
-    status = restore(
-        stream.words,
-        stream.end,
-        raw,
-        stream.table_of,
-        stream.slots,
-        stream.place,
-        tuning,
-        landmarks(units_per_m),
-        head.columns,
-        head.step_m / UNITS,
-        directions,
-        xyz,
-    )
+    tables = stream.table_of.tobytes()
+    if not fine:
+        tables = _CONTEXTS.translate(tables.ljust(256)) + tables[-4:]
+    coded = (stream.words, stream.end, raw, np.frombuffer(tables, np.uint8), stream.slots)
+    model = (stream.place, tuning, landmarks(UNITS / head.step_m))
+    placing = (head.step_m / UNITS, turns, azimuths, xyz)
+    if fine:
+        weights = np.frombuffer(settings, "<i2", WEIGHTS, 4).astype(np.int32)
+        status = restore_fine(*coded, *model, SIZE_CLASSES, weights, *placing)
+    else:
+        status = restore(*coded, *model, NEXT_KIND, *placing)
     if status < 0:
         raise CodecError("an image is damaged, or holds other than the points it claims")
     return xyz[:points]
@@ -103,7 +146,7 @@ def _tune(noise_steps: float) -> I8:
     Floor of the gain in 1/256: the coarser the steps, the more each of them says. Steps that make
     a jump. Shift of activities, so that noise alone is one or two. Lowest bits that are noise.
     """
-    gain = 0.6 if noise_steps < 1 / 6 else 0.4 if noise_steps < 1 / 3 else 0.25
+    gain = min(0.68, max(0.25, 0.84 - 3.2 * noise_steps))
     jump = min(255, max(2, math.ceil(_SIGMAS_OF_JUMP * noise_steps)))
     shift = min(15, max(0, round(math.log2(max(noise_steps, 1e-3)))))
     return np.array([round(gain * UNITS), jump, shift, max(0, shift - 1)], np.int64)

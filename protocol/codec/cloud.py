@@ -42,6 +42,15 @@ class ScanPattern:
         """
         return _directions(self)
 
+    @property
+    def spin(self) -> tuple[Floats, Floats]:
+        """What the directions are products of.
+
+        (channels, 3): how far out, how far round (0) and how far up each ring points; and
+        (columns, 2): cosine and sine of each column's azimuth.
+        """
+        return _spin(self)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeScan:
@@ -85,13 +94,24 @@ def check_beams(channels: int, columns: int) -> None:
 
 
 @lru_cache(maxsize=16)
-def _directions(pattern: ScanPattern) -> Floats32:
+def _spin(pattern: ScanPattern) -> tuple[Floats, Floats]:
     elevation = np.radians(
         np.linspace(pattern.upper_fov_deg, pattern.lower_fov_deg, pattern.channels)
-    )[:, None]
-    azimuth = np.arange(pattern.columns)[None, :] * (2 * np.pi / pattern.columns)
-    flat = np.cos(elevation)
-    up = np.broadcast_to(np.sin(elevation), (pattern.channels, pattern.columns))
-    result = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), up], -1).astype(np.float32)
+    )
+    azimuth = np.arange(pattern.columns) * (2 * np.pi / pattern.columns)
+    turns = np.stack([np.cos(elevation), np.zeros(pattern.channels), np.sin(elevation)], -1)
+    azimuths = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
+    turns.setflags(write=False)
+    azimuths.setflags(write=False)
+    return turns, azimuths
+
+
+@lru_cache(maxsize=16)
+def _directions(pattern: ScanPattern) -> Floats32:
+    turns, azimuths = _spin(pattern)
+    flat = turns[:, :1]
+    up = np.broadcast_to(turns[:, 2:], (pattern.channels, pattern.columns))
+    sides = [flat * azimuths[:, 0], flat * azimuths[:, 1], up]
+    result = np.stack(sides, -1).astype(np.float32)
     result.setflags(write=False)
     return result

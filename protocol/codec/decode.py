@@ -31,14 +31,15 @@ def decode(payload: bytes | npt.NDArray[np.uint8]) -> PointCloud:
 def _open_planes(head: Head, reader: Reader) -> Floats32:
     raw = unsqueeze(reader.section(), 2 * head.channels * head.columns)
     xyz = np.empty((head.points, 3), np.float32)
-    found = planes.unpack_ranges(raw, _directions(head), head.columns, head.step_m, xyz)
+    directions = _pattern(head).directions.reshape(-1, 3)
+    found = planes.unpack_ranges(raw, directions, head.columns, head.step_m, xyz)
     if found != head.points:
         raise CodecError(f"scan claims {head.points} points, holds {found}")
     return xyz
 
 
 def _open_pattern(head: Head, reader: Reader) -> Floats32:
-    return open_image(head, reader, _directions(head), head.points)
+    return open_image(head, reader, *_pattern(head).spin, head.points)
 
 
 def _open_deltas(head: Head, reader: Reader) -> Floats32:
@@ -53,9 +54,7 @@ def _open_rings(head: Head, reader: Reader) -> Floats32:
         raise CodecError(
             f"scan claims {head.points} points, {misfits} of them beside {beams} beams"
         )
-    directions = rings.directions.reshape(-1, 3)
-    directions.setflags(write=False)
-    placed = open_image(head, reader, directions, head.points - misfits)
+    placed = open_image(head, reader, *rings.spin, head.points - misfits)
     return np.concatenate([placed, open_tree(reader, misfits, edge_m)])
 
 
@@ -67,14 +66,14 @@ def _open_draco(head: Head, reader: Reader) -> Floats32:
     return open_draco(reader.section(), head.points)
 
 
-def _directions(head: Head) -> Floats32:
-    pattern = ScanPattern(head.channels, head.columns, head.upper_fov_deg, head.lower_fov_deg)
-    return pattern.directions.reshape(-1, 3)
+def _pattern(head: Head) -> ScanPattern:
+    return ScanPattern(head.channels, head.columns, head.upper_fov_deg, head.lower_fov_deg)
 
 
 _POINTS = {
     Form.PLANES: _open_planes,
     Form.IMAGE: _open_pattern,
+    Form.FINE: _open_pattern,
     Form.DELTAS: _open_deltas,
     Form.RINGS: _open_rings,
     Form.TREE: _open_tree,

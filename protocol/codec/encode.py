@@ -64,7 +64,9 @@ def encode_scan(
         head = replace(head, form=Form.PLANES, step_m=step_m)
         sections = [squeeze(raw)]
     else:
-        sections, points = pack_image(range_m, head.step_m)
+        fine = chosen is Profile.COMPACT
+        sections, points = pack_image(range_m, head.step_m, fine)
+        head = replace(head, form=Form.FINE if fine else Form.IMAGE)
     shades = seal_intensity(scan.intensity[range_m > 0], True) if intensity else []
     return replace(head, points=points).seal(*sections, *shades)
 
@@ -79,7 +81,8 @@ def encode_cloud(
     """Encodes an unordered cloud; every point moves by at most `max_error_m`.
 
     Profile `fast` keeps the order of the points; the others do not. A cloud of one spinning LiDAR
-    becomes a range image of the rings that are found in it, any other an octree.
+    becomes a range image of the rings that are found in it, any other an octree; `compact` does the
+    same as `default`.
 
     Args:
         cloud: in the sensor frame.

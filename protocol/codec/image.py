@@ -7,7 +7,10 @@ easiest to begin with. Each beam's range is expected where the ring so far and t
 The expectation goes on from a filtered range, not from the decoded one: the first few returns after
 a jump count much, later ones less, so that range noise averages out.
 
-Which beams return at all is coded four beams at a time.
+A beam is one token: lost, a residual, or the escape from them. What is left of each beam is its
+kind, the lowest two bits how large the residual was, the next how many were lost in a row. Tokens
+of a ring are read first, ranges follow from them, points from ranges: three short loops take less
+time than a long one. All arithmetic that both sides share is of whole numbers.
 """
 
 from __future__ import annotations
@@ -15,11 +18,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from protocol.codec.cloud import Floats32
-from protocol.codec.rans import SHARES, START, STATES, advance, is_short, refill
+from protocol.codec.cloud import Floats, Floats32
+from protocol.codec.rans import SHARES, START, STATES, TURN_SHIFT, advance, is_short, refill
 from protocol.codec.tokens import (
     ESCAPE,
-    I1,
+    I2,
     I4,
     I8,
     TAIL_ALPHABET,
@@ -39,10 +42,11 @@ SECTORS = 8
 UNITS = 256  # in one step
 MAX_UNITS = 1 << 30
 STRIDE = TAIL_ALPHABET
-CONTEXTS = 59
-COUNTS = 1 << 14  # four times as many symbols as there are, for four counters in turn
-_MASK, _TAIL = 48, 55
-_NO_RETURN = -(1 << 31)
+CONTEXTS = 84
+COUNTS = 1 << 13  # of symbols
+_TAIL = 80
+_LOST, _GONE = 0, 4  # the token of a lost beam, and the smallest kind of one
+_TOKENS = ESCAPE + 2  # the last of them is the escape
 _FAR_M = (56.0, 75.0, 95.0)  # beyond these, returns are lost more and more often
 _START_M = 10.0
 
@@ -54,47 +58,93 @@ def landmarks(units_per_m: float) -> I8:
 
 def symbol_room(channels: int, columns: int) -> int:
     """Returns how many symbols an image can have at most."""
-    return channels * (2 * columns + columns // 4 + SECTORS)
+    return 2 * channels * (columns + SECTORS)
 
 
-@njit("int64(int64, int64, int64, int64[::1])", cache=True)
-def _mask_context(left: int, below: int, distance: int, marks: I8) -> int:
-    """Returns the context of four beams: do their neighbours return, and from how far?"""
-    context = _MASK + (left > 0) + 2 * (below > 0)
-    if left > 0 and below > 0:
-        for n in range(3):
-            if distance > marks[n]:
-                context += 1
-    return context
+def _contexts() -> U1:
+    """Returns the context of each base (as in `_look_below`) and kind of the beam to the left."""
+    result = np.zeros((384, 16), np.uint8)
+    for base in range(384):
+        level, beside, gone, far = base % 8, base // 8 % 4, base // 32 % 3, base // 96
+        for kind in range(16):
+            activity, losses = min(kind % 4 + beside, 5), min(kind // 4, 2) + gone
+            if losses >= 3:
+                context = 72 + 4 * (losses > 3) + min(activity, 3)
+            elif far:
+                context = 40 + 8 * far + 4 * (activity > 0) + level // 2
+            else:
+                context = 8 * activity + level
+            result[base, kind] = context
+    return result.ravel()
 
 
-@njit("void(int32[::1], int32[::1], int8[::1], int64, int64)", cache=True)
-def _look_below(below: I4, slopes: I4, levels: I1, wide: int, shift: int) -> None:
-    """Fills how the ring below runs at each beam: its slope, and how uneven it is there."""
+def _next_kinds() -> U1:
+    """Returns the kind of a beam, by its size class (4: lost), that below and the kind before."""
+    result = np.zeros((5, 4, 16), np.uint8)
+    for below in range(4):
+        for kind in range(16):
+            result[:4, below, kind] = np.arange(4)
+            result[4, below, kind] = min(kind % 4, below) | min(kind // 4 + 1, 3) << 2
+    return result.ravel()
+
+
+CONTEXT_OF, NEXT_KIND = _contexts(), _next_kinds()
+
+
+@njit("void(int64, int64, uint16[::1])", cache=True)
+def _classify(shift: int, low: int, classes: U2) -> None:
+    """Fills the size class of each token, as an offset into `NEXT_KIND`."""
+    classes[:] = 0
+    classes[_LOST] = 4 << 6
+    for number in range(ESCAPE + 1):
+        size = (number + 1) >> 1 if low == 0 else number >> 1
+        classes[number + 1] = min(3, size >> (shift - low)) << 6
+
+
+@njit("void(int32[::1], uint8[::1], int32[::1], int16[::1], int64, int64, int64[::1])", cache=True)
+def _look_below(
+    below: I4, kinds: U1, slopes: I4, bases: I2, wide: int, shift: int, marks: I8
+) -> None:
+    """Fills how the ring below runs at each beam.
+
+    Args:
+        below: its ranges.
+        kinds: its kinds.
+        slopes: filled with how much farther each beam reaches than that to its left.
+        bases: filled with `how uneven + 8 * size class + 32 * losses + 96 * distance`.
+        wide: beams of a sector.
+        shift: of activities.
+        marks: of `landmarks`.
+    """
     end = wide * SECTORS
     for sector in range(SECTORS):  # what sectors see beyond their ends
         below[sector] = below[end + (sector + 7) % 8]
         below[end + SECTORS + sector] = below[SECTORS + (sector + 1) % 8]
+        kinds[sector] = kinds[end + (sector + 7) % 8]
+        kinds[end + SECTORS + sector] = kinds[SECTORS + (sector + 1) % 8]
+    near, far, farther = np.int32(marks[0]), np.int32(marks[1]), np.int32(marks[2])
+    bits = np.int32(5 + shift)
     for at in range(SECTORS, end + SECTORS):
-        slope = below[at] - below[at - SECTORS]
+        here = below[at]
+        slope = np.int32(here - below[at - SECTORS])
         slopes[at] = slope
-        uneven = max(abs(slope), abs(below[at + SECTORS] - below[at])) >> (5 + shift)
-        levels[at] = (
-            np.int8(uneven > 0)
-            + np.int8(uneven > 1)
-            + np.int8(uneven > 3)
-            + np.int8(uneven > 7)
-            + np.int8(uneven > 15)
-            + np.int8(uneven > 31)
-            + np.int8(uneven > 63)
-        )
+        ahead = np.int32(below[at + SECTORS] - here)
+        uneven = np.int32(max(np.int32(abs(slope)), np.int32(abs(ahead))) >> bits)
+        level = np.int16(uneven > 0) + np.int16(uneven > 1) + np.int16(uneven > 3)
+        level += np.int16(uneven > 7) + np.int16(uneven > 15) + np.int16(uneven > 31)
+        level += np.int16(uneven > 63)
+        gone = np.int16(kinds[at] >= _GONE)
+        before, behind = kinds[at - SECTORS] >= _GONE, kinds[at + SECTORS] >= _GONE
+        losses = np.int16(gone | before | behind) + np.int16(gone & before & behind)
+        distance = np.int16(here > near) + np.int16(here > far) + np.int16(here > farther)
+        bases[at] = np.int16(level + 8 * np.int16(kinds[at] & 3) + 32 * losses + 96 * distance)
     for at in range(SECTORS, 2 * SECTORS):
         slopes[at] = 0
 
 
 @njit(
-    "void(float32[:,::1], float64, int64[::1], int64[::1], uint16[::1], uint32[::1], "
-    "int32[::1], int64[::1])",
+    "void(float32[:,::1], float64, int64[::1], int64[::1], uint8[::1], uint8[::1], uint16[::1], "
+    "uint32[::1], int32[:,::1], int64[::1])",
     cache=True,
 )
 def describe(
@@ -102,6 +152,8 @@ def describe(
     units_per_m: float,
     tuning: I8,
     marks: I8,
+    context_of: U1,
+    next_kind: U1,
     symbols: U2,
     raw: U4,
     counts: I4,
@@ -114,21 +166,24 @@ def describe(
         units_per_m: 256 by the step.
         tuning: floor of the gain in 1/256, steps of a jump, shift of activities, low bits.
         marks: of `landmarks`.
-        symbols: filled with `sector << 12 | context * STRIDE + token`.
+        context_of: `CONTEXT_OF`.
+        next_kind: `NEXT_KIND`.
+        symbols: filled with `sector << TURN_SHIFT | context * STRIDE + token`.
         raw: filled with raw bits.
-        counts: zeros (COUNTS,); filled with how often each symbol occurs, in four parts.
+        counts: zeros (2, COUNTS); filled with how often each symbol occurs, in two parts.
         sizes: filled with the number of symbols, of raw words and of returns.
     """
     channels, columns = range_m.shape
     floor, jump, shift, low = tuning[0], tuning[1], tuning[2], tuning[3]
-    wide = (columns + 4 * SECTORS - 1) // (4 * SECTORS) * 4
-    room = (wide + 2) * SECTORS
+    plain = low == 0  # no raw bits but those of escapes
+    wide = (columns + SECTORS - 1) // SECTORS
+    room, end = (wide + 2) * SECTORS, (wide + 1) * SECTORS
     lines = np.full((2, room), np.int32(marks[3]), np.int32)
-    moods = np.zeros((2, room), np.int8)
-    slopes, levels = np.zeros(room, np.int32), np.zeros(room, np.int8)
-    beams = np.zeros(room, np.int32)
-    nibbles = np.full((wide // 4 + 1, SECTORS), 15, np.int8)
-    seen = np.zeros(SECTORS, np.int64)
+    kinds = np.zeros((2, room), np.uint8)
+    slopes, bases = np.zeros(room, np.int32), np.zeros(room, np.int16)
+    beams, steps = np.zeros(room, np.int32), np.zeros(room, np.int32)
+    seen, classes = np.zeros(SECTORS, np.int64), np.empty(STRIDE, np.uint16)
+    _classify(shift, low, classes)
     gains = np.empty(16, np.int64)
     for n in range(16):
         gains[n] = max(UNITS * 2 // (2 * n + 3), floor)
@@ -136,59 +191,61 @@ def describe(
     bits = u64(0)
     for row in range(channels - 1, -1, -1):
         here, below = lines[row & 1], lines[1 - (row & 1)]
-        mood, mood_below = moods[row & 1], moods[1 - (row & 1)]
-        _look_below(below, slopes, levels, wide, shift)
+        kind, kind_below = kinds[row & 1], kinds[1 - (row & 1)]
+        _look_below(below, kind_below, slopes, bases, wide, shift, marks)
         for sector in range(SECTORS):
             seen[sector] = 0
-            nibbles[wide // 4, sector] = nibbles[0, sector]
-        for j in range(0, wide, 4):
-            for sector in range(SECTORS):
-                base = sector * wide + j
-                nibble = 15
-                for b in range(4):
-                    at = (j + b + 1) * SECTORS + sector
-                    beams[at] = _NO_RETURN
-                    if base + b < columns:
-                        metres = range_m[row, base + b]
-                        if metres > 0:
-                            beams[at] = np.int32(metres * units_per_m + 0.5)
-                            points += 1
-                        else:
-                            nibble ^= 1 << b
-                if base < columns:
-                    left = i64(nibbles[(j >> 2) - 1, sector])
-                    known = i64(nibbles[j >> 2, sector])
-                    distance = i64(below[(j + 1) * SECTORS + sector])
-                    symbol = _mask_context(left, known, distance, marks) * STRIDE + nibble
-                    symbols[count] = sector << 12 | symbol
-                    counts[(count & 3) << 12 | symbol] += 1
-                    count += 1
-                    nibbles[j >> 2, sector] = nibble
+            base, at = sector * wide, SECTORS + sector
+            for j in range(wide):
+                metres = range_m[row, base + j] if base + j < columns else np.float32(0)
+                units, there = np.int32(metres * units_per_m + 0.5), i64(metres > 0)
+                beams[at] = units * there - (1 - there)
+                points += there
+                at += SECTORS
         change = rise
-        for at in range(SECTORS, (wide + 1) * SECTORS):
-            under, beside = i64(below[at]), i64(mood_below[at])
+        for at in range(SECTORS, end):
+            under = i64(below[at])
             if at < 2 * SECTORS:
                 here[at - SECTORS] = under + change
-                mood[at - SECTORS] = beside
-            last, before = i64(here[at - SECTORS]), i64(mood[at - SECTORS])
+            last = i64(here[at - SECTORS])
             ahead = last + slopes[at]
             expected = max(min(last, under), min(max(last, under), ahead))
-            there = i64(beams[at] != _NO_RETURN)
+            there = i64(beams[at] >= 0)
             k = ((i64(beams[at]) - expected + UNITS // 2) >> 8) * there
-            number = fold(k)
-            extra, length = number & ((1 << low) - 1), low * there
-            number >>= low
-            symbol = (min(before + beside, 5) * 8 + levels[at]) * STRIDE + min(number, ESCAPE)
-            symbols[count] = (at & 7) << 12 | symbol
-            counts[((count & 3) << 12 | symbol) & (COUNTS - 1)] += there
-            count += there
-            if number >= ESCAPE:
-                token = tail_token(number - ESCAPE)
-                symbol = (_TAIL + min(before + beside, 3)) * STRIDE + token
-                symbols[count] = (at & 7) << 12 | symbol
-                counts[((count & 3) << 12 | symbol) & (COUNTS - 1)] += 1
+            steps[at] = k
+            calm = seen[at & 7]
+            jumps = abs(k) >= jump
+            here[at] = expected + (UNITS if jumps else gains[calm]) * k
+            seen[at & 7] = 0 if jumps else min(calm + there, 15)
+            if at < 2 * SECTORS:
+                change = i64(here[at]) - under
+                if at == SECTORS:
+                    rise = change
+        for sector in range(SECTORS):
+            kind[sector] = kind_below[SECTORS + sector]
+        for at in range(SECTORS, end):
+            there = i64(beams[at] >= 0)
+            before, base = i64(kind[at - SECTORS]), i64(bases[at])
+            context = i64(context_of[(base << 4) | before])
+            whole = fold(i64(steps[at]))
+            number = min(whole >> low, ESCAPE)
+            token = (number + 1) * there
+            symbol = context * STRIDE + token
+            symbols[count] = (at & 7) << TURN_SHIFT | symbol
+            counts[at & 1, symbol] += 1
+            count += 1
+            kind[at] = next_kind[i64(classes[token]) | ((base & 24) << 1) | before]
+            if number != ESCAPE and plain:
+                continue
+            extra, length = whole & ((1 << low) - 1), low * there
+            if number == ESCAPE:
+                over = (whole >> low) - ESCAPE
+                token = tail_token(over)
+                symbol = (_TAIL + (before & 3)) * STRIDE + token
+                symbols[count] = (at & 7) << TURN_SHIFT | symbol
+                counts[at & 1, symbol] += 1
                 count += 1
-                extra |= (number - ESCAPE - tail_base(token)) << low
+                extra |= (over - tail_base(token)) << low
                 length += tail_bits(token)
             if length > 0:
                 bits |= u64(extra) << u64(held)
@@ -198,18 +255,6 @@ def describe(
                     words += 1
                     bits >>= u64(32)
                     held -= 32
-            size, calm = abs(k), seen[at & 7]
-            if size >= jump:
-                here[at] = expected + k * UNITS
-                seen[at & 7] = 0
-            else:
-                here[at] = expected + gains[calm & 15] * k
-                seen[at & 7] = min(calm + there, 15)
-            mood[at] = min(size >> shift, 3) if there else min(before, beside)
-            if at < 2 * SECTORS:
-                change = i64(here[at]) - under
-                if at == SECTORS:
-                    rise = change
     if held > 0:
         raw[words] = np.uint32(bits & u64(0xFFFFFFFF))
         words += 1
@@ -217,163 +262,157 @@ def describe(
 
 
 @njit(
-    "int64(uint16[::1], int64, uint32[::1], uint8[::1], uint8[::1], uint32[::1], int64[::1], "
-    "int64[::1], int64, float64, Array(float32, 2, 'C', readonly=True), float32[:,::1])",
+    "int64(uint16[::1], int64, uint32[::1], Array(uint8, 1, 'C', readonly=True), uint8[::1], "
+    "uint32[::1], int64[::1], int64[::1], uint8[::1], float64, "
+    "Array(float64, 2, 'C', readonly=True), "
+    "Array(float64, 2, 'C', readonly=True), float32[:,::1])",
     cache=True,
 )
 def restore(
     words: U2,
-    end: int,
+    end_word: int,
     raw: U4,
     table_of: U1,
     slots: U1,
     place: U4,
     tuning: I8,
     marks: I8,
-    columns: int,
+    next_kind: U1,
     m_per_unit: float,
-    directions: Floats32,
+    turns: Floats,
+    azimuths: Floats,
     xyz: Floats32,
 ) -> int:
     """Reverses `describe` and places the points; returns 0, or -1 if the payload is damaged.
 
     Args:
         words: of the entropy coder, and zeros behind them, enough for all symbols of a ring.
-        end: how many words are not such zeros.
+        end_word: how many words are not such zeros.
         raw: the raw bits.
-        table_of: the table of each context.
+        table_of: the table of each base and kind, then those of the tails.
         slots: (tables * 4096,), of `open_tables`.
         place: (tables * STRIDE,), of `open_tables`.
         tuning: as the encoder's.
         marks: as the encoder's.
-        columns: of the image.
+        next_kind: `NEXT_KIND`.
         m_per_unit: the step by 256.
-        directions: (channels * columns, 3).
+        turns: (channels, 3), of each ring: how far out and how far round it points, and how far up.
+        azimuths: (columns, 2), cosine and sine.
         xyz: (returns + 1, 3), filled with points ring by ring, but for the last row.
     """
-    channels = directions.shape[0] // columns
+    channels, columns = len(turns), len(azimuths)
     floor, jump, shift, low = tuning[0], tuning[1], tuning[2], tuning[3]
-    wide = (columns + 4 * SECTORS - 1) // (4 * SECTORS) * 4
-    room = (wide + 2) * SECTORS
+    plain = low == 0  # no raw bits but those of escapes
+    wide = (columns + SECTORS - 1) // SECTORS
+    room, end = (wide + 2) * SECTORS, (wide + 1) * SECTORS
     lines = np.full((2, room), np.int32(marks[3]), np.int32)
-    moods = np.zeros((2, room), np.int8)
-    slopes, levels = np.zeros(room, np.int32), np.zeros(room, np.int8)
-    returns, beams = np.zeros(room, np.int8), np.zeros(room, np.int32)
-    nibbles = np.full((wide // 4 + 1, SECTORS), 15, np.int8)
-    seen = np.zeros(SECTORS, np.int64)
+    kinds = np.zeros((2, room), np.uint8)
+    slopes, bases = np.zeros(room, np.int32), np.zeros(room, np.int16)
+    steps, beams = np.zeros(room, np.int32), np.zeros(room, np.int32)
+    seen, classes = np.zeros(SECTORS, np.int64), np.empty(STRIDE, np.uint16)
+    _classify(shift, low, classes)
     gains = np.empty(16, np.int64)
     for n in range(16):
         gains[n] = max(UNITS * 2 // (2 * n + 3), floor)
+    step_of = np.zeros(STRIDE, np.int32)
+    for n in range(ESCAPE):
+        step_of[n + 1] = unfold(n)
+    tails = len(table_of) - 4
     states = np.empty(STATES, np.uint64)
     for n in range(STATES):
         states[n] = (u64(words[2 * n]) << u64(16)) | u64(words[2 * n + 1])
-    at_word, at_raw, held, rise = 2 * STATES, 0, 0, 0
+    at_word, at_raw, held, rise = u64(2 * STATES), 0, 0, 0
     bits = u64(0)
     first = i64(len(xyz)) - 1
     for row in range(channels - 1, -1, -1):
-        if at_word > end:
+        if at_word > u64(end_word):
             return -1
         here, below = lines[row & 1], lines[1 - (row & 1)]
-        mood, mood_below = moods[row & 1], moods[1 - (row & 1)]
-        _look_below(below, slopes, levels, wide, shift)
+        kind, kind_below = kinds[row & 1], kinds[1 - (row & 1)]
+        _look_below(below, kind_below, slopes, bases, wide, shift, marks)
         for sector in range(SECTORS):
             seen[sector] = 0
-            nibbles[wide // 4, sector] = nibbles[0, sector]
-        for j in range(0, wide, 4):
-            for sector in range(SECTORS):
-                base = sector * wide + j
-                if base >= columns:
-                    continue
-                left = i64(nibbles[(j >> 2) - 1, sector])
-                known = i64(nibbles[j >> 2, sector])
-                distance = i64(below[(j + 1) * SECTORS + sector])
-                table = i64(table_of[_mask_context(left, known, distance, marks)])
-                state = states[sector]
-                nibble = i64(slots[table << 12 | i64(state & u64(SHARES - 1))])
-                state = advance(state, place[table << 6 | nibble])
-                states[sector] = refill(state, words[at_word])
+            kind[sector] = kind_below[SECTORS + sector]
+        returns = 0
+        for at in range(SECTORS, end):
+            before, base = u64(kind[at - SECTORS]), u64(bases[at])
+            table = u64(table_of[(base << u64(4)) | before])
+            state = states[at & 7]
+            token = u64(slots[(table << u64(12)) | (state & u64(SHARES - 1))])
+            state = advance(state, place[(table << u64(6)) | token])
+            states[at & 7] = refill(state, words[at_word])
+            at_word += is_short(state)
+            kind[at] = next_kind[u64(classes[token]) | ((base & u64(24)) << u64(1)) | before]
+            steps[at] = step_of[token]
+            there = i64(token != u64(_LOST))
+            returns += there
+            if token != u64(_TOKENS - 1) and plain:
+                continue
+            length = low * there
+            if token == u64(_TOKENS - 1):
+                table = u64(table_of[tails + i64(before & u64(3))])
+                state = states[at & 7]
+                token = u64(slots[(table << u64(12)) | (state & u64(SHARES - 1))])
+                state = advance(state, place[(table << u64(6)) | token])
+                states[at & 7] = refill(state, words[at_word])
                 at_word += is_short(state)
-                nibbles[j >> 2, sector] = nibble
-                for b in range(min(4, columns - base)):
-                    there = (nibble >> b) & 1
-                    returns[(j + b + 1) * SECTORS + sector] = there
-                    first -= there
+                length += tail_bits(i64(token))
+                if length > 32:
+                    return -1
+                steps[at] = unfold(ESCAPE + tail_base(i64(token)))
+            if length > 0:
+                if held < length:
+                    if at_raw >= len(raw):
+                        return -1
+                    bits |= u64(raw[at_raw]) << u64(held)
+                    at_raw += 1
+                    held += 32
+                extra = i64(bits & ((u64(1) << u64(length)) - u64(1)))
+                bits >>= u64(length)
+                held -= length
+                number = fold(i64(steps[at])) + (extra >> low)
+                steps[at] = unfold((number << low) | (extra & ((1 << low) - 1)))
+        for n in range(columns, wide * SECTORS):
+            if kind[(n % wide + 1) * SECTORS + n // wide] < _GONE:
+                return -1
+        first -= returns
         if first < 0:
             return -1
         change = rise
-        for at in range(SECTORS, (wide + 1) * SECTORS):
-            under, beside = i64(below[at]), i64(mood_below[at])
+        for at in range(SECTORS, end):
+            under = i64(below[at])
             if at < 2 * SECTORS:
                 here[at - SECTORS] = under + change
-                mood[at - SECTORS] = beside
-            last, before = i64(here[at - SECTORS]), i64(mood[at - SECTORS])
+            last = i64(here[at - SECTORS])
             ahead = last + slopes[at]
             expected = max(min(last, under), min(max(last, under), ahead))
-            if returns[at]:
-                table = i64(table_of[min(before + beside, 5) * 8 + levels[at]])
-                state = states[at & 7]
-                number = i64(slots[table << 12 | i64(state & u64(SHARES - 1))])
-                state = advance(state, place[table << 6 | number])
-                states[at & 7] = refill(state, words[at_word])
-                at_word += is_short(state)
-                length = low
-                if number >= ESCAPE:
-                    table = i64(table_of[_TAIL + min(before + beside, 3)])
-                    state = states[at & 7]
-                    token = i64(slots[table << 12 | i64(state & u64(SHARES - 1))])
-                    state = advance(state, place[table << 6 | token])
-                    states[at & 7] = refill(state, words[at_word])
-                    at_word += is_short(state)
-                    length += tail_bits(token)
-                    if length > 32:
-                        return -1
-                    number = ESCAPE + tail_base(token)
-                if length > 0:
-                    if held < length:
-                        if at_raw >= len(raw):
-                            return -1
-                        bits |= u64(raw[at_raw]) << u64(held)
-                        at_raw += 1
-                        held += 32
-                    extra = i64(bits & ((u64(1) << u64(length)) - u64(1)))
-                    bits >>= u64(length)
-                    held -= length
-                    number = ((number + (extra >> low)) << low) | (extra & ((1 << low) - 1))
-                k = unfold(number)
-                beams[at] = expected + k * UNITS
-                size, calm = abs(k), seen[at & 7]
-                if size >= jump:
-                    here[at] = expected + k * UNITS
-                    seen[at & 7] = 0
-                else:
-                    here[at] = expected + gains[calm & 15] * k
-                    seen[at & 7] = min(calm + 1, 15)
-                mood[at] = min(size >> shift, 3)
-            else:
-                here[at] = expected
-                mood[at] = min(before, beside)
+            k, calm = i64(steps[at]), seen[at & 7]
+            jumps = abs(k) >= jump
+            beams[at] = expected + UNITS * k
+            here[at] = expected + (UNITS if jumps else gains[calm]) * k
+            seen[at & 7] = 0 if jumps else min(calm + i64(kind[at] < _GONE), 15)
             if at < 2 * SECTORS:
                 change = i64(here[at]) - under
                 if at == SECTORS:
                     rise = change
-        point, beam = first, row * columns
-        taken = first
-        for at in range(SECTORS, (wide + 1) * SECTORS):
-            taken += returns[at]
         # A beam without return writes too, and is overwritten by the next, but for the ring's last.
+        taken = first + returns
         next_x, next_y, next_z = xyz[taken, 0], xyz[taken, 1], xyz[taken, 2]
+        out, side, up = turns[row, 0], turns[row, 1], np.float32(turns[row, 2])
+        point, column = u64(first), u64(0)
         for sector in range(SECTORS):
-            start = SECTORS + sector
-            valid = max(0, min(wide, columns - sector * wide))
-            for at in range(start, start + SECTORS * valid, SECTORS):
+            at = u64(SECTORS + sector)
+            for _ in range(min(wide, columns - sector * wide)):
                 metres = np.float32(beams[at] * m_per_unit)
-                xyz[point, 0] = directions[beam, 0] * metres
-                xyz[point, 1] = directions[beam, 1] * metres
-                xyz[point, 2] = directions[beam, 2] * metres
-                point += returns[at]
-                beam += 1
+                a, b = azimuths[column, 0], azimuths[column, 1]
+                xyz[point, 0] = np.float32(out * a - side * b) * metres
+                xyz[point, 1] = np.float32(side * a + out * b) * metres
+                xyz[point, 2] = up * metres
+                point += u64(kind[at] < _GONE)
+                at += u64(SECTORS)
+                column += u64(1)
         xyz[taken, 0], xyz[taken, 1], xyz[taken, 2] = next_x, next_y, next_z
-    if at_word != end or at_raw != len(raw) or first != 0:
+    if at_word != u64(end_word) or at_raw != len(raw) or first != 0:
         return -1
     for n in range(STATES):
         if states[n] != u64(START):

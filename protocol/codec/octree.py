@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from protocol.codec.rans import SHARES, START, STATES, advance, is_short, refill
+from protocol.codec.rans import SHARES, START, STATES, TURN_SHIFT, advance, is_short, refill
 from protocol.codec.tokens import (
     I8,
     TAIL_ALPHABET,
@@ -78,7 +78,7 @@ def describe_tree(keys: U8, depth: int, symbols: U2, raw: U4, counts: I8, sizes:
     Args:
         keys: (N,), sorted.
         depth: of the tree.
-        symbols: filled with `state << 12 | context * STRIDE + token`.
+        symbols: filled with `state << TURN_SHIFT | context * STRIDE + token`.
         raw: filled with raw bits.
         counts: zeros (CONTEXTS, STRIDE); filled with how often each symbol occurs.
         sizes: filled with the number of symbols and of raw words.
@@ -142,7 +142,7 @@ def describe_tree(keys: U8, depth: int, symbols: U2, raw: U4, counts: I8, sizes:
                         bits >>= u64(32)
                         held -= 32
             for n in range(used):
-                symbols[count] = (count & 7) << 12 | (context_of[n] * STRIDE + token_of[n])
+                symbols[count] = (count & 7) << TURN_SHIFT | (context_of[n] * STRIDE + token_of[n])
                 counts[context_of[n], token_of[n]] += 1
                 count += 1
         cells = born
@@ -204,7 +204,7 @@ def restore_tree(
                 token = i64(slots[table << 12 | i64(state & u64(SHARES - 1))])
                 state = advance(state, place[table << 6 | token])
                 states[count & 7] = refill(state, words[at_word])
-                at_word += is_short(state)
+                at_word += i64(is_short(state))
                 count += 1
                 step += 1
                 if step == 1:

@@ -15,6 +15,7 @@ from protocol.codec.tokens import U1, U2, U4, i64, u64
 STATES = 8
 SHARE_BITS = 12
 SHARES = 1 << SHARE_BITS
+TURN_SHIFT = 13  # of the state's number above the symbol
 START = 1 << 16  # every state begins and ends here, which tells a damaged payload
 
 
@@ -23,7 +24,7 @@ def encode_symbols(symbols: U2, count: int, shares: U2, words: U2) -> int:
     """Writes words from the end of `words` backwards; returns where they begin.
 
     Args:
-        symbols: `context * stride + token`.
+        symbols: `state << TURN_SHIFT | context * stride + token`.
         count: how many of them.
         shares: (contexts, stride), each row's sum 4096, none above 4095.
         words: room for `count` and the states.
@@ -43,8 +44,8 @@ def encode_symbols(symbols: U2, count: int, shares: U2, words: U2) -> int:
     states = np.full(STATES, START, np.uint64)
     at = len(words)
     for n in range(count - 1, -1, -1):
-        symbol = symbols[n] & 0xFFF
-        turn = symbols[n] >> 12
+        symbol = symbols[n] & ((1 << TURN_SHIFT) - 1)
+        turn = symbols[n] >> TURN_SHIFT
         state = states[turn]
         share = u64(place[symbol] & np.uint32(0xFFFF))
         if state >= share << u64(20):
@@ -91,8 +92,8 @@ def refill(state: int, word: int) -> int:
     return result
 
 
-@njit("int64(uint64)", cache=True)
+@njit("uint64(uint64)", cache=True)
 def is_short(state: int) -> int:
     """Returns 1 if the state needs a word."""
-    result: int = i64(state < u64(START))
+    result: int = u64(state < u64(START))
     return result

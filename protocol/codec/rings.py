@@ -46,18 +46,20 @@ class Rings:
     columns: int
 
     @property
-    def directions(self) -> Floats32:
-        """Unit vectors (channels, columns, 3)."""
+    def spin(self) -> tuple[Floats, Floats]:
+        """What the directions are products of, as `ScanPattern.spin`."""
         elevations = self.elevations.astype(np.float64)
         offsets = self.azimuths * (2 * np.pi / self.columns / _AZIMUTHS)
         azimuths = np.arange(self.columns) * (2 * np.pi / self.columns)
-        result = np.empty((len(elevations), self.columns, 3), np.float32)
-        turn_rings(
-            np.stack([np.cos(elevations), np.sin(elevations)], -1),
-            np.stack([np.cos(offsets), np.sin(offsets)], -1),
-            np.stack([np.cos(azimuths), np.sin(azimuths)], -1),
-            result,
-        )
+        flat = np.cos(elevations)
+        turns = [flat * np.cos(offsets), flat * np.sin(offsets), np.sin(elevations)]
+        return np.stack(turns, -1), np.stack([np.cos(azimuths), np.sin(azimuths)], -1)
+
+    @property
+    def directions(self) -> Floats32:
+        """Unit vectors (channels, columns, 3)."""
+        result = np.empty((len(self.elevations), self.columns, 3), np.float32)
+        turn_rings(*self.spin, result)
         return result
 
     def to_bytes(self, misfits: int, edge_m: float) -> bytes:

@@ -11,23 +11,21 @@ from protocol.codec.tokens import I8
 _NEAREST_M = 1e-3
 
 
-@njit("void(float64[:,::1], float64[:,::1], float64[:,::1], float32[:,:,::1])", cache=True)
-def turn_rings(elevations: Floats, offsets: Floats, azimuths: Floats, directions: Floats32) -> None:
+@njit("void(float64[:,::1], float64[:,::1], float32[:,:,::1])", cache=True)
+def turn_rings(turns: Floats, azimuths: Floats, directions: Floats32) -> None:
     """Fills unit vectors (channels, columns, 3).
 
     Args:
-        elevations: (channels, 2), cosine and sine.
-        offsets: (channels, 2), of the azimuth of each ring's first column.
-        azimuths: (columns, 2), of each column's azimuth from the first.
+        turns: (channels, 3), of each ring: how far out, how far round and how far up it points.
+        azimuths: (columns, 2), cosine and sine of each column's azimuth from the first.
         directions: filled.
     """
-    for ring in range(len(elevations)):
-        flat, up = elevations[ring, 0], elevations[ring, 1]
-        cos, sin = flat * offsets[ring, 0], flat * offsets[ring, 1]
+    for ring in range(len(turns)):
+        out, side, up = turns[ring, 0], turns[ring, 1], turns[ring, 2]
         for column in range(len(azimuths)):
             a, b = azimuths[column, 0], azimuths[column, 1]
-            directions[ring, column, 0] = cos * a - sin * b
-            directions[ring, column, 1] = sin * a + cos * b
+            directions[ring, column, 0] = out * a - side * b
+            directions[ring, column, 1] = side * a + out * b
             directions[ring, column, 2] = up
 
 

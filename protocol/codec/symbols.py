@@ -32,7 +32,7 @@ def pack_symbols(symbols: U2, count: int, counts: I8) -> list[bytes]:
     """Returns the sections of the first `count` symbols.
 
     Args:
-        symbols: `state << 12 | context * TAIL_ALPHABET + token`.
+        symbols: `state << TURN_SHIFT | context * TAIL_ALPHABET + token`.
         count: how many of them.
         counts: (contexts, TAIL_ALPHABET), how often each occurs.
     """

@@ -20,7 +20,7 @@ TAIL_ALPHABET = 64
 i64: Any = np.int64
 u64: Any = np.uint64
 
-I1 = npt.NDArray[np.int8]
+I2 = npt.NDArray[np.int16]
 U1 = npt.NDArray[np.uint8]
 U2 = npt.NDArray[np.uint16]
 U4 = npt.NDArray[np.uint32]

@@ -75,6 +75,13 @@ def test_any_number_of_columns_comes_back(columns, profile):
     assert np.linalg.norm(back.points - scan.cloud().points, axis=1).max(initial=0) <= 0.02
 
 
+@pytest.mark.parametrize("profile", OWN)
+def test_a_scan_becomes_the_same_bytes_every_time(profile):
+    first = encode_scan(street(), 0.01, profile=profile)
+    encode_scan(street(seed=2, columns=500), 0.1, profile=profile)
+    assert encode_scan(street(), 0.01, profile=profile) == first
+
+
 def test_profiles_are_worth_their_time():
     scan = street(columns=1800)
     sizes = [len(encode_scan(scan, 0.02, profile=profile)) for profile in OWN]
@@ -179,6 +186,7 @@ def payloads() -> list[bytes]:
     scan, ringed = street(columns=64), street(columns=64).cloud()
     loose = cloud_of(np.random.default_rng(0).normal(0, 9, (200, 3)).astype(np.float32))
     made = [encode_scan(scan, 0.02, profile=profile) for profile in OWN]
+    made.append(encode_scan(scan, 0.001, profile="compact"))
     made += [encode_cloud(loose, 0.02, profile=profile) for profile in OWN]
     made += [encode_cloud(ringed, 0.02, profile=profile) for profile in OWN[1:]]
     return made
