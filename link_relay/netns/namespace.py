@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import socket
-from typing import Self
 
 from link_relay.netns import qdisc, schedule
 from link_relay.netns.enter import socket_in
@@ -86,7 +84,10 @@ class Namespace:
         return batch
 
     def _shape(self, verb: str, step: int) -> None:
-        rate_bps, delay_us = schedule.rate_bps(self._path, step), schedule.delay_us(self._path, step)
+        rate_bps, delay_us = (
+            schedule.rate_bps(self._path, step),
+            schedule.delay_us(self._path, step),
+        )
         if rate_bps != self._rate_bps:
             line = qdisc.tbf(verb, rate_bps, schedule.held_ns(self._path, step))
             self._tc.tell(line, LOOPBACK)
