@@ -11,7 +11,7 @@ from link_relay.netns.leftovers import remove
 from link_relay.netns.place import UPLINK, Pair, Place
 from sensing.link.path import Path
 
-LOOPBACK = "lo"
+LOOPBACK = "lo"  # has one queue: asked for it, `tc` answers in one line
 _DISCARD_PORT = 9
 
 
@@ -35,7 +35,7 @@ class Namespace:
             self._host_tc = self._batch() if delays else None
             self._rate_bps, self._delay_us = -1, -1
             self._shape("add", step)
-        except NetnsError:
+        except (NetnsError, OSError):
             self.remove()
             raise
 
@@ -84,10 +84,8 @@ class Namespace:
         return batch
 
     def _shape(self, verb: str, step: int) -> None:
-        rate_bps, delay_us = (
-            schedule.rate_bps(self._path, step),
-            schedule.delay_us(self._path, step),
-        )
+        rate_bps = schedule.rate_bps(self._path, step)
+        delay_us = schedule.delay_us(self._path, step)
         if rate_bps != self._rate_bps:
             line = qdisc.tbf(verb, rate_bps, schedule.held_ns(self._path, step))
             self._tc.tell(line, LOOPBACK)
