@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -32,7 +31,7 @@ def remove_of(pid: int) -> None:
 
 def remove_leftovers() -> list[Place]:
     """Removes what processes made that are no more; returns what that was."""
-    return _remove_where(lambda owner: not _lives(owner))
+    return _remove_where(lambda owner: not lives(owner))
 
 
 def _remove_where(asked: Callable[[int], bool]) -> list[Place]:
@@ -48,5 +47,10 @@ def _entries(folder: Path) -> list[Path]:
     return list(folder.iterdir()) if folder.is_dir() else []
 
 
-def _lives(pid: int) -> bool:
-    return os.path.lexists(f"/proc/{pid}")
+def lives(pid: int) -> bool:
+    """Whether a process runs; one that waits to be buried does not."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text("utf-8", errors="replace").rpartition(")")[2]
+    except OSError:
+        return False
+    return state.split()[:1] != ["Z"]
