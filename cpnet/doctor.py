@@ -12,9 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from cpnet.endpoints import connecting, resolve
+from link_relay.netns import probe
 from protocol.bus import open_bus
 from protocol.errors import BusError
 from protocol.inbox import Inbox
@@ -51,6 +53,7 @@ class Finding:
     what: str
     ok: bool
     advice: str
+    optional: bool = False
 
 
 def missing_packages() -> list[str]:
@@ -60,15 +63,16 @@ def missing_packages() -> list[str]:
 
 def examine() -> list[Finding]:
     """Runs all checks."""
-    return [_python(), _libraries(), *_parts(), _bus(), _disk()]
+    return [_python(), _libraries(), *_parts(), _bus(), _disk(), _netns()]
 
 
 def print_findings(findings: list[Finding], console: Console) -> None:
     """Prints a line per check."""
     table = Table(box=None, show_header=False)
     for finding in findings:
-        mark = "[green]ok[/]" if finding.ok else "[red]missing[/]"
-        table.add_row(mark, finding.what, finding.advice)
+        absent = "[yellow]optional[/]" if finding.optional else "[red]missing[/]"
+        mark = "[green]ok[/]" if finding.ok else absent
+        table.add_row(mark, finding.what, escape(finding.advice))
     console.print(table)
 
 
@@ -119,3 +123,10 @@ def _disk() -> Finding:
     ok = free >= MIN_FREE_BYTES and os.access(Path.cwd(), os.W_OK)
     advice = "" if ok else "run folders are written here: needs 1 GiB and write permission"
     return Finding(f"{free / 2**30:.0f} GiB free in this folder", ok, advice)
+
+
+def _netns() -> Finding:
+    ability = probe.examine()
+    advice = "" if ability.delays else "no netem (sch_netem): rates and outages, no round trips"
+    what = "network namespaces for cpnet up --netns"
+    return Finding(what, not ability.missing, ability.missing or advice, optional=True)

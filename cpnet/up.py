@@ -15,6 +15,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
+from cpnet import netns
 from cpnet import scenario as scenarios
 from cpnet.display import Display
 from cpnet.endpoints import Endpoints, connecting, resolve
@@ -63,12 +64,22 @@ def up(options: Options, console: Console) -> tuple[int, Path]:
             f"{', '.join(options.overrides)}: the scenario is decided where the role sim runs"
         )
     run_dir = _make_run_dir(options.out, asked.name if asked else "-".join(names))
-    setup, scenario = _setup(asked, endpoints, run_dir)
+    try:
+        setup, scenario = _setup(asked, endpoints, run_dir)
+        relays = relays_of(roles, scenario)
+        netns.prepare(scenario, relays, console)
+    except ConfigError:
+        shutil.rmtree(run_dir, ignore_errors=True)
+        raise
     (run_dir / "setup.msgpack").write_bytes(encode(setup))
     (run_dir / "scenario.json").write_text(json.dumps(setup.scenario, indent=2) + "\n", "utf-8")
     console.print(f"{scenario.name}: {', '.join(names)} → {run_dir}", markup=False, soft_wrap=True)
-    with Interruption() as interruption, Supervisor(run_dir, endpoints) as supervisor:
-        supervisor.start(relays_of(roles, scenario) + processes_of(roles, scenario))
+    with (
+        Interruption() as interruption,
+        netns.cleaned_up(scenario, relays),
+        Supervisor(run_dir, endpoints) as supervisor,
+    ):
+        supervisor.start(relays + processes_of(roles, scenario))
         status = _attend(supervisor, endpoints, scenario, interruption, console)
     return status, run_dir
 
@@ -102,9 +113,6 @@ def _setup(
 
         try:
             return build_setup(asked.model_dump(mode="json"), run_dir), asked
-        except ConfigError:
-            shutil.rmtree(run_dir, ignore_errors=True)
-            raise
         except OSError as error:
             raise ConfigError(f"run folder {run_dir} cannot be written: {error}") from None
     world = connecting(endpoints[BusName.WORLD])

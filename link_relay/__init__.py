@@ -1,1 +1,1 @@
-"""A shaping relay in the path of agents' V2X connections: emulated links, without root."""
+"""Relays in the path of agents' V2X connections: links that are emulated, with root or without."""

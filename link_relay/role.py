@@ -5,7 +5,10 @@ from __future__ import annotations
 import logging
 import threading
 
-from link_relay.shaper import Address, Shaper
+from link_relay.netns import probe
+from link_relay.netns.forwarder import Forwarder
+from link_relay.server import Address, Draw, Server
+from link_relay.shaper import Shaper
 from protocol.bus import Endpoint
 from protocol.errors import BusError, ConfigError
 from protocol.inbox import Envelope, Presence
@@ -19,15 +22,15 @@ _log = logging.getLogger(__name__)
 
 
 class RelayRole:
-    """Shapes the connections of one kind of agent, the last word of the process's id.
+    """Serves the connections of one kind of agent, the last word of the process's id.
 
     A connection does not say whose it is: paths are drawn by the order in which agents connect.
     """
 
-    def __init__(self, context: Context, shaper: Shaper) -> None:
+    def __init__(self, context: Context, server: Server) -> None:
         self._context = context
-        self._shaper = shaper
-        self._thread = threading.Thread(target=shaper.run, name="shaper")
+        self._server = server
+        self._thread = threading.Thread(target=server.run, name="relay")
         self._thread.start()
 
     @classmethod
@@ -35,18 +38,23 @@ class RelayRole:
         """Listens for agents and shows itself.
 
         Raises:
-            ConfigError: the scenario has no link for these agents.
+            ConfigError: the scenario has no link for these agents, or this machine no namespaces.
             BusError: the port is in use.
         """
         kind = context.id.rpartition("-")[2]
-        profile = _profile(context, kind)
+        config = LinkConfig.of(context.setup.scenario)
+        profile = _profile(config, kind)
         seed: int = context.setup.scenario["seed"]
         listen, upstream = _address(context.uplink), _address(context.v2x_endpoint)
+
+        def draw(number: int) -> Path:
+            return Path.draw(profile, seed, f"{kind} {number}")
+
         try:
-            shaper = Shaper(listen, upstream, lambda n: Path.draw(profile, seed, f"{kind} {n}"))
+            server = _server(config, listen, upstream, draw)
         except OSError as error:
             raise BusError(f"cannot listen at {context.uplink}: {error.strerror}") from None
-        role = cls(context, shaper)
+        role = cls(context, server)
         context.world.subscribe("end")
         context.announce("relay")
         _log.info("%s links like %s: %s to %s", kind, profile.name, context.uplink, upstream)
@@ -68,12 +76,17 @@ class RelayRole:
 
     def close(self) -> None:
         """Ends all connections."""
-        self._shaper.stop()
+        self._server.stop()
         self._thread.join()
 
 
-def _profile(context: Context, kind: str) -> LinkProfile:
-    config = LinkConfig.of(context.setup.scenario)
+def _server(config: LinkConfig, listen: Address, upstream: Address, draw: Draw) -> Server:
+    if config.apply == "netns":
+        return Forwarder(listen, upstream, draw, delays=probe.require())
+    return Shaper(listen, upstream, draw)
+
+
+def _profile(config: LinkConfig, kind: str) -> LinkProfile:
     profile = config.profile if kind == "vehicle" else config.roadside_profile
     if profile is None:
         raise ConfigError(f"the scenario has no link profile for {kind} agents")

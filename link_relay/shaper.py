@@ -10,26 +10,21 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import selectors
 import socket
 import time
-from collections.abc import Callable
 
+from link_relay.server import Address, Draw, Server, buffer_bytes, make_prompt
 from sensing.link.path import SEGMENT_BYTES, Path
 
 CHUNK_NS = 2_000_000  # of the link's time in a chunk, but a packet at least
 MOST_BYTES = 65_536
 BUFFER_NS = 20_000_000  # what the receive buffer may hide from the sender, in the link's time
-LEAST_BUFFER_BYTES = 4096
 LINE_CHUNKS = 1024  # on their way: bounds memory
 SLACK_NS = 5_000_000  # a timer that fires late does not slow the link
 _log = logging.getLogger(__name__)
 
-Address = tuple[str, int]
-Draw = Callable[[int], Path]
 
-
-class Shaper:
+class Shaper(Server):
     """Relays every connection over a path of its own; `draw` gives it by the connection's number.
 
     Runs on a loop of its own with a timer finer than a millisecond.
@@ -41,59 +36,19 @@ class Shaper:
         Raises:
             OSError: the address is in use.
         """
+        super().__init__(listen, buffer_bytes(draw(0), BUFFER_NS))
         self._upstream = upstream
         self._draw = draw
         self._since_ns = time.monotonic_ns()
-        self._listener = _listener(listen, _buffer_bytes(draw(0)))
-        self._loop = asyncio.SelectorEventLoop(selectors.SelectSelector())
-        self._accepting = self._loop.create_task(self._accept())
-        self._tasks: set[asyncio.Task[None]] = set()
-        self.connections = 0
 
-    @property
-    def address(self) -> Address:
-        """Where it listens."""
-        host, port = self._listener.getsockname()[:2]
-        return host, port
-
-    def run(self) -> None:
-        """Relays until `stop`; for a thread of its own."""
-        asyncio.set_event_loop(self._loop)
-        try:
-            self._loop.run_until_complete(self._accepting)
-        except asyncio.CancelledError:
-            pass
-        finally:
-            self._listener.close()
-            self._loop.close()
-
-    def stop(self) -> None:
-        """Ends `run` and all connections; may be called from any thread."""
-        if not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self._accepting.cancel)
-
-    async def _accept(self) -> None:
-        try:
-            while True:
-                agent, _ = await self._loop.sock_accept(self._listener)
-                task = self._loop.create_task(self._relay(agent, self._draw(self.connections)))
-                self.connections += 1
-                self._tasks.add(task)
-                task.add_done_callback(self._tasks.discard)
-        finally:
-            for task in self._tasks:
-                task.cancel()
-            await asyncio.gather(*self._tasks, return_exceptions=True)
-
-    async def _relay(self, agent: socket.socket, path: Path) -> None:
-        family = socket.AF_INET6 if ":" in self._upstream[0] else socket.AF_INET
-        edge = socket.socket(family, socket.SOCK_STREAM)
+    async def relay(self, agent: socket.socket, number: int) -> None:
+        """Passes on what comes, as the path of this number does."""
+        path = self._draw(number)
+        edge: socket.socket | None = None
         ways: list[asyncio.Task[None]] = []
         try:
-            for end in (agent, edge):
-                end.setblocking(False)
-                end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            await self._loop.sock_connect(edge, self._upstream)
+            edge = await self.connect(self._upstream)
+            make_prompt(agent, edge)
             ways = [
                 self._loop.create_task(self._pass_on(agent, edge, path, limited=True)),
                 self._loop.create_task(self._pass_on(edge, agent, path, limited=False)),
@@ -106,7 +61,8 @@ class Shaper:
                 way.cancel()
             await asyncio.gather(*ways, return_exceptions=True)
             agent.close()
-            edge.close()
+            if edge is not None:
+                edge.close()
 
     async def _pass_on(
         self, source: socket.socket, sink: socket.socket, path: Path, *, limited: bool
@@ -165,26 +121,3 @@ class Shaper:
 
     def _now_ns(self) -> int:
         return time.monotonic_ns() - self._since_ns
-
-
-def _buffer_bytes(path: Path) -> int:
-    period_ns = path.rate_bps.period_ns
-    mean = path.bytes_in(0, period_ns) * BUFFER_NS // period_ns
-    return min(max(mean, LEAST_BUFFER_BYTES), 16 * MOST_BYTES)
-
-
-def _listener(address: Address, buffer_bytes: int) -> socket.socket:
-    family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        # Accepted connections inherit both. Loopback's segments of 64 kB would not fit the buffer.
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
-        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_MAXSEG, SEGMENT_BYTES)
-        listener.bind(address)
-        listener.listen(128)
-        listener.setblocking(False)
-    except OSError:
-        listener.close()
-        raise
-    return listener
