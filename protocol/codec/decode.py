@@ -12,6 +12,7 @@ from protocol.codec.draco import open_draco
 from protocol.codec.payload import Form, Head, Reader, open_intensity, open_payload, unsqueeze
 from protocol.codec.rings import Rings
 from protocol.codec.tree import open_tree
+from protocol.codec.window import Window
 from protocol.errors import CodecError
 
 
@@ -39,7 +40,10 @@ def _open_planes(head: Head, reader: Reader) -> Floats32:
 
 
 def _open_pattern(head: Head, reader: Reader) -> Floats32:
-    return open_image(head, reader, *_pattern(head).spin, head.points)
+    spin, section = _pattern(head).spin, reader.section()
+    if section:
+        spin = Window.from_bytes(section, head.channels, head.columns).cut_spin(spin)
+    return open_image(head, reader, *spin, head.points)
 
 
 def _open_deltas(head: Head, reader: Reader) -> Floats32:

@@ -15,6 +15,7 @@ from protocol.codec.profile import Profile, profile_named
 from protocol.codec.rings import RingImage, find_rings
 from protocol.codec.step import check_bound, room_m
 from protocol.codec.tree import cell_edge_m, pack_tree
+from protocol.codec.window import Window
 from protocol.errors import CodecError
 
 
@@ -65,7 +66,10 @@ def encode_scan(
         sections = [squeeze(raw)]
     else:
         fine = chosen is Profile.COMPACT
-        sections, points = pack_image(range_m, head.step_m, fine)
+        window = Window.around(range_m)
+        image = range_m if window is None else window.cut(range_m)
+        sections, points = pack_image(image, head.step_m, fine)
+        sections = [b"" if window is None else window.to_bytes(), *sections]
         head = replace(head, form=Form.FINE if fine else Form.IMAGE)
     shades = seal_intensity(scan.intensity[range_m > 0], True) if intensity else []
     return replace(head, points=points).seal(*sections, *shades)

@@ -182,11 +182,35 @@ def test_random_sections_raise_one_kind_of_error(form, data, points):
     assert points == 0
 
 
+def part_of(scan: RangeScan, rings: slice, columns: slice) -> RangeScan:
+    range_m = np.zeros_like(scan.range_m)
+    range_m[rings, columns] = scan.range_m[rings, columns]
+    return RangeScan(scan.pattern, range_m, scan.intensity)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 31), st.integers(1, 32), st.integers(0, 357), st.integers(1, 200), PROFILES)
+def test_a_part_of_a_scan_takes_the_place_of_its_own_points(ring, rings, column, columns, profile):
+    part = part_of(street(), slice(ring, ring + rings), slice(column, column + columns))
+    payload = encode_scan(part, 0.02, profile=profile, intensity=True)
+    back, sent = decode(payload), part.cloud()
+    assert back.points.shape == sent.points.shape
+    assert np.linalg.norm(back.points - sent.points, axis=1).max(initial=0) <= 0.02
+    assert np.allclose(back.intensity, sent.intensity, atol=0.5 / 255 + 1e-6)
+
+
+def test_empty_rings_and_columns_cost_next_to_nothing():
+    part = part_of(street(columns=1800), slice(3, 5), slice(20, 41))
+    assert len(encode_scan(part, 0.02)) < 350
+
+
 def payloads() -> list[bytes]:
     scan, ringed = street(columns=64), street(columns=64).cloud()
     loose = cloud_of(np.random.default_rng(0).normal(0, 9, (200, 3)).astype(np.float32))
     made = [encode_scan(scan, 0.02, profile=profile) for profile in OWN]
     made.append(encode_scan(scan, 0.001, profile="compact"))
+    part = part_of(scan, slice(3, 9), slice(20, 41))
+    made += [encode_scan(part, 0.02, profile=profile) for profile in OWN[1:]]
     made += [encode_cloud(loose, 0.02, profile=profile) for profile in OWN]
     made += [encode_cloud(ringed, 0.02, profile=profile) for profile in OWN[1:]]
     return made
