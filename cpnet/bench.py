@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -14,18 +14,20 @@ from rich.console import Console
 from cpnet.up import Options, up
 from protocol.errors import ConfigError
 from recorder.run import Run
+from sensing.link.named import NONE
 from sensing.recording import Recording
 from sensing.upload.registry import POLICIES, Filter
 from studies.bench_sharing import POLICY as SHARING
 from studies.bench_sharing import measure_sharing
 from studies.bench_traffic import FRAME_PERIOD_S, record_traffic, visible_vehicles
-from studies.bench_uplink import LEARNING_FRAMES, UplinkRow, row_of
+from studies.bench_uplink import LEARNING_FRAMES, RateRow, UplinkRow, row_of
 
 POLICY_CHOICES = (
     "full", "roi", "foreground", "voronoi", "power", "reap", "reap+roi", "reap+foreground",
     "objects", SHARING,
 )  # fmt: skip
 LINK_CHOICES = ("5mbit", "lte", "5g-urban")
+RATES_HZ = (10.0, 15.0, 20.0, 24.0, 30.0, 36.0, 42.0, 50.0, 60.0, 75.0, 100.0)
 _PATIENT_MS = 5_000.0  # nothing is left out for being late: latency shows it instead
 
 
@@ -90,6 +92,27 @@ def measure(bench: UplinkBench) -> Iterator[UplinkRow]:
                 yield measure_sharing(traffic, link, bench.frames)
             else:
                 yield run_cell(bench, traffic, policy, link, Path(scratch) / f"{number}")
+
+
+def measure_rates(bench: UplinkBench) -> Iterator[RateRow]:
+    """Yields by policy the row of each rate in realtime without links, until one is too much.
+
+    Raises:
+        ConfigError: what is asked for cannot be measured.
+    """
+    bench.check()
+    with tempfile.TemporaryDirectory(prefix="cpnet-bench-") as scratch:
+        traffic = Path(scratch) / "traffic"
+        traffic.mkdir()
+        record_traffic(traffic, bench.agents, bench.frames)
+        for policy in bench.policies:
+            for rate_hz in RATES_HZ:
+                run_dir = Path(scratch) / f"{policy}-{rate_hz:g}"
+                at_rate = replace(bench, realtime=True, rate_hz=rate_hz)
+                row = RateRow(rate_hz, run_cell(at_rate, traffic, policy, NONE, run_dir))
+                yield row
+                if not row.is_sustained:
+                    break
 
 
 def run_cell(bench: UplinkBench, traffic: Path, policy: str, link: str, run_dir: Path) -> UplinkRow:

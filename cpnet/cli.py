@@ -17,14 +17,14 @@ from rich.progress import track
 
 from cpnet import doctor as checks
 from cpnet import scenario as scenarios
-from cpnet.bench import LINK_CHOICES, POLICY_CHOICES, UplinkBench, measure
+from cpnet.bench import LINK_CHOICES, POLICY_CHOICES, UplinkBench, measure, measure_rates
 from cpnet.up import Options, up
 from protocol.errors import CpnetError
 from recorder.compare import differences
 from studies.bench_traffic import FRAME_PERIOD_S
 from studies.report import print_report
 from studies.summary import summarise, to_json
-from studies.uplink_table import print_uplink
+from studies.uplink_table import print_rates, print_uplink
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -244,6 +244,25 @@ def bench_uplink_command(
         typer.echo(json.dumps([row.as_json() for row in rows], indent=2))
     else:
         print_uplink(rows, _console)
+
+
+@bench_app.command("rate")
+def bench_rate_command(
+    *,
+    policies: Annotated[
+        str, typer.Option(metavar="NAME[+FILTER],...", help="upload policies")
+    ] = "full,foreground,reap+foreground",
+    agents: Annotated[int, typer.Option(help="a roadside LiDAR and CAVs")] = 6,
+    frames: Annotated[int, typer.Option(help="frames of each run")] = 120,
+    as_json: Annotated[bool, typer.Option("--json", help="stable keys, for programs")] = False,
+) -> None:
+    """Find the highest frame rate in realtime, with detection, on recorded scans."""
+    bench = UplinkBench(policies=tuple(policies.split(",")), agents=agents, frames=frames)
+    rows = list(track(measure_rates(bench), "measuring", None, console=_errors, transient=True))
+    if as_json:
+        typer.echo(json.dumps([row.as_json() for row in rows], indent=2))
+    else:
+        print_rates(rows, _console)
 
 
 def main() -> None:

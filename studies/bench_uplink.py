@@ -13,6 +13,8 @@ from studies.ecvpr import by_frame
 from studies.latency import end_to_end_ms
 from studies.tally import Tally
 
+EMP_LATENCY_MS, EMP_RATE_HZ = 93.0, 24.0  # published: mean end to end, frames a second
+SUSTAINED_SHARE = 0.98  # of the scans of all agents
 LEARNING_FRAMES = 10  # of standing sensors' backgrounds and of rates: not scored
 
 Visible = Callable[[int], set[str]]
@@ -41,6 +43,26 @@ class UplinkRow:
     def as_json(self) -> dict[str, Any]:
         """Returns stable keys."""
         return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class RateRow:
+    """One frame rate in realtime."""
+
+    rate_hz: float
+    uplink: UplinkRow
+
+    @property
+    def is_sustained(self) -> bool:
+        """Whether nearly all scans were used, and no queue grew: EMP's latency was kept."""
+        mean_ms = self.uplink.latency_ms["mean"]
+        used = (self.uplink.fps or 0.0) / self.rate_hz
+        return used >= SUSTAINED_SHARE and mean_ms is not None and mean_ms <= EMP_LATENCY_MS
+
+    def as_json(self) -> dict[str, Any]:
+        """Returns stable keys."""
+        row = self.uplink.as_json()
+        return {"rate_hz": self.rate_hz, "is_sustained": self.is_sustained, **row}
 
 
 def row_of(run: Run, policy: str, link: str, visible: Visible, frame_period_s: float) -> UplinkRow:

@@ -6,7 +6,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from studies.bench_uplink import UplinkRow
+from studies.bench_uplink import EMP_RATE_HZ, RateRow, UplinkRow
 
 _HEADS = (
     "policy", "kB", "Mbit/s", "mean ms", "p50", "p95", "p99", "scans/s", "seen %", "false",
@@ -36,6 +36,33 @@ def print_uplink(rows: list[UplinkRow], console: Console) -> None:
         "points or more; false: detections of nothing, a frame; count: mean error of a lane",
         style="dim",
     )
+
+
+def print_rates(rows: list[RateRow], console: Console) -> None:
+    """Prints a table of all rates, then how far each policy came."""
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
+    for head in ("policy", "frames/s", "scans/s", "mean ms", "p95", "seen %", "kept up"):
+        table.add_column(head, justify="left" if head == "policy" else "right")
+    for row in rows:
+        seen = row.uplink.recall_visible
+        table.add_row(
+            row.uplink.policy,
+            f"{row.rate_hz:g}",
+            _text(row.uplink.fps, 1),
+            _text(row.uplink.latency_ms["mean"], 1),
+            _text(row.uplink.latency_ms["p95"], 1),
+            _text(None if seen is None else 100 * seen, 1),
+            "yes" if row.is_sustained else "no",
+        )
+    console.print(table)
+    for policy in dict.fromkeys(row.uplink.policy for row in rows):
+        kept = [row.rate_hz for row in rows if row.uplink.policy == policy and row.is_sustained]
+        best_hz = max(kept, default=0.0)
+        console.print(
+            f"{policy}: up to {best_hz:g} frames/s with {rows[0].uplink.agents} agents, "
+            f"{best_hz / EMP_RATE_HZ:.2f} of EMP's {EMP_RATE_HZ:g}",
+            markup=False,
+        )
 
 
 def _figures(row: UplinkRow) -> list[str]:
