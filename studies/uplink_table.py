@@ -9,8 +9,7 @@ from rich.table import Table
 from studies.bench_uplink import EMP_RATE_HZ, RateRow, UplinkRow
 
 _HEADS = (
-    "policy", "kB", "Mbit/s", "mean ms", "p50", "p95", "p99", "scans/s", "seen %", "false",
-    "count ±",
+    "policy", "kB", "Mbit/s", "mean", "p50", "p95", "p99", "scans/s", "seen %", "false", "count",
 )  # fmt: skip
 
 
@@ -26,14 +25,15 @@ def print_uplink(rows: list[UplinkRow], console: Console) -> None:
             pad_edge=False,
         )
         for head in _HEADS:
-            table.add_column(head, justify="left" if head == "policy" else "right")
+            left = head == "policy"
+            table.add_column(head, justify="left" if left else "right", no_wrap=left)
         for row in here:
             table.add_row(row.policy, *_figures(row))
         console.print(table)
     console.print(
-        "kB and Mbit/s: payload of an agent's frame; ms: sensing to signal, end to end; scans/s: "
-        "used by the edge, per agent; seen: of the vehicles that all agents together hit with 5 "
-        "points or more; false: detections of nothing, a frame; count: mean error of a lane",
+        "kB and Mbit/s: payload of an agent's frame; mean to p99: ms from sensing to signal; scans/s: "
+        "used, per agent; seen: of the vehicles that all agents together hit with 5 points or more; "
+        "false: detections of nothing, a frame; count: mean error of a lane, vehicles",
         style="dim",
     )
 
