@@ -31,7 +31,7 @@ def print_uplink(rows: list[UplinkRow], console: Console) -> None:
             table.add_row(row.policy, *_figures(row))
         console.print(table)
     console.print(
-        "kB and Mbit/s: payload of an agent's frame; mean to p99: ms from sensing to signal; scans/s: "
+        "kB, Mbit/s: payload of an agent's frame; mean to p99: ms from sensing to signal; scans/s: "
         "used, per agent; seen: of the vehicles that all agents together hit with 5 points or more; "
         "false: detections of nothing, a frame; count: mean error of a lane, vehicles",
         style="dim",
