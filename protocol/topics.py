@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from enum import Enum
+from urllib.parse import quote, unquote
 
 from protocol import messages as m
 from protocol.wire import VERSION
 
 PREFIX = f"cpnet/v{VERSION}"
-_SAFE = re.compile(r"[^/*$?#\s]+")
 
 
 class BusName(Enum):
@@ -45,20 +45,24 @@ class Topic:
     def key(self, **parts: str) -> str:
         """Returns the Zenoh key expression; a part that is left out becomes `*`.
 
+        What Zenoh gives a meaning to, such as `/`, `#` and spaces, stands percent-encoded.
+
         Raises:
-            ValueError: a part holds `/`, `*`, `$`, `?`, `#` or white space.
+            ValueError: a part is empty.
         """
-        for name, part in parts.items():
-            if part != "*" and not _SAFE.fullmatch(part):
-                raise ValueError(f"{name} {part!r} cannot stand in the key of topic {self.name}")
+        if "" in parts.values():
+            raise ValueError(f"a key of topic {self.name} cannot have an empty part")
         names = re.findall(r"{(\w+)}", self.template)
-        return f"{PREFIX}/" + self.template.format(**{n: parts.get(n, "*") for n in names})
+        written = {n: quote(parts[n], safe="") if n in parts else "*" for n in names}
+        return f"{PREFIX}/" + self.template.format(**written)
 
     def parts(self, key: str) -> dict[str, str]:
         """Reads the parts of a key that this topic's own `key` made."""
         names = self.template.split("/")
         values = key.removeprefix(f"{PREFIX}/").split("/")
-        return {n[1:-1]: v for n, v in zip(names, values, strict=True) if n.startswith("{")}
+        return {
+            n[1:-1]: unquote(v) for n, v in zip(names, values, strict=True) if n.startswith("{")
+        }
 
 
 def _table(*rows: Topic) -> dict[str, Topic]:

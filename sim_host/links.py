@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 
 from protocol.errors import ConfigError
@@ -10,7 +9,6 @@ from protocol.roadmap import Link, PlanPhase, Signal
 from sim_host.netfile import Net, NetConnection, NetJunction
 
 _LISTED = 20
-_KEY = re.compile(r"[^/*$?#\s]+")  # what may stand in a topic's key
 # Lights off (o, O) leave it to the drivers, who then yield; a stop sign's arrow (s) and red-yellow
 # (u) count as red; Y is no state of today's SUMO but of its older nets.
 _PLAIN = str.maketrans({"o": "g", "O": "g", "s": "r", "u": "r", "Y": "y"})
@@ -20,7 +18,7 @@ def read_signal(net: Net, tls: str | None) -> Signal:
     """Returns the signal `tls`, or the net's only one if that is None.
 
     Raises:
-        ConfigError: there is no such signal, its id cannot stand in a topic, or no phase is green.
+        ConfigError: there is no such signal, or no phase is green.
     """
     tls = _choose(net, tls)
     controlled = sorted((c for c in net.connections if c.tls == tls), key=lambda c: c.link)
@@ -65,8 +63,6 @@ def _choose(net: Net, tls: str | None) -> str:
         more = f" and {len(known) - _LISTED} more" if len(known) > _LISTED else ""
         which = "say which signal with --tls ID" if tls is None else f"there is no signal {tls!r}"
         raise ConfigError(f"{which}; {net.path.name} has: {', '.join(known[:_LISTED])}{more}")
-    if not _KEY.fullmatch(tls):
-        raise ConfigError(f"traffic.tls {tls!r} holds one of / * $ ? # or a space; rename it")
     return tls
 
 

@@ -32,7 +32,7 @@ def print_uplink(rows: list[UplinkRow], console: Console) -> None:
         console.print(table)
     console.print(
         "kB, Mbit/s: payload of an agent's frame; mean to p99: ms from sensing to signal; scans/s: "
-        "used, per agent; seen: of the vehicles that all agents together hit with 5 points or more; "
+        "used, per agent; seen: of vehicles that all agents together hit with 5 points or more; "
         "false: detections of nothing, a frame; count: mean error of a lane, vehicles",
         style="dim",
     )
