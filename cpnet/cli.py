@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import shutil
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -40,6 +41,7 @@ Override = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="any scenario key; `cpnet scenario` shows all"),
 ]
+BENCH_FRAMES = "frames of each run; the first 10 do not count"
 Address = "HOST:PORT, v2x=HOST:PORT or world=HOST:PORT"
 
 
@@ -120,7 +122,10 @@ def _conclude(run_dir: Path) -> None:
         return
     print_report(summary, _console)
     shown = _relative(run_dir)
-    _console.print(f"next: cpnet draw {shown}    cpnet report {shown} --json", soft_wrap=True)
+    command = "cpnet" if shutil.which("cpnet") else _relative(Path(sys.argv[0]).absolute())
+    _console.print(
+        f"next: {command} draw {shown}    {command} report {shown} --json", soft_wrap=True
+    )
 
 
 @app.command("report")
@@ -222,7 +227,7 @@ def bench_uplink_command(
         list[str] | None, typer.Option(help="uplink of all agents; may be given several times")
     ] = None,
     agents: Annotated[int, typer.Option(help="a roadside LiDAR and CAVs")] = 6,
-    frames: Annotated[int, typer.Option(help="frames of each run")] = 60,
+    frames: Annotated[int, typer.Option(help=BENCH_FRAMES)] = 60,
     realtime: Annotated[
         bool, typer.Option("--realtime", help="emulated links and the wall clock")
     ] = False,
@@ -253,7 +258,9 @@ def bench_rate_command(
         str, typer.Option(metavar="NAME[+FILTER],...", help="upload policies")
     ] = "full,foreground,reap+foreground",
     agents: Annotated[int, typer.Option(help="a roadside LiDAR and CAVs")] = 6,
-    frames: Annotated[int, typer.Option(help="frames of each run")] = 120,
+    frames: Annotated[
+        int, typer.Option(help="frames of each run; the first 10 do not count")
+    ] = 120,
     as_json: Annotated[bool, typer.Option("--json", help="stable keys, for programs")] = False,
 ) -> None:
     """Find the highest frame rate in realtime, with detection, on recorded scans."""

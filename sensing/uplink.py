@@ -92,7 +92,7 @@ class Uplink:
 
     @property
     def unsent_chunks(self) -> int:
-        """Chunks that a newer frame or the edge's having had enough made useless."""
+        """Chunks that a newer frame has overtaken."""
         return self._recalled + (0 if self._outbox is None else self._outbox.unsent)
 
     def hear(self, plan: Plan) -> None:
@@ -108,7 +108,7 @@ class Uplink:
         is_told = last is not None and self._plan is not None and self._plan.enough >= last.frame
         enough_sim_ns = self._plan.enough_sim_ns if self._plan is not None and is_told else None
         recalled = self.radio.begin(sim_time_ns, enough_sim_ns)
-        self._recalled += recalled
+        self._recalled += 0 if is_told else recalled
         if last is not None:
             del last.uploads[len(last.uploads) - recalled :]
             self._done.append(last)

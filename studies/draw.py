@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from protocol.errors import ConfigError
@@ -25,7 +26,9 @@ def draw_frame(run_dir: Path, frame: int | None, png_path: Path | None) -> Path:
     try:
         from studies.figure import save_picture
     except ModuleNotFoundError as error:
-        raise ConfigError(f"drawing needs {error.name}: pip install 'cpnet-edge[plot]'") from None
+        raise ConfigError(
+            f"drawing needs {error.name} (extra `plot`): {sys.executable} -m pip install matplotlib"
+        ) from None
     with Run(run_dir) as run:
         snapshot = load_snapshot(run, frame)
     path = png_path or run_dir / f"frame-{snapshot.row.frame}.png"

@@ -13,6 +13,7 @@ from studies.summary import Summary
 
 _MOST_AGENTS = 8
 _BLANK = "–"
+_MANY = 0.2  # of a run's frames
 
 
 def print_report(summary: Summary, console: Console) -> None:
@@ -25,6 +26,11 @@ def print_report(summary: Summary, console: Console) -> None:
         console.print(_agent_table(summary))
     if summary["drops"]:
         console.print(_drop_table(summary))
+    if summary["frames_incomplete"] > _MANY * summary["frames"]:
+        console.print(
+            "Many frames were incomplete: scans came later than edge.deadline_ms; a slow link "
+            "needs a longer one, or agents that send less (upload.policy, upload.filters)."
+        )
 
 
 def _headline(summary: Summary) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import struct
+import sys
 from types import ModuleType
 
 import numpy as np
@@ -32,7 +33,8 @@ def load_draco() -> ModuleType:
         import DracoPy
     except ModuleNotFoundError:
         raise ConfigError(
-            "Draco needs DracoPy, which is not installed: pip install 'cpnet-edge[reference]'"
+            "Draco needs DracoPy, which is not installed (extra `reference`): "
+            f"{sys.executable} -m pip install DracoPy"
         ) from None
     module: ModuleType = DracoPy
     return module

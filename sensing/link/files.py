@@ -49,7 +49,7 @@ def _lines(path: Path) -> list[str]:
             raise ConfigError(
                 f"{path}: has {path.stat().st_size} bytes, limit {MAX_FILE_BYTES}: cut the trace"
             )
-        lines = path.read_text("utf-8").splitlines()
+        lines = path.read_text("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from None
     if not any(line.strip() for line in lines):
@@ -91,7 +91,10 @@ def _read_mahimahi(path: Path, lines: list[str]) -> TraceRate:
         if not text:
             continue
         if not text.isascii() or not text.isdigit() or len(text) > 12:
-            raise ConfigError(f"{path}: line {number}: {text[:40]!r} is not a whole millisecond")
+            raise ConfigError(
+                f"{path}: line {number}: {text[:40]!r} is not a whole "
+                "millisecond, as a Mahimahi trace has it; the name of a table must end in .csv"
+            )
         time_ms = int(text)
         if time_ms < last_ms:
             raise ConfigError(
@@ -126,6 +129,8 @@ def _runs(packets: Counter[int]) -> tuple[list[int], list[int]]:
 def _trace(
     path: Path, starts_us: list[int], rates_bps: list[int], rtts_us: list[int], period_us: int
 ) -> TraceRate:
+    if not any(rates_bps):
+        raise ConfigError(f"{path}: the rate is 0 on every line: nothing would ever pass")
     if len(starts_us) > MAX_STEPS:
         raise ConfigError(f"{path}: has {len(starts_us)} steps, limit {MAX_STEPS}: cut the trace")
     try:

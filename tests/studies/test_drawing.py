@@ -111,7 +111,7 @@ def test_missing_matplotlib_names_what_to_install(
     for module in [m for m in sys.modules if m.startswith("studies.")]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(ConfigError, match=r"cpnet-edge\[plot\]"):
+    with pytest.raises(ConfigError, match="pip install matplotlib"):
         draw_frame(run_dir, None, run_dir / "frame.png")
 
 

@@ -44,7 +44,7 @@ def test_a_csv_trace_keeps_rate_and_round_trip(tmp_path):
         ("time_s,rate_mbps\n0,1\n1,-2\n", "line 3: rate_mbps is '-2'"),
         ("time_s,rate_mbps\n0,1\n1,nan\n", "line 3: rate_mbps is 'nan'"),
         ("time_s,rate_mbps\n0,1\n0,2\n", "line 3: time_s must be later"),
-        ("time_s,rate_mbps\n0,0\n1,0\n", "nor all rates 0"),
+        ("time_s,rate_mbps\n0,0\n1,0\n", "the rate is 0 on every line"),
     ],
 )
 def test_a_csv_that_is_no_trace_is_refused_with_file_and_line(tmp_path, text, message):
