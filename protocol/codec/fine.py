@@ -4,8 +4,12 @@ Rings are walked from the lowest, each along its columns. Three things are added
 does. A ring that is complete is smoothed once more, backwards (Rauch, Tung and Striebel, 1965), so
 that the ring above follows a calmer one. What is expected is corrected by a linear filter over the
 last residuals of this ring and what smoothing took off the ring below; the encoder finds the
-weights by least squares and sends them. And tokens are told apart by the residuals of six
-neighbours, in half octaves.
+weights by least squares for each of four bands of rings and sends them. And tokens are told apart
+by the residuals of ten neighbours, in half octaves.
+
+Edges take bits as well. Where a ring runs on another surface than the ring below, it is expected to
+go on as steeply as before. A range that is far from what was expected may be coded from one of two
+others: the surface before the last edge, or one of the ring below.
 
 All arithmetic that both sides share is of whole numbers, with shifts and floor division; none of it
 depends on the order of a sum or on floating point, so that every machine decodes the same.
@@ -35,19 +39,28 @@ from protocol.codec.tokens import (
     unfold,
 )
 
-CONTEXTS = 60
+CONTEXTS = 62
 _NEAR, _FAR, _MIXED, _SKY, _TAIL = 0, 26, 44, 50, 56
 _PAD = 16  # columns to either side, those of the ring's other end
 _TAPS = 8  # of the filter, on the ring and on the ring below
-WEIGHTS = 2 * _TAPS + 3
-WEIGHT_BITS = 14
+_MORE = 4  # inputs besides
+WEIGHTS = 2 * _TAPS + _MORE
+WEIGHT_BITS = 7
+BANDS = 4  # of rings, each with weights of its own
+_PARTS = 6  # of all rings: one for each band, but for the lowest, which has the rest
 _UNEASE = 5e3  # added to the power of the inputs, by whose square a beam counts less
 _LARGEST = 127  # size of a residual
 _CLASSES = 1 << 10
 # Rows of whole numbers along a ring: its filtered ranges and those of the ring below, smoothed;
-# residuals; what smoothing took off; what was expected; sizes of residuals here and below.
+# residuals; what smoothing took off; what was expected; sizes of residuals here and below; beams
+# lost here and below; jumps; and the ring two below, smoothed.
 _HERE, _BELOW, _RESIDUAL, _OFF, _EXPECTED, _SIZE, _SIZE_BELOW, _GONE, _GONE_BELOW, _JUMP = range(10)
-_ROWS = 10
+_UNDER = 10
+_ROWS = 11
+# Whole numbers that beams of a ring pass on: column and `_PAD`, returns since a jump, bits by which
+# inputs are shorter than ranges, largest input, range before the last edge, range of an edge.
+_AT, _SEEN, _SCALE, _MOST, _OTHER, _EDGE = range(6)
+_PLACES = 6
 
 
 def _size_classes() -> U1:
@@ -75,7 +88,7 @@ def _begin(rows: I4, columns: int, step: int) -> None:
     for at in range(_PAD + columns - 1, _PAD - 1, -1):
         here = i64(rows[_HERE, at])
         smooth = here + correction
-        rows[_BELOW, at] = smooth
+        rows[_UNDER, at], rows[_BELOW, at] = rows[_BELOW, at], smooth
         ahead = correction + here - rows[_EXPECTED, at]
         correction = 0 if rows[_JUMP, at] else (ahead * step) >> 8
         rows[_SIZE_BELOW, at] = rows[_SIZE, at]
@@ -90,41 +103,78 @@ def _begin(rows: I4, columns: int, step: int) -> None:
         rows[_GONE, n] = rows[_GONE_BELOW, n]
 
 
-@njit("int64(int32[:,::1], int32[::1], int32[::1], int64, int64, int64, int64)", cache=True)
-def _expect(rows: I4, weights: I4, extra: I4, at: int, last: int, scale: int, most: int) -> int:
-    """Returns what a beam is expected to return; fills three more inputs of the filter.
+@njit("int64(int32[:,::1], int32[::1], int32[::1], int64[::1], int64, int64)", cache=True)
+def _expect(rows: I4, weights: I4, extra: I4, place: I8, at: int, last: int) -> int:
+    """Returns what a beam is expected to return; fills four more inputs of the filter.
 
     Args:
         rows: of `_ROWS`.
         weights: (WEIGHTS,).
-        extra: (4,), filled, and last what the median alone expects.
+        extra: (_MORE + 1,), filled, and last what is expected without the filter.
+        place: of `_PLACES`.
         at: column and `_PAD`.
         last: filtered range to the left.
-        scale: bits by which inputs are shorter than ranges.
-        most: largest input.
     """
+    scale, most, edge = place[_SCALE], place[_MOST], place[_EDGE]
     under = i64(rows[_BELOW, at])
     left, right = i64(rows[_BELOW, at - 1]), i64(rows[_BELOW, at + 1])
     slope = under - left if at > _PAD else 0
     ahead = last + slope
     median = max(min(last, under), min(max(last, under), ahead))
+    apart = abs(last - left)
+    if apart > edge:  # the ring below is of another surface here: go on as before
+        before = i64(rows[_HERE, at - 2])
+        steep, steeper = last - before, before - i64(rows[_HERE, at - 3])
+        own = 0
+        if at >= _PAD + 3 and (steep > 0) == (steeper > 0):
+            own = min(steep, steeper) if steep > 0 else max(steep, steeper)
+        if apart > 2 * edge or 4 * abs(own) > edge:
+            median = last + own
     bend = right - 2 * under + left
     turn = i64(rows[_BELOW, at + 2]) - right - left + i64(rows[_BELOW, at - 2])
-    extra[3] = median
-    extra[0] = max(-most, min(most, (ahead - median) >> scale))
-    extra[1] = max(-most, min(most, bend >> scale))
-    extra[2] = max(-most, min(most, turn >> scale))
+    extra[_MORE] = median
+    ahead, gap = (ahead - median) >> scale, (under - median) >> scale
+    extra[0] = ahead if abs(ahead) <= most else 0
+    extra[1] = gap if abs(gap) <= most else 0
+    extra[2] = max(-most, min(most, bend >> scale))
+    extra[3] = max(-most, min(most, turn >> scale))
     total = np.int32(0)
     for n in range(_TAPS):
         total = np.int32(total + np.int32(weights[n] * rows[_RESIDUAL, at - _TAPS + n]))
     for n in range(_TAPS):
         total = np.int32(total + np.int32(weights[_TAPS + n] * rows[_OFF, at - _TAPS // 2 + n]))
-    for n in range(3):
+    for n in range(_MORE):
         total = np.int32(total + np.int32(weights[2 * _TAPS + n] * extra[n]))
     change = (i64(total) << scale) >> WEIGHT_BITS
     widest = most << scale
     expected: int = median + max(-widest, min(widest, change))
     return expected
+
+
+@njit("int64(int32[:,::1], int64[::1], int64, int64, int64)", cache=True)
+def _instead(rows: I4, place: I8, median: int, last: int, which: int) -> int:
+    """Returns what a beam may return that is not what was expected: another surface's range.
+
+    Args:
+        rows: of `_ROWS`.
+        place: of `_PLACES`.
+        median: what is expected without the filter.
+        last: filtered range to the left.
+        which: 1 for this ring's other surface, 2 for the first of four ranges of the rings below
+            that is neither that nor what was expected.
+    """
+    at, edge = place[_AT], place[_EDGE]
+    other: int = last if abs(median - last) > edge else place[_OTHER]
+    if which == 1:
+        return other
+    found: int = i64(rows[_BELOW, at])
+    if abs(median - found) <= edge or abs(other - found) <= edge:
+        found = i64(rows[_BELOW, at + 1])
+    if abs(median - found) <= edge or abs(other - found) <= edge:
+        found = i64(rows[_UNDER, at])
+    if abs(median - found) <= edge or abs(other - found) <= edge:
+        found = i64(rows[_BELOW, at - 1])
+    return found
 
 
 @njit("void(int32[:,::1], int32[::1], int64, int64, float64[::1], float64[:,::1])", cache=True)
@@ -133,7 +183,7 @@ def _note(rows: I4, extra: I4, at: int, wanted: int, inputs: Floats, gram: Float
 
     Args:
         rows: of `_ROWS`.
-        extra: (4,), as `_expect` filled it.
+        extra: as `_expect` filled it.
         at: column and `_PAD`.
         wanted: what the filter should have said, as an input.
         inputs: (WEIGHTS + 1,), overwritten.
@@ -142,7 +192,7 @@ def _note(rows: I4, extra: I4, at: int, wanted: int, inputs: Floats, gram: Float
     for n in range(_TAPS):
         inputs[n] = rows[_RESIDUAL, at - _TAPS + n]
         inputs[_TAPS + n] = rows[_OFF, at - _TAPS // 2 + n]
-    for n in range(3):
+    for n in range(_MORE):
         inputs[2 * _TAPS + n] = extra[n]
     inputs[WEIGHTS] = wanted
     power = 0.0
@@ -160,14 +210,15 @@ def _note(rows: I4, extra: I4, at: int, wanted: int, inputs: Floats, gram: Float
 def _context(rows: I4, size_classes: U1, at: int, expected: int, marks: I8) -> int:
     """Returns the context of a beam: how large residuals are nearby, and what was lost there."""
     total = i64(
-        2 * rows[_SIZE, at - 1]
-        + rows[_SIZE, at - 2]
-        + 2 * rows[_SIZE_BELOW, at]
+        2 * (rows[_SIZE, at - 1] + rows[_SIZE, at - 2] + rows[_SIZE_BELOW, at])
+        + rows[_SIZE, at - 3]
+        + rows[_SIZE, at - 4]
         + rows[_SIZE_BELOW, at - 1]
         + rows[_SIZE_BELOW, at + 1]
         + rows[_SIZE_BELOW, at + 2]
+        + rows[_SIZE_BELOW, at + 3]
     )
-    size: int = i64(size_classes[min(total, _CLASSES - 1)])
+    size: int = i64(size_classes[min((11 * total) >> 4, _CLASSES - 1)])
     below = rows[_GONE_BELOW, at - 1] + rows[_GONE_BELOW, at] + rows[_GONE_BELOW, at + 1]
     gone = i64(rows[_GONE, at - 1] + rows[_GONE, at - 2] + below)
     if gone >= 4:
@@ -182,7 +233,7 @@ def _context(rows: I4, size_classes: U1, at: int, expected: int, marks: I8) -> i
 
 @njit("int64(int64)", cache=True)
 def _tail_of(context: int) -> int:
-    """Returns which of four tails an escape in this context has."""
+    """Returns which of the first four tails an escape in this context has."""
     if context < _FAR:
         return min(3, context // 6)
     return 3
@@ -195,25 +246,27 @@ def _settle(rows: I4, tuning: I8, place: I8, median: int, value: int, k: int) ->
     Args:
         rows: of `_ROWS`.
         tuning: floor of the gain in 1/256, steps of a jump, shift of activities, low bits.
-        place: column and `_PAD`, returns since a jump, bits of scale, largest input.
-        median: what the median alone expected; the rows go on from it, so that the filter's weights
-            do not act on its own inputs.
+        place: of `_PLACES`.
+        median: what was expected without the filter; the rows go on from it, so that the filter's
+            weights do not act on its own inputs.
         value: the range.
         k: its steps from what was expected.
     """
-    at, seen, scale, most = place[0], place[1], place[2], place[3]
+    at, seen, scale, most = place[_AT], place[_SEEN], place[_SCALE], place[_MOST]
     residual = value - median
     rows[_EXPECTED, at], rows[_GONE, at] = median, 0
     rows[_SIZE, at] = min(((fold(k) >> tuning[3]) + 1) >> 1, _LARGEST)
     if abs(residual) >= tuning[1] * UNITS:
         rows[_HERE, at], rows[_JUMP, at], rows[_RESIDUAL, at], rows[_OFF, at] = value, 1, 0, 0
-        place[1] = 0
+        place[_SEEN] = 0
         return value
     here: int = median + ((max(UNITS * 2 // (2 * seen + 3), tuning[0]) * residual) >> 8)
     rows[_HERE, at], rows[_JUMP, at] = here, 0
     rows[_RESIDUAL, at] = max(-most, min(most, residual >> scale))
     rows[_OFF, at] = max(-most, min(most, (value - here) >> scale))
-    place[1] = min(seen + 1, 30)
+    if 2 * abs(residual) >= tuning[1] * UNITS:
+        seen = min(seen, 1)
+    place[_SEEN] = min(seen + 1, 30)
     return here
 
 
@@ -227,17 +280,18 @@ def _pass_over(rows: I4, at: int, expected: int) -> None:
 
 @njit("void(int64[::1], int64[::1])", cache=True)
 def _measure(tuning: I8, place: I8) -> None:
-    """Fills bits of scale and the largest input, four fifths of a jump in at most seven bits."""
+    """Fills bits of scale, the largest input, two thirds of a jump in seven bits, and an edge."""
     widest = tuning[1] * UNITS * 2 // 3
-    place[2] = 4
-    while widest >> place[2] > 127:
-        place[2] += 1
-    place[3] = max(4, widest >> place[2])
+    place[_SCALE] = 4
+    while widest >> place[_SCALE] > 127:
+        place[_SCALE] += 1
+    place[_MOST] = max(4, widest >> place[_SCALE])
+    place[_EDGE] = 2 * tuning[1] * UNITS
 
 
 @njit(
-    "void(float32[:,::1], float64, int64[::1], int64[::1], uint8[::1], int32[::1], "
-    "float64[:,::1], uint16[::1], uint32[::1], int32[:,::1], int64[::1])",
+    "void(float32[:,::1], float64, int64[::1], int64[::1], uint8[::1], int32[:,::1], "
+    "float64[:,:,::1], uint16[::1], uint32[::1], int32[:,::1], int64[::1])",
     cache=True,
 )
 def describe_fine(
@@ -261,8 +315,8 @@ def describe_fine(
         tuning: as there.
         marks: as there.
         size_classes: `SIZE_CLASSES`.
-        weights: (WEIGHTS,), of the filter.
-        gram: (WEIGHTS + 1, WEIGHTS + 1), to learn better weights: filled. Or empty.
+        weights: (BANDS, WEIGHTS), of the filter.
+        gram: (BANDS, WEIGHTS + 1, WEIGHTS + 1), to learn better weights: filled. Or empty.
         symbols: as there.
         raw: as there.
         counts: as there.
@@ -273,36 +327,47 @@ def describe_fine(
     rows = np.zeros((_ROWS, columns + 2 * _PAD), np.int32)
     for at in range(columns + 2 * _PAD):
         rows[_HERE, at] = rows[_EXPECTED, at] = marks[3]
-    extra = np.zeros(4, np.int32)
-    place, inputs, learns = np.zeros(4, np.int64), np.zeros(WEIGHTS + 1), len(gram) > 0
+    extra = np.zeros(_MORE + 1, np.int32)
+    place, inputs, learns = np.zeros(_PLACES, np.int64), np.zeros(WEIGHTS + 1), len(gram) > 0
     _measure(tuning, place)
     count, words, held, points, rise = 0, 0, 0, 0, 0
     bits = u64(0)
     for row in range(channels - 1, -1, -1):
         _begin(rows, columns, UNITS - tuning[0])
+        band = min(row * _PARTS // channels, BANDS - 1)
         last = i64(rows[_BELOW, _PAD]) + rise
-        place[1] = 0
+        place[_SEEN], place[_OTHER] = 0, last
         for column in range(columns):
             at = column + _PAD
-            expected = _expect(rows, weights, extra, at, last, place[2], place[3])
+            expected = _expect(rows, weights[band], extra, place, at, last)
             context = _context(rows, size_classes, at, expected, marks)
-            place[0] = at
+            place[_AT] = at
             turn = (column & (STATES - 1)) << TURN_SHIFT
             metres = range_m[row, column]
             if metres > 0:
                 points += 1
-                k = (i64(metres * units_per_m + 0.5) - expected + UNITS // 2) >> 8
+                value, base, which = i64(metres * units_per_m + 0.5), expected, 0
+                median = i64(extra[_MORE])
+                k = (value - expected + UNITS // 2) >> 8
                 whole = fold(k)
                 number = min(whole >> low, ESCAPE)
-                symbol = context * STRIDE + number + 1
+                if number == ESCAPE:
+                    enough = ((whole >> low) - 8) << low >> 2  # a quarter, or it is not worth it
+                    for n in range(1, 3):
+                        start = _instead(rows, place, median, last, n)
+                        steps = (value - start + UNITS // 2) >> 8
+                        if fold(steps) < min(enough, whole):
+                            base, which, whole, k = start, n, fold(steps), steps
+                symbol = context * STRIDE + number + which + 1
                 extra_bits, length = whole & ((1 << low) - 1), low
                 symbols[count] = turn | symbol
                 counts[count & 1, symbol] += 1
                 count += 1
                 if number == ESCAPE:
-                    over = (whole >> low) - ESCAPE
+                    over = (whole >> low) - (ESCAPE if which == 0 else 0)
                     token = tail_token(over)
-                    symbol = (_TAIL + _tail_of(context)) * STRIDE + token
+                    tail = _tail_of(context) if which == 0 else 3 + which
+                    symbol = (_TAIL + tail) * STRIDE + token
                     symbols[count] = turn | symbol
                     counts[count & 1, symbol] += 1
                     count += 1
@@ -316,16 +381,19 @@ def describe_fine(
                         words += 1
                         bits >>= u64(32)
                         held -= 32
-                value, median = expected + k * UNITS, i64(extra[3])
-                wanted = (value - median) >> place[2]
-                if learns and column & 3 == row & 3 and abs(wanted) <= place[3]:
-                    _note(rows, extra, at, wanted, inputs, gram)
+                value = base + k * UNITS
+                wanted = (value - median) >> place[_SCALE]
+                if learns and column & 3 == row & 3 and abs(wanted) <= place[_MOST]:
+                    _note(rows, extra, at, wanted, inputs, gram[band])
+                k, before = (value - expected + UNITS // 2) >> 8, last
                 last = _settle(rows, tuning, place, median, value, k)
+                if abs(last - before) > place[_EDGE]:
+                    place[_OTHER] = before
             else:
                 symbols[count] = turn | context * STRIDE
                 counts[count & 1, context * STRIDE] += 1
                 count += 1
-                last = i64(extra[3])
+                last = i64(extra[_MORE])
                 _pass_over(rows, at, last)
             if column == 0:
                 rise = last - i64(rows[_BELOW, at])
@@ -337,7 +405,7 @@ def describe_fine(
 
 @njit(
     "int64(uint16[::1], int64, uint32[::1], Array(uint8, 1, 'C', readonly=True), uint8[::1], "
-    "uint32[::1], int64[::1], int64[::1], uint8[::1], int32[::1], float64, "
+    "uint32[::1], int64[::1], int64[::1], uint8[::1], int32[:,::1], float64, "
     "Array(float64, 2, 'C', readonly=True), "
     "Array(float64, 2, 'C', readonly=True), float32[:,::1])",
     cache=True,
@@ -370,7 +438,7 @@ def restore_fine(
         tuning: as there.
         marks: as there.
         size_classes: `SIZE_CLASSES`.
-        weights: (WEIGHTS,), as the encoder's.
+        weights: (BANDS, WEIGHTS), as the encoder's.
         m_per_unit: as there.
         turns: as there.
         azimuths: as there.
@@ -381,8 +449,8 @@ def restore_fine(
     rows = np.zeros((_ROWS, columns + 2 * _PAD), np.int32)
     for at in range(columns + 2 * _PAD):
         rows[_HERE, at] = rows[_EXPECTED, at] = marks[3]
-    extra = np.zeros(4, np.int32)
-    place, beams = np.zeros(4, np.int64), np.zeros(columns, np.int32)
+    extra = np.zeros(_MORE + 1, np.int32)
+    place, beams = np.zeros(_PLACES, np.int64), np.zeros(columns, np.int32)
     _measure(tuning, place)
     states = np.empty(STATES, np.uint64)
     for n in range(STATES):
@@ -394,14 +462,15 @@ def restore_fine(
         if at_word > u64(end_word):
             return -1
         _begin(rows, columns, UNITS - tuning[0])
+        band = min(row * _PARTS // channels, BANDS - 1)
         last = i64(rows[_BELOW, _PAD]) + rise
-        place[1] = 0
+        place[_SEEN], place[_OTHER] = 0, last
         returns = 0
         for column in range(columns):
             at = column + _PAD
-            expected = _expect(rows, weights, extra, at, last, place[2], place[3])
+            expected = _expect(rows, weights[band], extra, place, at, last)
             context = _context(rows, size_classes, at, expected, marks)
-            place[0] = at
+            place[_AT] = at
             table = u64(table_of[context])
             state = states[column & (STATES - 1)]
             token = u64(slots[(table << u64(12)) | (state & u64(SHARES - 1))])
@@ -410,9 +479,14 @@ def restore_fine(
             state = refill(state, words[at_word])
             at_word = at_word_next
             if token > u64(0):
-                number, length = min(i64(token) - 1, ESCAPE), low
+                number, length, base = min(i64(token) - 1, ESCAPE), low, expected
                 if number == ESCAPE:
-                    table = u64(table_of[_TAIL + _tail_of(context)])
+                    which = min(i64(token) - 1 - ESCAPE, 2)
+                    if which > 0:
+                        base, number = _instead(rows, place, i64(extra[_MORE]), last, which), 0
+                        table = u64(table_of[_TAIL + 3 + which])
+                    else:
+                        table = u64(table_of[_TAIL + _tail_of(context)])
                     token = u64(slots[(table << u64(12)) | (state & u64(SHARES - 1))])
                     state = advance(state, place_of[(table << u64(6)) | token])
                     at_word_next = at_word + is_short(state)
@@ -421,7 +495,7 @@ def restore_fine(
                     length += tail_bits(i64(token))
                     if length > 32:
                         return -1
-                    number = ESCAPE + tail_base(i64(token))
+                    number += tail_base(i64(token))
                 if length > 0:
                     if held < length:
                         if at_raw >= len(raw):
@@ -433,13 +507,15 @@ def restore_fine(
                     bits >>= u64(length)
                     held -= length
                     number = ((number + (more >> low)) << low) | (more & ((1 << low) - 1))
-                k = unfold(number)
-                value, median = expected + k * UNITS, i64(extra[3])
+                value, median = base + unfold(number) * UNITS, i64(extra[_MORE])
+                k, before = (value - expected + UNITS // 2) >> 8, last
                 beams[column] = value
                 last = _settle(rows, tuning, place, median, value, k)
+                if abs(last - before) > place[_EDGE]:
+                    place[_OTHER] = before
                 returns += 1
             else:
-                last = i64(extra[3])
+                last = i64(extra[_MORE])
                 _pass_over(rows, at, last)
             states[column & (STATES - 1)] = state
             if column == 0:
