@@ -14,11 +14,13 @@ class Ending:
 
     def __init__(self) -> None:
         self._began_ns: int | None = None
+        self._awaits_last_frame = True
         self._heard_ns = 0
 
-    def begin(self, now_ns: int) -> None:
-        """The world has said that it stops."""
+    def begin(self, now_ns: int, *, in_time: bool) -> None:
+        """The world stops; if before its time, the last frame is not waited for."""
         self._began_ns = now_ns
+        self._awaits_last_frame = in_time
 
     def heard(self, now_ns: int) -> None:
         """Something was said."""
@@ -30,7 +32,11 @@ class Ending:
             return False
         if now_ns - self._began_ns >= PATIENCE_NS:
             return True
-        last = ledger.get(ledger.newest_tick)
-        if last is None or not last.heard >= LAST_TO_SPEAK or last.detections is None:
+        if self._awaits_last_frame and not _is_whole(ledger):
             return False
         return now_ns - self._heard_ns >= SILENCE_NS
+
+
+def _is_whole(ledger: Ledger) -> bool:
+    last = ledger.get(ledger.newest_tick)
+    return last is not None and last.heard >= LAST_TO_SPEAK and last.detections is not None

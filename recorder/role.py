@@ -143,7 +143,7 @@ class RecordRole:
         self._database.add(tables.ClockRow, [tables.ClockRow(reading.process, *found)])
 
     def _on_end(self, end: m.End, received_ns: int) -> None:
-        self._ending.begin(received_ns)
+        self._ending.begin(received_ns, in_time=end.reason == "finished")
         facts = {
             "end_frames": str(end.frames),
             "end_reason": end.reason,

@@ -235,7 +235,7 @@ def test_contradictory_messages_are_counted_and_dropped(rig: Rig, tmp_path: Path
 
 def test_the_role_stops_soon_after_the_end_once_the_last_frame_is_whole(rig: Rig) -> None:
     rig.frame(0)
-    rig.world.publish("end", m.End(frames=1, reason="duration"))
+    rig.world.publish("end", m.End(frames=1, reason="finished"))
     begun = time.monotonic()
     rig.drain()
     while not rig.stop.is_set() and time.monotonic() - begun < 3:
@@ -247,10 +247,18 @@ def test_the_role_stops_soon_after_the_end_once_the_last_frame_is_whole(rig: Rig
 
 def test_the_role_waits_no_longer_than_its_patience_for_a_silent_edge(rig: Rig) -> None:
     rig.metrics("signal", 0)
-    rig.world.publish("end", m.End(frames=1, reason="duration"))
+    rig.world.publish("end", m.End(frames=1, reason="finished"))
     rig.drain()
     assert not rig.role._ending.is_over(time.monotonic_ns() + 1_500 * MS, rig.role._ledger)
     assert rig.role._ending.is_over(time.monotonic_ns() + 2_000 * MS, rig.role._ledger)
+    rig.role.close()
+
+
+def test_after_a_world_that_stopped_early_the_last_frame_is_not_waited_for(rig: Rig) -> None:
+    rig.metrics("signal", 0)
+    rig.world.publish("end", m.End(frames=1, reason="stopped"))
+    rig.drain()
+    assert rig.role._ending.is_over(time.monotonic_ns() + 200 * MS, rig.role._ledger)
     rig.role.close()
 
 
