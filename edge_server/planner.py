@@ -13,7 +13,7 @@ from edge_server.coverage import Borders, Uploaded
 from edge_server.frame import Frame
 from edge_server.plan import PLAIN, cells, partners, power_weights, voronoi_weights
 from perception.arrays import Floats
-from protocol.messages import Plan
+from protocol.messages import NEVER_NS, Plan
 from protocol.roadmap import RoadMap
 from sensing.config import UploadConfig
 from sensing.link.config import LinkConfig
@@ -107,7 +107,7 @@ class Planner:
         came = [(pose.agent, -1, 0, pose.arrival_sim_ns) for pose in frame.poses]
         came += [(p.agent, p.chunk, p.size_bytes, p.arrival_sim_ns) for p in frame.pieces]
         for agent, _, payload_bytes, arrival_ns in sorted(came, key=lambda part: part[:2]):
-            if arrival_ns is not None:
+            if arrival_ns is not None and arrival_ns < NEVER_NS:
                 size_bytes = payload_bytes + ENVELOPE_BYTES
                 self.bandwidth.heard(
                     agent, frame.frame, size_bytes, sent_ns=sent_ns, received_ns=arrival_ns

@@ -95,9 +95,9 @@ class EdgeRole:
             self._context.announce("edge")
         frame = self._assembler.pop(time.monotonic_ns())
         if frame is not None:
-            frame = self._cut(frame)
-            self._publish_plans(frame)
-            self._publish(frame, self._pipeline.run(frame))
+            cut = self._cut(frame)
+            self._publish_plans(frame, cut)
+            self._publish(cut, self._pipeline.run(cut))
 
     def close(self) -> None:
         """Holds nothing of its own."""
@@ -134,12 +134,12 @@ class EdgeRole:
             piece = spoilt_scan(scan, came.received_ns)
         self._assembler.add_piece(piece)
 
-    def _publish_plans(self, frame: Frame) -> None:
+    def _publish_plans(self, frame: Frame, cut: Frame) -> None:
         """Goes first, before the frame is worked on: it tells agents that the frame is over.
 
         In lockstep an agent waits for it before it begins the next frame.
         """
-        enough_sim_ns = self._punctuality.end_ns(frame) if self._punctuality else None
+        enough_sim_ns = self._punctuality.end_ns(cut) if self._punctuality else None
         for plan in self._planner.plans(frame, enough_sim_ns):
             self._context.v2x.publish("plan", plan, region=self._region, agent=plan.agent)
 

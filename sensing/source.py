@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from protocol.codec import RangeScan
+from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from protocol.messages import Setup, Tick
 from sensing.config import LidarConfig, SceneConfig
@@ -55,7 +56,13 @@ def source_of(setup: Setup, config: LidarConfig) -> ScanSource:
     """
     scenario: dict[str, Any] = setup.scenario
     if scenario.get("recording"):
-        return Played(Recording(Path(scenario["recording"])))
+        recording = Recording(Path(scenario["recording"]))
+        if recording.pattern != config.pattern:
+            raise ConfigError(
+                f"recording {scenario['recording']}: its scans are of {recording.pattern}, the "
+                f"scenario's LiDARs of {config.pattern}"
+            )
+        return Played(recording)
     seed: int = scenario["seed"]
     scene = scene_of(setup, SceneConfig.model_validate(scenario["scene"]), seed)
     return Cast(Lidar(config, scene, VehicleShapes.from_setup(setup)), seed)

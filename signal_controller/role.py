@@ -118,13 +118,14 @@ class SignalRole:
             pressures=decision.pressures,
             delay_sim_ns=counts.delay_sim_ns,
         )
+        decided_ns = time.monotonic_ns()  # before it is sent: the cabinet may act at once
         self._context.v2x.publish("request", request, tls=self._signal.tls)
         drops = dict(+(Counter(self._context.inbox.drops) + self._drops))
         metrics = Metrics(
             process=self._context.id,
             frame=counts.frame,
             sim_time_ns=counts.sim_time_ns,
-            spans=[Span(stage="decide", start_ns=start_ns, end_ns=time.monotonic_ns())],
+            spans=[Span(stage="decide", start_ns=start_ns, end_ns=decided_ns)],
             drops=drops,
         )
         self._context.world.publish("metrics", metrics, process=self._context.id)

@@ -91,8 +91,9 @@ def row_of(run: Run, policy: str, link: str, visible: Visible, frame_period_s: f
 def _scans_per_s(run: Run, frame_period_s: float) -> float | None:
     """Returns how many scans of an agent the edge used per second of simulated time."""
     sql = """
-        SELECT count(*), count(DISTINCT agent) FROM
-        (SELECT DISTINCT frame, agent FROM uploads WHERE received_ns IS NOT NULL AND frame >= ?)
+        SELECT (SELECT count(*) FROM (SELECT DISTINCT frame, agent FROM uploads
+                WHERE received_ns IS NOT NULL AND frame >= ?)),
+               (SELECT count(DISTINCT agent) FROM uploads)
     """
     used, agents = run.query(sql, LEARNING_FRAMES)[0]
     ticks = "SELECT count(*) FROM frames WHERE tick_ns IS NOT NULL AND frame >= ?"

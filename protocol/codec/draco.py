@@ -71,8 +71,7 @@ def open_draco(packed: bytes, points: int) -> Floats32:
     """Decodes Draco's bytes.
 
     Raises:
-        CodecError: they are damaged, or hold other than this many points.
-        ConfigError: DracoPy is not installed.
+        CodecError: they are damaged, hold other than this many points, or DracoPy is not here.
     """
     if points == 0 and not packed:
         return np.zeros((0, 3), np.float32)
@@ -83,8 +82,6 @@ def open_draco(packed: bytes, points: int) -> Floats32:
         raise CodecError(f"Draco's part states {stated} points, the scan {points}")
     try:
         found = np.asarray(load_draco().decode(packed).points, np.float32)
-    except ConfigError:
-        raise
     except Exception as error:  # noqa: BLE001 - DracoPy raises whatever its C++ threw
         raise CodecError(f"Draco: {error}") from None
     if found.shape != (points, 3) or not np.isfinite(found).all():
