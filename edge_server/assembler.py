@@ -51,6 +51,10 @@ class Assembler:
             self._alive.discard(process)
             self._heard.discard(process)
 
+    def admits(self, frame: int) -> bool:
+        """Whether a frame can be real, be it over."""
+        return self._horizon.admits(frame)
+
     def add_time(self, frame: int, sim_time_ns: int) -> None:
         """Takes note of a frame's simulated time, as the signal's state has it."""
         self._horizon.follow(frame)

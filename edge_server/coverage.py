@@ -33,6 +33,12 @@ class Uploaded:
         """Whether all chunks came."""
         return 0 < self.chunks == self.came
 
+    def came_by(self, plan_frame: int) -> int:
+        """Returns how many chunks of a plan came; a whole scan is as good as all of any plan."""
+        if self.is_whole:
+            return TOGETHER
+        return self.came if self.plan_frame == plan_frame else 0
+
 
 @dataclass(frozen=True, slots=True)
 class Borders:

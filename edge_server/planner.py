@@ -12,6 +12,7 @@ from edge_server.config import PlanConfig
 from edge_server.coverage import Borders, Uploaded
 from edge_server.frame import Frame
 from edge_server.plan import PLAIN, cells, partners, power_weights, voronoi_weights
+from edge_server.sites import Site, Sites
 from perception.arrays import Floats
 from protocol.messages import NEVER_NS, Plan
 from protocol.roadmap import RoadMap
@@ -20,6 +21,7 @@ from sensing.link.config import LinkConfig
 from sensing.radio import ENVELOPE_BYTES
 from sensing.upload.registry import POLICIES, Policy
 
+AHEAD_FRAMES = 2  # a plan is followed so long after its frame: by then all agents have it
 KEPT_PLANS = 8
 _BEYOND_M = 600.0  # around the lanes: farther than any sensor on the road sees
 
@@ -41,8 +43,8 @@ class Planner:
         self._is_virtual = link.way(scenario["mode"]) == "virtual"
         self._lead_ns = round(link.agent_compute_ms * 1e6)
         self._box = _box(road_map)
-        self._posts: dict[str, Floats] = {}
         self._borders: dict[int, Borders] = {}
+        self.sites = Sites()
         self.bandwidth = Bandwidth()
 
     @property
@@ -52,7 +54,7 @@ class Planner:
         return in_order and self._config.early_end and (self._is_virtual or not self._lockstep)
 
     def plans(self, frame: Frame, enough_sim_ns: int | None = None) -> list[Plan]:
-        """Returns what every agent that scanned in a frame shall send from the next one on.
+        """Returns what every agent that scanned in a frame shall send from `AHEAD_FRAMES` later on.
 
         In lockstep these are the agents with cells alone, since the others need no plan. Over
         virtual links the edge has had enough of the frame since `enough_sim_ns`.
@@ -60,12 +62,14 @@ class Planner:
         if self._is_virtual:
             self._hear_virtual(frame)
         self.bandwidth.forget(frame.frame)
-        sites = self._sites(frame)
+        known = self.sites.of(frame.scanning, frame.frame)
+        sites = {agent: site for agent, site in known.items() if self._policy(site).cells}
         agents = sorted(sites)
         # To the centimetre: two agents stand at one place or truly apart, which no rounding blurs.
-        places = np.round(np.array([sites[agent] for agent in agents]).reshape(-1, 2), 2)
+        places = np.round(np.array([sites[agent].place for agent in agents]).reshape(-1, 2), 2)
         weights_m2 = self._weights_m2(agents, places)
-        self._remember(frame.frame + 1, agents, places, weights_m2)
+        first = frame.frame + AHEAD_FRAMES
+        self._remember(first, agents, places, weights_m2)
         nowhere = np.zeros((0, 2)), np.zeros((0, 3))
         plans = []
         for agent in frame.scanning:
@@ -74,7 +78,7 @@ class Planner:
                 site_array, weight_array = (places, weights_m2) if planned else nowhere
                 plans.append(
                     Plan(
-                        frame=frame.frame + 1,
+                        frame=first,
                         agent=agent,
                         mbps=self.bandwidth.mbps(agent) or 0.0,
                         enough=frame.frame,
@@ -89,14 +93,19 @@ class Planner:
     def covers(self, uploaded: Mapping[str, Uploaded]) -> bool:
         """Whether a frame needs no more of its scanning agents than what they have sent.
 
-        Agents with cells must have cut them by one plan. Of newcomers that no plan knew, nothing
-        is needed; of agents that have no cells, all is.
+        That is so if it holds by any plan that one of them followed.
         """
-        plans = {scan.plan_frame for scan in uploaded.values() if scan.plan_frame >= 0}
-        borders = self._borders.get(min(plans)) if len(plans) == 1 else None
-        if borders is None:
-            return False
-        cut = {agent: scan.came for agent, scan in uploaded.items() if agent in borders.agents}
+        plans = {scan.plan_frame for scan in uploaded.values()} & self._borders.keys()
+        return any(self._covers_by(plan, uploaded) for plan in plans)
+
+    def _covers_by(self, plan: int, uploaded: Mapping[str, Uploaded]) -> bool:
+        """Judges by one plan; who followed another counts once all came that it sees.
+
+        Of newcomers that the plan did not know, nothing is needed; of agents that have no cells,
+        all is.
+        """
+        borders = self._borders[plan]
+        cut = {a: scan.came_by(plan) for a, scan in uploaded.items() if a in borders.agents}
         others = [scan for agent, scan in uploaded.items() if agent not in borders.agents]
         both_have_cells = self._vehicle.cells and self._roadside.cells
         return borders.covered(cut) and (both_have_cells or all(scan.is_whole for scan in others))
@@ -113,21 +122,8 @@ class Planner:
                     agent, frame.frame, size_bytes, sent_ns=sent_ns, received_ns=arrival_ns
                 )
 
-    def _sites(self, frame: Frame) -> dict[str, Floats]:
-        """Returns where the sensors of the agents with cells stand, x and y."""
-        driving = {pose.agent: pose.pose[:2] for pose in frame.poses}
-        seen = {piece.agent: piece.sensor_pose[:2] for piece in frame.pieces}
-        known = self._posts | driving | seen
-        posts = [agent for agent in frame.scanning if agent not in driving and agent in known]
-        self._posts = {agent: known[agent] for agent in posts}
-        return {
-            agent: known[agent]
-            for agent in frame.scanning
-            if agent in known and self._policy(is_driving=agent in driving).cells
-        }
-
-    def _policy(self, *, is_driving: bool) -> Policy:
-        return self._vehicle if is_driving else self._roadside
+    def _policy(self, site: Site) -> Policy:
+        return self._vehicle if site.drives else self._roadside
 
     def _weights_m2(self, agents: list[str], places: Floats) -> Floats:
         if not (self._vehicle.weighted or self._roadside.weighted):

@@ -80,6 +80,7 @@ class EdgeRole:
             case Roster() as roster:
                 self._assembler.add_roster(roster, item.received_ns)
             case AgentPose() as pose:
+                self._note_site(pose)
                 self._assembler.add_pose(pose, item.received_ns)
             case Scan() as scan:
                 self._take_scan(scan, item)
@@ -115,8 +116,13 @@ class EdgeRole:
         self._assembler.drops["late"] += late
         return cut
 
+    def _note_site(self, message: AgentPose | Scan) -> None:
+        if self._assembler.admits(message.frame):
+            self._planner.sites.hear(message)
+
     def _take_scan(self, scan: Scan, came: Envelope) -> None:
-        """Decodes what is wanted. What is late still tells how much its uplink carries."""
+        """Decodes what is wanted. What is late still tells of its agent's place and uplink."""
+        self._note_site(scan)
         if not self._lockstep:
             self._planner.bandwidth.heard(
                 scan.agent,

@@ -46,7 +46,7 @@ class InfraRole:
     def _play(self, tick: Tick) -> None:
         agent, pose = self._uplink.agent, self._map_SE3_sensor
         self._station.begin(tick)
-        scans = self._station.admits(agent, tick)
+        scans = self._station.uploads and self._station.admits(self._uplink.radio, tick)
         self._station.publish_roster(tick, [agent], [agent] if scans else [])
         if scans:
             self._uplink.sense_and_send(

@@ -29,7 +29,10 @@ class Radio(Protocol):
         """
 
     def is_clogged(self, sim_time_ns: int) -> bool:
-        """Whether what is queued takes longer to leave than a frame lasts: skip a scan."""
+        """Whether what is queued takes longer to leave than a frame lasts: leave a frame out."""
+
+    def hears_ns(self, said_sim_ns: int) -> int:
+        """Returns when the agent hears what the edge said then, in simulated time."""
 
     def carry(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> Passage | None:
         """Takes note of a message of a frame; None where the link is real."""
@@ -55,6 +58,10 @@ class RealRadio:
         """Compares what waits with what left since the last frame."""
         before, self._sent_bytes = self._sent_bytes, self._bus.wire_bytes()
         return self._bus.unsent_bytes() > max(0, self._sent_bytes - before)
+
+    def hears_ns(self, said_sim_ns: int) -> int:
+        """See `Radio.hears_ns`."""
+        return said_sim_ns
 
     def carry(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> None:
         """See `Radio.carry`."""
@@ -89,7 +96,7 @@ class VirtualRadio:
             return 0
         until_ns = sim_time_ns + self._lead_ns
         if enough_sim_ns is not None:
-            until_ns = min(until_ns, enough_sim_ns + self._link.delay_ns(enough_sim_ns))
+            until_ns = min(until_ns, self.hears_ns(enough_sim_ns))
         recalled = self._link.recall(until_ns)
         self._taken_bytes -= sum(passage.on_air_bytes for passage in recalled)
         return len(recalled)
@@ -99,6 +106,10 @@ class VirtualRadio:
         if self._link is None:
             return False
         return self._link.backlog_ns(sim_time_ns + self._lead_ns) >= self._period_ns
+
+    def hears_ns(self, said_sim_ns: int) -> int:
+        """See `Radio.hears_ns`; the way back has the same delay and no queue."""
+        return said_sim_ns + (0 if self._link is None else self._link.delay_ns(said_sim_ns))
 
     def carry(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> Passage:
         """See `Radio.carry`; a chunk that the next frame will overtake never arrives."""

@@ -55,6 +55,7 @@ class Station:
             config=upload,
             detector=Detector.of(road_map, scenario["edge"]) if detects else None,
             lockstep=scenario["mode"] == "lockstep",
+            period_ns=round(scenario["frame_period_s"] * 1e9),
         )
         self._uplinks: dict[str, Uplink] = {}
         self._scanned: tuple[int, list[str]] = (-1, [])
@@ -105,16 +106,13 @@ class Station:
     def begin(self, tick: Tick) -> None:
         """Begins a frame on all ways to the edge."""
         for _, uplink in sorted(self._uplinks.items()):
-            uplink.begin(tick.sim_time_ns)
+            uplink.begin(tick.frame, tick.sim_time_ns)
             self._settled += uplink.settle(tick.frame)
 
-    def admits(self, agent: str, tick: Tick) -> bool:
-        """Whether an agent is to scan; if not, its link has not taken the last scan yet."""
-        uplink = self._uplinks.get(agent)
-        if uplink is None or not self.uploads:
-            return False
-        clogged = uplink.radio.is_clogged(tick.sim_time_ns)
-        self._drops["skipped_scans"] += clogged
+    def admits(self, radio: Radio, tick: Tick) -> bool:
+        """Whether an agent takes part in a frame; if not, its link has not taken the last one."""
+        clogged = radio.is_clogged(tick.sim_time_ns)
+        self._drops["skipped_frames"] += clogged
         return not clogged
 
     def take(self, item: Envelope | Presence) -> None:
@@ -165,7 +163,7 @@ class Station:
             return False
         frame, scanned = self._scanned
         uplinks = [self._uplinks[agent] for agent in scanned if agent in self._uplinks]
-        if frame != tick.frame - 1 or all(u.plan_frame >= tick.frame for u in uplinks):
+        if frame != tick.frame - 1 or all(uplink.told >= frame for uplink in uplinks):
             return False
         if time.monotonic_ns() - self._ticked_ns < PLAN_WAIT_NS:
             return True

@@ -18,9 +18,8 @@ from sensing.radio import ENVELOPE_BYTES, Radio
 from sensing.source import ScanSource
 from sensing.upload.objects import Detector
 from sensing.upload.outbox import Outbox
+from sensing.upload.plans import Plans
 from sensing.upload.selection import Selection, Selector
-
-MAX_PLAN_AGE = 10  # frames; an older plan is of a scene that has passed
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +32,7 @@ class Kit:
     config: UploadConfig
     detector: Detector | None  # of agents that send objects
     lockstep: bool
+    period_ns: int  # of a frame
 
 
 @dataclass(slots=True, eq=False)
@@ -77,7 +77,8 @@ class Uplink:
         self.radio = radio
         self._kit = kit
         self._selector = selector
-        self._plan: Plan | None = None
+        self._plans = Plans()
+        self._frame = -1
         self._outbox = None if kit.lockstep else Outbox(agent)
         self._under_way: Shipment | None = None
         self._done: list[Shipment] = []
@@ -86,9 +87,9 @@ class Uplink:
         self._counted_frame: int | None = None
 
     @property
-    def plan_frame(self) -> int:
-        """The frame of the newest plan, -1 before the first one."""
-        return -1 if self._plan is None else self._plan.frame
+    def told(self) -> int:
+        """The frame of which the edge said last that it has had enough; -1 before."""
+        return -1 if self._plans.newest is None else self._plans.newest.enough
 
     @property
     def unsent_chunks(self) -> int:
@@ -97,16 +98,19 @@ class Uplink:
 
     def hear(self, plan: Plan) -> None:
         """Takes the edge's plan; an older one than the newest is left."""
-        if plan.frame > self.plan_frame:
-            self._plan = plan
-            if self._outbox is not None:
-                self._outbox.hear(enough=plan.enough, mbps=plan.mbps)
+        said_ns = plan.enough_sim_ns
+        arrival_ns = 0 if said_ns is None else self.radio.hears_ns(said_ns)
+        is_taken = self._plans.hear(plan, frame=self._frame, arrival_sim_ns=arrival_ns)
+        if is_taken and self._outbox is not None:
+            self._outbox.hear(enough=plan.enough, mbps=plan.mbps)
 
-    def begin(self, sim_time_ns: int) -> None:
+    def begin(self, frame: int, sim_time_ns: int) -> None:
         """Begins a frame: what of the last one has not begun to leave is not sent any more."""
+        self._frame = frame
         last, self._under_way = self._under_way, None
-        is_told = last is not None and self._plan is not None and self._plan.enough >= last.frame
-        enough_sim_ns = self._plan.enough_sim_ns if self._plan is not None and is_told else None
+        newest = self._plans.newest
+        is_told = last is not None and newest is not None and newest.enough >= last.frame
+        enough_sim_ns = newest.enough_sim_ns if newest is not None and is_told else None
         recalled = self.radio.begin(sim_time_ns, enough_sim_ns)
         self._recalled += 0 if is_told else recalled
         if last is not None:
@@ -124,7 +128,7 @@ class Uplink:
         sense_start_ns = time.monotonic_ns()
         scan = self._kit.source.scan(self.agent, tick, map_SE3_sensor, own)
         sense_end_ns = time.monotonic_ns()
-        plan = self._plan if self.plan_frame >= tick.frame - MAX_PLAN_AGE else None
+        plan = self._plans.of(tick.frame, tick.sim_time_ns)
         selection = self._selector.select(scan, believed_SE3_sensor, self.agent, plan)
         shipment = Shipment(
             self, tick, scan, selection, believed_SE3_sensor, sense_start_ns, sense_end_ns
@@ -163,12 +167,12 @@ class Uplink:
         return [WireCount(agent=self.agent, frame=last, sent_bytes=sent_bytes)]
 
     def finish(self) -> None:
-        """Sends nothing more; what is on a virtual link still leaves."""
+        """Sends nothing more; what leaves a virtual link within the last frame still does."""
         if self._outbox is not None:
             self._outbox.close()
         if self._under_way is not None:
-            self._done.append(self._under_way)
-            self._under_way = None
+            tick = self._under_way.tick
+            self.begin(tick.frame + 1, tick.sim_time_ns + self._kit.period_ns)
 
     def send_chunk(self, shipment: Shipment, chunk: int) -> int:
         """Encodes a chunk and sends it; returns the message's size in bytes."""

@@ -1,9 +1,9 @@
 """Sharing without an edge, the baseline of EMP: every agent broadcasts, every vehicle detects.
 
 Each agent sends its whole scan once, over its own uplink, to all; what a vehicle hears comes scan
-after scan over its own downlink, which is as fast; it leaves out a frame while an earlier one takes
-longer to come than a frame lasts. Then it merges and detects by itself. Computing is measured here,
-one vehicle after the other, as if each had a computer of its own; links are virtual.
+after scan over its own downlink, which is as fast. An agent leaves a frame out while what is queued
+on its link takes longer than a frame lasts. Vehicles merge and detect by themselves. Computing is
+measured here, one vehicle after the other, as if each had a computer of its own; links are virtual.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from edge_server.frame import Frame, Piece
 from edge_server.pipeline import Pipeline
 from protocol.codec import decode, encode_scan
 from protocol.geometry import SE3
-from protocol.messages import Equipment, Setup, Truth
+from protocol.messages import NEVER_NS, Equipment, Setup, Truth
 from recorder.rows import count_rows, detection_rows, truth_rows
 from sensing.config import PoseErrorConfig, SceneConfig, UploadConfig
 from sensing.link.named import profile_named
@@ -99,14 +99,18 @@ class _Sharing:
             scan = self._recording.scan(agent, frame)
             payload = encode_scan(scan, UploadConfig().max_error_m)
             ready_ns = now_ns + time.perf_counter_ns() - begin_ns
-            at_ns = _carry(self._up[agent], ready_ns, len(payload))
+            at_ns = NEVER_NS
+            if not self._is_clogged(self._up[agent], now_ns):
+                at_ns = _carry(self._up[agent], ready_ns, len(payload))
             sent[agent] = (self._piece(agent, truth), payload, at_ns)
-            self._bytes.append(len(payload))
+            self._bytes.append(len(payload) if at_ns < NEVER_NS else 0)
         for agent in self._recording.agents:
-            link = self._down[agent]
-            clogged = link is not None and link.backlog_ns(now_ns) >= self._period_ns
-            if agent != POST and not clogged:
-                self._receive(agent, truth, now_ns, sent)
+            if agent != POST and not self._is_clogged(self._down[agent], now_ns):
+                heard = {a: s for a, s in sent.items() if a == agent or s[2] < NEVER_NS}
+                self._receive(agent, truth, now_ns, heard)
+
+    def _is_clogged(self, link: VirtualLink | None, now_ns: int) -> bool:
+        return link is not None and link.backlog_ns(now_ns) >= self._period_ns
 
     def _piece(self, agent: str, truth: Truth) -> Piece:
         nothing = np.zeros((0, 3), np.float32)

@@ -62,10 +62,11 @@ class VehicleRole:
 
     def _play(self, tick: Tick) -> None:
         hosted = self._hosted(tick)
-        self._forget_all_but({tick.ids[i] for i in hosted})
-        mine = [i for i in hosted if self._connect(tick, i)]
+        connected = [i for i in hosted if self._connect(tick, i)]
         self._station.begin(tick)
-        scanning = [i for i in mine if self._station.admits(tick.ids[i], tick)]
+        self._forget_all_but({tick.ids[i] for i in hosted})
+        mine = [i for i in connected if self._station.admits(self._radios[tick.ids[i]], tick)]
+        scanning = [i for i in mine if tick.ids[i] in self._uplinks and self._station.uploads]
         names = ([tick.ids[i] for i in indices] for indices in (mine, scanning))
         self._station.publish_roster(tick, *names)
         for index in mine:

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge_server.coverage import Borders
+from edge_server.coverage import Borders, Uploaded
 from edge_server.plan import power_weights
 from edge_server.planner import borders_of
 from sensing.upload.cells import cut
@@ -58,3 +58,11 @@ def test_who_has_left_is_not_waited_for_and_who_is_alone_needs_one_chunk() -> No
     assert borders.covered({"a": 1})
     assert not borders.covered({"a": 0})
     assert Borders((), (), ()).covered({})
+
+
+def test_chunks_count_by_their_own_plan_and_a_whole_scan_by_any() -> None:
+    part, whole = Uploaded(2, 4, plan_frame=7), Uploaded(4, 4, plan_frame=7)
+    assert [part.came_by(plan) for plan in (7, 8)] == [2, 0]
+    assert [whole.came_by(plan) for plan in (7, 8)] == [4, 4]
+    assert Uploaded(1, 1, plan_frame=-1).came_by(8) == 4  # of a newcomer, all it sees
+    assert Uploaded(0, 0, plan_frame=-1).came_by(8) == 0

@@ -278,7 +278,7 @@ def test_in_lockstep_plans_go_out_before_the_counts_and_hold_no_measured_rate(
     plans = said(heard, m.Plan)
     assert [plan.agent for plan in plans] == ["cav", "rsu-0"]
     for plan in plans:
-        assert (plan.frame, plan.enough, plan.mbps) == (4, 3, 0)
+        assert (plan.frame, plan.enough, plan.mbps) == (5, 3, 0)
         assert plan.agents == ["cav", "rsu-0"]
         np.testing.assert_allclose(plan.weights_m2[:, 1], [0, 0], atol=1e-6)
 
@@ -299,7 +299,7 @@ def test_in_realtime_everybody_hears_its_rate_and_that_the_frame_is_over(
     rig.say_rosters(0, [], ["rsu-0"])
     rig.say_scan(0, "rsu-0")
     (plan,) = said(rig.turn(), m.Plan)
-    assert (plan.frame, plan.enough, plan.agents) == (1, 0, [])
+    assert (plan.frame, plan.enough, plan.agents) == (2, 0, [])
 
 
 def test_in_realtime_a_frame_ends_once_neighbours_cover_the_space_between_them(
@@ -307,8 +307,8 @@ def test_in_realtime_a_frame_ends_once_neighbours_cover_the_space_between_them(
 ) -> None:
     rig = Rig(road_map, mode="realtime", policy="reap", deadline_ms=10_000)
     rig.start()
-    for frame, plan_frame, last in ((0, -1, 0), (1, 1, 2)):
-        chunks = 1 if frame == 0 else 4
+    for frame, plan_frame, last in ((0, -1, 0), (1, -1, 0), (2, 2, 2)):
+        chunks = 1 if frame < 2 else 4
         rig.say_rosters(frame, ["cav"], ["rsu-0"])
         rig.say_pose(frame, "cav")
         rig.say_scan(frame, "cav", chunk=(0, chunks), plan_frame=plan_frame)
@@ -322,7 +322,9 @@ def test_in_realtime_a_frame_ends_once_neighbours_cover_the_space_between_them(
         assert {plan.enough for plan in said(heard, m.Plan)} == {frame}
 
 
-def test_an_agent_that_was_cut_by_another_plan_keeps_the_frame_open(road_map: RoadMap) -> None:
+def test_who_was_cut_by_another_plan_than_its_neighbour_must_have_sent_all(
+    road_map: RoadMap,
+) -> None:
     rig = Rig(road_map, mode="realtime", policy="reap", deadline_ms=10_000)
     rig.start()
     for frame in (0, 1):
@@ -331,12 +333,30 @@ def test_an_agent_that_was_cut_by_another_plan_keeps_the_frame_open(road_map: Ro
         for agent in ("cav", "rsu-0"):
             rig.say_scan(frame, agent)
         assert said(rig.turn(), m.LaneCounts)
-    rig.say_rosters(2, ["cav"], ["rsu-0"])
-    rig.say_pose(2, "cav")
+    rig.say_rosters(3, ["cav"], ["rsu-0"])
+    rig.say_pose(3, "cav")
     for chunk in range(3):
-        rig.say_scan(2, "cav", chunk=(chunk, 4), plan_frame=1)
-        rig.say_scan(2, "rsu-0", chunk=(chunk, 4), plan_frame=2)
+        rig.say_scan(3, "cav", chunk=(chunk, 4), plan_frame=2)
+        rig.say_scan(3, "rsu-0", chunk=(chunk, 4), plan_frame=3)
     assert not said(rig.turn(), m.LaneCounts)
+    rig.say_scan(3, "cav", chunk=(3, 4), plan_frame=2)
+    assert said(rig.turn(), m.LaneCounts)
+
+
+def test_whose_scan_is_always_late_still_gets_a_plan(road_map: RoadMap) -> None:
+    rig = Rig(road_map, mode="realtime", policy="reap", deadline_ms=20)
+    rig.start()
+    for frame in (0, 1):
+        rig.say_rosters(frame, ["cav"], ["rsu-0"])
+        rig.say_pose(frame, "cav")
+        rig.say_scan(frame, "cav")
+        heard = rig.turn()
+        while not said(heard, m.Plan):
+            heard = rig.turn()
+        rig.say_scan(frame, "rsu-0")
+        rig.turn()
+    plans = said(heard, m.Plan)
+    assert [plan.agents for plan in plans] == [["cav", "rsu-0"]] * 2
 
 
 def world_at(frame: int) -> m.SignalState:
