@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from perception.config import BoxConfig, ClusterConfig, GeofenceConfig, GroundConfig
+from perception.config import DetectionConfig
 from protocol.config import Section
 
 
@@ -42,7 +42,7 @@ class PlanConfig(Section):
     )
 
 
-class EdgeConfig(Section):
+class EdgeConfig(DetectionConfig):
     """The edge server: how long it waits, how it merges, detects and counts."""
 
     deadline_ms: float = Field(
@@ -61,9 +61,5 @@ class EdgeConfig(Section):
     )
     upstream_m: float = Field(200.0, gt=0, description="vehicles so far before the stop bar count")
     downstream_m: float = Field(100.0, gt=0, description="vehicles so far behind it count")
-    geofence: GeofenceConfig = Field(GeofenceConfig(), description="what belongs to the road")
-    ground: GroundConfig = Field(GroundConfig(), description="ground removal, RANSAC")
-    cluster: ClusterConfig = Field(ClusterConfig(), description="clustering, DBSCAN")
-    boxes: BoxConfig = Field(BoxConfig(), description="boxes and the size filter")
     plan: PlanConfig = Field(PlanConfig(), description="who uploads which part of the scene")
     fusion: FusionConfig = Field(FusionConfig(), description="duplicates")

@@ -14,9 +14,8 @@ from edge_server.lanes import LaneIndex, Place
 from edge_server.merge import merge, sensor_in_map
 from edge_server.spans import Spans
 from perception.arrays import Floats
-from perception.boxes import fit_boxes
-from perception.cluster import cluster
-from perception.ground import remove_ground
+from perception.detector import Cloud
+from perception.registry import detector_of
 from perception.roadway import Placed, Roadway
 from perception.vehicles import Vehicles
 from protocol.messages import Detections, LaneCounts, Span
@@ -41,6 +40,7 @@ class Pipeline:
         self._config = config
         self._seed = [seed, zlib.crc32(b"ground")]
         self._roadway = Roadway.of(road_map, margin_m=config.geofence.margin_m)
+        self._detector = detector_of(config, self._roadway)
         self._lanes = LaneIndex(road_map)
         self._centre = np.array(road_map.centre)
 
@@ -54,25 +54,12 @@ class Pipeline:
                 merge([self.place(p, reference) for p in frame.pieces if p.ground_free is is_bare])
                 for is_bare in (False, True)
             )
-        with spans.stage("ground"):
-            above, ground_m = remove_ground(near.points, near.road_m, config=config.ground, rng=rng)
-            above = np.concatenate([above, bare.points])
-            ground_m = np.concatenate([ground_m, bare.road_m])
-        with spans.stage("detect"):
-            labels = cluster(above, config=config.cluster)
-            found = fit_boxes(
-                above,
-                ground_m,
-                labels,
-                roadway=self._roadway,
-                sensors=_sensors(frame),
-                config=config.boxes,
-            )
+        found = self._detector.detect(Cloud(near, bare, _sensors(frame)), rng, spans.stage)
+        with spans.stage("fuse"):
             for objects in (one.objects for one in frame.found):
                 found += Vehicles.from_lidar(
                     objects.boxes.astype(np.float64), objects.scores.astype(np.float64)
                 )
-        with spans.stage("fuse"):
             vehicles = fuse(found, frame.poses, centre=self._centre, config=config.fusion)
             place = self._lanes.locate(
                 vehicles.boxes, margin_m=config.geofence.margin_m + vehicles.position_std_m

@@ -82,3 +82,12 @@ class BoxConfig(Section):
             if least > most:
                 raise ValueError(f"min_{side}_m is {least}, more than max_{side}_m, {most}")
         return self
+
+
+class DetectionConfig(Section):
+    """From points to vehicles, wherever that is done."""
+
+    geofence: GeofenceConfig = Field(GeofenceConfig(), description="what belongs to the road")
+    ground: GroundConfig = Field(GroundConfig(), description="ground removal, RANSAC")
+    cluster: ClusterConfig = Field(ClusterConfig(), description="clustering, DBSCAN")
+    boxes: BoxConfig = Field(BoxConfig(), description="boxes and the size filter")

@@ -16,7 +16,7 @@ from sensing.radio import AgentKind, Radio, radio_of
 from sensing.source import source_of
 from sensing.terrain import Terrain
 from sensing.uplink import Kit, Shipment, Uplink
-from sensing.upload.objects import Detector
+from sensing.upload.objects import OnBoard
 from sensing.upload.registry import POLICIES
 from sensing.upload.selection import Selector
 
@@ -53,7 +53,7 @@ class Station:
             seed=self.seed,
             source=source_of(context.setup, config),
             config=upload,
-            detector=Detector.of(road_map, scenario["edge"]) if detects else None,
+            detector=OnBoard.of(road_map, scenario["edge"]) if detects else None,
             lockstep=scenario["mode"] == "lockstep",
             period_ns=round(scenario["frame_period_s"] * 1e9),
         )

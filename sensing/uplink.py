@@ -16,7 +16,7 @@ from sensing.link.virtual import Passage
 from sensing.noise import stream
 from sensing.radio import ENVELOPE_BYTES, Radio
 from sensing.source import ScanSource
-from sensing.upload.objects import Detector
+from sensing.upload.objects import OnBoard
 from sensing.upload.outbox import Outbox
 from sensing.upload.plans import Plans
 from sensing.upload.selection import Selection, Selector
@@ -30,7 +30,7 @@ class Kit:
     seed: int
     source: ScanSource
     config: UploadConfig
-    detector: Detector | None  # of agents that send objects
+    detector: OnBoard | None  # of agents that send objects
     lockstep: bool
     period_ns: int  # of a frame
 
@@ -213,7 +213,7 @@ class Uplink:
         shipment.uploads.append(upload)
         return size_bytes
 
-    def _send_objects(self, shipment: Shipment, detector: Detector) -> None:
+    def _send_objects(self, shipment: Shipment, detector: OnBoard) -> None:
         """Sends boxes; finding them takes the place of encoding."""
         start_ns, tick = time.monotonic_ns(), shipment.tick
         rng = stream(self._kit.seed, "detect", self.agent, tick.frame)

@@ -7,57 +7,43 @@ from typing import Any
 
 import numpy as np
 
-from perception.boxes import fit_boxes
-from perception.cluster import cluster
-from perception.config import BoxConfig, ClusterConfig, GeofenceConfig, GroundConfig
-from perception.ground import remove_ground
-from perception.roadway import Roadway
+from perception.config import DetectionConfig, GeofenceConfig
+from perception.detector import Cloud, Detector
+from perception.registry import detector_of
+from perception.roadway import Placed, Roadway
 from perception.vehicles import Vehicles
 from protocol.codec import RangeScan
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 
+_NOTHING = Placed(np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Detector:
-    """The stages of the edge, with its parameters, on one agent's scan alone."""
+class OnBoard:
+    """The edge's detector, with its parameters, on one agent's scan alone."""
 
     roadway: Roadway
     geofence: GeofenceConfig
-    ground: GroundConfig
-    cluster: ClusterConfig
-    boxes: BoxConfig
+    detector: Detector
 
     @classmethod
-    def of(cls, road_map: RoadMap, edge: dict[str, Any]) -> Detector:
+    def of(cls, road_map: RoadMap, edge: dict[str, Any]) -> OnBoard:
         """Builds it from the scenario's section of the edge."""
-        geofence = GeofenceConfig.model_validate(edge["geofence"])
-        return cls(
-            Roadway.of(road_map, margin_m=geofence.margin_m),
-            geofence,
-            GroundConfig.model_validate(edge["ground"]),
-            ClusterConfig.model_validate(edge["cluster"]),
-            BoxConfig.model_validate(edge["boxes"]),
-        )
+        chosen = {name: edge[name] for name in DetectionConfig.model_fields}
+        config = DetectionConfig.model_validate(chosen)
+        roadway = Roadway.of(road_map, margin_m=config.geofence.margin_m)
+        return cls(roadway, config.geofence, detector_of(config, roadway))
 
     def detect(
         self, scan: RangeScan, map_SE3_sensor: SE3, rng: np.random.Generator, *, ground_free: bool
     ) -> Vehicles:
         """Returns the vehicles in a scan, in the map frame; `ground_free` scans have no ground."""
-        near = self.roadway.place(
+        placed = self.roadway.place(
             scan.cloud().points,
             map_SE3_sensor,
             below_m=self.geofence.below_m,
             above_m=self.geofence.above_m,
         )
-        above, ground_m = near.points, near.road_m
-        if not ground_free:
-            above, ground_m = remove_ground(above, ground_m, config=self.ground, rng=rng)
-        return fit_boxes(
-            above,
-            ground_m,
-            cluster(above, config=self.cluster),
-            roadway=self.roadway,
-            sensors=map_SE3_sensor.translation[None],
-            config=self.boxes,
-        )
+        near, bare = (_NOTHING, placed) if ground_free else (placed, _NOTHING)
+        return self.detector.detect(Cloud(near, bare, map_SE3_sensor.translation[None]), rng)

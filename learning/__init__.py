@@ -1,0 +1,1 @@
+"""Labelled clouds of generated junctions, and what is learned from them."""

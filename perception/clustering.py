@@ -1,0 +1,42 @@
+"""The paper's clustering detector: ground off, DBSCAN, a box per cluster (Chen et al. 2022)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from perception.boxes import fit_boxes
+from perception.cluster import cluster
+from perception.config import DetectionConfig
+from perception.detector import Cloud, Stage, untimed
+from perception.ground import remove_ground
+from perception.roadway import Roadway
+from perception.vehicles import Vehicles
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clustering:
+    """The stages with their parameters, on a road."""
+
+    config: DetectionConfig
+    roadway: Roadway
+
+    def detect(self, cloud: Cloud, rng: np.random.Generator, stage: Stage = untimed) -> Vehicles:
+        """See `perception.detector.Detector.detect`."""
+        near, bare = cloud.near, cloud.bare
+        with stage("ground"):
+            above, ground_m = remove_ground(
+                near.points, near.road_m, config=self.config.ground, rng=rng
+            )
+            above = np.concatenate([above, bare.points])
+            ground_m = np.concatenate([ground_m, bare.road_m])
+        with stage("detect"):
+            return fit_boxes(
+                above,
+                ground_m,
+                cluster(above, config=self.config.cluster),
+                roadway=self.roadway,
+                sensors=cloud.sensors,
+                config=self.config.boxes,
+            )
