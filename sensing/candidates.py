@@ -150,7 +150,7 @@ def windows(
     "int32[::1])",
     cache=True,
 )
-def gather(  # noqa: PLR0913, PLR0917 - a kernel takes plain arrays
+def gather(  # noqa: PLR0913, PLR0917 - compiled code takes its arrays one by one
     pattern: Floats32,
     range_m: Floats32,
     placed: Floats,
