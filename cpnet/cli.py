@@ -123,7 +123,7 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     if own is not None:
         named["name"] = own.name.split(".")[0]
     overrides: dict[str, Any] = {k: v for k, v in named.items() if v is not None}
-    overrides |= dict(scenarios.parse_assignment(text) for text in set_ or [])
+    overrides |= _assigned(set_)
     options = Options(scenario, overrides, only, listen or [], connect or [], out)
     status, run_dir = up(options, _console)
     _conclude(run_dir)
@@ -187,8 +187,7 @@ def scenario_command(
     set_: Override = None,
 ) -> None:
     """Print a scenario with every key and its value, ready to be edited."""
-    overrides = dict(scenarios.parse_assignment(text) for text in set_ or [])
-    data = scenarios.load(name, overrides).model_dump(mode="json")
+    data = scenarios.load(name, _assigned(set_)).model_dump(mode="json")
     typer.echo(yaml.safe_dump(data, sort_keys=False), nl=False)
 
 
@@ -290,6 +289,10 @@ def main() -> None:
     except CpnetError as error:
         _errors.print(f"[bold red]error[/] {escape(str(error))}", highlight=False, soft_wrap=True)
         sys.exit(2)
+
+
+def _assigned(texts: list[str] | None) -> dict[str, Any]:
+    return dict(scenarios.parse_assignment(text) for text in texts or [])
 
 
 def _relative(path: Path) -> Path:

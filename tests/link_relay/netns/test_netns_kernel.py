@@ -5,30 +5,19 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path as File
 from statistics import fmean
 
 import pytest
 
-from link_relay.netns.enter import NAMESPACES
 from link_relay.netns.forwarder import FIRST, Forwarder
 from link_relay.netns.leftovers import remove_leftovers
 from link_relay.netns.place import UPLINK, Place
+from tests.link_relay.netns.made import made_by
 from tests.link_relay.sink import Rig, rigs
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.root
 MS = 1_000_000
-
-
-def made_by(pid: int) -> list[str]:
-    """Returns the namespaces and devices that a process has made and that are there."""
-    names = [
-        entry.name
-        for folder in (NAMESPACES, File("/sys/class/net"))
-        for entry in folder.glob("cp*")
-    ]
-    return [name for name in names if (place := Place.of(name)) and place.pid == pid]
 
 
 def took_ns(rig: Rig, size: int) -> tuple[int, int]:
