@@ -181,7 +181,7 @@ class ZenohBus:
 
     def close(self) -> None:
         """See `Bus.close`."""
-        self._session.close()  # type: ignore[no-untyped-call]  # zenoh annotates arguments only
+        self._session.close()  # type: ignore[no-untyped-call]  # zenoh says nothing of its types
 
     def _locator(self) -> str | None:
         links = self._session.info.links()
