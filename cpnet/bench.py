@@ -1,10 +1,11 @@
-"""`cpnet bench uplink`: the whole system on recorded traffic, once for each policy and link."""
+"""`cpnet bench uplink` and `rate`: the whole system on recorded traffic, a run for each case."""
 
 from __future__ import annotations
 
 import io
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -81,17 +82,13 @@ def measure(bench: UplinkBench) -> Iterator[UplinkRow]:
     Raises:
         ConfigError: what is asked for cannot be measured.
     """
-    bench.check()
-    with tempfile.TemporaryDirectory(prefix="cpnet-bench-") as scratch:
-        traffic = Path(scratch) / "traffic"
-        traffic.mkdir()
-        record_traffic(traffic, bench.agents, bench.frames)
+    with _recorded(bench) as (scratch, traffic):
         cells = [(policy, link) for link in bench.links for policy in bench.policies]
         for number, (policy, link) in enumerate(cells):
             if policy == SHARING:
                 yield measure_sharing(traffic, link, bench.frames)
             else:
-                yield run_cell(bench, traffic, policy, link, Path(scratch) / f"{number}")
+                yield run_cell(bench, traffic, policy, link, scratch / f"{number}")
 
 
 def measure_rates(bench: UplinkBench) -> Iterator[RateRow]:
@@ -100,19 +97,27 @@ def measure_rates(bench: UplinkBench) -> Iterator[RateRow]:
     Raises:
         ConfigError: what is asked for cannot be measured.
     """
-    bench.check()
-    with tempfile.TemporaryDirectory(prefix="cpnet-bench-") as scratch:
-        traffic = Path(scratch) / "traffic"
-        traffic.mkdir()
-        record_traffic(traffic, bench.agents, bench.frames)
+    with _recorded(bench) as (scratch, traffic):
         for policy in bench.policies:
             for rate_hz in RATES_HZ:
-                run_dir = Path(scratch) / f"{policy}-{rate_hz:g}"
+                run_dir = scratch / f"{policy}-{rate_hz:g}"
                 at_rate = replace(bench, realtime=True, rate_hz=rate_hz)
                 row = RateRow(rate_hz, run_cell(at_rate, traffic, policy, NONE, run_dir))
                 yield row
                 if not row.is_sustained:
                     break
+
+
+@contextmanager
+def _recorded(bench: UplinkBench) -> Iterator[tuple[Path, Path]]:
+    """Gives a folder for the runs and in it the traffic that all are shown, while they last."""
+    bench.check()
+    with tempfile.TemporaryDirectory(prefix="cpnet-bench-") as name:
+        scratch = Path(name)
+        traffic = scratch / "traffic"
+        traffic.mkdir()
+        record_traffic(traffic, bench.agents, bench.frames)
+        yield scratch, traffic
 
 
 def run_cell(bench: UplinkBench, traffic: Path, policy: str, link: str, run_dir: Path) -> UplinkRow:

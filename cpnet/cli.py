@@ -6,9 +6,10 @@ import json
 import logging
 import shutil
 import sys
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol, TypeVar
 
 import typer
 import yaml
@@ -23,6 +24,7 @@ from cpnet.up import Options, up
 from protocol.errors import CpnetError
 from recorder.compare import differences
 from studies.bench_traffic import FRAME_PERIOD_S
+from studies.bench_uplink import LEARNING_FRAMES
 from studies.report import print_report
 from studies.summary import summarise, to_json
 from studies.uplink_table import print_rates, print_uplink
@@ -41,8 +43,24 @@ Override = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="any scenario key; `cpnet scenario` shows all"),
 ]
-BENCH_FRAMES = "frames of each run; the first 10 do not count"
-Address = "HOST:PORT, v2x=HOST:PORT or world=HOST:PORT"
+AsJson = Annotated[bool, typer.Option("--json", help="stable keys, for programs")]
+Policies = Annotated[str, typer.Option(metavar="NAME[+FILTER],...", help="upload policies")]
+Agents = Annotated[int, typer.Option(help="a roadside LiDAR and CAVs")]
+Frames = Annotated[
+    int, typer.Option(help=f"frames of each run; the first {LEARNING_FRAMES} do not count")
+]
+_ADDRESS = "HOST:PORT, v2x=HOST:PORT or world=HOST:PORT"
+_ALL_POLICIES = ",".join(POLICY_CHOICES)
+
+
+class Row(Protocol):
+    """A row of a bench."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Returns its figures by stable keys."""
+
+
+R = TypeVar("R", bound=Row)
 
 
 def _show_version(asked: bool) -> None:
@@ -82,10 +100,10 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     out: Annotated[Path | None, typer.Option(help="run folder; default runs/NAME-TIME")] = None,
     only: Annotated[str | None, typer.Option(metavar="ROLE,...", help="roles to run here")] = None,
     listen: Annotated[
-        list[str] | None, typer.Option(metavar="PLACE", help=f"host the buses: {Address}")
+        list[str] | None, typer.Option(metavar="PLACE", help=f"host the buses: {_ADDRESS}")
     ] = None,
     connect: Annotated[
-        list[str] | None, typer.Option(metavar="PLACE", help=f"buses elsewhere: {Address}")
+        list[str] | None, typer.Option(metavar="PLACE", help=f"buses elsewhere: {_ADDRESS}")
     ] = None,
 ) -> None:
     """Run the loop: world, sensors, edge, signal, record; then print the summary."""
@@ -105,7 +123,7 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     if own is not None:
         named["name"] = own.name.split(".")[0]
     overrides: dict[str, Any] = {k: v for k, v in named.items() if v is not None}
-    overrides |= dict(scenarios.parse_assignment(text) for text in set_ or [])
+    overrides |= _assigned(set_)
     options = Options(scenario, overrides, only, listen or [], connect or [], out)
     status, run_dir = up(options, _console)
     _conclude(run_dir)
@@ -132,7 +150,7 @@ def _conclude(run_dir: Path) -> None:
 def report_command(
     run: Annotated[Path, typer.Argument(help="run folder")],
     *,
-    as_json: Annotated[bool, typer.Option("--json", help="stable keys, for programs")] = False,
+    as_json: AsJson = False,
     against: Annotated[
         Path | None, typer.Option(help="another run: say which results differ")
     ] = None,
@@ -169,8 +187,7 @@ def scenario_command(
     set_: Override = None,
 ) -> None:
     """Print a scenario with every key and its value, ready to be edited."""
-    overrides = dict(scenarios.parse_assignment(text) for text in set_ or [])
-    data = scenarios.load(name, overrides).model_dump(mode="json")
+    data = scenarios.load(name, _assigned(set_)).model_dump(mode="json")
     typer.echo(yaml.safe_dump(data, sort_keys=False), nl=False)
 
 
@@ -197,7 +214,7 @@ def bench_codec_command(
         list[Path] | None,
         typer.Option(metavar="PATH", help="a .bin or .pcd file as well, or all in a folder"),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="stable keys, for programs")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Measure the scan codec beside Draco and zstd at equal maximum error."""
     from protocol.codec.draco import load_draco
@@ -211,28 +228,23 @@ def bench_codec_command(
     files = [BenchCloud(str(path), read_points(path).points) for path in paths]
     clouds = [BenchCloud.of_scan(scan) for scan in cast_scans()] + files
     rows = [row for cloud in clouds for row in bench(cloud)]
-    if as_json:
-        typer.echo(json.dumps([row.as_json() for row in rows], indent=2))
-    else:
-        print_bench(rows, _console)
+    _show(rows, print_bench, as_json=as_json)
 
 
 @bench_app.command("uplink")
 def bench_uplink_command(
     *,
-    policies: Annotated[
-        str, typer.Option(metavar="NAME[+FILTER],...", help="upload policies")
-    ] = ",".join(POLICY_CHOICES),
+    policies: Policies = _ALL_POLICIES,
     link: Annotated[
         list[str] | None, typer.Option(help="uplink of all agents; may be given several times")
     ] = None,
-    agents: Annotated[int, typer.Option(help="a roadside LiDAR and CAVs")] = 6,
-    frames: Annotated[int, typer.Option(help=BENCH_FRAMES)] = 60,
+    agents: Agents = 6,
+    frames: Frames = 60,
     realtime: Annotated[
         bool, typer.Option("--realtime", help="emulated links and the wall clock")
     ] = False,
     rate: Annotated[float, typer.Option(min=1, max=100, help="realtime: frames a second")] = 10,
-    as_json: Annotated[bool, typer.Option("--json", help="stable keys, for programs")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Measure upload policies on links: bytes, latency, what is still detected and counted."""
     bench = UplinkBench(
@@ -245,31 +257,28 @@ def bench_uplink_command(
     )
     cells = len(bench.policies) * len(bench.links)
     rows = list(track(measure(bench), "measuring", cells, console=_errors, transient=True))
-    if as_json:
-        typer.echo(json.dumps([row.as_json() for row in rows], indent=2))
-    else:
-        print_uplink(rows, _console)
+    _show(rows, print_uplink, as_json=as_json)
 
 
 @bench_app.command("rate")
 def bench_rate_command(
     *,
-    policies: Annotated[
-        str, typer.Option(metavar="NAME[+FILTER],...", help="upload policies")
-    ] = "full,foreground,reap+foreground",
-    agents: Annotated[int, typer.Option(help="a roadside LiDAR and CAVs")] = 6,
-    frames: Annotated[
-        int, typer.Option(help="frames of each run; the first 10 do not count")
-    ] = 120,
-    as_json: Annotated[bool, typer.Option("--json", help="stable keys, for programs")] = False,
+    policies: Policies = "full,foreground,reap+foreground",
+    agents: Agents = 6,
+    frames: Frames = 120,
+    as_json: AsJson = False,
 ) -> None:
     """Find the highest frame rate in realtime, with detection, on recorded scans."""
     bench = UplinkBench(policies=tuple(policies.split(",")), agents=agents, frames=frames)
     rows = list(track(measure_rates(bench), "measuring", None, console=_errors, transient=True))
+    _show(rows, print_rates, as_json=as_json)
+
+
+def _show(rows: list[R], print_table: Callable[[list[R], Console], None], *, as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps([row.as_json() for row in rows], indent=2))
     else:
-        print_rates(rows, _console)
+        print_table(rows, _console)
 
 
 def main() -> None:
@@ -280,6 +289,10 @@ def main() -> None:
     except CpnetError as error:
         _errors.print(f"[bold red]error[/] {escape(str(error))}", highlight=False, soft_wrap=True)
         sys.exit(2)
+
+
+def _assigned(texts: list[str] | None) -> dict[str, Any]:
+    return dict(scenarios.parse_assignment(text) for text in texts or [])
 
 
 def _relative(path: Path) -> Path:

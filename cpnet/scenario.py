@@ -227,7 +227,7 @@ def _check_recording(scenario: Scenario, source: str) -> None:
         )
 
 
-def _section_of(annotation: Any) -> Any:  # noqa: ANN401 - whatever stands behind a colon
+def _section_of(annotation: Any) -> Any:  # noqa: ANN401 - typing has no name for what annotations are
     """Returns the section of `Section | None`, anything else as it is."""
     choices = [choice for choice in getattr(annotation, "__args__", ()) if _is_section(choice)]
     return choices[0] if choices and not hasattr(annotation, "__origin__") else annotation

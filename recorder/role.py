@@ -63,7 +63,7 @@ class RecordRole:
         return role
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes a message; one that contradicts itself is counted and dropped."""
+        """Takes a message; one of a frame that cannot be is counted and dropped."""
         if isinstance(item, Presence) or item.topic not in self._handlers:
             return
         try:

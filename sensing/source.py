@@ -43,7 +43,7 @@ class Played:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
 
-    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> RangeScan:  # noqa: ARG002
+    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> RangeScan:  # noqa: ARG002 - what the sensor saw there is recorded
         """See `ScanSource.scan`; the sensor was where the recording's tick has it."""
         return self._recording.scan(agent, tick.frame)
 

@@ -6,16 +6,14 @@ Parsed here and not by sumolib, whose `readNet(withPrograms=True)` fails on the 
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
 from xml.etree import ElementTree
 
 from protocol.errors import ConfigError
 from protocol.roadmap import PlanPhase
+from sim_host.files import UNREADABLE, Stream, open_file
 
 Point = tuple[float, float, float]
 _WALKS = {"crossing", "walkingarea"}
@@ -82,10 +80,10 @@ def read_net(path: Path) -> Net:
         raise ConfigError(f"net file {path} does not exist; expected a SUMO .net.xml")
     net = Net(path)
     try:
-        with _open(path) as stream:
+        with open_file(path) as stream:
             for element in _children(stream, path):
                 _take(net, element)
-    except (ElementTree.ParseError, OSError, EOFError, zlib.error) as error:
+    except UNREADABLE as error:
         raise ConfigError(f"net file {path} cannot be read as XML: {error}") from None
     except (KeyError, ValueError) as error:
         raise ConfigError(f"net file {path} is not a valid SUMO net: {error!r}") from None
@@ -94,13 +92,7 @@ def read_net(path: Path) -> Net:
     return net
 
 
-def _open(path: Path) -> IO[bytes]:
-    if path.suffix == ".gz":
-        return gzip.open(path, "rb")  # type: ignore[return-value]
-    return path.open("rb")
-
-
-def _children(stream: IO[bytes], path: Path) -> Iterator[ElementTree.Element]:
+def _children(stream: Stream, path: Path) -> Iterator[ElementTree.Element]:
     """Yields the root's children as they are complete, and frees them: city nets are large."""
     depth = 0
     root: ElementTree.Element | None = None

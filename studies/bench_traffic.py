@@ -8,13 +8,14 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from protocol.codec import RangeScan
 from protocol.geometry import SE3
-from protocol.messages import Equipment, Setup, Truth
+from protocol.messages import Equipment, Setup
 from sensing.config import LidarConfig, SceneConfig
 from sensing.lidar import Lidar
 from sensing.noise import stream
@@ -23,6 +24,7 @@ from sensing.returns import returns
 from sensing.scene import Scene, scene_of
 from sensing.shapes import VehicleShapes
 from sensing.terrain import Terrain
+from sim_host.broadcast import truth_of
 from sim_host.setup import build_setup
 from sim_host.world import Bodies, World
 
@@ -64,7 +66,10 @@ def record_traffic(folder: Path, agents: int, frames: int, seed: int = SEED) -> 
             scans[name].append(scan)
         seen = [n for n, hit in zip(bodies.ids, hits, strict=True) if hit >= VISIBLE_POINTS]
         visible.append(sorted(set(seen) - set(cavs)))
-    truths = [_truth(frame, bodies, cavs) for frame, bodies in enumerate(moments)]
+    truths = [
+        truth_of(frame, round(frame * FRAME_PERIOD_S * 1e9), _equipped(bodies, cavs))
+        for frame, bodies in enumerate(moments)
+    ]
     write_recording(folder, FRAME_PERIOD_S, truths, scans)
     (folder / VISIBLE_NAME).write_text(json.dumps(visible) + "\n", "utf-8")
 
@@ -124,16 +129,6 @@ def _hits(
     return np.bincount(gaps_m.argmin(axis=1), minlength=len(bodies.ids))
 
 
-def _truth(frame: int, bodies: Bodies, cavs: Sequence[str]) -> Truth:
+def _equipped(bodies: Bodies, cavs: Sequence[str]) -> Bodies:
     kinds = [Equipment.CAV if name in cavs else Equipment.NONE for name in bodies.ids]
-    return Truth(
-        frame=frame,
-        sim_time_ns=round(frame * FRAME_PERIOD_S * 1e9),
-        ids=bodies.ids,
-        types=bodies.types,
-        lanes=bodies.lanes,
-        poses=bodies.poses,
-        speeds_mps=bodies.speeds_mps,
-        lane_positions_m=bodies.lane_positions_m,
-        equipment=np.array(kinds, np.uint8),
-    )
+    return replace(bodies, equipment=np.array(kinds, np.uint8))

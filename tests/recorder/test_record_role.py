@@ -31,6 +31,7 @@ from recorder.tables import (
     TruthRow,
     UploadRow,
 )
+from tests.waiting import wait_until
 
 PERIOD_NS = 100_000_000
 MS = 1_000_000
@@ -238,9 +239,7 @@ def test_the_role_stops_soon_after_the_end_once_the_last_frame_is_whole(rig: Rig
     rig.world.publish("end", m.End(frames=1, reason="finished"))
     begun = time.monotonic()
     rig.drain()
-    while not rig.stop.is_set() and time.monotonic() - begun < 3:
-        rig.role.poll()
-        time.sleep(0.01)
+    wait_until(lambda: rig.role.poll() or rig.stop.is_set(), 3)
     rig.role.close()
     assert 0.1 < time.monotonic() - begun < 1.0
 
