@@ -112,7 +112,7 @@ class Setup(Message):
     """
 
     kind: ClassVar[int] = 1
-    max_header_bytes: ClassVar[int] = 4 << 20
+    max_header_bytes: ClassVar[int] = 16 << 20  # two recorded links take 9 MiB at most
     scenario: dict[str, Any]
     road_map: RoadMap
     vehicle_types: list[VehicleType]

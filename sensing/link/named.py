@@ -29,21 +29,31 @@ def profile_named(text: str) -> LinkProfile | None:
         return BUILTIN[text]
     if match := _FIXED.fullmatch(text):
         return _fixed(text, match)
-    if not Path(text).is_file():
+    if not _is_file(text):
         raise ConfigError(
-            f"link {text!r}: neither a file, nor a rate such as 5mbit or 5mbit,20ms (rate and "
+            f"link {text!r:.80}: neither a file, nor a rate such as 5mbit or 5mbit,20ms (rate and "
             f"round trip), nor one of {', '.join([NONE, *BUILTIN])}"
         )
     return read_trace(Path(text))
 
 
+def _is_file(text: str) -> bool:
+    try:
+        return Path(text).is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        return False
+
+
 def _fixed(text: str, match: re.Match[str]) -> LinkProfile:
-    mbps = float(match["rate"]) * _MBPS[match["unit"].lower()]
-    if not 0.001 < mbps <= 100_000:
-        raise ConfigError(f"link {text!r}: the rate must be above 1kbit and at most 100gbit")
+    mbps, rtt_ms = float(match["rate"]) * _MBPS[match["unit"].lower()], float(match["rtt"] or 0)
+    if not (0.001 < mbps <= 100_000 and rtt_ms <= 60_000):
+        raise ConfigError(
+            f"link {text!r:.80}: the rate must be above 1kbit and at most 100gbit, the round trip "
+            "at most 60000ms"
+        )
     return LinkProfile(
-        name=text,
+        name=text[:80],
         source="asked for by the user",
         rate=VaryingRate(mean_mbps=mbps),
-        rtt=RoundTrip.steady(float(match["rtt"] or 0)),
+        rtt=RoundTrip.steady(rtt_ms),
     )
