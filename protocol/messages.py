@@ -170,6 +170,12 @@ class Truth(Message):
         )
         return self
 
+    @property
+    def cavs(self) -> list[str]:
+        """Ids of the vehicles with a LiDAR."""
+        kinds = zip(self.ids, self.equipment.tolist(), strict=True)
+        return [vehicle for vehicle, kind in kinds if kind == Equipment.CAV]
+
 
 class Trip(Part):
     """One vehicle's journey over the signal.

@@ -83,6 +83,19 @@ def test_a_role_that_does_not_exist(shell):
     assert "allowed: edge, sim" in refused(shell, "up", "--only", "edgy")
 
 
+def test_a_recording_that_is_not_there(shell, tmp_path):
+    output = refused(shell, "up", "--set=recording=nowhere", "--set=traffic.warmup_s=0")
+    assert "recording nowhere: " in output
+    assert "recording.json" in output
+    assert list(tmp_path.iterdir()) == [tmp_path / "runs"]
+    assert list((tmp_path / "runs").iterdir()) == []
+
+
+@pytest.mark.parametrize("link", ["x" * 5000, "5mbit,99999999ms", "nowhere.csv"])
+def test_a_link_that_cannot_be(shell, link):
+    assert "error link" in refused(shell, "up", "--link", link)
+
+
 @pytest.mark.parametrize("command", ["report", "draw"])
 def test_a_run_that_is_not_there(shell, command):
     assert "nothing" in refused(shell, command, "nothing")
