@@ -201,14 +201,13 @@ def bench_codec_command(
 ) -> None:
     """Measure the scan codec beside Draco and zstd at equal maximum error."""
     from protocol.codec.draco import load_draco
-    from sensing.point_files import point_files, read_points
+    from sensing.point_files import point_files
     from studies.bench_codec import BenchCloud, bench
     from studies.bench_scans import cast_scans
     from studies.bench_table import print_bench
 
     load_draco()
-    paths = point_files(points or [])
-    files = [BenchCloud(str(path), read_points(path).points) for path in paths]
+    files = [BenchCloud.of_file(path) for path in point_files(points or [])]
     clouds = [BenchCloud.of_scan(scan) for scan in cast_scans()] + files
     rows = [row for cloud in clouds for row in bench(cloud)]
     if as_json:

@@ -64,8 +64,9 @@ def read_points(path: Path) -> PointCloud:
         columns = reader(data)
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
-    points = np.stack([columns[axis] for axis in _AXES], axis=1).astype(np.float32)
-    shade = columns.get("intensity", np.zeros(len(points))).astype(np.float32)
+    with np.errstate(over="ignore"):  # what float32 does not hold is not finite either
+        points = np.stack([columns[axis] for axis in _AXES], axis=1).astype(np.float32)
+        shade = columns.get("intensity", np.zeros(len(points))).astype(np.float32)
     finite = np.isfinite(points).all(axis=1)
     points, shade = points[finite], np.nan_to_num(shade[finite], posinf=0.0, neginf=0.0)
     return PointCloud(points, shade / np.float32(max(1.0, float(shade.max(initial=0.0)))))
