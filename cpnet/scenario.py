@@ -164,10 +164,11 @@ def _put(data: dict[str, Any], dotted: str, value: object) -> None:
     *path, last = _split(dotted)
     here = data
     for key in path:
-        below = here.setdefault(key, {})
-        if not isinstance(below, dict):
-            raise ConfigError(f"{dotted}: {key} is no section")
-        here = below
+        if here.get(key) is None:
+            here[key] = {}
+        if not isinstance(here[key], dict):
+            raise ConfigError(f"{dotted}: {key} is {here[key]!r:.80}, which has no keys of its own")
+        here = here[key]
     here[last] = value
 
 
@@ -179,7 +180,7 @@ def _split(dotted: str) -> list[str]:
         field = model.model_fields.get(part) if _is_section(model) else None
         if field is None:
             return [*parts[:depth], ".".join(parts[depth:])] if not _is_section(model) else parts
-        model = field.annotation
+        model = _section_of(field.annotation)
     return parts
 
 
@@ -228,7 +229,7 @@ def _check_recording(scenario: Scenario, source: str) -> None:
 
 
 def _section_of(annotation: Any) -> Any:  # noqa: ANN401 - whatever stands behind a colon
-    """Returns the section of `Section | None`, anything else as it is."""
+    """Returns the section of `Section | None`, the first of several, anything else as it is."""
     choices = [choice for choice in getattr(annotation, "__args__", ()) if _is_section(choice)]
     return choices[0] if choices and not hasattr(annotation, "__origin__") else annotation
 

@@ -96,6 +96,22 @@ def test_a_link_that_cannot_be(shell, link):
     assert "error link" in refused(shell, "up", "--link", link)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("uplink --link lte --link nowhere", "link 'nowhere': neither a file"),
+        ("uplink --link lte --link lte", "--link: 'lte' stands 2 times, each may stand once"),
+        ("uplink --policies full,nobody", "policy 'nobody': must be one of"),
+        ("uplink --policies full,reap+sky", "filter 'sky' must be one of"),
+        ("uplink --policies sharing --realtime", "virtual links, not in realtime"),
+        ("rate --policies sharing", "virtual links, not in realtime"),
+        ("rate --policies full,full", "--policies: 'full' stands 2 times"),
+    ],
+)
+def test_a_measurement_that_cannot_be(shell, arguments, message):
+    assert message in refused(shell, "bench", *arguments.split())
+
+
 @pytest.mark.parametrize("command", ["report", "draw"])
 def test_a_run_that_is_not_there(shell, command):
     assert "nothing" in refused(shell, command, "nothing")
