@@ -13,6 +13,7 @@ from pydantic import BaseModel, Field, ValidationError
 from edge_server.config import EdgeConfig
 from protocol.config import Section
 from protocol.errors import ConfigError
+from protocol.files import is_file
 from recorder.config import RecordConfig
 from sensing.config import LidarConfig, Mount, PoseErrorConfig, SceneConfig, UploadConfig
 from sensing.link.config import LinkConfig
@@ -135,7 +136,7 @@ def _read(name_or_file: str) -> tuple[str, dict[str, Any]]:
         )
     else:
         path = Path(name_or_file)
-        if not _is_file(path):
+        if not is_file(path):
             raise ConfigError(
                 f"there is no scenario {name_or_file!r}: neither a file nor one of the built-in "
                 f"{', '.join(builtin_names())}"
@@ -151,13 +152,6 @@ def _read(name_or_file: str) -> tuple[str, dict[str, Any]]:
     if not isinstance(data, dict):
         raise ConfigError(f"{name_or_file}: holds a {type(data).__name__}, needs keys and values")
     return name_or_file, data
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a name that no file can have
-        return False
 
 
 def _put(data: dict[str, Any], dotted: str, value: object) -> None:

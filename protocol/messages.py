@@ -46,6 +46,7 @@ def _moderate(weights_m2: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 Id = Annotated[str, Field(min_length=1, max_length=128)]
 Text = Annotated[str, Field(max_length=512)]
+NetId = Annotated[str, Field(min_length=1, max_length=512)]  # joined junctions have long ones
 FrameNumber = Annotated[int, Field(ge=0, lt=1 << 40)]
 Count = Annotated[int, Field(ge=0, lt=1 << 40)]
 Total = Annotated[int, Field(ge=0, lt=1 << 53)]
@@ -218,7 +219,7 @@ class SignalState(Message):
     kind: ClassVar[int] = 6
     frame: FrameNumber
     sim_time_ns: TimeNs
-    tls: Id
+    tls: NetId
     state: Text
     stage: Text
     green: Text
@@ -232,7 +233,7 @@ class SignalRequest(Message):
     kind: ClassVar[int] = 7
     frame: FrameNumber
     sim_time_ns: TimeNs
-    tls: Id
+    tls: NetId
     state: Text
     policy: Text
     pressures: Annotated[list[float], *_Bounded] = []
@@ -326,11 +327,11 @@ class LaneCounts(Message):
     kind: ClassVar[int] = 12
     frame: FrameNumber
     sim_time_ns: TimeNs
-    tls: Id
+    tls: NetId
     agents: Ids
     complete: bool
-    upstream: dict[Id, Count] = Field(max_length=MAX_ITEMS)
-    downstream: dict[Id, Count] = Field(max_length=MAX_ITEMS)
+    upstream: dict[NetId, Count] = Field(max_length=MAX_ITEMS)
+    downstream: dict[NetId, Count] = Field(max_length=MAX_ITEMS)
     delay_sim_ns: DelayNs | None = None
 
 

@@ -12,6 +12,7 @@ from xml.sax.saxutils import quoteattr
 from pydantic import ValidationError
 
 from protocol.errors import ConfigError
+from protocol.files import is_file
 from protocol.messages import Setup, VehicleType
 from protocol.roadmap import RoadMap
 from sim_host import t_junction
@@ -122,7 +123,7 @@ class _Files:
 
 
 def _files_of(path: Path) -> _Files:
-    if not path.is_file():
+    if not is_file(path):
         raise ConfigError(f"traffic.sumocfg: file {path} does not exist")
     try:
         data = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()

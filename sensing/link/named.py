@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from protocol.errors import ConfigError
+from protocol.files import is_file
 from sensing.link.builtin import BUILTIN
 from sensing.link.files import read_trace
 from sensing.link.profile import LinkProfile, RoundTrip, VaryingRate
@@ -29,19 +30,12 @@ def profile_named(text: str) -> LinkProfile | None:
         return BUILTIN[text]
     if match := _FIXED.fullmatch(text):
         return _fixed(text, match)
-    if not _is_file(text):
+    if not is_file(text):
         raise ConfigError(
             f"link {text!r:.80}: neither a file, nor a rate such as 5mbit or 5mbit,20ms (rate and "
             f"round trip), nor one of {', '.join([NONE, *BUILTIN])}"
         )
     return read_trace(Path(text))
-
-
-def _is_file(text: str) -> bool:
-    try:
-        return Path(text).is_file()
-    except (OSError, ValueError):  # a name that no file can have
-        return False
 
 
 def _fixed(text: str, match: re.Match[str]) -> LinkProfile:
