@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import shutil
 import sys
 from importlib.metadata import version
@@ -103,13 +104,18 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     }
     own = net or sumocfg
     if own is not None:
-        named["name"] = own.name.split(".")[0]
+        named["name"] = _run_name(own)
     overrides: dict[str, Any] = {k: v for k, v in named.items() if v is not None}
     overrides |= dict(scenarios.parse_assignment(text) for text in set_ or [])
     options = Options(scenario, overrides, only, listen or [], connect or [], out)
     status, run_dir = up(options, _console)
     _conclude(run_dir)
     raise typer.Exit(status)
+
+
+def _run_name(file: Path) -> str:
+    """Returns a name for runs of a file: what of its own a scenario's name may hold."""
+    return re.sub(r"[^A-Za-z0-9_-]", "_", file.name.split(".")[0])[:80] or "own"
 
 
 def _conclude(run_dir: Path) -> None:

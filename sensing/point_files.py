@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from protocol.codec import PointCloud
 from protocol.errors import ConfigError
+from protocol.files import is_file, is_folder
 from sensing.lzf import decompress
 
 MAX_FILE_BYTES = 1 << 30
@@ -28,11 +29,11 @@ def point_files(paths: Iterable[Path]) -> list[Path]:
     """
     result: list[Path] = []
     for path in paths:
-        if not path.is_dir():
-            if not path.exists():
-                raise ConfigError(f"{path} does not exist")
+        if is_file(path):
             result.append(path)
             continue
+        if not is_folder(path):
+            raise ConfigError(f"{path} does not exist")
         found = sorted(
             file for file in path.rglob("*") if file.suffix.lower() in _KNOWN and file.is_file()
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -128,7 +129,7 @@ def _files_of(path: Path) -> _Files:
     try:
         data = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
         root = ElementTree.fromstring(data)
-    except (ElementTree.ParseError, OSError) as error:
+    except (ElementTree.ParseError, OSError, EOFError, zlib.error, ValueError) as error:
         raise ConfigError(f"traffic.sumocfg: {path} cannot be read as XML: {error}") from None
     named = {
         short: [

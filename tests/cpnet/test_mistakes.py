@@ -15,6 +15,22 @@ def refused(shell: Shell, *arguments: str) -> str:
     return output
 
 
+LONG = "x" * 5000  # longer than the name of a file can be
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    ["up --net", "up --sumocfg", "up --out", "up --link", "report", "draw", "bench codec --points"],
+)
+def test_a_name_that_no_file_can_have(shell, arguments):
+    assert "x" * 70 in refused(shell, *arguments.split(), LONG)
+
+
+def test_a_sumocfg_that_is_not_what_its_name_says(shell, tmp_path):
+    (tmp_path / "own.sumocfg.gz").write_bytes(b"\x1f\x8b\x08\x00junk")
+    assert "own.sumocfg.gz cannot be read" in refused(shell, "up", "--sumocfg", "own.sumocfg.gz")
+
+
 def test_an_unknown_key(shell):
     output = refused(shell, "up", "--set", "edge.cluster.epsilon_m=1")
     assert "unknown key edge.cluster.epsilon_m" in output
@@ -91,7 +107,7 @@ def test_a_recording_that_is_not_there(shell, tmp_path):
     assert list((tmp_path / "runs").iterdir()) == []
 
 
-@pytest.mark.parametrize("link", ["x" * 5000, "5mbit,99999999ms", "nowhere.csv"])
+@pytest.mark.parametrize("link", ["5mbit,99999999ms", "nowhere.csv"])
 def test_a_link_that_cannot_be(shell, link):
     assert "error link" in refused(shell, "up", "--link", link)
 
