@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import shutil
 import sys
 from collections.abc import Callable
@@ -121,13 +122,18 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     }
     own = net or sumocfg
     if own is not None:
-        named["name"] = own.name.split(".")[0]
+        named["name"] = _run_name(own)
     overrides: dict[str, Any] = {k: v for k, v in named.items() if v is not None}
     overrides |= _assigned(set_)
     options = Options(scenario, overrides, only, listen or [], connect or [], out)
     status, run_dir = up(options, _console)
     _conclude(run_dir)
     raise typer.Exit(status)
+
+
+def _run_name(file: Path) -> str:
+    """Returns a name for runs of a file: what of its own a scenario's name may hold."""
+    return re.sub(r"[^A-Za-z0-9_-]", "_", file.name.split(".")[0])[:80] or "own"
 
 
 def _conclude(run_dir: Path) -> None:
@@ -218,14 +224,13 @@ def bench_codec_command(
 ) -> None:
     """Measure the scan codec beside Draco and zstd at equal maximum error."""
     from protocol.codec.draco import load_draco
-    from sensing.point_files import point_files, read_points
+    from sensing.point_files import point_files
     from studies.bench_codec import BenchCloud, bench
     from studies.bench_scans import cast_scans
     from studies.bench_table import print_bench
 
     load_draco()
-    paths = point_files(points or [])
-    files = [BenchCloud(str(path), read_points(path).points) for path in paths]
+    files = [BenchCloud.of_file(path) for path in point_files(points or [])]
     clouds = [BenchCloud.of_scan(scan) for scan in cast_scans()] + files
     rows = [row for cloud in clouds for row in bench(cloud)]
     _show(rows, print_bench, as_json=as_json)

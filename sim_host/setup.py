@@ -11,6 +11,7 @@ from xml.sax.saxutils import quoteattr
 from pydantic import ValidationError
 
 from protocol.errors import ConfigError
+from protocol.files import is_file
 from protocol.messages import Setup, VehicleType
 from protocol.roadmap import RoadMap
 from sim_host import t_junction
@@ -122,12 +123,12 @@ class _Files:
 
 
 def _files_of(path: Path) -> _Files:
-    if not path.is_file():
+    if not is_file(path):
         raise ConfigError(f"traffic.sumocfg: file {path} does not exist")
     try:
         with open_file(path) as stream:
             root = ElementTree.parse(stream).getroot()
-    except UNREADABLE as error:
+    except (*UNREADABLE, ValueError) as error:
         raise ConfigError(f"traffic.sumocfg: {path} cannot be read as XML: {error}") from None
     named = {
         short: [

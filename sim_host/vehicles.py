@@ -7,6 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from protocol.errors import ConfigError
+from protocol.files import is_file
 from protocol.messages import VehicleType
 from sim_host.config import VehicleSpec
 from sim_host.files import UNREADABLE, open_file
@@ -95,7 +96,7 @@ def mesh_for(v_class: str, height_m: float) -> str:
 
 
 def _v_types(path: Path) -> Iterator[dict[str, str]]:
-    if not path.is_file():
+    if not is_file(path):
         raise ConfigError(f"file {path}, which the sumocfg names, does not exist")
     try:
         with open_file(path) as stream:

@@ -16,6 +16,7 @@ from protocol.messages.fields import (
     FrameNumber,
     Id,
     Ids,
+    NetId,
     Sites,
     Texts,
     TimeNs,
@@ -52,11 +53,11 @@ class LaneCounts(Message):
     kind: ClassVar[int] = 12
     frame: FrameNumber
     sim_time_ns: TimeNs
-    tls: Id
+    tls: NetId
     agents: Ids
     complete: bool
-    upstream: dict[Id, Count] = Field(max_length=MAX_ITEMS)
-    downstream: dict[Id, Count] = Field(max_length=MAX_ITEMS)
+    upstream: dict[NetId, Count] = Field(max_length=MAX_ITEMS)
+    downstream: dict[NetId, Count] = Field(max_length=MAX_ITEMS)
     delay_sim_ns: DelayNs | None = None
 
 

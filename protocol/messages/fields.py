@@ -34,6 +34,7 @@ def _moderate(weights_m2: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 Id = Annotated[str, Field(min_length=1, max_length=128)]
+NetId = Annotated[str, Field(min_length=1, max_length=512)]  # joined junctions have long ones
 Text = Annotated[str, Field(max_length=512)]
 FrameNumber = Annotated[int, Field(ge=0, lt=1 << 40)]
 Count = Annotated[int, Field(ge=0, lt=1 << 40)]

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 
 from protocol.messages.base import Message
-from protocol.messages.fields import BOUNDED, DelayNs, FrameNumber, Id, Text, TimeNs
+from protocol.messages.fields import BOUNDED, DelayNs, FrameNumber, NetId, Text, TimeNs
 
 
 class SignalState(Message):
@@ -16,7 +16,7 @@ class SignalState(Message):
     kind: ClassVar[int] = 6
     frame: FrameNumber
     sim_time_ns: TimeNs
-    tls: Id
+    tls: NetId
     state: Text
     stage: Text
     green: Text
@@ -30,7 +30,7 @@ class SignalRequest(Message):
     kind: ClassVar[int] = 7
     frame: FrameNumber
     sim_time_ns: TimeNs
-    tls: Id
+    tls: NetId
     state: Text
     policy: Text
     pressures: Annotated[list[float], *BOUNDED] = Field([])

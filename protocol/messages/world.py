@@ -49,7 +49,7 @@ class Setup(Message):
     """
 
     kind: ClassVar[int] = 1
-    max_header_bytes: ClassVar[int] = 4 << 20
+    max_header_bytes: ClassVar[int] = 16 << 20  # two recorded links take 9 MiB at most
     scenario: dict[str, Any]
     road_map: RoadMap
     vehicle_types: list[VehicleType]
@@ -106,6 +106,12 @@ class Truth(Message):
             self, "ids", "types", "lanes", "poses", "speeds_mps", "lane_positions_m", "equipment"
         )
         return self
+
+    @property
+    def cavs(self) -> list[str]:
+        """Ids of the vehicles with a LiDAR."""
+        kinds = zip(self.ids, self.equipment.tolist(), strict=True)
+        return [vehicle for vehicle, kind in kinds if kind == Equipment.CAV]
 
 
 class Trip(Part):

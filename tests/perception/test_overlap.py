@@ -46,7 +46,7 @@ def test_overlap_is_that_of_points_counted(a: tuple[float, ...], b: tuple[float,
 @given(box)
 def test_a_box_is_itself_and_a_half_turn_changes_nothing(a: tuple[float, ...]) -> None:
     first = np.array([a])
-    turned = first + [0, 0, 0, 0, 0, 0, np.pi]
+    turned = first + np.array([0, 0, 0, 0, 0, 0, np.pi])
     for other in (first, turned):
         bev, space = overlaps(first, other)
         assert bev[0, 0] == pytest.approx(1)
