@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import re
 import shutil
 import sys
@@ -16,7 +17,14 @@ import typer
 import yaml
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import track
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    track,
+)
 
 from cpnet import doctor as checks
 from cpnet import scenario as scenarios
@@ -195,6 +203,31 @@ def scenario_command(
     """Print a scenario with every key and its value, ready to be edited."""
     data = scenarios.load(name, _assigned(set_)).model_dump(mode="json")
     typer.echo(yaml.safe_dump(data, sort_keys=False), nl=False)
+
+
+@app.command("dataset")
+def dataset_command(
+    out: Annotated[Path, typer.Argument(help="a new or empty folder")],
+    *,
+    networks: Annotated[int, typer.Option(help="generated junctions")] = 60,
+    moments: Annotated[int, typer.Option(help="of each network, some seconds apart")] = 12,
+    seed: Annotated[int, typer.Option(help="the same bytes for the same seed")] = 1,
+    jobs: Annotated[int | None, typer.Option(help="processes; default one a core")] = None,
+) -> None:
+    """Write labelled scans of many generated junctions, for training."""
+    from learning.generate import Asked, generate
+
+    cores = len(os.sched_getaffinity(0))
+    asked = Asked(networks=networks, moments=moments, seed=seed)
+    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()]
+    with Progress(*columns, TimeElapsedColumn(), console=_errors, transient=True) as progress:
+        task = progress.add_task("networks", total=networks)
+
+        def report(done: int, scans: int) -> None:
+            progress.update(task, completed=done, description=f"networks, {scans} scans")
+
+        generate(out, asked, cores if jobs is None else jobs, report)
+    _console.print(f"wrote {out}", highlight=False, soft_wrap=True)
 
 
 @app.command("doctor")
