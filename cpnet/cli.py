@@ -230,6 +230,28 @@ def dataset_command(
     _console.print(f"wrote {out}", highlight=False, soft_wrap=True)
 
 
+@app.command("train")
+def train_command(
+    dataset: Annotated[Path, typer.Argument(help="a folder that `cpnet dataset` wrote")],
+    *,
+    out: Annotated[Path, typer.Option(help="for weights and state; training goes on from there")],
+    network: Annotated[
+        str, typer.Option(help="pointpillars or pointpillars-full")
+    ] = "pointpillars",
+    steps: Annotated[int, typer.Option(help="of the optimiser")] = 20_000,
+    windows: Annotated[int, typer.Option(help="a step")] = 4,
+    cells: Annotated[int, typer.Option(help="of 0.25 m, a window's side")] = 320,
+    seed: Annotated[int, typer.Option(help="the same weights for the same seed")] = 1,
+) -> None:
+    """Train PointPillars on labelled scans, on a GPU if there is one."""
+    from learning.train import Training, train
+    from learning.training import Recipe
+
+    recipe = Recipe(steps=steps, windows=windows, cells=cells, seed=seed)
+    path = train(Training(dataset, out, network, recipe), _errors)
+    _console.print(f"wrote {path}", highlight=False, soft_wrap=True)
+
+
 @app.command("doctor")
 def doctor_command(
     *,

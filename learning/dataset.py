@@ -41,7 +41,7 @@ class Dataset:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        info = _parsed(Info, _text(folder / INFO), str(folder / INFO))
+        self.info = info = _parsed(Info, _text(folder / INFO), str(folder / INFO))
         if info.version != VERSION:
             raise ConfigError(
                 f"{folder / INFO}: version {info.version}, this program reads {VERSION}"

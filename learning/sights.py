@@ -6,6 +6,7 @@ from functools import lru_cache
 
 from learning.dataset import Dataset
 from learning.examples import Roads, Sight
+from learning.layout import Split
 
 KEPT_BYTES = 8 << 30
 
@@ -13,7 +14,7 @@ KEPT_BYTES = 8 << 30
 class DatasetSights:
     """One split of a data set."""
 
-    def __init__(self, dataset: Dataset, split: str) -> None:
+    def __init__(self, dataset: Dataset, split: Split) -> None:
         self._dataset = dataset
         self._moments = dataset.moments(split)
         self._kept: dict[int, Sight] = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -46,6 +46,10 @@ class Recipe:
     rate: float = 3e-3
     decay: float = 0.01
     seed: int = 1
+
+    def as_dict(self) -> dict[str, float]:
+        """Returns it as plain numbers."""
+        return asdict(self)
 
     def rate_at(self, step: int) -> float:
         """Returns the learning rate: up in a line, down in half a cosine."""
@@ -148,9 +152,4 @@ class Trainer:
         return True
 
     def _recipe_text(self) -> str:
-        return json.dumps([self.network.config.model_dump(), vars_of(self.recipe)])
-
-
-def vars_of(recipe: Recipe) -> dict[str, float]:
-    """Returns a recipe as plain numbers."""
-    return {name: getattr(recipe, name) for name in Recipe.__slots__}
+        return json.dumps([self.network.config.model_dump(), self.recipe.as_dict()])
