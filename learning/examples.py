@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from learning.moments import Moment
 from learning.targets import Targets, targets_of
@@ -20,6 +21,8 @@ from protocol.roadmap import RoadMap
 SURE_POINTS = 3  # fewer on a vehicle tell too little to ask for it
 WIDE_M = 60.0  # how far beyond the lanes the road's height is known
 FENCE_M = 0.5
+OFF_M = 25.0  # a window's middle from what it was chosen for
+LIFT_STD_M = 0.05  # the road's height is not known better
 _BELOW_M, _ABOVE_M = 2.0, 5.0
 
 
@@ -74,30 +77,38 @@ def example_of(
 ) -> Example:
     """Draws a window of so many cells from a moment."""
     shots = _some_shots(len(sight.points), rng)
-    fenced = rng.random() < 0.6
-    points = np.concatenate([sight.points[s] for s in shots])
-    height_m = np.concatenate([sight.height_m[s] for s in shots])
-    keep = np.ones(len(points), np.bool_)
-    if fenced:
-        keep &= np.concatenate([sight.on_road[s] for s in shots])
-    if rng.random() < 0.2:
-        keep &= height_m > rng.uniform(0.1, 0.35)  # as senders do that take the ground away
-    if rng.random() < 0.3:
-        keep &= rng.random(len(points)) < rng.uniform(0.3, 1.0)
     seen = sight.points_on[shots].sum(axis=0)
-    middle = _middle(points, sight.boxes[seen >= SURE_POINTS], rng)
+    middle = _middle(sight, shots, sight.boxes[seen >= SURE_POINTS], rng)
     half_m = cells * config.cell_m / 2
-    keep &= (np.abs(points[:, :2] - middle) < half_m * np.sqrt(2)).all(axis=1)
+    thinning, turn = _Thinning.draw(rng), _Turn(rng)
+    points, height_m = _gather(sight, shots, thinning, turn, middle, half_m * np.sqrt(2))
+    lift_m = rng.normal(0, LIFT_STD_M)
     window = Window(np.array([-half_m, -half_m]), cells)
-    turn = _Turn(rng)
-    there = turn.points(points[keep] - np.array([*middle, 0], np.float32))
-    lift = np.float32(rng.normal(0, 0.05))
-    pillars = pillars_of(there, height_m[keep] * np.float32(turn.scale) + lift, window, config)
+    pillars = pillars_of(points, height_m + np.float32(lift_m), window, config)
     boxes = turn.boxes(sight.boxes - np.array([*middle, 0, 0, 0, 0, 0]))
-    boxes[:, 2] += lift
+    boxes[:, 2] += lift_m
     inside = (np.abs(boxes[:, :2]) < half_m).all(axis=1) & (seen > 0)
     targets = targets_of(boxes[inside], seen[inside] >= SURE_POINTS, window, config)
     return Example(pillars, targets)
+
+
+@dataclass(frozen=True, slots=True)
+class _Thinning:
+    """Which points are left out: off the road, near the ground as by some senders, or at random."""
+
+    fenced: bool
+    least_m: float
+    share: float
+    seed: int
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> _Thinning:
+        return cls(
+            bool(rng.random() < 0.6),
+            rng.uniform(0.1, 0.35) if rng.random() < 0.2 else -np.inf,
+            rng.uniform(0.3, 1.0) if rng.random() < 0.3 else 1.0,
+            int(rng.integers(1 << 62)),
+        )
 
 
 class _Turn:
@@ -108,17 +119,11 @@ class _Turn:
         self.mirror = 1.0 if rng.random() < 0.5 else -1.0
         self.scale = rng.uniform(0.95, 1.05)
         cos, sin = np.cos(self.angle_rad), np.sin(self.angle_rad)
-        self._matrix = self.scale * np.array([[cos, -sin], [sin, cos]]) @ np.diag([1, self.mirror])
-
-    def points(self, points: Floats32) -> Floats32:
-        moved = np.empty_like(points)
-        moved[:, :2] = points[:, :2] @ self._matrix.T.astype(np.float32)
-        moved[:, 2] = points[:, 2]
-        return moved
+        self.matrix = self.scale * np.array([[cos, -sin], [sin, cos]]) @ np.diag([1, self.mirror])
 
     def boxes(self, boxes: Floats) -> Floats:
         moved = boxes.copy()
-        moved[:, :2] = boxes[:, :2] @ self._matrix.T
+        moved[:, :2] = boxes[:, :2] @ self.matrix.T
         moved[:, 2:6] *= self.scale
         moved[:, 6] = self.mirror * boxes[:, 6] + self.angle_rad
         return moved
@@ -130,12 +135,70 @@ def _some_shots(count: int, rng: np.random.Generator) -> list[int]:
     return [int(i) for i in rng.permutation(count)[:size]]
 
 
-def _middle(points: Floats32, seen: Floats, rng: np.random.Generator) -> Floats:
+def _middle(sight: Sight, shots: list[int], seen: Floats, rng: np.random.Generator) -> Floats:
     """Returns where the window lies: around a vehicle that is seen, else around any point."""
+    points = sight.points[shots[0]]
+    place = np.zeros(2)
     if len(seen) and rng.random() < 0.85:
         place = seen[rng.integers(len(seen)), :2]
     elif len(points):
         place = points[rng.integers(len(points)), :2].astype(np.float64)
-    else:
-        place = np.zeros(2)
-    return np.asarray(place + rng.uniform(-25, 25, 2))
+    return np.asarray(place + rng.uniform(-OFF_M, OFF_M, 2))
+
+
+def _gather(
+    sight: Sight,
+    shots: list[int],
+    thinning: _Thinning,
+    turn: _Turn,
+    middle: Floats,
+    reach_m: float,
+) -> tuple[Floats32, Floats32]:
+    """Returns the points (N, 3) that are left near the middle, turned about it, and heights (N,)."""
+    room = sum(len(sight.points[shot]) for shot in shots)
+    points, height_m = np.empty((room, 3), np.float32), np.empty(room, np.float32)
+    frame = np.array([*middle, reach_m, *turn.matrix.reshape(-1), turn.scale])
+    rule = np.array([thinning.fenced, thinning.least_m, thinning.share])
+    count = 0
+    for shot in shots:
+        part = (sight.points[shot], sight.height_m[shot], sight.on_road[shot])
+        seed = thinning.seed + shot
+        count += _take(*part, frame, rule, seed, points[count:], height_m[count:])
+    return points[:count], height_m[:count]
+
+
+@njit(
+    "int64(float32[:,::1], float32[::1], boolean[::1], float64[::1], float64[::1], int64, "
+    "float32[:,::1], float32[::1])",
+    cache=True,
+    nogil=True,
+)
+def _take(
+    points: Floats32,
+    height_m: Floats32,
+    on_road: Bools,
+    frame: Floats,
+    rule: Floats,
+    seed: int,
+    out: Floats32,
+    out_m: Floats32,
+) -> int:
+    x0, y0, reach_m, a, b, c, d, scale = frame
+    fenced, least_m, share = rule[0] > 0, rule[1], rule[2]
+    state, count = np.uint64(seed), 0
+    for index in range(points.shape[0]):
+        x, y = points[index, 0] - x0, points[index, 1] - y0
+        if abs(x) > reach_m or abs(y) > reach_m:
+            continue
+        if (fenced and not on_road[index]) or height_m[index] <= least_m:
+            continue
+        if share < 1:
+            # a linear congruence's upper bits are random enough to thin by
+            state = state * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
+            if np.float64(state >> np.uint64(11)) / 9007199254740992.0 > share:
+                continue
+        out[count, 0], out[count, 1] = a * x + b * y, c * x + d * y
+        out[count, 2] = points[index, 2]
+        out_m[count] = height_m[index] * scale
+        count += 1
+    return count
