@@ -195,13 +195,14 @@ def describe(
         _look_below(below, kind_below, slopes, bases, wide, shift, marks)
         for sector in range(SECTORS):
             seen[sector] = 0
-            base, at = sector * wide, SECTORS + sector
-            for j in range(wide):
-                metres = range_m[row, base + j] if base + j < columns else np.float32(0)
-                units, there = np.int32(metres * units_per_m + 0.5), i64(metres > 0)
-                beams[at] = units * there - (1 - there)
-                points += there
-                at += SECTORS
+            base, at = sector * wide, u64(SECTORS + sector)
+            inside = max(0, min(wide, columns - base))
+            for metres in range_m[row, base : base + inside]:
+                beams[at] = np.int32(metres * units_per_m + 0.5) if metres > 0 else np.int32(-1)
+                at += u64(SECTORS)
+            for _ in range(inside, wide):
+                beams[at] = -1
+                at += u64(SECTORS)
         change = rise
         for at in range(SECTORS, end):
             under = i64(below[at])
@@ -211,12 +212,13 @@ def describe(
             ahead = last + slopes[at]
             expected = max(min(last, under), min(max(last, under), ahead))
             there = i64(beams[at] >= 0)
+            points += there
             k = ((i64(beams[at]) - expected + UNITS // 2) >> 8) * there
             steps[at] = k
-            calm = seen[at & 7]
+            calm = seen[u64(at & 7)]
             jumps = abs(k) >= jump
-            here[at] = expected + (UNITS if jumps else gains[calm]) * k
-            seen[at & 7] = 0 if jumps else min(calm + there, 15)
+            here[at] = expected + (UNITS if jumps else gains[u64(calm)]) * k
+            seen[u64(at & 7)] = 0 if jumps else min(calm + there, 15)
             if at < 2 * SECTORS:
                 change = i64(here[at]) - under
                 if at == SECTORS:
@@ -226,15 +228,15 @@ def describe(
         for at in range(SECTORS, end):
             there = i64(beams[at] >= 0)
             before, base = i64(kind[at - SECTORS]), i64(bases[at])
-            context = i64(context_of[(base << 4) | before])
+            context = i64(context_of[u64((base << 4) | before)])
             whole = fold(i64(steps[at]))
             number = min(whole >> low, ESCAPE)
             token = (number + 1) * there
             symbol = context * STRIDE + token
-            symbols[count] = (at & 7) << TURN_SHIFT | symbol
-            counts[at & 1, symbol] += 1
+            symbols[u64(count)] = (at & 7) << TURN_SHIFT | symbol
+            counts[u64(at & 1), u64(symbol)] += 1
             count += 1
-            kind[at] = next_kind[i64(classes[token]) | ((base & 24) << 1) | before]
+            kind[at] = next_kind[u64(i64(classes[u64(token)]) | ((base & 24) << 1) | before)]
             if number != ESCAPE and plain:
                 continue
             extra, length = whole & ((1 << low) - 1), low * there
@@ -386,11 +388,11 @@ def restore(
             last = i64(here[at - SECTORS])
             ahead = last + slopes[at]
             expected = max(min(last, under), min(max(last, under), ahead))
-            k, calm = i64(steps[at]), seen[at & 7]
+            k, calm = i64(steps[at]), seen[u64(at & 7)]
             jumps = abs(k) >= jump
             beams[at] = expected + UNITS * k
-            here[at] = expected + (UNITS if jumps else gains[calm]) * k
-            seen[at & 7] = 0 if jumps else min(calm + i64(kind[at] < _GONE), 15)
+            here[at] = expected + (UNITS if jumps else gains[u64(calm)]) * k
+            seen[u64(at & 7)] = 0 if jumps else min(calm + i64(kind[at] < _GONE), 15)
             if at < 2 * SECTORS:
                 change = i64(here[at]) - under
                 if at == SECTORS:
