@@ -9,23 +9,15 @@ import numpy as np
 from numba import njit
 
 from protocol.codec.cloud import Floats, Floats32
-from protocol.codec.fine import (
-    BANDS,
-    SIZE_CLASSES,
-    WEIGHT_BITS,
-    WEIGHTS,
-    describe_fine,
-    restore_fine,
-)
-from protocol.codec.fine import CONTEXTS as FINE_CONTEXTS
+from protocol.codec.filters import BANDS, SIZE_CLASSES, WEIGHT_BITS, WEIGHTS
+from protocol.codec.filters import CONTEXTS as FINE_CONTEXTS
+from protocol.codec.fine import describe_fine, restore_fine
 from protocol.codec.image import (
     CONTEXT_OF,
     CONTEXTS,
     COUNTS,
     MAX_UNITS,
     NEXT_KIND,
-    STRIDE,
-    UNITS,
     describe,
     landmarks,
     restore,
@@ -34,6 +26,7 @@ from protocol.codec.image import (
 from protocol.codec.payload import Form, Head, Reader
 from protocol.codec.symbols import open_symbols, pack_symbols, read_raw
 from protocol.codec.tokens import I4, I8, U2, U4, i64
+from protocol.codec.walk import STRIDE, UNITS
 from protocol.errors import CodecError
 
 _QUANTISED = 1.0 - 1.0 / UNITS  # half a unit is lost on each side before steps are taken

@@ -19,13 +19,12 @@ import numpy as np
 from numba import njit
 
 from protocol.codec.cloud import Floats, Floats32
-from protocol.codec.rans import SHARES, START, STATES, TURN_SHIFT, advance, is_short, refill
+from protocol.codec.rans import SHARES, STATES, TURN_SHIFT, advance, is_short, refill
 from protocol.codec.tokens import (
     ESCAPE,
     I2,
     I4,
     I8,
-    TAIL_ALPHABET,
     U1,
     U2,
     U4,
@@ -37,15 +36,14 @@ from protocol.codec.tokens import (
     u64,
     unfold,
 )
+from protocol.codec.walk import GONE, STRIDE, UNITS, are_done, open_states, place_ring
 
 SECTORS = 8
-UNITS = 256  # in one step
 MAX_UNITS = 1 << 30
-STRIDE = TAIL_ALPHABET
 CONTEXTS = 84
 COUNTS = 1 << 13  # of symbols
 _TAIL = 80
-_LOST, _GONE = 0, 4  # the token of a lost beam, and the smallest kind of one
+_LOST = 0  # the token of a lost beam
 _TOKENS = ESCAPE + 2  # the last of them is the escape
 _FAR_M = (56.0, 75.0, 95.0)  # beyond these, returns are lost more and more often
 _START_M = 10.0
@@ -133,13 +131,20 @@ def _look_below(
         level = np.int16(uneven > 0) + np.int16(uneven > 1) + np.int16(uneven > 3)
         level += np.int16(uneven > 7) + np.int16(uneven > 15) + np.int16(uneven > 31)
         level += np.int16(uneven > 63)
-        gone = np.int16(kinds[at] >= _GONE)
-        before, behind = kinds[at - SECTORS] >= _GONE, kinds[at + SECTORS] >= _GONE
+        gone = np.int16(kinds[at] >= GONE)
+        before, behind = kinds[at - SECTORS] >= GONE, kinds[at + SECTORS] >= GONE
         losses = np.int16(gone | before | behind) + np.int16(gone & before & behind)
         distance = np.int16(here > near) + np.int16(here > far) + np.int16(here > farther)
         bases[at] = np.int16(level + 8 * np.int16(kinds[at] & 3) + 32 * losses + 96 * distance)
     for at in range(SECTORS, 2 * SECTORS):
         slopes[at] = 0
+
+
+@njit("int64(int64, int64, int64)", cache=True)
+def _expect(last: int, under: int, slope: int) -> int:
+    """Returns what a beam is expected to return, by its neighbours to the left and below."""
+    expected: int = max(min(last, under), min(max(last, under), last + slope))
+    return expected
 
 
 @njit(
@@ -195,28 +200,29 @@ def describe(
         _look_below(below, kind_below, slopes, bases, wide, shift, marks)
         for sector in range(SECTORS):
             seen[sector] = 0
-            base, at = sector * wide, SECTORS + sector
-            for j in range(wide):
-                metres = range_m[row, base + j] if base + j < columns else np.float32(0)
-                units, there = np.int32(metres * units_per_m + 0.5), i64(metres > 0)
-                beams[at] = units * there - (1 - there)
-                points += there
-                at += SECTORS
+            base, at = sector * wide, u64(SECTORS + sector)
+            inside = max(0, min(wide, columns - base))
+            for metres in range_m[row, base : base + inside]:
+                beams[at] = np.int32(metres * units_per_m + 0.5) if metres > 0 else np.int32(-1)
+                at += u64(SECTORS)
+            for _ in range(inside, wide):
+                beams[at] = -1
+                at += u64(SECTORS)
         change = rise
         for at in range(SECTORS, end):
             under = i64(below[at])
             if at < 2 * SECTORS:
                 here[at - SECTORS] = under + change
             last = i64(here[at - SECTORS])
-            ahead = last + slopes[at]
-            expected = max(min(last, under), min(max(last, under), ahead))
+            expected = _expect(last, under, i64(slopes[at]))
             there = i64(beams[at] >= 0)
+            points += there
             k = ((i64(beams[at]) - expected + UNITS // 2) >> 8) * there
             steps[at] = k
-            calm = seen[at & 7]
+            calm = seen[u64(at & 7)]
             jumps = abs(k) >= jump
-            here[at] = expected + (UNITS if jumps else gains[calm]) * k
-            seen[at & 7] = 0 if jumps else min(calm + there, 15)
+            here[at] = expected + (UNITS if jumps else gains[u64(calm)]) * k
+            seen[u64(at & 7)] = 0 if jumps else min(calm + there, 15)
             if at < 2 * SECTORS:
                 change = i64(here[at]) - under
                 if at == SECTORS:
@@ -226,15 +232,15 @@ def describe(
         for at in range(SECTORS, end):
             there = i64(beams[at] >= 0)
             before, base = i64(kind[at - SECTORS]), i64(bases[at])
-            context = i64(context_of[(base << 4) | before])
+            context = i64(context_of[u64((base << 4) | before)])
             whole = fold(i64(steps[at]))
             number = min(whole >> low, ESCAPE)
             token = (number + 1) * there
             symbol = context * STRIDE + token
-            symbols[count] = (at & 7) << TURN_SHIFT | symbol
-            counts[at & 1, symbol] += 1
+            symbols[u64(count)] = (at & 7) << TURN_SHIFT | symbol
+            counts[u64(at & 1), u64(symbol)] += 1
             count += 1
-            kind[at] = next_kind[i64(classes[token]) | ((base & 24) << 1) | before]
+            kind[at] = next_kind[u64(i64(classes[u64(token)]) | ((base & 24) << 1) | before)]
             if number != ESCAPE and plain:
                 continue
             extra, length = whole & ((1 << low) - 1), low * there
@@ -319,8 +325,7 @@ def restore(
         step_of[n + 1] = unfold(n)
     tails = len(table_of) - 4
     states = np.empty(STATES, np.uint64)
-    for n in range(STATES):
-        states[n] = (u64(words[2 * n]) << u64(16)) | u64(words[2 * n + 1])
+    open_states(words, states)
     at_word, at_raw, held, rise = u64(2 * STATES), 0, 0, 0
     bits = u64(0)
     first = i64(len(xyz)) - 1
@@ -373,48 +378,37 @@ def restore(
                 number = fold(i64(steps[at])) + (extra >> low)
                 steps[at] = unfold((number << low) | (extra & ((1 << low) - 1)))
         for n in range(columns, wide * SECTORS):
-            if kind[(n % wide + 1) * SECTORS + n // wide] < _GONE:
+            if kind[(n % wide + 1) * SECTORS + n // wide] < GONE:
                 return -1
         first -= returns
         if first < 0:
             return -1
         change = rise
-        for at in range(SECTORS, end):
-            under = i64(below[at])
-            if at < 2 * SECTORS:
-                here[at - SECTORS] = under + change
-            last = i64(here[at - SECTORS])
-            ahead = last + slopes[at]
-            expected = max(min(last, under), min(max(last, under), ahead))
-            k, calm = i64(steps[at]), seen[at & 7]
+        for n in range(SECTORS):
+            sector, at = u64(n), u64(n + SECTORS)
+            here[n] = below[at] + change
+            under, last = i64(below[at]), i64(here[at - u64(SECTORS)])
+            expected = _expect(last, under, i64(slopes[at]))
+            k, calm = i64(steps[at]), seen[sector]
             jumps = abs(k) >= jump
             beams[at] = expected + UNITS * k
-            here[at] = expected + (UNITS if jumps else gains[calm]) * k
-            seen[at & 7] = 0 if jumps else min(calm + i64(kind[at] < _GONE), 15)
-            if at < 2 * SECTORS:
-                change = i64(here[at]) - under
-                if at == SECTORS:
-                    rise = change
-        # A beam without return writes too, and is overwritten by the next, but for the ring's last.
-        taken = first + returns
-        next_x, next_y, next_z = xyz[taken, 0], xyz[taken, 1], xyz[taken, 2]
-        out, side, up = turns[row, 0], turns[row, 1], np.float32(turns[row, 2])
-        point, column = u64(first), u64(0)
-        for sector in range(SECTORS):
-            at = u64(SECTORS + sector)
-            for _ in range(min(wide, columns - sector * wide)):
-                metres = np.float32(beams[at] * m_per_unit)
-                a, b = azimuths[column, 0], azimuths[column, 1]
-                xyz[point, 0] = np.float32(out * a - side * b) * metres
-                xyz[point, 1] = np.float32(side * a + out * b) * metres
-                xyz[point, 2] = up * metres
-                point += u64(kind[at] < _GONE)
-                at += u64(SECTORS)
-                column += u64(1)
-        xyz[taken, 0], xyz[taken, 1], xyz[taken, 2] = next_x, next_y, next_z
+            here[at] = expected + (UNITS if jumps else gains[u64(calm)]) * k
+            seen[sector] = 0 if jumps else min(calm + i64(kind[at] < GONE), 15)
+            change = i64(here[at]) - under
+            if n == 0:
+                rise = change
+        for column in range(1, wide):  # as above, with nothing to ask
+            start = u64((column + 1) * SECTORS)
+            for n in range(SECTORS):
+                sector, at = u64(n), start + u64(n)
+                under, last = i64(below[at]), i64(here[at - u64(SECTORS)])
+                expected = _expect(last, under, i64(slopes[at]))
+                k, calm = i64(steps[at]), seen[sector]
+                jumps = abs(k) >= jump
+                beams[at] = expected + UNITS * k
+                here[at] = expected + (UNITS if jumps else gains[u64(calm)]) * k
+                seen[sector] = 0 if jumps else min(calm + i64(kind[at] < GONE), 15)
+        place_ring(beams, kind, SECTORS, m_per_unit, turns, row, azimuths, xyz, first, returns)
     if at_word != u64(end_word) or at_raw != len(raw) or first != 0:
         return -1
-    for n in range(STATES):
-        if states[n] != u64(START):
-            return -1
-    return 0
+    return 0 if are_done(states) else -1

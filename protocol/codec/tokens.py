@@ -26,6 +26,7 @@ U2 = npt.NDArray[np.uint16]
 U4 = npt.NDArray[np.uint32]
 I4 = npt.NDArray[np.int32]
 I8 = npt.NDArray[np.int64]
+U8 = npt.NDArray[np.uint64]
 
 
 @njit("int64(int64)", cache=True)
