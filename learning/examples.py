@@ -94,7 +94,7 @@ def example_of(
 
 @dataclass(frozen=True, slots=True)
 class _Thinning:
-    """Which points are left out: off the road, near the ground as by some senders, or at random."""
+    """Which points are left out: off the road, near the ground (as senders do), or at random."""
 
     fenced: bool
     least_m: float
