@@ -83,7 +83,7 @@ def example_of(
     thinning, turn = _Thinning.draw(rng), _Turn(rng)
     points, height_m = _gather(sight, shots, thinning, turn, middle, half_m * np.sqrt(2))
     lift_m = rng.normal(0, LIFT_STD_M)
-    window = Window(np.array([-half_m, -half_m]), cells)
+    window = Window(np.array([-half_m, -half_m]), cells, cells)
     pillars = pillars_of(points, height_m + np.float32(lift_m), window, config)
     boxes = turn.boxes(sight.boxes - np.array([*middle, 0, 0, 0, 0, 0]))
     boxes[:, 2] += lift_m
@@ -154,7 +154,7 @@ def _gather(
     middle: Floats,
     reach_m: float,
 ) -> tuple[Floats32, Floats32]:
-    """Returns the points (N, 3) that are left near the middle, turned about it, and heights (N,)."""
+    """Returns what is left near the middle, turned about it: points (N, 3) and heights (N,)."""
     room = sum(len(sight.points[shot]) for shot in shots)
     points, height_m = np.empty((room, 3), np.float32), np.empty(room, np.float32)
     frame = np.array([*middle, reach_m, *turn.matrix.reshape(-1), turn.scale])

@@ -32,26 +32,32 @@ class Targets:
 
 def targets_of(boxes: Floats, sure: Bools, window: Window, config: PillarsConfig) -> Targets:
     """Assigns anchors to boxes (K, 7), z over the road; those not `sure` (K,) are not judged."""
-    side = window.cells // STRIDE
-    overlap = np.zeros(ANCHOR_YAWS * side * side, np.float32)
+    rows, columns = (side // STRIDE for side in window.size)
+    overlap = np.zeros(ANCHOR_YAWS * rows * columns, np.float32)
     owner = np.full(len(overlap), NOBODY, np.int32)
     step_m = STRIDE * config.cell_m
     grid = np.array([*window.low, step_m, *config.anchor_m[:2]], np.float64)
-    _assign(np.ascontiguousarray(boxes, np.float64), grid, side, overlap, owner)
+    _assign(np.ascontiguousarray(boxes, np.float64), grid, rows, columns, overlap, owner)
     sure_owner = (owner >= 0) & np.append(sure, False)[owner]
     is_vehicle = sure_owner & (overlap >= VEHICLE_IOU)
     _claim_best(overlap, owner, len(boxes), is_vehicle, sure)
     faint = (owner >= 0) & ~sure_owner & (overlap >= DOUBTFUL_IOU)
     counts = is_vehicle | ~((overlap >= NOTHING_IOU) | faint)
     place = np.flatnonzero(is_vehicle).astype(np.int32)
-    kind, cell = np.divmod(place, side * side)
+    kind, cell = np.divmod(place, rows * columns)
     middle = middle_of(cell, window, config)
     terms = terms_of(boxes[owner[place]], middle, kind, config)
     return Targets(is_vehicle, counts, place, terms)
 
 
-@njit("void(float64[:,::1], float64[::1], int64, float32[::1], int32[::1])", cache=True, nogil=True)
-def _assign(boxes: Floats, grid: Floats, side: int, overlap: Floats32, owner: Ints32) -> None:
+@njit(
+    "void(float64[:,::1], float64[::1], int64, int64, float32[::1], int32[::1])",
+    cache=True,
+    nogil=True,
+)
+def _assign(
+    boxes: Floats, grid: Floats, rows: int, columns: int, overlap: Floats32, owner: Ints32
+) -> None:
     """Gives each anchor the box it overlaps most, both laid along the axes."""
     low_x, low_y, step_m, length_m, width_m = grid
     for index in range(boxes.shape[0]):
@@ -60,9 +66,9 @@ def _assign(boxes: Floats, grid: Floats, side: int, overlap: Floats32, owner: In
             long_m, wide_m = wide_m, long_m
         reach_m = (max(long_m, wide_m) + length_m) / 2
         first_row = max(int((y - reach_m - low_y) / step_m), 0)
-        last_row = min(int((y + reach_m - low_y) / step_m), side - 1)
+        last_row = min(int((y + reach_m - low_y) / step_m), rows - 1)
         first_column = max(int((x - reach_m - low_x) / step_m), 0)
-        last_column = min(int((x + reach_m - low_x) / step_m), side - 1)
+        last_column = min(int((x + reach_m - low_x) / step_m), columns - 1)
         for row in range(first_row, last_row + 1):
             off_y = abs(low_y + (row + 0.5) * step_m - y)
             for column in range(first_column, last_column + 1):
@@ -76,7 +82,7 @@ def _assign(boxes: Floats, grid: Floats, side: int, overlap: Floats32, owner: In
                         continue
                     area = common_x * common_y
                     iou = area / (long_m * wide_m + length_m * width_m - area)
-                    place = (kind * side + row) * side + column
+                    place = (kind * rows + row) * columns + column
                     if iou > overlap[place]:
                         overlap[place] = iou
                         owner[place] = index

@@ -103,7 +103,7 @@ class Trainer:
         self.network.train()
         for group in self._optimiser.param_groups:
             group["lr"] = self.recipe.rate_at(self.step)
-        batch = Batch.of([e.pillars for e in examples], self.recipe.cells, self._device)
+        batch = Batch.of([e.pillars for e in examples], (self.recipe.cells,) * 2, self._device)
         with torch.autocast(self._device.type, dtype=torch.bfloat16):
             head = self.network(batch.features, batch.pillar, batch.cell, batch.shape)
         losses = losses_of(head, [e.targets for e in examples], self._device)

@@ -70,6 +70,7 @@ class _Sharing:
         period_s = self._recording.frame_period_s
         mean_bytes = float(np.mean(self._bytes))
         receivers = len(self._recording.agents) - 1
+        fps = len(self._latencies_ns) / receivers / (frames - LEARNING_FRAMES) / period_s
         return UplinkRow(
             policy=POLICY,
             link=self._link,
@@ -77,7 +78,8 @@ class _Sharing:
             bytes_per_frame=mean_bytes,
             mbps_per_agent=mean_bytes * 8e-6 / period_s,
             latency_ms=distribution_ms(self._latencies_ns),
-            fps=len(self._latencies_ns) / receivers / (frames - LEARNING_FRAMES) / period_s,
+            fps=fps,
+            whole_fps=fps,
             recall_visible=self._tally.recall_visible,
             count_error=self._tally.count_error,
             false_per_frame=self._tally.false_per_frame,

@@ -14,7 +14,7 @@ from studies.latency import end_to_end_ms
 from studies.tally import Tally
 
 EMP_LATENCY_MS, EMP_RATE_HZ = 93.0, 24.0  # published: mean end to end, frames a second
-SUSTAINED_SHARE = 0.98  # of the scans of all agents
+SUSTAINED_SHARE = 0.98  # of all frames
 LEARNING_FRAMES = 10  # of standing sensors' backgrounds and of rates: not scored
 
 Visible = Callable[[int], set[str]]
@@ -24,7 +24,8 @@ Visible = Callable[[int], set[str]]
 class UplinkRow:
     """One policy on one link. A figure that the run does not yield is None.
 
-    `fps` are the scans of an agent that the edge used, per second; `recall_visible` is the share
+    `fps` are the scans of an agent that the edge used, per second; `whole_fps` the frames of which
+    it had all that it needed: with `reap` not every agent's scan is; `recall_visible` is the share
     of the vehicles without a radio, seen by all agents together, that the edge detects;
     `count_error` the mean absolute error of a lane's count, in vehicles.
     """
@@ -36,6 +37,7 @@ class UplinkRow:
     mbps_per_agent: float | None
     latency_ms: dict[str, float | None]
     fps: float | None
+    whole_fps: float | None
     recall_visible: float | None
     count_error: float | None
     false_per_frame: float | None
@@ -54,10 +56,10 @@ class RateRow:
 
     @property
     def is_sustained(self) -> bool:
-        """Whether nearly all scans were used, and no queue grew: EMP's latency was kept."""
+        """Whether nearly all frames were whole, and no queue grew: EMP's latency was kept."""
         mean_ms = self.uplink.latency_ms["mean"]
-        used = (self.uplink.fps or 0.0) / self.rate_hz
-        return used >= SUSTAINED_SHARE and mean_ms is not None and mean_ms <= EMP_LATENCY_MS
+        whole = (self.uplink.whole_fps or 0.0) / self.rate_hz
+        return whole >= SUSTAINED_SHARE and mean_ms is not None and mean_ms <= EMP_LATENCY_MS
 
     def as_json(self) -> dict[str, Any]:
         """Returns stable keys."""
@@ -82,6 +84,7 @@ def row_of(run: Run, policy: str, link: str, visible: Visible, frame_period_s: f
         mbps_per_agent=None if mean_bytes is None else mean_bytes * 8e-6 / frame_period_s,
         latency_ms=end_to_end_ms(run, after_frame=LEARNING_FRAMES),
         fps=_scans_per_s(run, frame_period_s),
+        whole_fps=_whole_per_s(run, frame_period_s),
         recall_visible=tally.recall_visible,
         count_error=tally.count_error,
         false_per_frame=tally.false_per_frame,
@@ -99,6 +102,15 @@ def _scans_per_s(run: Run, frame_period_s: float) -> float | None:
     ticks = "SELECT count(*) FROM frames WHERE tick_ns IS NOT NULL AND frame >= ?"
     frames = run.query(ticks, LEARNING_FRAMES)[0][0]
     return used / agents / frames / frame_period_s if agents and frames else None
+
+
+def _whole_per_s(run: Run, frame_period_s: float) -> float | None:
+    """Returns how many frames were complete per second of simulated time."""
+    sql = """
+        SELECT count(*), total(complete = 1) FROM frames WHERE tick_ns IS NOT NULL AND frame >= ?
+    """
+    frames, whole = run.query(sql, LEARNING_FRAMES)[0]
+    return whole / frames / frame_period_s if frames else None
 
 
 def _tally(run: Run, visible: Visible) -> Tally:

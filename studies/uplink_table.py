@@ -41,13 +41,14 @@ def print_uplink(rows: list[UplinkRow], console: Console) -> None:
 def print_rates(rows: list[RateRow], console: Console) -> None:
     """Prints a table of all rates, then how far each policy came."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
-    for head in ("policy", "frames/s", "scans/s", "mean ms", "p95", "seen %", "kept up"):
+    for head in ("policy", "frames/s", "whole/s", "scans/s", "mean ms", "p95", "seen %", "kept up"):
         table.add_column(head, justify="left" if head == "policy" else "right")
     for row in rows:
         seen = row.uplink.recall_visible
         table.add_row(
             row.uplink.policy,
             f"{row.rate_hz:g}",
+            _text(row.uplink.whole_fps, 1),
             _text(row.uplink.fps, 1),
             _text(row.uplink.latency_ms["mean"], 1),
             _text(row.uplink.latency_ms["p95"], 1),

@@ -11,8 +11,7 @@ from perception.pillars.voxels import Window
 
 def middle_of(place: Ints, window: Window, config: PillarsConfig) -> Floats:
     """Returns the middles x, y (K, 2) of output cells, numbered along x first."""
-    side = window.cells // STRIDE
-    column, row = place % side, place // side
+    row, column = np.divmod(place, window.columns // STRIDE)
     return window.low + (np.stack([column, row], -1) + 0.5) * STRIDE * config.cell_m
 
 

@@ -22,14 +22,15 @@ class Batch:
     shape: Tensor
 
     @classmethod
-    def of(cls, windows: Sequence[Pillars], cells: int, device: torch.device) -> Batch:
-        """Puts windows of `cells` x `cells` pillars together."""
+    def of(cls, windows: Sequence[Pillars], size: tuple[int, int], device: torch.device) -> Batch:
+        """Puts windows of one size together, rows and columns."""
+        places = size[0] * size[1]
         first = np.cumsum([0, *(len(w.cell) for w in windows)])
         pillar = [w.pillar + at for w, at in zip(windows, first[:-1], strict=True)]
-        cell = [w.cell + number * cells**2 for number, w in enumerate(windows)]
+        cell = [w.cell + number * places for number, w in enumerate(windows)]
         return cls(
             torch.from_numpy(np.concatenate([w.features for w in windows])).to(device),
             torch.from_numpy(np.concatenate(pillar)).to(device),
             torch.from_numpy(np.concatenate(cell)).to(device),
-            torch.tensor([len(windows), cells, cells]),
+            torch.tensor([len(windows), *size]),
         )

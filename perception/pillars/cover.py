@@ -1,6 +1,8 @@
-"""Which windows to look at: as few as hold all points, for a road is long and thin."""
+"""Which windows to look at: little more than the road, for it is long and thin."""
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 
@@ -8,22 +10,37 @@ from perception.arrays import Floats, Floats32
 from perception.pillars.voxels import Window
 
 HALO_M = 6.0  # around a window's core: what a vehicle at the core's edge is seen by
+STRIP_M, LONG_M = 52.0, 116.0  # of a core at most, across and along
+STEP_M = 16.0  # few different sizes, so that many windows are asked for at once
 _COARSE_M = 2.0
+_GAP_M = 3 * HALO_M  # a wider one is left out
 
 
-def cover(points: Floats32, cells: int, cell_m: float) -> list[Window]:
-    """Returns windows of `cells` a side whose cores hold all points (N, 2 or 3).
+def cover(points: Floats32, cell_m: float) -> list[Window]:
+    """Returns windows whose cores hold all points (N, 2 or 3).
 
-    The core is the window less its halo. Windows stand in columns, or in rows if those are fewer.
+    The core is the window less its halo. Windows stand in columns, or in rows if that is less area.
     """
     if len(points) == 0:
         return []
-    core_m = cells * cell_m - 2 * HALO_M
     places = _coarse(points)
-    columns = _strips(places, core_m)
-    rows = [low[::-1] for low in _strips(places[:, ::-1], core_m)]
-    lows = columns if len(columns) <= len(rows) else rows
-    return [Window(low - HALO_M, cells) for low in lows]
+    columns = _cores(places)
+    rows = [core[:, ::-1] for core in _cores(places[:, ::-1])]
+    cores = min(columns, rows, key=lambda cores: sum(_area_m2(core) for core in cores))
+    return [_window(core, cell_m) for core in cores]
+
+
+def _window(core: Floats, cell_m: float) -> Window:
+    columns, rows = (round(side_m / cell_m) for side_m in _sides_m(core))
+    return Window(core[0] - HALO_M, columns, rows)
+
+
+def _sides_m(core: Floats) -> Floats:
+    return np.asarray(np.ceil((core[1] - core[0] + 2 * HALO_M) / STEP_M) * STEP_M)
+
+
+def _area_m2(core: Floats) -> float:
+    return float(np.prod(_sides_m(core)))
 
 
 def _coarse(points: Floats32) -> Floats:
@@ -36,17 +53,26 @@ def _coarse(points: Floats32) -> Floats:
     return np.stack([known // span[1] + low[0], known % span[1] + low[1]], -1) * _COARSE_M
 
 
-def _strips(places: Floats, core_m: float) -> list[Floats]:
-    """Covers squares strip by strip across the first axis, each from its lowest square on."""
-    lows = []
-    step_m = core_m - _COARSE_M
+def _cores(places: Floats) -> list[Floats]:
+    """Covers squares strip by strip across the first axis; each core is (2, 2): low and high."""
+    cores = []
     places = places[np.argsort(places[:, 0], kind="stable")]
     while len(places):
-        first = places[0, 0]
-        inside = places[:, 0] <= first + step_m
-        along = np.sort(places[inside, 1])
-        while len(along):
-            lows.append(np.array([first, along[0]]))
-            along = along[along > along[0] + step_m]
+        inside = places[:, 0] <= places[0, 0] + STRIP_M - _COARSE_M
+        strip = places[inside]
+        strip = strip[np.argsort(strip[:, 1], kind="stable")]
+        for first, end in _stretches(strip[:, 1]):
+            part = strip[first:end]
+            cores.append(np.stack([part.min(axis=0), part.max(axis=0) + _COARSE_M]))
         places = places[~inside]
-    return lows
+    return cores
+
+
+def _stretches(along: Floats) -> list[tuple[int, int]]:
+    """Divides sorted places into stretches without a wide gap, none longer than a core."""
+    starts = [0]
+    for index in range(1, len(along)):
+        gap_m = along[index] - along[index - 1]
+        if gap_m > _GAP_M or along[index] - along[starts[-1]] > LONG_M - _COARSE_M:
+            starts.append(index)
+    return list(pairwise([*starts, len(along)]))

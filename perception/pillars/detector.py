@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +22,8 @@ from perception.pillars.weights import SHIPPED, load
 from perception.roadway import Roadway
 from perception.vehicles import Vehicles
 
-CELLS = 256  # of a window: 64 m
 EDGE_M = 3.0  # what lies closer to a window's edge is seen better by the next one
-AT_ONCE = 16  # windows; bounds the memory that a cloud takes
+AT_ONCE = 8  # windows; bounds the memory that a cloud takes
 
 
 class PillarsDetector:
@@ -48,10 +49,9 @@ class PillarsDetector:
     def _ask(self, points: Floats32, height_m: Floats32) -> tuple[Floats, Floats]:
         shape = self._engine.config
         inside = (height_m >= shape.low_m) & (height_m < shape.high_m)
-        windows = cover(points[inside], CELLS, shape.cell_m)
+        windows = cover(points[inside], shape.cell_m)
         boxes, scores = [np.zeros((0, 7))], [np.zeros(0)]
-        for first in range(0, len(windows), AT_ONCE):
-            part = windows[first : first + AT_ONCE]
+        for part in _alike(windows):
             pillars = [pillars_of(points, height_m, window, shape) for window in part]
             found, score, number = self._engine.ask(part, pillars, min_score=self._config.min_score)
             well = _well_inside(found, [part[n] for n in number], shape.cell_m)
@@ -85,9 +85,18 @@ def computes_in_half(device: torch.device) -> bool:
     return device.type != "cpu" or bool(known.get("avx512_bf16") or known.get("amx_bf16"))
 
 
+def _alike(windows: list[Window]) -> Iterator[list[Window]]:
+    """Yields windows of one size, as many as are asked for at once."""
+    windows = sorted(windows, key=lambda window: window.size)
+    for _, group in groupby(windows, key=lambda window: window.size):
+        alike = list(group)
+        for first in range(0, len(alike), AT_ONCE):
+            yield alike[first : first + AT_ONCE]
+
+
 def _well_inside(boxes: Floats, windows: list[Window], cell_m: float) -> np.ndarray:
     low = np.array([window.low for window in windows]).reshape(-1, 2)
-    side_m = np.array([window.cells * cell_m for window in windows]).reshape(-1, 1)
+    side_m = np.array([w.size[::-1] for w in windows]).reshape(-1, 2) * cell_m
     off = boxes[:, :2] - low
     return np.asarray(((off >= EDGE_M) & (off < side_m - EDGE_M)).all(axis=1))
 

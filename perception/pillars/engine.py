@@ -46,8 +46,7 @@ class Engine:
 
         All windows are of one size.
         """
-        cells = windows[0].cells
-        head = self._head(Batch.of(pillars, cells, self.device)).float().cpu()
+        head = self._head(Batch.of(pillars, windows[0].size, self.device)).float().cpu()
         found = [
             (*self._read(terms, window, min_score), number)
             for number, (terms, window) in enumerate(zip(head, windows, strict=True))
@@ -76,13 +75,13 @@ class Engine:
         return self._canvas[:places]
 
     def _read(self, terms: Tensor, window: Window, min_score: float) -> tuple[Floats, Floats]:
-        side = window.cells // STRIDE
+        places = window.rows * window.columns // STRIDE**2
         logits = terms[:ANCHOR_YAWS].reshape(-1)
         least = float(np.log(min_score / (1 - min_score)))
         place = torch.nonzero(logits >= least).reshape(-1)
         if len(place) > _MOST:
             place = place[torch.topk(logits[place], _MOST).indices]
-        kind, cell = place // side**2, place % side**2
+        kind, cell = place // places, place % places
         boxes = terms[ANCHOR_YAWS:].reshape(ANCHOR_YAWS, BOX_TERMS, -1)[kind, :, cell]
         middle = middle_of(cell.numpy(), window, self.config)
         scores = torch.sigmoid(logits[place]).double().numpy()

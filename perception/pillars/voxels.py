@@ -13,10 +13,16 @@ from perception.pillars.config import FEATURES, PillarsConfig
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Window:
-    """A square part of the map's plane, `cells` pillars wide; `low` (2,) is its lowest corner."""
+    """A part of the map's plane, so many pillars wide and high; `low` (2,) is its lowest corner."""
 
     low: Floats
-    cells: int
+    columns: int
+    rows: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.rows, self.columns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,17 +51,20 @@ def pillars_of(
     frame = np.array([*window.low, config.cell_m, config.low_m, config.high_m], np.float64)
     kept = np.empty((len(points), 3), np.float32)
     places = np.empty(len(points), np.int32)
-    counts = np.zeros(window.cells**2, np.int32)
-    count = _keep(points, height_m, frame, window.cells, kept, places, counts)
+    counts = np.zeros(window.rows * window.columns, np.int32)
+    size = np.array(window.size)
+    count = _keep(points, height_m, frame, size, kept, places, counts)
     features = np.empty((count, FEATURES), np.float32)
     cell = np.flatnonzero(counts)
     starts = np.concatenate([[0], np.cumsum(counts[cell], dtype=np.int64)])
-    _describe(kept[:count], places[:count], counts, starts, config.cell_m, window.cells, features)
+    grid = config.cell_m, window.columns
+    _describe(kept[:count], places[:count], counts, starts, *grid, features)
     return Pillars(features, starts, cell)
 
 
 @njit(
-    "int64(float32[:,:], float32[:], float64[::1], int64, float32[:,::1], int32[::1], int32[::1])",
+    "int64(float32[:,:], float32[:], float64[::1], int64[::1], float32[:,::1], int32[::1], "
+    "int32[::1])",
     cache=True,
     nogil=True,
 )
@@ -63,23 +72,24 @@ def _keep(
     points: Floats32,
     height_m: Floats32,
     frame: Floats,
-    cells: int,
+    size: Ints,
     kept: Floats32,
     places: Ints32,
     counts: Ints32,
 ) -> int:
     """Copies the points inside the window, relative to its corner; counts them by cell."""
     low_x, low_y, cell_m, low_m, high_m = frame
+    rows, columns = size
     count = 0
     for index in range(points.shape[0]):
         if not low_m <= height_m[index] < high_m:
             continue
         x, y = points[index, 0] - low_x, points[index, 1] - low_y
         column, row = int(np.floor(x / cell_m)), int(np.floor(y / cell_m))
-        if column < 0 or column >= cells or row < 0 or row >= cells:
+        if column < 0 or column >= columns or row < 0 or row >= rows:
             continue
         kept[count, 0], kept[count, 1], kept[count, 2] = x, y, height_m[index]
-        place = row * cells + column
+        place = row * columns + column
         places[count] = place
         counts[place] += 1
         count += 1
@@ -97,7 +107,7 @@ def _describe(
     counts: Ints32,
     starts: Ints,
     cell_m: float,
-    cells: int,
+    columns: int,
     features: Floats32,
 ) -> None:
     """Writes the features pillar by pillar; uses up the counts."""
@@ -123,5 +133,5 @@ def _describe(
         row[0] = points[index, 2]
         for axis in range(3):
             row[1 + axis] = points[index, axis] - sums[pillar, axis] / size
-        row[4] = points[index, 0] - (place % cells + 0.5) * cell_m
-        row[5] = points[index, 1] - (place // cells + 0.5) * cell_m
+        row[4] = points[index, 0] - (place % columns + 0.5) * cell_m
+        row[5] = points[index, 1] - (place // columns + 0.5) * cell_m

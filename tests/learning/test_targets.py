@@ -13,7 +13,7 @@ from perception.pillars.anchors import boxes_of, middle_of
 from perception.pillars.config import SMALL
 from perception.pillars.voxels import Window
 
-WINDOW = Window(np.array([-16.0, -16.0]), 128)
+WINDOW = Window(np.array([-16.0, -16.0]), 128, 128)
 SIDE = 64
 
 

@@ -57,10 +57,10 @@ def cloud(points: np.ndarray) -> Cloud:
 
 
 def test_the_engine_says_what_the_network_says() -> None:
-    made, window = network(), Window(np.array([-8.0, -8.0]), 64)
+    made, window = network(), Window(np.array([-8.0, -8.0]), 64, 64)
     points = np.random.default_rng(1).uniform(-8, 8, (3000, 3)).astype(np.float32)
     pillars = pillars_of(points, points[:, 2].copy(), window, TINY)
-    batch = Batch.of([pillars, pillars], 64, CPU)
+    batch = Batch.of([pillars, pillars], (64, 64), CPU)
     with torch.inference_mode():
         said = made(batch.features, batch.pillar, batch.cell, batch.shape)
         engine = Engine(network(), CPU, half=False)
@@ -69,17 +69,17 @@ def test_the_engine_says_what_the_network_says() -> None:
 
 
 def test_a_batch_keeps_windows_apart() -> None:
-    made, window = network(), Window(np.array([-8.0, -8.0]), 64)
+    made, window = network(), Window(np.array([-8.0, -8.0]), 64, 64)
     rng = np.random.default_rng(2)
     parts = []
     for _ in range(2):
         points = rng.uniform(-8, 8, (500, 3)).astype(np.float32)
         parts.append(pillars_of(points, points[:, 2].copy(), window, TINY))
     with torch.inference_mode():
-        both = Batch.of(parts, 64, CPU)
+        both = Batch.of(parts, (64, 64), CPU)
         said = made(both.features, both.pillar, both.cell, both.shape)
         for number, part in enumerate(parts):
-            one = Batch.of([part], 64, CPU)
+            one = Batch.of([part], (64, 64), CPU)
             alone = made(one.features, one.pillar, one.cell, one.shape)
             torch.testing.assert_close(said[number : number + 1], alone)
 
