@@ -136,8 +136,8 @@ def _made(parts: Path, asked: Asked, jobs: int) -> Iterator[tuple[Path, list[Sca
             yield future.result()
     except BrokenProcessPool:
         raise ConfigError(
-            f"a process that makes networks was ended, perhaps for want of memory: fewer --jobs "
-            f"than {jobs} take less"
+            "a process that makes networks was ended, perhaps for want of memory: fewer --jobs "
+            "take less"
         ) from None
     finally:
         pool.shutdown(cancel_futures=True)
