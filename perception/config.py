@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field, model_validator
 
 from protocol.config import Section
+
+
+DetectorName = Literal["fast", "reference", "pointpillars", "pointpillars-full"]
 
 
 class GeofenceConfig(Section):
@@ -87,6 +92,11 @@ class BoxConfig(Section):
 class DetectionConfig(Section):
     """From points to vehicles, wherever that is done."""
 
+    detector: DetectorName = Field(
+        "fast",
+        description="fast (ours): clustering tile by tile, boxes completed; reference: clustering "
+        "as in the paper, by Open3D (extra `reference`); pointpillars, pointpillars-full: learned",
+    )
     geofence: GeofenceConfig = Field(GeofenceConfig(), description="what belongs to the road")
     ground: GroundConfig = Field(GroundConfig(), description="ground removal, RANSAC")
     cluster: ClusterConfig = Field(ClusterConfig(), description="clustering, DBSCAN")
