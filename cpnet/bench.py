@@ -1,20 +1,23 @@
-"""`cpnet bench uplink`: the whole system on recorded traffic, once for each policy and link."""
+"""`cpnet bench uplink` and `rate`: the whole system on recorded traffic, a run for each case."""
 
 from __future__ import annotations
 
 import io
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
 from rich.console import Console
 
+from cpnet.scenario import load
 from cpnet.up import Options, up
 from protocol.errors import ConfigError
 from recorder.run import Run
-from sensing.link.named import NONE
+from sensing.link.named import NONE, profile_named
 from sensing.recording import Recording
 from sensing.upload.registry import POLICIES, Filter
 from studies.bench_sharing import POLICY as SHARING
@@ -28,6 +31,7 @@ POLICY_CHOICES = (
 )  # fmt: skip
 LINK_CHOICES = ("5mbit", "lte", "5g-urban")
 RATES_HZ = (10.0, 15.0, 20.0, 24.0, 30.0, 36.0, 42.0, 50.0, 60.0, 75.0, 100.0)
+_SCENARIO = "t_junction"
 _PATIENT_MS = 5_000.0  # nothing is left out for being late: latency shows it instead
 
 
@@ -48,13 +52,21 @@ class UplinkBench:
             raise ConfigError(f"--agents {self.agents}: must be 2 to 16")
         if not LEARNING_FRAMES < self.frames <= 600:
             raise ConfigError(f"--frames {self.frames}: must be {LEARNING_FRAMES + 1} to 600")
-        for policy in self.policies:
-            if policy != SHARING:
-                upload_of(policy)
+        _check_once("--policies", self.policies)
+        _check_once("--link", self.links)
         if SHARING in self.policies and self.realtime:
-            raise ConfigError(
-                f"{SHARING} is measured over virtual links alone: leave out --realtime"
-            )
+            raise ConfigError(f"policy {SHARING!r} is measured over virtual links, not in realtime")
+        for link in self.links:
+            profile_named(link)
+            for policy in self.policies:
+                if policy != SHARING:
+                    load(_SCENARIO, overrides(self, Path(), policy, link))
+
+
+def _check_once(option: str, names: tuple[str, ...]) -> None:
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise ConfigError(f"{option}: {name!r} stands {count} times, each may stand once")
 
 
 def upload_of(policy: str) -> dict[str, Any]:
@@ -81,17 +93,13 @@ def measure(bench: UplinkBench) -> Iterator[UplinkRow]:
     Raises:
         ConfigError: what is asked for cannot be measured.
     """
-    bench.check()
-    with tempfile.TemporaryDirectory(prefix="cpnet-bench-") as scratch:
-        traffic = Path(scratch) / "traffic"
-        traffic.mkdir()
-        record_traffic(traffic, bench.agents, bench.frames)
+    with _recorded(bench) as (scratch, traffic):
         cells = [(policy, link) for link in bench.links for policy in bench.policies]
         for number, (policy, link) in enumerate(cells):
             if policy == SHARING:
                 yield measure_sharing(traffic, link, bench.frames)
             else:
-                yield run_cell(bench, traffic, policy, link, Path(scratch) / f"{number}")
+                yield run_cell(bench, traffic, policy, link, scratch / f"{number}")
 
 
 def measure_rates(bench: UplinkBench) -> Iterator[RateRow]:
@@ -100,19 +108,28 @@ def measure_rates(bench: UplinkBench) -> Iterator[RateRow]:
     Raises:
         ConfigError: what is asked for cannot be measured.
     """
-    bench.check()
-    with tempfile.TemporaryDirectory(prefix="cpnet-bench-") as scratch:
-        traffic = Path(scratch) / "traffic"
-        traffic.mkdir()
-        record_traffic(traffic, bench.agents, bench.frames)
+    bench = replace(bench, realtime=True, links=(NONE,))
+    with _recorded(bench) as (scratch, traffic):
         for policy in bench.policies:
             for rate_hz in RATES_HZ:
-                run_dir = Path(scratch) / f"{policy}-{rate_hz:g}"
-                at_rate = replace(bench, realtime=True, rate_hz=rate_hz)
+                run_dir = scratch / f"{policy}-{rate_hz:g}"
+                at_rate = replace(bench, rate_hz=rate_hz)
                 row = RateRow(rate_hz, run_cell(at_rate, traffic, policy, NONE, run_dir))
                 yield row
                 if not row.is_sustained:
                     break
+
+
+@contextmanager
+def _recorded(bench: UplinkBench) -> Iterator[tuple[Path, Path]]:
+    """Gives a folder for the runs and in it the traffic that all are shown, while they last."""
+    bench.check()
+    with tempfile.TemporaryDirectory(prefix="cpnet-bench-") as name:
+        scratch = Path(name)
+        traffic = scratch / "traffic"
+        traffic.mkdir()
+        record_traffic(traffic, bench.agents, bench.frames)
+        yield scratch, traffic
 
 
 def run_cell(bench: UplinkBench, traffic: Path, policy: str, link: str, run_dir: Path) -> UplinkRow:
@@ -122,7 +139,7 @@ def run_cell(bench: UplinkBench, traffic: Path, policy: str, link: str, run_dir:
         ConfigError: the run failed; the text holds what it printed.
     """
     said = io.StringIO()
-    options = Options("t_junction", overrides(bench, traffic, policy, link), None, [], [], run_dir)
+    options = Options(_SCENARIO, overrides(bench, traffic, policy, link), None, [], [], run_dir)
     status, _ = up(options, Console(file=said))
     if status != 0:
         raise ConfigError(f"{policy} on {link} failed:\n{said.getvalue()}")

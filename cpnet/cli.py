@@ -4,17 +4,27 @@ from __future__ import annotations
 
 import json
 import logging
+import os
+import re
 import shutil
 import sys
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol, TypeVar
 
 import typer
 import yaml
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import track
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    track,
+)
 
 from cpnet import doctor as checks
 from cpnet import scenario as scenarios
@@ -23,6 +33,7 @@ from cpnet.up import Options, up
 from protocol.errors import CpnetError
 from recorder.compare import differences
 from studies.bench_traffic import FRAME_PERIOD_S
+from studies.bench_uplink import LEARNING_FRAMES
 from studies.report import print_report
 from studies.summary import summarise, to_json
 from studies.uplink_table import print_rates, print_uplink
@@ -41,8 +52,24 @@ Override = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="any scenario key; `cpnet scenario` shows all"),
 ]
-BENCH_FRAMES = "frames of each run; the first 10 do not count"
-Address = "HOST:PORT, v2x=HOST:PORT or world=HOST:PORT"
+AsJson = Annotated[bool, typer.Option("--json", help="stable keys, for programs")]
+Policies = Annotated[str, typer.Option(metavar="NAME[+FILTER],...", help="upload policies")]
+Agents = Annotated[int, typer.Option(help="a roadside LiDAR and CAVs")]
+Frames = Annotated[
+    int, typer.Option(help=f"frames of each run; the first {LEARNING_FRAMES} do not count")
+]
+_ADDRESS = "HOST:PORT, v2x=HOST:PORT or world=HOST:PORT"
+_ALL_POLICIES = ",".join(POLICY_CHOICES)
+
+
+class Row(Protocol):
+    """A row of a bench."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Returns its figures by stable keys."""
+
+
+R = TypeVar("R", bound=Row)
 
 
 def _show_version(asked: bool) -> None:
@@ -82,10 +109,10 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     out: Annotated[Path | None, typer.Option(help="run folder; default runs/NAME-TIME")] = None,
     only: Annotated[str | None, typer.Option(metavar="ROLE,...", help="roles to run here")] = None,
     listen: Annotated[
-        list[str] | None, typer.Option(metavar="PLACE", help=f"host the buses: {Address}")
+        list[str] | None, typer.Option(metavar="PLACE", help=f"host the buses: {_ADDRESS}")
     ] = None,
     connect: Annotated[
-        list[str] | None, typer.Option(metavar="PLACE", help=f"buses elsewhere: {Address}")
+        list[str] | None, typer.Option(metavar="PLACE", help=f"buses elsewhere: {_ADDRESS}")
     ] = None,
 ) -> None:
     """Run the loop: world, sensors, edge, signal, record; then print the summary."""
@@ -103,13 +130,18 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     }
     own = net or sumocfg
     if own is not None:
-        named["name"] = own.name.split(".")[0]
+        named["name"] = _run_name(own)
     overrides: dict[str, Any] = {k: v for k, v in named.items() if v is not None}
-    overrides |= dict(scenarios.parse_assignment(text) for text in set_ or [])
+    overrides |= _assigned(set_)
     options = Options(scenario, overrides, only, listen or [], connect or [], out)
     status, run_dir = up(options, _console)
     _conclude(run_dir)
     raise typer.Exit(status)
+
+
+def _run_name(file: Path) -> str:
+    """Returns a name for runs of a file: what of its own a scenario's name may hold."""
+    return re.sub(r"[^A-Za-z0-9_-]", "_", file.name.split(".")[0])[:80] or "own"
 
 
 def _conclude(run_dir: Path) -> None:
@@ -132,7 +164,7 @@ def _conclude(run_dir: Path) -> None:
 def report_command(
     run: Annotated[Path, typer.Argument(help="run folder")],
     *,
-    as_json: Annotated[bool, typer.Option("--json", help="stable keys, for programs")] = False,
+    as_json: AsJson = False,
     against: Annotated[
         Path | None, typer.Option(help="another run: say which results differ")
     ] = None,
@@ -169,9 +201,55 @@ def scenario_command(
     set_: Override = None,
 ) -> None:
     """Print a scenario with every key and its value, ready to be edited."""
-    overrides = dict(scenarios.parse_assignment(text) for text in set_ or [])
-    data = scenarios.load(name, overrides).model_dump(mode="json")
+    data = scenarios.load(name, _assigned(set_)).model_dump(mode="json")
     typer.echo(yaml.safe_dump(data, sort_keys=False), nl=False)
+
+
+@app.command("dataset")
+def dataset_command(
+    out: Annotated[Path, typer.Argument(help="a new or empty folder")],
+    *,
+    networks: Annotated[int, typer.Option(help="generated junctions")] = 60,
+    moments: Annotated[int, typer.Option(help="of each network, some seconds apart")] = 12,
+    seed: Annotated[int, typer.Option(help="the same bytes for the same seed")] = 1,
+    jobs: Annotated[int | None, typer.Option(help="processes; default one a core")] = None,
+) -> None:
+    """Write labelled scans of many generated junctions, for training."""
+    from learning.generate import Asked, generate
+
+    cores = len(os.sched_getaffinity(0))
+    asked = Asked(networks=networks, moments=moments, seed=seed)
+    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()]
+    with Progress(*columns, TimeElapsedColumn(), console=_errors, transient=True) as progress:
+        task = progress.add_task("networks", total=networks)
+
+        def report(done: int, scans: int) -> None:
+            progress.update(task, completed=done, description=f"networks, {scans} scans")
+
+        generate(out, asked, cores if jobs is None else jobs, report)
+    _console.print(f"wrote {out}", highlight=False, soft_wrap=True)
+
+
+@app.command("train")
+def train_command(
+    dataset: Annotated[Path, typer.Argument(help="a folder that `cpnet dataset` wrote")],
+    *,
+    out: Annotated[Path, typer.Option(help="for weights and state; training goes on from there")],
+    network: Annotated[
+        str, typer.Option(help="pointpillars or pointpillars-full")
+    ] = "pointpillars",
+    steps: Annotated[int, typer.Option(help="of the optimiser")] = 20_000,
+    windows: Annotated[int, typer.Option(help="a step")] = 4,
+    cells: Annotated[int, typer.Option(help="of 0.25 m, a window's side")] = 320,
+    seed: Annotated[int, typer.Option(help="the same weights for the same seed")] = 1,
+) -> None:
+    """Train PointPillars on labelled scans, on a GPU if there is one."""
+    from learning.train import Training, train
+    from learning.training import Recipe
+
+    recipe = Recipe(steps=steps, windows=windows, cells=cells, seed=seed)
+    path = train(Training(dataset, out, network, recipe), _errors)
+    _console.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 
 @app.command("doctor")
@@ -197,42 +275,36 @@ def bench_codec_command(
         list[Path] | None,
         typer.Option(metavar="PATH", help="a .bin or .pcd file as well, or all in a folder"),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="stable keys, for programs")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Measure the scan codec beside Draco and zstd at equal maximum error."""
     from protocol.codec.draco import load_draco
-    from sensing.point_files import point_files, read_points
+    from sensing.point_files import point_files
     from studies.bench_codec import BenchCloud, bench
     from studies.bench_scans import cast_scans
     from studies.bench_table import print_bench
 
     load_draco()
-    paths = point_files(points or [])
-    files = [BenchCloud(str(path), read_points(path).points) for path in paths]
+    files = [BenchCloud.of_file(path) for path in point_files(points or [])]
     clouds = [BenchCloud.of_scan(scan) for scan in cast_scans()] + files
     rows = [row for cloud in clouds for row in bench(cloud)]
-    if as_json:
-        typer.echo(json.dumps([row.as_json() for row in rows], indent=2))
-    else:
-        print_bench(rows, _console)
+    _show(rows, print_bench, as_json=as_json)
 
 
 @bench_app.command("uplink")
 def bench_uplink_command(
     *,
-    policies: Annotated[
-        str, typer.Option(metavar="NAME[+FILTER],...", help="upload policies")
-    ] = ",".join(POLICY_CHOICES),
+    policies: Policies = _ALL_POLICIES,
     link: Annotated[
         list[str] | None, typer.Option(help="uplink of all agents; may be given several times")
     ] = None,
-    agents: Annotated[int, typer.Option(help="a roadside LiDAR and CAVs")] = 6,
-    frames: Annotated[int, typer.Option(help=BENCH_FRAMES)] = 60,
+    agents: Agents = 6,
+    frames: Frames = 60,
     realtime: Annotated[
         bool, typer.Option("--realtime", help="emulated links and the wall clock")
     ] = False,
     rate: Annotated[float, typer.Option(min=1, max=100, help="realtime: frames a second")] = 10,
-    as_json: Annotated[bool, typer.Option("--json", help="stable keys, for programs")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Measure upload policies on links: bytes, latency, what is still detected and counted."""
     bench = UplinkBench(
@@ -245,31 +317,28 @@ def bench_uplink_command(
     )
     cells = len(bench.policies) * len(bench.links)
     rows = list(track(measure(bench), "measuring", cells, console=_errors, transient=True))
-    if as_json:
-        typer.echo(json.dumps([row.as_json() for row in rows], indent=2))
-    else:
-        print_uplink(rows, _console)
+    _show(rows, print_uplink, as_json=as_json)
 
 
 @bench_app.command("rate")
 def bench_rate_command(
     *,
-    policies: Annotated[
-        str, typer.Option(metavar="NAME[+FILTER],...", help="upload policies")
-    ] = "full,foreground,reap+foreground",
-    agents: Annotated[int, typer.Option(help="a roadside LiDAR and CAVs")] = 6,
-    frames: Annotated[
-        int, typer.Option(help="frames of each run; the first 10 do not count")
-    ] = 120,
-    as_json: Annotated[bool, typer.Option("--json", help="stable keys, for programs")] = False,
+    policies: Policies = "full,foreground,reap+foreground",
+    agents: Agents = 6,
+    frames: Frames = 120,
+    as_json: AsJson = False,
 ) -> None:
     """Find the highest frame rate in realtime, with detection, on recorded scans."""
     bench = UplinkBench(policies=tuple(policies.split(",")), agents=agents, frames=frames)
     rows = list(track(measure_rates(bench), "measuring", None, console=_errors, transient=True))
+    _show(rows, print_rates, as_json=as_json)
+
+
+def _show(rows: list[R], print_table: Callable[[list[R], Console], None], *, as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps([row.as_json() for row in rows], indent=2))
     else:
-        print_rates(rows, _console)
+        print_table(rows, _console)
 
 
 def main() -> None:
@@ -280,6 +349,10 @@ def main() -> None:
     except CpnetError as error:
         _errors.print(f"[bold red]error[/] {escape(str(error))}", highlight=False, soft_wrap=True)
         sys.exit(2)
+
+
+def _assigned(texts: list[str] | None) -> dict[str, Any]:
+    return dict(scenarios.parse_assignment(text) for text in texts or [])
 
 
 def _relative(path: Path) -> Path:

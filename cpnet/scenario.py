@@ -13,6 +13,7 @@ from pydantic import BaseModel, Field, ValidationError
 from edge_server.config import EdgeConfig
 from protocol.config import Section
 from protocol.errors import ConfigError
+from protocol.files import is_file
 from recorder.config import RecordConfig
 from sensing.config import LidarConfig, Mount, PoseErrorConfig, SceneConfig, UploadConfig
 from sensing.link.config import LinkConfig
@@ -135,7 +136,7 @@ def _read(name_or_file: str) -> tuple[str, dict[str, Any]]:
         )
     else:
         path = Path(name_or_file)
-        if not _is_file(path):
+        if not is_file(path):
             raise ConfigError(
                 f"there is no scenario {name_or_file!r}: neither a file nor one of the built-in "
                 f"{', '.join(builtin_names())}"
@@ -153,21 +154,15 @@ def _read(name_or_file: str) -> tuple[str, dict[str, Any]]:
     return name_or_file, data
 
 
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a name that no file can have
-        return False
-
-
 def _put(data: dict[str, Any], dotted: str, value: object) -> None:
     *path, last = _split(dotted)
     here = data
     for key in path:
-        below = here.setdefault(key, {})
-        if not isinstance(below, dict):
-            raise ConfigError(f"{dotted}: {key} is no section")
-        here = below
+        if here.get(key) is None:
+            here[key] = {}
+        if not isinstance(here[key], dict):
+            raise ConfigError(f"{dotted}: {key} is {here[key]!r:.80}, which has no keys of its own")
+        here = here[key]
     here[last] = value
 
 
@@ -179,7 +174,7 @@ def _split(dotted: str) -> list[str]:
         field = model.model_fields.get(part) if _is_section(model) else None
         if field is None:
             return [*parts[:depth], ".".join(parts[depth:])] if not _is_section(model) else parts
-        model = field.annotation
+        model = _section_of(field.annotation)
     return parts
 
 
@@ -227,8 +222,8 @@ def _check_recording(scenario: Scenario, source: str) -> None:
         )
 
 
-def _section_of(annotation: Any) -> Any:  # noqa: ANN401 - whatever stands behind a colon
-    """Returns the section of `Section | None`, anything else as it is."""
+def _section_of(annotation: Any) -> Any:  # noqa: ANN401 - typing has no name for what annotations are
+    """Returns the section of `Section | None`, the first of several, anything else as it is."""
     choices = [choice for choice in getattr(annotation, "__args__", ()) if _is_section(choice)]
     return choices[0] if choices and not hasattr(annotation, "__origin__") else annotation
 

@@ -23,15 +23,17 @@ from cpnet.processes import choose_roles, processes_of, relays_of
 from cpnet.supervisor import Death, Supervisor
 from cpnet.watch import Watch
 from protocol.bus import Endpoint, fetch
-from protocol.errors import BusError, ConfigError
+from protocol.errors import BusError, ConfigError, MessageError
 from protocol.messages import Setup
 from protocol.topics import BusName
 from protocol.wire import encode
+from sensing.source import check_recording
 
 POLL_S = 0.1
 OVERTAKEN_S = 0.5
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 OTHERS_LEAVE_S = 5.0
+PLAYERS = {"sim", "vehicle", "infra"}  # who plays a recording, if there is one
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +53,7 @@ def up(options: Options, console: Console) -> tuple[int, Path]:
 
     Raises:
         ConfigError: the options or the scenario cannot be.
+        MessageError: the roads are too large for a message.
         BusError: the other side cannot be reached.
     """
     roles = choose_roles(options.only)
@@ -66,12 +69,15 @@ def up(options: Options, console: Console) -> tuple[int, Path]:
     run_dir = _make_run_dir(options.out, asked.name if asked else "-".join(names))
     try:
         setup, scenario = _setup(asked, endpoints, run_dir)
+        if PLAYERS.intersection(names):
+            check_recording(setup.scenario)
+        packed = encode(setup)
         relays = relays_of(roles, scenario)
         netns.prepare(scenario, relays, console)
-    except ConfigError:
+    except (ConfigError, MessageError):
         shutil.rmtree(run_dir, ignore_errors=True)
         raise
-    (run_dir / "setup.msgpack").write_bytes(encode(setup))
+    (run_dir / "setup.msgpack").write_bytes(packed)
     (run_dir / "scenario.json").write_text(json.dumps(setup.scenario, indent=2) + "\n", "utf-8")
     console.print(f"{scenario.name}: {', '.join(names)} → {run_dir}", markup=False, soft_wrap=True)
     with (

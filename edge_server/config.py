@@ -9,6 +9,8 @@ from pydantic import Field
 from perception.config import DetectionConfig
 from protocol.config import Section
 
+MergeMethod = Literal["se3", "euler"]
+
 
 class FusionConfig(Section):
     """When two detections are one vehicle."""
@@ -55,7 +57,7 @@ class EdgeConfig(DetectionConfig):
     lockstep_timeout_s: float = Field(
         20.0, gt=0, le=600, description="lockstep: the same, only for agents that hang"
     )
-    merge: Literal["se3", "euler"] = Field(
+    merge: MergeMethod = Field(
         "se3",
         description="se3: exact transforms; euler: differences of Euler angles, as in the paper",
     )

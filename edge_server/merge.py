@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
+from edge_server.config import MergeMethod
 from perception.arrays import Floats
 from perception.roadway import Placed
 from protocol.geometry import SE3, euler_rotation
-
-Method = Literal["se3", "euler"]
 
 
 def merge(placed: list[Placed]) -> Placed:
@@ -21,7 +18,7 @@ def merge(placed: list[Placed]) -> Placed:
     return Placed(points, np.concatenate([piece.road_m for piece in placed]))
 
 
-def sensor_in_map(sensor_pose: Floats, *, method: Method, reference_pose: Floats) -> SE3:
+def sensor_in_map(sensor_pose: Floats, *, method: MergeMethod, reference_pose: Floats) -> SE3:
     """Returns `map_SE3_sensor`: exact, or with `euler` by way of a reference sensor's pose (6,)."""
     if method == "se3":
         return SE3.from_pose(sensor_pose)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from protocol.geometry import SE3
 from protocol.inbox import Envelope, Presence
 from protocol.messages import Tick
 from protocol.process import Context
-from protocol.roadmap import RoadMap
 from sensing.config import Mount
+from sensing.mounting import mounted
 from sensing.station import Station
-from sensing.terrain import Terrain
 
 
 class InfraRole:
@@ -52,11 +48,3 @@ class InfraRole:
             self._uplink.sense_and_send(
                 tick, map_SE3_sensor=pose, believed_SE3_sensor=pose, own=None
             )
-
-
-def mounted(mount: Mount, road_map: RoadMap, terrain: Terrain) -> SE3:
-    """Returns `map_SE3_sensor` of a mount: upright, its height above the ground at its place."""
-    x_m, y_m = road_map.centre[0] + mount.x_m, road_map.centre[1] + mount.y_m
-    ground_m = float(terrain.height_m(np.array([[x_m, y_m]]))[0])
-    yaw_rad = float(np.radians(mount.yaw_deg))
-    return SE3.from_pose([x_m, y_m, ground_m + mount.height_m, 0, 0, yaw_rad])

@@ -89,6 +89,18 @@ class BoxConfig(Section):
         return self
 
 
+class PillarsDetection(Section):
+    """PointPillars: which weights, and which of its boxes are vehicles."""
+
+    weights: str | None = Field(None, description="a safetensors file; null: those shipped")
+    min_score: float = Field(
+        0.3, gt=0, lt=1, description="ours: boxes of a lower score are no vehicles"
+    )
+    same_iou: float = Field(
+        0.1, ge=0, le=1, description="ours: of two boxes that overlap more, one goes"
+    )
+
+
 class DetectionConfig(Section):
     """From points to vehicles, wherever that is done."""
 
@@ -101,3 +113,4 @@ class DetectionConfig(Section):
     ground: GroundConfig = Field(GroundConfig(), description="ground removal, RANSAC")
     cluster: ClusterConfig = Field(ClusterConfig(), description="clustering, DBSCAN")
     boxes: BoxConfig = Field(BoxConfig(), description="boxes and the size filter")
+    pillars: PillarsDetection = Field(PillarsDetection(), description="PointPillars")

@@ -1,94 +1,95 @@
-"""How much boxes overlap: seen from above, and as volumes.
-
-One rectangle is cut along the four sides of the other (Sutherland and Hodgman 1974), in the frame
-of the other, where its sides are the axes'.
-"""
+"""How much two boxes have in common, seen from above and in space."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
-from perception.arrays import Floats, Ints
-
-MAX_CORNERS = 12  # a rectangle cut by four lines has 8; the rest is room
+from perception.arrays import Bools, Floats, Ints
 
 
-def near_pairs(first: Floats, second: Floats) -> Ints:
-    """Returns all (i, j), as (K, 2), of boxes (N, 7) and (M, 7) whose footprints may touch."""
-    gaps_m = np.linalg.norm(first[:, None, :2] - second[None, :, :2], axis=2)
-    reach_m = [np.hypot(boxes[:, 3], boxes[:, 4]) / 2 for boxes in (first, second)]
-    return np.argwhere(gaps_m < reach_m[0][:, None] + reach_m[1][None, :])
+def overlaps(a: Floats, b: Floats) -> tuple[Floats, Floats]:
+    """Returns the IoU (N, M) of boxes (N, 7) and (M, 7), from above (BEV) and in space (3D)."""
+    bev, space = np.zeros((len(a), len(b))), np.zeros((len(a), len(b)))
+    _overlaps(np.ascontiguousarray(a, np.float64), np.ascontiguousarray(b, np.float64), bev, space)
+    return bev, space
 
 
-def intersection_over_union(first: Floats, second: Floats) -> tuple[Floats, Floats]:
-    """Returns the IoU of footprints (K,) and of volumes (K,) of boxes (K, 7), pair by pair.
-
-    Boxes are x, y, z of the centre, length, width, height, yaw; they stand upright.
-    """
-    shared_m2 = np.empty(len(first))
-    _intersect(np.ascontiguousarray(first, np.float64), np.ascontiguousarray(second), shared_m2)
-    areas = first[:, 3] * first[:, 4], second[:, 3] * second[:, 4]
-    top_m = np.minimum(first[:, 2] + first[:, 5] / 2, second[:, 2] + second[:, 5] / 2)
-    floor_m = np.maximum(first[:, 2] - first[:, 5] / 2, second[:, 2] - second[:, 5] / 2)
-    shared_m3 = shared_m2 * np.maximum(top_m - floor_m, 0.0)
-    volumes = areas[0] * first[:, 5], areas[1] * second[:, 5]
-    return _share(shared_m2, *areas), _share(shared_m3, *volumes)
+def suppress(boxes: Floats, scores: Floats, *, iou: float) -> Ints:
+    """Returns which boxes (N, 7) stay when, of two that overlap more, the better one does."""
+    order = np.lexsort((*boxes.T[::-1], -scores))
+    kept = np.ones(len(boxes), np.bool_)
+    _suppress(np.ascontiguousarray(boxes[order], np.float64), iou, kept)
+    return np.asarray(order[kept])
 
 
-def _share(shared: Floats, first: Floats, second: Floats) -> Floats:
-    union = first + second - shared
-    return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
+@njit("float64(float64[::1], float64[::1])", cache=True, nogil=True)
+def _common_m2(a: Floats, b: Floats) -> float:
+    """Returns the area that two rectangles share: one is clipped by the other's four sides."""
+    polygon, clipped = np.empty((16, 2)), np.empty((16, 2))
+    turn = b[6] - a[6]
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    cos, sin = np.cos(a[6]), np.sin(a[6])
+    x, y = cos * dx + sin * dy, cos * dy - sin * dx
+    cos, sin = np.cos(turn), np.sin(turn)
+    for corner in range(4):
+        u = b[3] / 2 * (1 if corner in (0, 3) else -1)
+        v = b[4] / 2 * (1 if corner < 2 else -1)
+        polygon[corner, 0], polygon[corner, 1] = x + cos * u - sin * v, y + sin * u + cos * v
+    count = 4
+    for side in range(4):
+        axis, sign, reach = side // 2, 1 - 2 * (side % 2), a[3 + side // 2] / 2
+        left = 0
+        for i in range(count):
+            j = (i + 1) % count
+            here, there = reach - sign * polygon[i, axis], reach - sign * polygon[j, axis]
+            if here >= 0:
+                clipped[left] = polygon[i]
+                left += 1
+            if (here >= 0) != (there >= 0):
+                share = here / (here - there)
+                clipped[left] = polygon[i] + share * (polygon[j] - polygon[i])
+                left += 1
+        polygon, clipped, count = clipped, polygon, left
+        if count < 3:
+            return 0.0
+    area = 0.0
+    for i in range(count):
+        j = (i + 1) % count
+        area += polygon[i, 0] * polygon[j, 1] - polygon[j, 0] * polygon[i, 1]
+    return abs(area) / 2
 
 
-@njit("int64(float64[:,::1], int64, float64[:,::1], int64, float64, float64)", cache=True)
-def _cut(polygon: Floats, corners: int, left: Floats, axis: int, sign: float, end: float) -> int:
-    """Writes the part of a polygon where sign * coordinate <= end; returns its corners."""
-    kept = 0
-    for index in range(corners):
-        following = (index + 1) % corners
-        here = end - sign * polygon[index, axis]
-        there = end - sign * polygon[following, axis]
-        if here >= 0.0:
-            left[kept, 0], left[kept, 1] = polygon[index, 0], polygon[index, 1]
-            kept += 1
-        if (here >= 0.0) != (there >= 0.0):
-            part = here / (here - there)
-            for side in range(2):
-                step = polygon[following, side] - polygon[index, side]
-                left[kept, side] = polygon[index, side] + part * step
-            kept += 1
-    return kept
+@njit("boolean(float64[::1], float64[::1])", cache=True, nogil=True)
+def _near(a: Floats, b: Floats) -> bool:
+    reach = (np.hypot(a[3], a[4]) + np.hypot(b[3], b[4])) / 2
+    return bool((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 < reach * reach)
 
 
-@njit("float64(float64[:,::1], int64)", cache=True)
-def _area(polygon: Floats, corners: int) -> float:
-    doubled = 0.0
-    for index in range(corners):
-        following = (index + 1) % corners
-        doubled += polygon[index, 0] * polygon[following, 1]
-        doubled -= polygon[following, 0] * polygon[index, 1]
-    return abs(doubled) / 2.0
+@njit("void(float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1])", cache=True)
+def _overlaps(a: Floats, b: Floats, bev: Floats, space: Floats) -> None:
+    for i in range(a.shape[0]):
+        for j in range(b.shape[0]):
+            if not _near(a[i], b[j]):
+                continue
+            area = _common_m2(a[i], b[j])
+            areas = a[i, 3] * a[i, 4] + b[j, 3] * b[j, 4]
+            bev[i, j] = area / max(areas - area, 1e-12)
+            top = min(a[i, 2] + a[i, 5] / 2, b[j, 2] + b[j, 5] / 2)
+            bottom = max(a[i, 2] - a[i, 5] / 2, b[j, 2] - b[j, 5] / 2)
+            volume = area * max(top - bottom, 0.0)
+            volumes = a[i, 3] * a[i, 4] * a[i, 5] + b[j, 3] * b[j, 4] * b[j, 5]
+            space[i, j] = volume / max(volumes - volume, 1e-12)
 
 
-@njit("void(float64[:,::1], float64[:,::1], float64[::1])", cache=True)
-def _intersect(first: Floats, second: Floats, shared_m2: Floats) -> None:
-    """Writes the area (K,) that the footprints of each pair share."""
-    polygon = np.empty((MAX_CORNERS, 2))
-    left = np.empty((MAX_CORNERS, 2))
-    for pair in range(first.shape[0]):
-        cos, sin = np.cos(second[pair, 6]), np.sin(second[pair, 6])
-        off_x, off_y = first[pair, 0] - second[pair, 0], first[pair, 1] - second[pair, 1]
-        x, y = cos * off_x + sin * off_y, cos * off_y - sin * off_x
-        turn = first[pair, 6] - second[pair, 6]
-        cos, sin = np.cos(turn), np.sin(turn)
-        for corner in range(4):
-            u = first[pair, 3] * (0.5 if corner in (0, 3) else -0.5)
-            v = first[pair, 4] * (0.5 if corner in (0, 1) else -0.5)
-            polygon[corner, 0], polygon[corner, 1] = x + cos * u - sin * v, y + sin * u + cos * v
-        corners = 4
-        for axis in range(2):
-            end = second[pair, 3 + axis] / 2.0
-            corners = _cut(polygon, corners, left, axis, 1.0, end)
-            corners = _cut(left, corners, polygon, axis, -1.0, end)
-        shared_m2[pair] = _area(polygon, corners)
+@njit("void(float64[:,::1], float64, boolean[::1])", cache=True, nogil=True)
+def _suppress(boxes: Floats, iou: float, kept: Bools) -> None:
+    """Goes through boxes in order of their score, best first."""
+    for i in range(boxes.shape[0]):
+        if not kept[i]:
+            continue
+        for j in range(i + 1, boxes.shape[0]):
+            if kept[j] and _near(boxes[i], boxes[j]):
+                area = _common_m2(boxes[i], boxes[j])
+                areas = boxes[i, 3] * boxes[i, 4] + boxes[j, 3] * boxes[j, 4]
+                kept[j] = area <= iou * (areas - area)

@@ -23,4 +23,10 @@ def detector_of(config: DetectionConfig, roadway: Roadway) -> Detector:
 
             return Reference.of(config)
         case name:
-            raise ConfigError(f"edge.detector is {name}: this version has fast and reference only")
+            try:
+                from perception.pillars.detector import pillars_detector
+            except ImportError as error:
+                raise ConfigError(
+                    f"the detector {name} needs PyTorch (extra `learn`): {error}"
+                ) from None
+            return pillars_detector(name, config.pillars, roadway)

@@ -77,7 +77,17 @@ class Roadway:
         rows, columns, known = self._cells(points)
         return np.where(known, self.yaw_rad[rows, columns].astype(np.float64), 0.0)
 
-    def _cells(self, points: Floats) -> tuple[Ints, Ints, Bools]:
+    def height_at(self, points: Floats) -> Floats:
+        """Returns the road's height (N,) at points (N, 2 or 3); 0 off the road."""
+        rows, columns, known = self._cells(points)
+        return np.where(known, self.height_m[rows, columns].astype(np.float64), 0.0)
+
+    def contains(self, points: Floats | Floats32) -> Bools:
+        """Whether points (N, 2 or 3) lie on the road."""
+        rows, columns, known = self._cells(points)
+        return np.asarray(known & (self.inside[rows, columns] > 0))
+
+    def _cells(self, points: Floats | Floats32) -> tuple[Ints, Ints, Bools]:
         cells = np.floor((points[:, :2] - self.origin_m) / self.cell_m)
         shape = np.array(self.inside.shape[::-1])
         known: Bools = np.asarray(((cells >= 0) & (cells < shape)).all(axis=1))

@@ -11,11 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
-Floats32 = npt.NDArray[np.float32]
-Bytes = npt.NDArray[np.uint8]
+from perception.arrays import Bytes, Floats32
 
 MOST = 64  # columns
 

@@ -14,6 +14,7 @@ from protocol.topics import BusName, Topic
 from protocol.wire import decode
 
 CAPACITY = 4096
+CAPACITY_BYTES = 256 << 20  # sixteen of the largest messages, or 8000 scans
 _log = logging.getLogger(__name__)
 
 
@@ -49,10 +50,15 @@ class Sealed:
 
 
 class Inbox:
-    """A bounded queue; a bad message is dropped, counted in `drops`, and logged once a key."""
+    """A queue, bounded in items and in bytes.
 
-    def __init__(self, capacity: int = CAPACITY) -> None:
+    A bad message is dropped, counted in `drops`, and logged once a key.
+    """
+
+    def __init__(self, capacity: int = CAPACITY, max_bytes: int = CAPACITY_BYTES) -> None:
         self._queue: queue.Queue[str | Sealed | Presence] = queue.Queue(capacity)
+        self._max_bytes = max_bytes
+        self._bytes = 0
         self._limits: dict[str, int] = {}
         self._waiting: dict[str, deque[Sealed]] = {}
         self._lock = threading.Lock()
@@ -68,22 +74,20 @@ class Inbox:
 
     def put(self, item: Sealed | Presence) -> None:
         """Takes an item from a transport's thread; a full inbox counts and drops it."""
-        entry: str | Sealed | Presence = item
         with self._lock:
-            if isinstance(item, Sealed) and item.topic.name in self._limits:
-                waiting = self._waiting.setdefault(item.key, deque())
-                waiting.append(item)
-                if len(waiting) > self._limits[item.topic.name]:
-                    waiting.popleft()
-                    self.drops["overtaken"] += 1
-                    return  # the newer one is read in the place of the oldest
-                entry = item.key
-            try:
-                self._queue.put_nowait(entry)
-            except queue.Full:
+            oldest = self._oldest_beside(item)
+            growth = _size_bytes(item) - _size_bytes(oldest)
+            no_place = oldest is None and self._queue.full()
+            if no_place or self._bytes + growth > self._max_bytes:
                 self.drops["inbox_full"] += 1
-                if isinstance(entry, str):
-                    self._pop_waiting(entry, newest=True)
+                return
+            self._bytes += growth
+            if oldest is not None:  # the newer one is read in the place of the oldest
+                self._waiting[oldest.key].popleft()
+                self.drops["overtaken"] += 1
+            entry = self._wait(item)
+            if oldest is None:
+                self._queue.put_nowait(entry)
 
     def get(self, timeout_s: float = 0.0) -> Envelope | Presence | None:
         """Returns the next item that can be read, or None when the time is over."""
@@ -91,9 +95,10 @@ class Inbox:
             item = self._queue.get(timeout_s > 0, timeout_s or None)
         except queue.Empty:
             return None
-        if isinstance(item, str):
-            with self._lock:
+        with self._lock:
+            if isinstance(item, str):
                 item = self._pop_waiting(item)
+            self._bytes -= _size_bytes(item)
         return item if isinstance(item, Presence) else self._open(item)
 
     def refuse(self, key: str, error: ProtocolError) -> None:
@@ -117,9 +122,23 @@ class Inbox:
         self._told.add((key, reason))
         return True
 
-    def _pop_waiting(self, key: str, *, newest: bool = False) -> Sealed:
+    def _oldest_beside(self, item: Sealed | Presence) -> Sealed | None:
+        """Returns what an item drives out: the oldest of its key, if no more may wait."""
+        if not isinstance(item, Sealed):
+            return None
+        waiting = self._waiting.get(item.key, deque())
+        return waiting[0] if len(waiting) >= self._limits.get(item.topic.name, 1) else None
+
+    def _wait(self, item: Sealed | Presence) -> str | Sealed | Presence:
+        """Returns what stands in the queue for an item: the key alone where others may come."""
+        if not isinstance(item, Sealed) or item.topic.name not in self._limits:
+            return item
+        self._waiting.setdefault(item.key, deque()).append(item)
+        return item.key
+
+    def _pop_waiting(self, key: str) -> Sealed:
         waiting = self._waiting[key]
-        item = waiting.pop() if newest else waiting.popleft()
+        item = waiting.popleft()
         if not waiting:
             del self._waiting[key]
         return item
@@ -133,3 +152,7 @@ class Inbox:
             return None
         size = len(sealed.data)
         return Envelope(sealed.topic.name, parts, message, sealed.received_ns, size)
+
+
+def _size_bytes(item: Sealed | Presence | None) -> int:
+    return len(item.data) if isinstance(item, Sealed) else 0

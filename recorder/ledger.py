@@ -8,10 +8,8 @@ from dataclasses import dataclass, field
 from protocol.errors import MessageError
 from protocol.messages import LaneCounts, Metrics, Upload
 from recorder.account import Evidence
+from recorder.pulse import OPEN_FRAMES, Pulse
 from recorder.tables import AccountRow, FrameRow, UploadRow
-
-OPEN_FRAMES = 256
-"""So many frames before the newest tick are still changed; what is older is settled."""
 
 Clocks = Mapping[str, tuple[int, int]]
 _NOBODY: tuple[None, ...] = (None,) * 8
@@ -100,17 +98,26 @@ class FrameNote:
 class Ledger:
     """Notes of the newest frames; a frame is written again whenever more was heard of it."""
 
-    def __init__(self) -> None:
+    def __init__(self, frame_period_ns: int) -> None:
         self._notes: dict[int, FrameNote] = {}
         self._changed: set[int] = set()
-        self.newest_tick = -1
+        self._pulse = Pulse(frame_period_ns)
 
     def __len__(self) -> int:
         return len(self._notes)
 
-    def tick(self, frame: int) -> FrameNote:
-        """Returns the note of a frame that the world has begun."""
-        self.newest_tick = max(self.newest_tick, frame)
+    @property
+    def newest_tick(self) -> int:
+        """The frame that the world began last, -1 before the first."""
+        return self._pulse.frame
+
+    def tick(self, frame: int, sim_time_ns: int) -> FrameNote:
+        """Returns the note of a frame that the world has begun.
+
+        Raises:
+            MessageError: it does not follow the ticks so far.
+        """
+        self._pulse.take(frame, sim_time_ns)
         return self.note(frame)
 
     def note(self, frame: int) -> FrameNote:
@@ -136,8 +143,7 @@ class Ledger:
         """Returns the notes that changed since the last call, and forgets the settled ones."""
         changed = [self._notes[frame] for frame in sorted(self._changed)]
         self._changed.clear()
-        oldest = self.newest_tick - OPEN_FRAMES
-        for frame in [frame for frame in self._notes if frame < oldest]:
+        for frame in [f for f in self._notes if abs(f - self.newest_tick) > OPEN_FRAMES]:
             del self._notes[frame]
         return changed
 

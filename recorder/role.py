@@ -43,7 +43,7 @@ class RecordRole:
         self._frame_period_ns = round(float(scenario.get("frame_period_s", 0.1)) * 1e9)
         self._database = Database(context.run_dir)
         self._is_broken = False
-        self._ledger = Ledger()
+        self._ledger = Ledger(self._frame_period_ns)
         self._glance = Glance(self._frame_period_ns)
         self._ending = Ending()
         self._clocks: dict[str, tuple[int, int]] = {}
@@ -63,7 +63,7 @@ class RecordRole:
         return role
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes a message; one that contradicts itself is counted and dropped."""
+        """Takes a message; one of a frame that cannot be is counted and dropped."""
         if isinstance(item, Presence) or item.topic not in self._handlers:
             return
         try:
@@ -109,7 +109,7 @@ class RecordRole:
         return routes
 
     def _on_tick(self, tick: m.Tick, received_ns: int) -> None:
-        note = self._ledger.tick(tick.frame)
+        note = self._ledger.tick(tick.frame, tick.sim_time_ns)
         self._glance.ticked(tick, received_ns)
         note.sim_time_ns, note.tick_ns = tick.sim_time_ns, received_ns
         note.vehicles, note.cavs, note.cvs = (

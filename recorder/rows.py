@@ -1,16 +1,13 @@
-"""Messages as rows. Lists of one message that disagree in length raise MessageError."""
+"""Messages as rows; the lists of a message are equally long, or it would not have come."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sized
-from typing import Any
+from collections.abc import Iterator
 
-from protocol.errors import MessageError
 from protocol.messages import (
     Detections,
     LaneCounts,
-    Message,
     Metrics,
     Scan,
     SignalRequest,
@@ -35,7 +32,6 @@ def detection_rows(message: Detections) -> Iterator[DetectionRow]:
     """Returns a row per box, numbered as in the message."""
     boxes = message.boxes.astype(float).tolist()
     scores, distances = message.scores.tolist(), message.distances_m.tolist()
-    _check_lengths(message, boxes, scores, message.lanes, distances, message.sources)
     columns = zip(boxes, scores, message.lanes, distances, message.sources, strict=True)
     return (
         DetectionRow._make((message.frame, index, *box, score, lane, distance_m, source))
@@ -71,7 +67,6 @@ def truth_rows(message: Truth) -> Iterator[TruthRow]:
     poses, equipment = message.poses.tolist(), message.equipment.tolist()
     speeds, positions = message.speeds_mps.tolist(), message.lane_positions_m.tolist()
     columns = (message.ids, message.types, equipment, poses, speeds, message.lanes, positions)
-    _check_lengths(message, *columns)
     return (
         TruthRow._make((message.frame, vehicle, kind, carries, *pose, speed_mps, lane, position_m))
         for vehicle, kind, carries, pose, speed_mps, lane, position_m in zip(*columns, strict=True)
@@ -120,9 +115,3 @@ def cloud_row(message: Scan) -> CloudRow:
     return CloudRow._make(
         (message.frame, message.agent, message.chunk, message.points, *pose, payload)
     )
-
-
-def _check_lengths(message: Message, *columns: Sized) -> None:
-    lengths: list[Any] = [len(column) for column in columns]
-    if len(set(lengths)) > 1:
-        raise MessageError(f"{type(message).__name__}: lists have lengths {lengths}, need one")

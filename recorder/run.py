@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from protocol.errors import ConfigError, ProtocolError
+from protocol.files import is_file
 from protocol.messages import Setup
 from protocol.wire import decode
 from recorder.database import FILE_NAME
@@ -32,7 +33,7 @@ class Run:
         """
         self.dir = run_dir
         path = run_dir / FILE_NAME
-        if not path.is_file():
+        if not is_file(path):
             raise ConfigError(f"{run_dir} is not a run: it has no {FILE_NAME}")
         self._path = path
         self._connection = _connect(path)

@@ -9,14 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from perception.arrays import Floats32, Ints, Ints32
 from protocol.geometry import Floats
-
-Floats32 = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int64]
-Ints32 = npt.NDArray[np.int32]
 
 _SLACK = 1e-4  # of the unit box: hits on its very faces count
 
@@ -150,7 +146,7 @@ def windows(
     "int32[::1])",
     cache=True,
 )
-def gather(  # noqa: PLR0913, PLR0917 - a kernel takes plain arrays
+def gather(  # noqa: PLR0913, PLR0917 - compiled code takes its arrays one by one
     pattern: Floats32,
     range_m: Floats32,
     placed: Floats,

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from embreex.mesh_construction import TriangleMesh as EmbreeMesh
 from embreex.rtcore_scene import EmbreeScene
 
+from perception.arrays import Floats32
 from sensing.mesh import TriangleMesh
-
-Floats32 = npt.NDArray[np.float32]
 
 
 class Caster:

@@ -9,17 +9,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from perception.arrays import Floats32
 from protocol.geometry import Floats
 from sensing.terrain import Terrain
 
 REACH_M = 60.0
 _TILE_M = 64.0  # at least the reach, so that a tile and its neighbours hold all of it
 _STEEPER = 1.5  # than the steepest ground around, so that few steps suffice
-
-Floats32 = npt.NDArray[np.float32]
 
 
 class Landing:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from perception.arrays import Floats32
 from protocol.codec import RangeScan
 from protocol.geometry import SE3, Floats
 from sensing.candidates import gather, keep_nearest, place, windows
@@ -17,8 +18,6 @@ from sensing.returns import returns
 from sensing.scene import Scene
 from sensing.shapes import VehicleShapes
 from sensing.static import StaticWorld
-
-Floats32 = npt.NDArray[np.float32]
 
 _KEPT_VIEWS = 32  # of sensors that stand still: 0.5 MB each
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from protocol.codec import PointCloud
 from protocol.errors import ConfigError
+from protocol.files import is_file, is_folder
 from sensing.lzf import decompress
 
 MAX_FILE_BYTES = 1 << 30
@@ -28,11 +29,11 @@ def point_files(paths: Iterable[Path]) -> list[Path]:
     """
     result: list[Path] = []
     for path in paths:
-        if not path.is_dir():
-            if not path.exists():
-                raise ConfigError(f"{path} does not exist")
+        if is_file(path):
             result.append(path)
             continue
+        if not is_folder(path):
+            raise ConfigError(f"{path} does not exist")
         found = sorted(
             file for file in path.rglob("*") if file.suffix.lower() in _KNOWN and file.is_file()
         )
@@ -64,8 +65,9 @@ def read_points(path: Path) -> PointCloud:
         columns = reader(data)
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
-    points = np.stack([columns[axis] for axis in _AXES], axis=1).astype(np.float32)
-    shade = columns.get("intensity", np.zeros(len(points))).astype(np.float32)
+    with np.errstate(over="ignore"):  # what float32 does not hold is not finite either
+        points = np.stack([columns[axis] for axis in _AXES], axis=1).astype(np.float32)
+        shade = columns.get("intensity", np.zeros(len(points))).astype(np.float32)
     finite = np.isfinite(points).all(axis=1)
     points, shade = points[finite], np.nan_to_num(shade[finite], posinf=0.0, neginf=0.0)
     return PointCloud(points, shade / np.float32(max(1.0, float(shade.max(initial=0.0)))))

@@ -50,7 +50,7 @@ class RealRadio:
         self._bus = bus
         self._sent_bytes = bus.wire_bytes()
 
-    def begin(self, sim_time_ns: int, enough_sim_ns: int | None) -> int:  # noqa: ARG002
+    def begin(self, sim_time_ns: int, enough_sim_ns: int | None) -> int:  # noqa: ARG002 - asked of virtual links
         """Does nothing: an outbox gives up chunks in real time."""
         return 0
 
@@ -74,7 +74,7 @@ class RealRadio:
 class IdealRadio(RealRadio):
     """Takes everything; used in lockstep where no link is modelled."""
 
-    def is_clogged(self, sim_time_ns: int) -> bool:  # noqa: ARG002 - never
+    def is_clogged(self, sim_time_ns: int) -> bool:  # noqa: ARG002 - it takes everything at any time
         """See `Radio.is_clogged`."""
         return False
 

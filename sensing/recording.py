@@ -11,17 +11,37 @@ import json
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field, ValidationError, field_validator
 
 from protocol.codec import RangeScan, ScanPattern
+from protocol.config import Section
 from protocol.errors import ConfigError, ProtocolError
 from protocol.messages import Truth
+from protocol.messages.fields import Id
 from protocol.wire import decode, encode
 
 STEP_M = 0.002
 _ABOUT, _TRUTH, _RANGES = "recording.json", "truth.bin", "ranges.npy"
+
+# The last two come out of numpy's reader of headers.
+_UNREADABLE = (OSError, ValueError, ArithmeticError, SyntaxError, TokenError)
+
+
+class _About(Section):
+    agents: list[Id] = Field(min_length=1)
+    frame_period_s: float = Field(gt=0, le=60)
+    pattern: ScanPattern
+
+    @field_validator("agents")
+    @classmethod
+    def _each_once(cls, agents: list[str]) -> list[str]:
+        if len(set(agents)) < len(agents):
+            raise ValueError("each may stand once")
+        return agents
 
 
 class Recording:
@@ -34,20 +54,29 @@ class Recording:
             ConfigError: the folder holds none, or a damaged one.
         """
         try:
-            about = json.loads((folder / _ABOUT).read_text("utf-8"))
-            self.agents: list[str] = about["agents"]
-            self.pattern = ScanPattern(**about["pattern"])
-            self.frame_period_s = float(about["frame_period_s"])
-            self._steps = np.load(folder / _RANGES, mmap_mode="r")
+            about = _About.model_validate_json((folder / _ABOUT).read_bytes())
+            self.agents, self.pattern = about.agents, about.pattern
+            self.frame_period_s = about.frame_period_s
+            self._steps = np.lib.format.open_memmap(folder / _RANGES, mode="r")
             self._truth_bytes = (folder / _TRUTH).read_bytes()
-            shape = (len(self.truths), len(self.agents), *self.pattern.directions.shape[:2])
-        except (OSError, ValueError, KeyError, TypeError, ProtocolError) as error:
+            shape = (
+                len(self.truths),
+                len(self.agents),
+                self.pattern.channels,
+                self.pattern.columns,
+            )
+        except ValidationError as error:
+            raise ConfigError(f"recording {folder}: {_ABOUT}: {_first(error)}") from None
+        except (*_UNREADABLE, ProtocolError) as error:
             raise ConfigError(f"recording {folder}: {error}") from None
         if self._steps.shape != shape or self._steps.dtype != np.uint16 or not shape[0]:
             raise ConfigError(
                 f"recording {folder}: {_RANGES} is {self._steps.dtype} {self._steps.shape}, "
                 f"needs uint16 {shape} and a frame at least"
             )
+        scanning = {vehicle for truth in self.truths for vehicle in truth.cavs}
+        if missing := sorted(scanning - set(self.agents)):
+            raise ConfigError(f"recording {folder}: the CAV {missing[0]} has no scans")
 
     @cached_property
     def truths(self) -> list[Truth]:
@@ -105,6 +134,11 @@ def write_recording(
         },
     }
     (folder / _ABOUT).write_text(json.dumps(about, indent=2) + "\n", "utf-8")
+
+
+def _first(error: ValidationError) -> str:
+    first = error.errors(include_url=False)[0]
+    return ": ".join([*map(str, first["loc"]), first["msg"].removeprefix("Value error, ")])
 
 
 def _steps(scan: RangeScan) -> npt.NDArray[np.uint16]:

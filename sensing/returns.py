@@ -6,10 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from perception.arrays import Floats, Floats32
 from sensing.config import LidarConfig
-
-Floats = npt.NDArray[np.float64]
-Floats32 = npt.NDArray[np.float32]
 
 MIN_RANGE_M = 0.5
 

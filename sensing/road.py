@@ -11,6 +11,7 @@ from numba import njit
 
 from protocol.geometry import Floats
 from protocol.roadmap import Lane, RoadMap
+from sensing.outline import signed_area_m2
 
 EDGE_STEP_M = 3.0
 _PROBE_M = 0.2  # a place this far outside an edge decides whether the road ends there
@@ -55,8 +56,7 @@ class RoadArea:
         ring = np.vstack([self._junction, self._junction[:1]])
         line = resample(ring, EDGE_STEP_M / 2)
         outward = _left_normals(line)
-        x, y = ring[:, 0], ring[:, 1]
-        if float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])) > 0:  # counter-clockwise: left is inside
+        if signed_area_m2(self._junction) > 0:  # counter-clockwise: left is inside
             outward = -outward
         return self._outer(line, outward)
 

@@ -43,9 +43,27 @@ class Played:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
 
-    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> RangeScan:  # noqa: ARG002
+    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> RangeScan:  # noqa: ARG002 - what the sensor saw there is recorded
         """See `ScanSource.scan`; the sensor was where the recording's tick has it."""
         return self._recording.scan(agent, tick.frame)
+
+
+def check_recording(scenario: dict[str, Any]) -> None:
+    """Finds before the start what would keep the roles from playing a scenario's recording.
+
+    Raises:
+        ConfigError: it cannot be read, or does not fit the scenario's LiDARs or mounts.
+    """
+    if not scenario.get("recording"):
+        return
+    mounts = [mount["id"] for mount in scenario["roadside_mounts"]]
+    for kind in ["vehicle", "roadside"] if mounts else ["vehicle"]:
+        recording = _recording(scenario, LidarConfig.model_validate(scenario["lidar"][kind]))
+    if missing := [mount for mount in mounts if mount not in recording.agents]:
+        raise ConfigError(
+            f"recording {scenario['recording']}: has no scans of the roadside mount {missing[0]}; "
+            f"it has {', '.join(recording.agents)}"
+        )
 
 
 def source_of(setup: Setup, config: LidarConfig) -> ScanSource:
@@ -56,13 +74,17 @@ def source_of(setup: Setup, config: LidarConfig) -> ScanSource:
     """
     scenario: dict[str, Any] = setup.scenario
     if scenario.get("recording"):
-        recording = Recording(Path(scenario["recording"]))
-        if recording.pattern != config.pattern:
-            raise ConfigError(
-                f"recording {scenario['recording']}: its scans are of {recording.pattern}, the "
-                f"scenario's LiDARs of {config.pattern}"
-            )
-        return Played(recording)
+        return Played(_recording(scenario, config))
     seed: int = scenario["seed"]
     scene = scene_of(setup, SceneConfig.model_validate(scenario["scene"]), seed)
     return Cast(Lidar(config, scene, VehicleShapes.from_setup(setup)), seed)
+
+
+def _recording(scenario: dict[str, Any], config: LidarConfig) -> Recording:
+    recording = Recording(Path(scenario["recording"]))
+    if recording.pattern != config.pattern:
+        raise ConfigError(
+            f"recording {scenario['recording']}: its scans are of {recording.pattern}, the "
+            f"scenario's LiDARs of {config.pattern}"
+        )
+    return recording

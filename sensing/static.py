@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from perception.arrays import Floats32
 from protocol.codec import ScanPattern
 from protocol.geometry import SE3
 from sensing.candidates import turn
 from sensing.embree import Caster
 from sensing.landing import Landing
 from sensing.scene import Scene
-
-Floats32 = npt.NDArray[np.float32]
 
 
 class StaticWorld:

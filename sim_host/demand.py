@@ -15,6 +15,7 @@ from sim_host.netfile import Net
 UPSTREAM_M = 200.0
 DOWNSTREAM_M = 100.0
 MIX = "mix"
+MAX_NAME_CHARS = 118  # and a number behind it: a message takes 128
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +32,7 @@ def write_demand(path: Path, net: Net, signal: Signal, config: TrafficConfig) ->
     """Writes vehicle types, routes and flows with exponential headways as a SUMO route file."""
     lines = ["<routes>", *_types(config.vehicles)]
     for movement in movements(net, signal, config):
-        name = quoteattr(f"{movement.from_edge}-to-{movement.to_edge}")
+        name = quoteattr(_name(movement, net))
         edges = quoteattr(" ".join(movement.route))
         lines.append(f"  <route id={name} edges={edges}/>")
         if movement.vph > 0:
@@ -40,6 +41,16 @@ def write_demand(path: Path, net: Net, signal: Signal, config: TrafficConfig) ->
                 f'period="exp({movement.vph / 3600:.9f})" departLane="best" departSpeed="max"/>'
             )
     path.write_text("\n".join([*lines, "</routes>", ""]), encoding="utf-8")
+
+
+def _name(movement: Movement, net: Net) -> str:
+    name = f"{movement.from_edge}-to-{movement.to_edge}"
+    if len(name) > MAX_NAME_CHARS:
+        raise ConfigError(
+            f"net {net.path}: vehicles are called by their edges: {name:.80}… has {len(name)} "
+            f"characters, limit {MAX_NAME_CHARS}; rename the edges, or bring a sumocfg"
+        )
+    return name
 
 
 def movements(net: Net, signal: Signal, config: TrafficConfig) -> list[Movement]:

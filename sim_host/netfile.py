@@ -6,18 +6,20 @@ Parsed here and not by sumolib, whose `readNet(withPrograms=True)` fails on the 
 
 from __future__ import annotations
 
-import gzip
-import zlib
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
 from xml.etree import ElementTree
 
 from protocol.errors import ConfigError
+from protocol.files import is_file
 from protocol.roadmap import PlanPhase
+from sim_host.files import UNREADABLE, Stream, open_file
 
 Point = tuple[float, float, float]
+MAX_ID_CHARS = 512
+_NOT_IN_IDS = frozenset(" \t\n\r|\\'\";,<>&*?")  # for SUMO they end or divide names
 _WALKS = {"crossing", "walkingarea"}
 _ROAD_CLASSES = {"passenger", "private", "taxi", "bus", "coach", "delivery", "truck", "trailer"}
 
@@ -78,29 +80,25 @@ def read_net(path: Path) -> Net:
     Raises:
         ConfigError: the file is missing, is not XML or holds no net.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise ConfigError(f"net file {path} does not exist; expected a SUMO .net.xml")
     net = Net(path)
     try:
-        with _open(path) as stream:
+        with open_file(path) as stream:
             for element in _children(stream, path):
                 _take(net, element)
-    except (ElementTree.ParseError, OSError, EOFError, zlib.error) as error:
+    except UNREADABLE as error:
         raise ConfigError(f"net file {path} cannot be read as XML: {error}") from None
-    except (KeyError, ValueError) as error:
-        raise ConfigError(f"net file {path} is not a valid SUMO net: {error!r}") from None
+    except KeyError as error:
+        raise ConfigError(f"net file {path} is not a valid SUMO net: lacks {error}") from None
+    except (ValueError, OverflowError) as error:
+        raise ConfigError(f"net file {path} is not a valid SUMO net: {error}") from None
     if not net.lanes:
         raise ConfigError(f"net file {path} holds no lanes; expected a SUMO .net.xml")
     return net
 
 
-def _open(path: Path) -> IO[bytes]:
-    if path.suffix == ".gz":
-        return gzip.open(path, "rb")  # type: ignore[return-value]
-    return path.open("rb")
-
-
-def _children(stream: IO[bytes], path: Path) -> Iterator[ElementTree.Element]:
+def _children(stream: Stream, path: Path) -> Iterator[ElementTree.Element]:
     """Yields the root's children as they are complete, and frees them: city nets are large."""
     depth = 0
     root: ElementTree.Element | None = None
@@ -119,7 +117,7 @@ def _take(net: Net, element: ElementTree.Element) -> None:
     if element.tag == "edge" and element.get("function") not in _WALKS:
         lanes = [_lane(lane, element) for lane in element.iter("lane")]
         net.lanes.update((lane.id, lane) for lane in lanes)
-        net.edges[element.attrib["id"]] = [lane.id for lane in lanes]
+        net.edges[_id(element)] = [lane.id for lane in lanes]
     elif element.tag == "connection":
         net.connections.append(_connection(element))
     elif element.tag == "junction" and element.get("type") != "internal":
@@ -127,7 +125,7 @@ def _take(net: Net, element: ElementTree.Element) -> None:
         net.junctions[junction.id] = junction
     elif element.tag == "tlLogic":
         phases = [
-            PlanPhase(duration_s=float(phase.attrib["duration"]), state=phase.attrib["state"])
+            PlanPhase(duration_s=_number(phase.attrib["duration"]), state=phase.attrib["state"])
             for phase in element.iter("phase")
         ]
         net.programs[element.attrib["id"]] = (_number(element.get("offset")), phases)
@@ -136,11 +134,11 @@ def _take(net: Net, element: ElementTree.Element) -> None:
 def _lane(lane: ElementTree.Element, edge: ElementTree.Element) -> NetLane:
     allowed = _allowed(lane)
     return NetLane(
-        id=lane.attrib["id"],
-        edge=edge.attrib["id"],
-        width_m=float(lane.get("width", "3.2")),  # SUMO's default
-        speed_mps=float(lane.attrib["speed"]),
-        length_m=float(lane.attrib["length"]),
+        id=_id(lane),
+        edge=_id(edge),
+        width_m=_number(lane.get("width", "3.2")),  # SUMO's default
+        speed_mps=_number(lane.attrib["speed"]),
+        length_m=_number(lane.attrib["length"]),
         shape=_shape(lane.attrib["shape"]),
         internal=edge.get("function") == "internal",
         drivable=bool(allowed),
@@ -159,12 +157,18 @@ def _allowed(lane: ElementTree.Element) -> set[str]:
 
 def _connection(element: ElementTree.Element) -> NetConnection:
     a = element.attrib
+    link = int(a.get("linkIndex", -1))
+    if a.get("tl") and link < 0:
+        raise ValueError(
+            f"the connection from {a['from']} to {a['to']} at signal {a['tl']} has the linkIndex "
+            f"{link}, needs 0 or more"
+        )
     return NetConnection(
         from_lane=f"{a['from']}_{a['fromLane']}",
         to_lane=f"{a['to']}_{a['toLane']}",
         via=a.get("via", ""),
         tls=a.get("tl", ""),
-        link=int(a.get("linkIndex", -1)),
+        link=link,
     )
 
 
@@ -173,7 +177,7 @@ def _junction(element: ElementTree.Element) -> NetJunction:
     requests = list(element.iter("request"))
     return NetJunction(
         id=a["id"],
-        centre=(float(a["x"]), float(a["y"]), _number(a.get("z"))),
+        centre=(_number(a["x"]), _number(a["y"]), _number(a.get("z"))),
         shape=_shape(a.get("shape", "")),
         internal_lanes=a.get("intLanes", "").split(),
         foes={int(r.attrib["index"]): r.attrib["foes"] for r in requests},
@@ -184,10 +188,23 @@ def _junction(element: ElementTree.Element) -> NetJunction:
 def _shape(text: str) -> list[Point]:
     points = []
     for word in text.split():
-        x, y, *z = (float(number) for number in word.split(","))
+        x, y, *z = (_number(number) for number in word.split(","))
         points.append((x, y, z[0] if z else 0.0))
     return points
 
 
+def _id(element: ElementTree.Element) -> str:
+    name = element.attrib["id"]
+    if not 0 < len(name) <= MAX_ID_CHARS or _NOT_IN_IDS & set(name):
+        raise ValueError(
+            f"the {element.tag} id {name!r:.80} has {len(name)} characters, allowed are 1 to "
+            f"{MAX_ID_CHARS} without spaces and any of {' '.join(sorted(_NOT_IN_IDS)[3:])}"
+        )
+    return name
+
+
 def _number(text: str | None) -> float:
-    return float(text) if text else 0.0
+    value = float(text) if text else 0.0
+    if not math.isfinite(value):
+        raise ValueError(f"the number {text!r:.80} is not finite")
+    return value

@@ -8,8 +8,10 @@ from xml.etree import ElementTree
 import numpy as np
 
 from protocol.errors import ConfigError
+from protocol.files import is_file
 
 DEFAULT_HEIGHT_M = 10.0
+MAX_HEIGHT_M = 1000.0
 REACH_M = 400.0
 
 Ring = list[tuple[float, float]]
@@ -24,7 +26,7 @@ def read_polygons(path: Path, centre: tuple[float, float, float]) -> tuple[list[
     Raises:
         ConfigError: the file is missing, is not XML, or has degrees instead of metres.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise ConfigError(f"scene.polygons: file {path} does not exist")
     try:
         rows = list(ElementTree.parse(path).getroot().iter("poly"))
@@ -43,16 +45,24 @@ def read_polygons(path: Path, centre: tuple[float, float, float]) -> tuple[list[
 
 
 def _ring(row: ElementTree.Element) -> Ring:
-    points = [word.split(",") for word in row.get("shape", "").split()]
-    ring = [(float(point[0]), float(point[1])) for point in points]
+    ring = []
+    for word in row.get("shape", "").split():
+        x, y, *_ = (float(number) for number in word.split(","))
+        ring.append((x, y))
     return ring[:-1] if len(ring) > 1 and ring[0] == ring[-1] else ring
 
 
 def _height(row: ElementTree.Element) -> float:
     for param in row.iter("param"):
         if param.get("key") == "height":
-            return float(param.get("value", ""))
+            return _checked_height(float(param.get("value", "")))
     return 0.0
+
+
+def _checked_height(height_m: float) -> float:
+    if not 0 <= height_m <= MAX_HEIGHT_M:
+        raise ValueError(f"a height is {height_m:g} m, allowed: 0 to {MAX_HEIGHT_M:g}")
+    return height_m
 
 
 def _is_near(ring: Ring, centre: tuple[float, float, float]) -> bool:

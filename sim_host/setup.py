@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,11 +11,13 @@ from xml.sax.saxutils import quoteattr
 from pydantic import ValidationError
 
 from protocol.errors import ConfigError
+from protocol.files import is_file
 from protocol.messages import Setup, VehicleType
 from protocol.roadmap import RoadMap
 from sim_host import t_junction
 from sim_host.config import TrafficConfig
 from sim_host.demand import write_demand
+from sim_host.files import UNREADABLE, open_file
 from sim_host.meshes import load_meshes, pack
 from sim_host.net import road_map
 from sim_host.netfile import Net, read_net
@@ -122,12 +123,12 @@ class _Files:
 
 
 def _files_of(path: Path) -> _Files:
-    if not path.is_file():
+    if not is_file(path):
         raise ConfigError(f"traffic.sumocfg: file {path} does not exist")
     try:
-        data = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
-        root = ElementTree.fromstring(data)
-    except (ElementTree.ParseError, OSError) as error:
+        with open_file(path) as stream:
+            root = ElementTree.parse(stream).getroot()
+    except (*UNREADABLE, ValueError) as error:
         raise ConfigError(f"traffic.sumocfg: {path} cannot be read as XML: {error}") from None
     named = {
         short: [

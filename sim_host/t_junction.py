@@ -8,9 +8,8 @@ western exit. The main road climbs gently at its eastern end. The junction's cen
 from __future__ import annotations
 
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
 
-from sim_host.sumo import netconvert
+from sim_host.plain import Row, write_plain_net, xml
 
 TLS = "J"
 SPEED_MPS = 13.89
@@ -21,8 +20,6 @@ _STOP_M = {"west": 19.0, "east": 12.0, "north": 26.0}  # where netconvert then p
 _LENGTH_M = {"west": 193.0, "east": 237.0, "north": 431.0}  # of the approaches
 _CLIMB_FROM_M, _CLIMB_M = 80.0, 2.0
 
-Row = dict[str, str | int | float]
-
 
 def write_net(folder: Path) -> Path:
     """Writes `t_junction.net.xml` into the folder, by way of netconvert.
@@ -30,21 +27,8 @@ def write_net(folder: Path) -> Path:
     Raises:
         ConfigError: netconvert is missing or fails.
     """
-    parts = {
-        "node": ("nod", _nodes()),
-        "edge": ("edg", _edges()),
-        "connection": ("con", _connections()),
-    }
-    arguments = []
-    for tag, (suffix, rows) in parts.items():
-        path = folder / f"t_junction.{suffix}.xml"
-        path.write_text(_xml(f"{tag}s", [(tag, row) for row in rows]), encoding="utf-8")
-        arguments += [f"--{tag}-files", str(path)]
-    signal = folder / "t_junction.tll.xml"
-    signal.write_text(_signal_xml(), encoding="utf-8")
-    net = folder / "t_junction.net.xml"
-    netconvert([*arguments, "--tllogic-files", str(signal), "--output-file", str(net)])
-    return net
+    parts = {"node": _nodes(), "edge": _edges(), "connection": _connections()}
+    return write_plain_net(folder, "t_junction", parts, _signal_xml())
 
 
 def _end_m(arm: str) -> float:
@@ -99,12 +83,4 @@ def _signal_xml() -> str:
         for link, row in enumerate(_connections())
     ]
     logic = f'<tlLogic id="{TLS}" type="static" programID="0" offset="0">{body}</tlLogic>'
-    return _xml("tlLogics", links, logic)
-
-
-def _xml(root: str, rows: list[tuple[str, Row]], before: str = "") -> str:
-    lines = [
-        f"  <{tag} " + " ".join(f"{k}={quoteattr(str(v))}" for k, v in row.items()) + "/>"
-        for tag, row in rows
-    ]
-    return "\n".join([f"<{root}>", before, *lines, f"</{root}>", ""])
+    return xml("tlLogics", links, logic)

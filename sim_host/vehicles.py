@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
 from xml.etree import ElementTree
 
 from protocol.errors import ConfigError
+from protocol.files import is_file
 from protocol.messages import VehicleType
 from sim_host.config import VehicleSpec
+from sim_host.files import UNREADABLE, open_file
 
 # SUMO's default length, width and height in m by vClass (page "Vehicle Type Parameter Defaults").
 _SIZES: dict[str, tuple[float, float, float]] = {
@@ -97,10 +96,10 @@ def mesh_for(v_class: str, height_m: float) -> str:
 
 
 def _v_types(path: Path) -> Iterator[dict[str, str]]:
-    if not path.is_file():
+    if not is_file(path):
         raise ConfigError(f"file {path}, which the sumocfg names, does not exist")
     try:
-        with _open(path) as stream:
+        with open_file(path) as stream:
             root: ElementTree.Element | None = None
             for event, element in ElementTree.iterparse(stream, ("start", "end")):
                 root = element if root is None else root
@@ -108,11 +107,5 @@ def _v_types(path: Path) -> Iterator[dict[str, str]]:
                     yield dict(element.attrib)
                 elif event == "end" and element.tag in ("vehicle", "trip", "flow", "person"):
                     root.clear()  # route files of a city are large
-    except (ElementTree.ParseError, OSError, EOFError, zlib.error) as error:
+    except UNREADABLE as error:
         raise ConfigError(f"file {path} cannot be read as XML: {error}") from None
-
-
-def _open(path: Path) -> IO[bytes]:
-    if path.suffix == ".gz":
-        return gzip.open(path, "rb")  # type: ignore[return-value]
-    return path.open("rb")

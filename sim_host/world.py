@@ -11,12 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from protocol.errors import ConfigError
+from protocol.geometry import Floats
 from protocol.messages import Setup, Trip
 from sim_host.journeys import Journeys
 from sim_host.setup import config_file, traffic_config
 from sim_host.sumo import load_libsumo
-
-Floats = npt.NDArray[np.float64]
 
 
 class Ground(Protocol):

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from perception.arrays import Bools, Floats, Ints
-from perception.overlap import intersection_over_union, near_pairs
+from perception.overlap import overlaps
 
 View = Literal["bev", "3d"]
 POSITIONS = 40
@@ -24,7 +24,7 @@ Outcomes = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """Detections, ranked by score, beside a scene's vehicles, and all pairs that may overlap.
+    """Detections, ranked by score, beside a scene's vehicles, and all pairs that overlap.
 
     `order` (N,) is each ranked detection's place in what was given. `pairs` (K, 2) name ranked
     detection and vehicle, sorted; `iou` holds their overlap (K,) in both views.
@@ -40,9 +40,10 @@ class Scene:
     def of(cls, boxes: Floats, scores: Floats, truth: Floats) -> Scene:
         """Compares boxes (N, 7) with vehicles (M, 7); equal scores stay in their order."""
         order = np.argsort(-scores, kind="stable")
-        pairs = near_pairs(boxes[order], truth)
-        bev, volume = intersection_over_union(boxes[order[pairs[:, 0]]], truth[pairs[:, 1]])
-        return cls(order, scores[order], len(truth), pairs, {"bev": bev, "3d": volume})
+        bev, volume = overlaps(boxes[order], truth)
+        pairs = np.argwhere(bev > 0.0)
+        iou: dict[View, Floats] = {"bev": bev[*pairs.T], "3d": volume[*pairs.T]}
+        return cls(order, scores[order], len(truth), pairs, iou)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,9 @@ import zstandard
 from protocol.codec import PointCloud, Profile, RangeScan, decode, encode_cloud, encode_scan
 from protocol.codec.cloud import Floats32
 from protocol.codec.draco import LEVEL, load_draco
+from protocol.codec.step import MIN_BOUND_M
+from protocol.errors import CodecError, ConfigError
+from sensing.point_files import read_points
 from studies.bench_scans import BenchScan
 
 DRACO_BITS = (10, 11, 12, 14)
@@ -47,6 +51,24 @@ class BenchCloud:
         """Returns the returns of a scan, ring by ring."""
         points = cast.scan.cloud().points
         return cls(cast.name, points, cast.scan, cast.noise_std_m, cast.loss_bits)
+
+    @classmethod
+    def of_file(cls, path: Path) -> BenchCloud:
+        """Returns the points of a file, once it is sure that all codecs take them.
+
+        Raises:
+            ConfigError: it cannot be read, or holds no points that could be measured.
+        """
+        cloud = cls(str(path), read_points(path).points)
+        if not len(cloud.points):
+            raise ConfigError(f"{path}: holds no point with finite coordinates")
+        try:
+            for bits in (min(DRACO_BITS), max(DRACO_BITS)):
+                for profile in OWN:
+                    _own(cloud, profile, bound_beside(cloud.points, bits)).encode()
+        except CodecError as error:
+            raise ConfigError(f"{path}: at Draco's error it cannot be encoded: {error}") from None
+        return cloud
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +116,7 @@ def bench(cloud: BenchCloud, runs: int = _RUNS) -> list[BenchRow]:
     draco = load_draco()
     trials = [_plain(cloud)]
     for bits in DRACO_BITS:
-        bound_m = draco_error_m(cloud.points, bits)
+        bound_m = bound_beside(cloud.points, bits)
         trials.append(_draco(draco, cloud, bits, bound_m))
         trials += [_own(cloud, profile, bound_m) for profile in OWN]
     if cloud.scan is not None:
@@ -102,6 +124,11 @@ def bench(cloud: BenchCloud, runs: int = _RUNS) -> list[BenchRow]:
     times = np.array([[_timed(trial) for trial in trials] for _ in range(runs)])
     medians = np.median(times, axis=0) * 1e3
     return [_row(cloud, trial, *took) for trial, took in zip(trials, medians, strict=True)]
+
+
+def bound_beside(points: Floats32, bits: int) -> float:
+    """Returns the bound for a comparison with Draco: its error, or the least that we know."""
+    return max(draco_error_m(points, bits), MIN_BOUND_M)
 
 
 def draco_error_m(points: Floats32, bits: int) -> float:
@@ -114,7 +141,7 @@ def draco_error_m(points: Floats32, bits: int) -> float:
     packed = draco.encode(points, quantization_bits=bits, compression_level=LEVEL)
     found = np.asarray(draco.decode(packed).points, np.float32)
     low = points.min(axis=0)
-    extent = np.float32((points.max(axis=0) - low).max())
+    extent = np.float32((points.max(axis=0) - low).max() or 1)  # as Draco takes a single place
     cells = np.float32(2**bits - 1)
     steps = np.floor((points - low) * (cells / extent) + np.float32(0.5))
     moved = steps * (extent / cells) + low
@@ -172,7 +199,7 @@ def _plain(cloud: BenchCloud) -> _Trial:
     return _Trial("float32+zstd", 0.0, encode, unpack, lambda: 0.0)
 
 
-def _draco(draco: Any, cloud: BenchCloud, bits: int, error_m: float) -> _Trial:  # noqa: ANN401 - DracoPy is untyped
+def _draco(draco: Any, cloud: BenchCloud, bits: int, bound_m: float) -> _Trial:  # noqa: ANN401 - DracoPy is untyped
     def encode() -> bytes:
         packed: bytes = draco.encode(cloud.points, quantization_bits=bits, compression_level=LEVEL)
         return packed
@@ -180,7 +207,9 @@ def _draco(draco: Any, cloud: BenchCloud, bits: int, error_m: float) -> _Trial: 
     def unpack(packed: bytes) -> npt.NDArray[Any]:
         return np.asarray(draco.decode(packed).points)
 
-    return _Trial(f"draco-{bits}", error_m, encode, unpack, lambda: error_m)
+    return _Trial(
+        f"draco-{bits}", bound_m, encode, unpack, lambda: draco_error_m(cloud.points, bits)
+    )
 
 
 def _own(cloud: BenchCloud, profile: Profile, bound_m: float) -> _Trial:

@@ -10,15 +10,16 @@ import numpy as np
 
 from protocol.codec import RangeScan
 from protocol.codec.cloud import Floats32
-from protocol.geometry import SE3, Floats
+from protocol.geometry import SE3
 from sensing.config import LidarConfig, SceneConfig
 from sensing.lidar import Lidar
+from sensing.mounting import above
 from sensing.noise import stream
 from sensing.returns import MIN_RANGE_M, share_kept
 from sensing.scene import scene_of
 from sensing.shapes import VehicleShapes
+from sim_host.filming import film
 from sim_host.setup import build_setup
-from sim_host.world import World
 
 SEED = 1
 _WARM_UP_STEPS = 600
@@ -44,25 +45,18 @@ def cast_scans() -> list[BenchScan]:
     with tempfile.TemporaryDirectory() as folder:
         setup = build_setup({}, Path(folder))
         scene = scene_of(setup, SceneConfig(), SEED)
-        world = World(setup, Path(folder), scene.terrain)
-        try:
-            world.start(SEED)
-            for _ in range(_WARM_UP_STEPS):
-                world.step()
-            bodies = world.bodies()
-        finally:
-            world.close()
+        bodies = film(setup, Path(folder), scene.terrain, SEED, [_WARM_UP_STEPS])[0]
     config = LidarConfig()
     lidar = Lidar(config, scene, VehicleShapes.from_setup(setup))
     centre = np.array(setup.road_map.centre[:2])
     ground = scene.terrain.body_poses(centre[:1], centre[1:], np.zeros(1))[0]
     sensors: list[tuple[str, SE3, int | None]] = [
-        ("roadside", _above(ground, _ROADSIDE_HEIGHT_M), None)
+        ("roadside", above(ground, _ROADSIDE_HEIGHT_M), None)
     ]
     away_m = np.linalg.norm(bodies.poses[:, :2] - centre, axis=1)
     for n, wanted_m in enumerate(_CAV_DISTANCES_M):
         car = int(np.argmin(np.abs(away_m - wanted_m)))
-        sensors.append((f"cav {n}", _above(bodies.poses[car], _ROOF_HEIGHT_M), car))
+        sensors.append((f"cav {n}", above(bodies.poses[car], _ROOF_HEIGHT_M), car))
     result = []
     for name, map_SE3_sensor, own in sensors:
         view = (map_SE3_sensor, bodies.poses, bodies.types, own)
@@ -79,7 +73,3 @@ def loss_entropy_bits(distance_m: Floats32, config: LidarConfig) -> float:
     lost = 1.0 - kept
     terms = [share * np.log2(np.maximum(share, 1e-12)) for share in (kept, lost)]
     return float(-(terms[0] + terms[1]).sum())
-
-
-def _above(pose: Floats, height_m: float) -> SE3:
-    return SE3.from_pose(pose) @ SE3(np.eye(3), np.array([0.0, 0.0, height_m]))

@@ -11,20 +11,33 @@ from rich.table import Table
 from studies.bench_codec import FLOOR_BOUND_M, BenchRow
 
 _BLANK = "–"
+_NAME_WIDTH = 24
+_ANY_WIDTH = 1000
 
 
 def print_bench(rows: list[BenchRow], console: Console) -> None:
     """Prints a table for each cloud, then the least favourable ratios of each profile."""
     for name in dict.fromkeys(row.cloud for row in rows):
-        console.print(_cloud_table(name, [row for row in rows if row.cloud == name]))
-    console.print(_summary_table(rows))
+        _print(_cloud_table(name, [row for row in rows if row.cloud == name]), console)
+    _print(_summary_table(rows), console)
     floors = [row for row in rows if row.noise_floor_bits and row.bound_m == FLOOR_BOUND_M]
     if floors:
-        console.print(_floor_table(floors))
+        _print(_floor_table(floors), console)
+
+
+def _print(table: Table, console: Console) -> None:
+    """Prints a table whole: numbers that were cut at the terminal's edge would look like others."""
+    boundless = console.options.update(width=_ANY_WIDTH)
+    table.width = console.measure(table, options=boundless).maximum
+    console.print(table, crop=False)
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= _NAME_WIDTH else f"…{name[1 - _NAME_WIDTH :]}"
 
 
 def _table(title: str, *heads: str, left: int = 1) -> Table:
-    """Returns an empty table narrow enough for 80 columns; the first `left` columns are words."""
+    """Returns an empty table; the first `left` columns are words."""
     table = Table(
         title=title,
         box=box.SIMPLE_HEAD,
@@ -33,13 +46,13 @@ def _table(title: str, *heads: str, left: int = 1) -> Table:
         pad_edge=False,
     )
     for n, head in enumerate(heads):
-        table.add_column(head, justify="left" if n < left else "right", no_wrap=n < left)
+        table.add_column(head, justify="left" if n < left else "right", no_wrap=True)
     return table
 
 
 def _cloud_table(name: str, rows: list[BenchRow]) -> Table:
     table = _table(
-        f"{name}, {rows[0].points} points (of, x: beside Draco at this error)",
+        f"{_short(name)}, {rows[0].points} points (of, x: beside Draco at this error)",
         "codec", "bound\ncm", "error\ncm", "bytes", "bits/\npoint", "enc.\nms", "dec.\nms",
         "of\nDraco", "enc.\nx", "dec.\nx",
     )  # fmt: skip
@@ -116,7 +129,7 @@ def _floor_table(rows: list[BenchRow]) -> Table:
         noise = row.noise_floor_bits or 0.0
         both = noise + (row.loss_floor_bits or 0.0)
         table.add_row(
-            row.cloud,
+            _short(row.cloud),
             row.codec,
             f"{row.bits_per_point:.2f}",
             f"{noise:.2f}",

@@ -8,23 +8,28 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from protocol.codec import RangeScan
 from protocol.geometry import SE3
-from protocol.messages import Equipment, Setup, Truth
+from protocol.messages import Equipment, Setup
+from sensing.attribution import counts, owners
 from sensing.config import LidarConfig, SceneConfig
 from sensing.lidar import Lidar
+from sensing.mounting import above
 from sensing.noise import stream
 from sensing.recording import write_recording
 from sensing.returns import returns
-from sensing.scene import Scene, scene_of
+from sensing.scene import scene_of
 from sensing.shapes import VehicleShapes
 from sensing.terrain import Terrain
+from sim_host.broadcast import truth_of
+from sim_host.filming import film
 from sim_host.setup import build_setup
-from sim_host.world import Bodies, World
+from sim_host.world import Bodies
 
 SEED = 1
 FRAME_PERIOD_S = 0.1
@@ -42,29 +47,36 @@ def record_traffic(folder: Path, agents: int, frames: int, seed: int = SEED) -> 
     with tempfile.TemporaryDirectory() as scratch:
         setup = build_setup({}, Path(scratch))
         scene = scene_of(setup, SceneConfig(), seed)
-        moments = _traffic(setup, scene, Path(scratch), frames, seed)
+        steps = range(_WARM_UP_STEPS, _WARM_UP_STEPS + frames)
+        moments = film(setup, Path(scratch), scene.terrain, seed, steps)
     centre = np.array(setup.road_map.centre[:2])
     cavs = _choose(moments, centre, agents - 1)
     config = LidarConfig()
-    lidar = Lidar(config, scene, VehicleShapes.from_setup(setup))
+    shapes = VehicleShapes.from_setup(setup)
+    lidar = Lidar(config, scene, shapes)
     post = post_pose(setup, scene.terrain)
     scans: dict[str, list[RangeScan]] = {name: [] for name in [POST, *cavs]}
     visible = []
     for frame, bodies in enumerate(moments):
         hits = np.zeros(len(bodies.ids), np.int64)
+        boxes = bodies.poses, shapes.bodies(bodies.types).size_m
         for name in scans:
             own = bodies.ids.index(name) if name in bodies.ids else None
-            sensor = post if own is None else _on_roof(bodies, own)
+            sensor = post if own is None else above(bodies.poses[own], ROOF_HEIGHT_M)
             view = (sensor, bodies.poses, bodies.types, own)
             distance_m = lidar.distances(*view)
             bare_m = lidar.distances(sensor, bodies.poses[:0], [], None)
             drawn = returns(distance_m, config, stream(seed, "scan", name, frame))
             scan = RangeScan(config.pattern, *drawn)
-            hits += _hits(scan, distance_m < bare_m, sensor, bodies)
+            owner = owners(distance_m, bare_m, config.pattern, sensor, boxes)
+            hits += counts(owner, scan.range_m, len(hits))
             scans[name].append(scan)
         seen = [n for n, hit in zip(bodies.ids, hits, strict=True) if hit >= VISIBLE_POINTS]
         visible.append(sorted(set(seen) - set(cavs)))
-    truths = [_truth(frame, bodies, cavs) for frame, bodies in enumerate(moments)]
+    truths = [
+        truth_of(frame, round(frame * FRAME_PERIOD_S * 1e9), _equipped(bodies, cavs))
+        for frame, bodies in enumerate(moments)
+    ]
     write_recording(folder, FRAME_PERIOD_S, truths, scans)
     (folder / VISIBLE_NAME).write_text(json.dumps(visible) + "\n", "utf-8")
 
@@ -73,27 +85,12 @@ def post_pose(setup: Setup, terrain: Terrain) -> SE3:
     """Returns where the roadside LiDAR stands: at the junction's centre."""
     centre = np.array(setup.road_map.centre[:2])
     base = terrain.body_poses(centre[:1], centre[1:], np.zeros(1))[0]
-    return SE3.from_pose(base) @ SE3(np.eye(3), np.array([0.0, 0.0, _POST_HEIGHT_M]))
+    return above(base, _POST_HEIGHT_M)
 
 
 def visible_vehicles(folder: Path) -> list[set[str]]:
     """Returns by recorded frame the vehicles without a radio that the agents together see."""
     return [set(names) for names in json.loads((folder / VISIBLE_NAME).read_text("utf-8"))]
-
-
-def _traffic(setup: Setup, scene: Scene, folder: Path, frames: int, seed: int) -> list[Bodies]:
-    world = World(setup, folder, scene.terrain)
-    moments = []
-    try:
-        world.start(seed)
-        for _ in range(_WARM_UP_STEPS):
-            world.step()
-        for _ in range(frames):
-            moments.append(world.bodies())
-            world.step()
-    finally:
-        world.close()
-    return moments
 
 
 def _choose(moments: Sequence[Bodies], centre: np.ndarray, count: int) -> list[str]:
@@ -109,31 +106,6 @@ def _choose(moments: Sequence[Bodies], centre: np.ndarray, count: int) -> list[s
     return [order[i] for i in picks]
 
 
-def _on_roof(bodies: Bodies, own: int) -> SE3:
-    return SE3.from_pose(bodies.poses[own]) @ SE3(np.eye(3), np.array([0.0, 0.0, ROOF_HEIGHT_M]))
-
-
-def _hits(
-    scan: RangeScan, on_bodies: np.ndarray, map_SE3_sensor: SE3, bodies: Bodies
-) -> np.ndarray:
-    """Counts by body (N,) the returns that came from it: each hit belongs to the nearest one."""
-    hit = on_bodies & (scan.range_m > 0)
-    points = scan.pattern.directions[hit] * scan.range_m[hit][:, None]
-    there = points.astype(np.float64) @ map_SE3_sensor.rotation.T + map_SE3_sensor.translation
-    gaps_m = np.linalg.norm(there[:, None, :2] - bodies.poses[None, :, :2], axis=2)
-    return np.bincount(gaps_m.argmin(axis=1), minlength=len(bodies.ids))
-
-
-def _truth(frame: int, bodies: Bodies, cavs: Sequence[str]) -> Truth:
+def _equipped(bodies: Bodies, cavs: Sequence[str]) -> Bodies:
     kinds = [Equipment.CAV if name in cavs else Equipment.NONE for name in bodies.ids]
-    return Truth(
-        frame=frame,
-        sim_time_ns=round(frame * FRAME_PERIOD_S * 1e9),
-        ids=bodies.ids,
-        types=bodies.types,
-        lanes=bodies.lanes,
-        poses=bodies.poses,
-        speeds_mps=bodies.speeds_mps,
-        lane_positions_m=bodies.lane_positions_m,
-        equipment=np.array(kinds, np.uint8),
-    )
+    return replace(bodies, equipment=np.array(kinds, np.uint8))

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from perception.arrays import Floats
 from protocol.roadmap import Lane
-
-Floats = npt.NDArray[np.float64]
 
 _CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) / 2
 GROUND_BAND_M = 0.35

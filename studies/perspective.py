@@ -8,9 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 
+from perception.arrays import Floats
 from protocol.roadmap import RoadMap
 from studies import palette
-from studies.outlines import Floats, borders, corners, resampled, stands_out
+from studies.outlines import borders, corners, resampled, stands_out
 from studies.snapshot import Boxes, Snapshot
 
 _BACK_M, _UP_M, _AHEAD_M, _TURN_RAD = 46.0, 27.0, 8.0, -0.3

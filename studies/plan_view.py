@@ -6,9 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 
+from perception.arrays import Floats
 from protocol.roadmap import Lane, RoadMap
 from studies import palette
-from studies.outlines import Floats, borders, footprints, resampled, stands_out
+from studies.outlines import borders, footprints, resampled, stands_out
 from studies.snapshot import Boxes, Snapshot
 
 _REACH_M = 58.0

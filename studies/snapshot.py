@@ -7,8 +7,8 @@ from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from perception.arrays import Floats
 from protocol.codec import decode
 from protocol.errors import CodecError, ConfigError
 from protocol.geometry import SE3
@@ -18,7 +18,6 @@ from recorder.tables import CloudRow, CountRow, DetectionRow, FrameRow, PhaseRow
 from studies.ecvpr import FrameScore, score_frame
 from studies.reach import Reach
 
-Floats = npt.NDArray[np.float64]
 _LISTED = 20
 _log = logging.getLogger(__name__)
 

@@ -7,19 +7,29 @@ the trace begins anew.
 
 Mahimahi: a line is the millisecond at which one packet of 1500 bytes can leave; a millisecond may
 stand on several lines. The trace begins anew after its last millisecond.
+
+A trace has at most 200 000 steps of 1 ms or more, lasts at most a day, passes 1 kbit/s or more in
+the mean and never more than 100 Gbit/s; round trips are at most 60 s.
 """
 
 from __future__ import annotations
 
 import csv
-import math
 from collections import Counter
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from protocol.errors import ConfigError
-from sensing.link.profile import MAX_STEPS, LinkProfile, RoundTrip, TraceRate
+from sensing.link.profile import (
+    MAX_RATE_BPS,
+    MAX_RTT_US,
+    MAX_STEPS,
+    MIN_STEP_US,
+    LinkProfile,
+    RoundTrip,
+    TraceRate,
+)
 
 MAX_FILE_BYTES = 64 << 20
 _PACKET_BITS = 1500 * 8
@@ -36,8 +46,8 @@ def read_trace(path: Path, rtt_ms: float = 0.0) -> LinkProfile:
     Raises:
         ConfigError: the file cannot be read, or a line of it; names file and line.
     """
-    lines = _lines(path)
-    rate = _read_csv(path, lines) if path.suffix.lower() == ".csv" else _read_mahimahi(path, lines)
+    read = _read_csv if path.suffix.lower() == ".csv" else _read_mahimahi
+    rate = read(path, _lines(path))
     return LinkProfile(
         name=path.name[:80], source=f"file {path}", rate=rate, rtt=RoundTrip.steady(rtt_ms)
     )
@@ -59,6 +69,13 @@ def _lines(path: Path) -> list[str]:
 
 def _read_csv(path: Path, lines: list[str]) -> TraceRate:
     reader = csv.DictReader(lines, skipinitialspace=True)
+    try:
+        return _read_rows(path, reader)
+    except csv.Error as error:  # it has not counted the line that it failed on
+        raise ConfigError(f"{path}: line {reader.line_num + 1}: {error}") from None
+
+
+def _read_rows(path: Path, reader: csv.DictReader[str]) -> TraceRate:
     names = [name.strip() for name in reader.fieldnames or []]
     missing = [name for name in _COLUMNS if name not in names]
     if missing:
@@ -70,12 +87,17 @@ def _read_csv(path: Path, lines: list[str]) -> TraceRate:
     times_us, rates_bps, rtts_us = [], [], []
     for row in reader:
         where = f"{path}: line {reader.line_num}"
-        times_us.append(round(_number(where, "time_s", row["time_s"], least=None) * 1e6))
-        rates_bps.append(round(_number(where, "rate_mbps", row["rate_mbps"]) * 1e6))
+        times_us.append(round(_number(where, "time_s", row["time_s"], least=-1e9) * 1e6))
+        mbps = _number(where, "rate_mbps", row["rate_mbps"], most=MAX_RATE_BPS / 1e6)
+        rates_bps.append(round(mbps * 1e6))
         if "rtt_ms" in names:
-            rtts_us.append(round(_number(where, "rtt_ms", row["rtt_ms"]) * 1e3))
-        if len(times_us) > 1 and times_us[-1] <= times_us[-2]:
-            raise ConfigError(f"{where}: time_s must be later than on the line before")
+            rtt_ms = _number(where, "rtt_ms", row["rtt_ms"], most=MAX_RTT_US / 1e3)
+            rtts_us.append(round(rtt_ms * 1e3))
+        if len(times_us) > 1 and times_us[-1] - times_us[-2] < MIN_STEP_US:
+            raise ConfigError(
+                f"{where}: time_s must be 1 ms later than on the line before, or more"
+            )
+        _check_steps(path, len(times_us))
     if not times_us:
         raise ConfigError(f"{path}: line 2: no step follows the column names")
     starts_us = [time_us - times_us[0] for time_us in times_us]
@@ -131,8 +153,7 @@ def _trace(
 ) -> TraceRate:
     if not any(rates_bps):
         raise ConfigError(f"{path}: the rate is 0 on every line: nothing would ever pass")
-    if len(starts_us) > MAX_STEPS:
-        raise ConfigError(f"{path}: has {len(starts_us)} steps, limit {MAX_STEPS}: cut the trace")
+    _check_steps(path, len(starts_us))
     try:
         return TraceRate(
             starts_us=starts_us, rates_bps=rates_bps, rtt_us=rtts_us, period_us=period_us
@@ -142,11 +163,20 @@ def _trace(
         raise ConfigError(f"{path}: {message}") from None
 
 
-def _number(where: str, name: str, text: str | None, least: float | None = 0.0) -> float:
+def _check_steps(path: Path, steps: int) -> None:
+    if steps > MAX_STEPS:
+        raise ConfigError(f"{path}: has {steps} steps or more, limit {MAX_STEPS}: cut the trace")
+
+
+def _number(
+    where: str, name: str, text: str | None, least: float = 0.0, most: float = 1e9
+) -> float:
     try:
         value = float(text or "")
     except ValueError:
-        raise ConfigError(f"{where}: {name} is {text!r}, needs a number") from None
-    if not math.isfinite(value) or (least is not None and value < least) or abs(value) > 1e9:
-        raise ConfigError(f"{where}: {name} is {text!r}, needs a number from {least or 0:g} to 1e9")
+        raise ConfigError(f"{where}: {name} is {text!r:.80}, needs a number") from None
+    if not least <= value <= most:  # NaN is not either
+        raise ConfigError(
+            f"{where}: {name} is {text!r:.80}, needs a number from {least:g} to {most:g}"
+        )
     return value

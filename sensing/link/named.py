@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from protocol.errors import ConfigError
+from protocol.files import is_file
 from sensing.link.builtin import BUILTIN
 from sensing.link.files import read_trace
 from sensing.link.profile import LinkProfile, RoundTrip, VaryingRate
@@ -29,21 +30,24 @@ def profile_named(text: str) -> LinkProfile | None:
         return BUILTIN[text]
     if match := _FIXED.fullmatch(text):
         return _fixed(text, match)
-    if not Path(text).is_file():
+    if not is_file(text):
         raise ConfigError(
-            f"link {text!r}: neither a file, nor a rate such as 5mbit or 5mbit,20ms (rate and "
+            f"link {text!r:.80}: neither a file, nor a rate such as 5mbit or 5mbit,20ms (rate and "
             f"round trip), nor one of {', '.join([NONE, *BUILTIN])}"
         )
     return read_trace(Path(text))
 
 
 def _fixed(text: str, match: re.Match[str]) -> LinkProfile:
-    mbps = float(match["rate"]) * _MBPS[match["unit"].lower()]
-    if not 0.001 < mbps <= 100_000:
-        raise ConfigError(f"link {text!r}: the rate must be above 1kbit and at most 100gbit")
+    mbps, rtt_ms = float(match["rate"]) * _MBPS[match["unit"].lower()], float(match["rtt"] or 0)
+    if not (0.001 < mbps <= 100_000 and rtt_ms <= 60_000):
+        raise ConfigError(
+            f"link {text!r:.80}: the rate must be above 1kbit and at most 100gbit, the round trip "
+            "at most 60000ms"
+        )
     return LinkProfile(
-        name=text,
+        name=text[:80],
         source="asked for by the user",
         rate=VaryingRate(mean_mbps=mbps),
-        rtt=RoundTrip.steady(float(match["rtt"] or 0)),
+        rtt=RoundTrip.steady(rtt_ms),
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensing.link.profile import LinkProfile, Outages, TraceRate, VaryingRate
-from sensing.link.steps import Steps
+from sensing.link.steps import Interrupted, Steps
 from sensing.noise import stream
 
 SEGMENT_BYTES = 1448  # of payload in a packet of 1500 bytes: TCP over IPv4 with time stamps
@@ -21,13 +21,14 @@ _STEP_NS = 100_000_000  # rate and delay keep for this long: coherence of a fadi
 class Path:
     """Bit rate and round trip over time; time 0 is the link's own."""
 
-    rate_bps: Steps
+    rate_bps: Steps | Interrupted
     rtt_ns: Steps
 
     @classmethod
     def draw(cls, profile: LinkProfile, seed: int, agent: str) -> Path:
         """Returns the path of an agent; the same for the same arguments, on any machine."""
         rate = profile.rate
+        bps: Steps | Interrupted
         if isinstance(rate, TraceRate):
             bps = _steps(rate, rate.rates_bps)
         else:
@@ -53,10 +54,12 @@ class Path:
     def arrival_ns(self, start_ns: int, departure_ns: int) -> int:
         """Returns when all of a message has arrived that leaves bit by bit between these times.
 
-        No packet overtakes another: one that left while the round trip was long holds up others.
+        No packet overtakes another: one that left while the round trip was long holds up others;
+        one that left longer ago than the longest delay no longer does.
         """
         arrival_ns = departure_ns + self.delay_ns(departure_ns)
-        for change_ns in self.rtt_ns.changes(start_ns, departure_ns):
+        since_ns = max(start_ns, arrival_ns - self.rtt_ns.largest // 2)
+        for change_ns in self.rtt_ns.changes(since_ns, departure_ns):
             last_ns = change_ns - 1
             if last_ns >= start_ns and self.rate_bps.at(last_ns) > 0:
                 arrival_ns = max(arrival_ns, last_ns + self.delay_ns(last_ns))
@@ -109,26 +112,15 @@ def _round_trips(profile: LinkProfile, rng: np.random.Generator) -> Steps:
     return Steps(starts_ns, [round(ms * 1e6) for ms in drawn_ms.tolist()], _DRAWN_NS)
 
 
-def _interrupted(rate: Steps, outages: Outages, rng: np.random.Generator) -> Steps:
+def _interrupted(rate: Steps, outages: Outages, rng: np.random.Generator) -> Interrupted:
     """Returns the rate with losses of connection in it, over ten minutes or a little more."""
     turns = -(-_DRAWN_NS // rate.period_ns)
-    period_ns = turns * rate.period_ns
     gone: list[tuple[int, int]] = []
     at_ns = 0
     while True:
         at_ns += max(1, round(rng.exponential(60e9 / outages.per_minute)))
         end_ns = at_ns + max(1, round(rng.exponential(outages.mean_s * 1e9)))
-        if end_ns >= period_ns:
-            break
+        if end_ns >= turns * rate.period_ns:
+            return Interrupted(rate, gone, turns)
         gone.append((at_ns, end_ns))
         at_ns = end_ns
-    marks = {turn * rate.period_ns + s for turn in range(turns) for s in rate.starts_ns}
-    marks |= {edge_ns for outage in gone for edge_ns in outage}
-    starts_ns = sorted(marks)
-    values, number = [], 0
-    for start_ns in starts_ns:
-        while number < len(gone) and gone[number][1] <= start_ns:
-            number += 1
-        lost = number < len(gone) and gone[number][0] <= start_ns
-        values.append(0 if lost else rate.at(start_ns))
-    return Steps(starts_ns, values, period_ns)

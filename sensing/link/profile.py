@@ -5,11 +5,16 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from protocol.config import Section
 
 MAX_STEPS = 200_000  # of a trace: it travels to every process in the setup
+MIN_STEP_US = 1_000
+MAX_PERIOD_US = 86_400_000_000  # a day
+MAX_RATE_BPS = 100_000_000_000
+MIN_MEAN_BPS = 1_000  # less, and a scan would be under way for hours
+MAX_RTT_US = 60_000_000
 
 
 class VaryingRate(Section):
@@ -42,12 +47,36 @@ class TraceRate(Section):
             )
         if self.rtt_us and len(self.rtt_us) != len(self.starts_us):
             raise ValueError(f"rtt_us has {len(self.rtt_us)} entries, needs {len(self.starts_us)}")
-        edges = [*self.starts_us, self.period_us]
-        if edges[0] != 0 or any(a >= b for a, b in pairwise(edges)):
-            raise ValueError("starts_us must begin with 0 and ascend, and end before period_us")
-        if min(self.rates_bps) < 0 or max(self.rates_bps) <= 0 or min(self.rtt_us, default=0) < 0:
-            raise ValueError("rates_bps and rtt_us must not be negative, nor all rates 0")
+        _check_times([*self.starts_us, self.period_us])
+        _check_within("rates_bps", self.rates_bps, MAX_RATE_BPS)
+        _check_within("rtt_us", self.rtt_us, MAX_RTT_US)
+        if self.mean_bps < MIN_MEAN_BPS:
+            raise ValueError(f"the mean rate is {self.mean_bps:g} bit/s, needs {MIN_MEAN_BPS}")
         return self
+
+    @property
+    def mean_bps(self) -> float:
+        """The mean rate over the period."""
+        spans_us = (b - a for a, b in pairwise([*self.starts_us, self.period_us]))
+        bits = sum(us * bps for us, bps in zip(spans_us, self.rates_bps, strict=True))
+        return bits / self.period_us
+
+
+def _check_times(edges_us: list[int]) -> None:
+    if edges_us[-1] > MAX_PERIOD_US:
+        raise ValueError(
+            f"the trace begins anew after {edges_us[-1] / 1e6:g} s, limit {MAX_PERIOD_US / 1e6:g}"
+        )
+    if edges_us[0] != 0 or any(b - a < MIN_STEP_US for a, b in pairwise(edges_us)):
+        raise ValueError(
+            "starts_us must begin with 0 and ascend to period_us, "
+            f"by {MIN_STEP_US} (1 ms) or more each"
+        )
+
+
+def _check_within(name: str, values: list[int], most: int) -> None:
+    if values and not 0 <= min(values) <= max(values) <= most:
+        raise ValueError(f"{name} are from {min(values)} to {max(values)}, allowed: 0 to {most}")
 
 
 class RoundTrip(Section):
@@ -89,3 +118,8 @@ class LinkProfile(Section):
     )
     rtt: RoundTrip = Field(RoundTrip(), description="a trace's own round trip comes before it")
     outages: Outages = Field(Outages(), description="losses of connection")
+
+    @field_validator("rate", mode="before")
+    @classmethod
+    def _varying_unless_said(cls, value: object) -> object:
+        return {"kind": "varying", **value} if isinstance(value, dict) else value

@@ -19,6 +19,7 @@ from recorder.compare import differences
 from recorder.run import Run
 from recorder.tables import AccountRow, FrameRow
 from tests.cpnet.conftest import Shell, children_of
+from tests.waiting import wait_until
 
 ROLES = ["edge", "sim", "record", "signal", "infra-0", "vehicle-0", "vehicle-1"]
 
@@ -61,10 +62,7 @@ def check_account(run_dir: Path, *, exactly: bool) -> None:
 
 def wait_for_frames(run_dir: Path) -> None:
     """Waits until the recorder has committed something."""
-    give_up_ns = time.monotonic_ns() + 30_000_000_000
-    while rows(run_dir, "frames") == 0:
-        assert time.monotonic_ns() < give_up_ns, "no frame was ever recorded"
-        os.sched_yield()
+    wait_until(lambda: rows(run_dir, "frames"), 30, what="no frame was ever recorded")
 
 
 @pytest.fixture
@@ -264,10 +262,7 @@ def test_processes_end_when_their_supervisor_is_killed(shell):
     command.read_until("vehicles")
     command.process.kill()
     command.finish()
-    give_up_ns = time.monotonic_ns() + 5_000_000_000
-    while children_of(shell.folder / "run") and time.monotonic_ns() < give_up_ns:
-        os.sched_yield()
-    assert children_of(shell.folder / "run") == {}
+    wait_until(lambda: not children_of(shell.folder / "run"), 5)
 
 
 def test_the_world_runs_on_the_clock_in_realtime_mode(shell):

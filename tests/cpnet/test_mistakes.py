@@ -15,6 +15,22 @@ def refused(shell: Shell, *arguments: str) -> str:
     return output
 
 
+LONG = "x" * 5000  # longer than the name of a file can be
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    ["up --net", "up --sumocfg", "up --out", "up --link", "report", "draw", "bench codec --points"],
+)
+def test_a_name_that_no_file_can_have(shell, arguments):
+    assert "x" * 70 in refused(shell, *arguments.split(), LONG)
+
+
+def test_a_sumocfg_that_is_not_what_its_name_says(shell, tmp_path):
+    (tmp_path / "own.sumocfg.gz").write_bytes(b"\x1f\x8b\x08\x00junk")
+    assert "own.sumocfg.gz cannot be read" in refused(shell, "up", "--sumocfg", "own.sumocfg.gz")
+
+
 def test_an_unknown_key(shell):
     output = refused(shell, "up", "--set", "edge.cluster.epsilon_m=1")
     assert "unknown key edge.cluster.epsilon_m" in output
@@ -81,6 +97,35 @@ def test_scenario_options_where_the_world_is_elsewhere(shell):
 
 def test_a_role_that_does_not_exist(shell):
     assert "allowed: edge, sim" in refused(shell, "up", "--only", "edgy")
+
+
+def test_a_recording_that_is_not_there(shell, tmp_path):
+    output = refused(shell, "up", "--set=recording=nowhere", "--set=traffic.warmup_s=0")
+    assert "recording nowhere: " in output
+    assert "recording.json" in output
+    assert list(tmp_path.iterdir()) == [tmp_path / "runs"]
+    assert list((tmp_path / "runs").iterdir()) == []
+
+
+@pytest.mark.parametrize("link", ["5mbit,99999999ms", "nowhere.csv"])
+def test_a_link_that_cannot_be(shell, link):
+    assert "error link" in refused(shell, "up", "--link", link)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("uplink --link lte --link nowhere", "link 'nowhere': neither a file"),
+        ("uplink --link lte --link lte", "--link: 'lte' stands 2 times, each may stand once"),
+        ("uplink --policies full,nobody", "policy 'nobody': must be one of"),
+        ("uplink --policies full,reap+sky", "filter 'sky' must be one of"),
+        ("uplink --policies sharing --realtime", "virtual links, not in realtime"),
+        ("rate --policies sharing", "virtual links, not in realtime"),
+        ("rate --policies full,full", "--policies: 'full' stands 2 times"),
+    ],
+)
+def test_a_measurement_that_cannot_be(shell, arguments, message):
+    assert message in refused(shell, "bench", *arguments.split())
 
 
 @pytest.mark.parametrize("command", ["report", "draw"])

@@ -3,44 +3,28 @@
 import os
 import signal
 import sqlite3
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from cpnet import doctor
 from link_relay.netns import probe
-from link_relay.netns.enter import NAMESPACES
 from link_relay.netns.leftovers import lives
-from link_relay.netns.place import Place
 from sensing.link.path import on_air_bytes
 from tests.cpnet.conftest import Command, Shell, children_of
+from tests.link_relay.netns.made import made_by
+from tests.waiting import wait_until
 
 REALTIME = ("--netns", "--mode=realtime", "--cav-rate=0.1", "--out=run")
 LARGE = ("--set=lidar.vehicle.points_per_second=720000", "--set=edge.deadline_ms=300")
-
-
-def made_by(pid: int) -> list[str]:
-    """Returns the namespaces and devices that a process has made and that are there."""
-    folders = (NAMESPACES, Path("/sys/class/net"))
-    names = [entry.name for folder in folders for entry in folder.glob("cp*")]
-    return [name for name in names if (place := Place.of(name)) and place.pid == pid]
 
 
 def relay_of(command: Command, folder: Path) -> int:
     """Returns the relay's process id when agents are connected through its namespaces."""
     command.read_until("vehicles")
     relay = children_of(folder / "run")["relay-vehicle"]
-    wait_until(lambda: bool(made_by(relay)))
+    wait_until(lambda: made_by(relay))
     return relay
-
-
-def wait_until(holds: Callable[[], bool]) -> None:
-    give_up_ns = time.monotonic_ns() + 15_000_000_000
-    while not holds():
-        assert time.monotonic_ns() < give_up_ns
-        time.sleep(0.02)
 
 
 @pytest.mark.root

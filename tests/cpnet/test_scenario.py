@@ -5,6 +5,7 @@ from cpnet import scenario as scenarios
 from cpnet.scenario import Scenario, load, parse_assignment
 from protocol.config import Section
 from protocol.errors import ConfigError
+from sensing.link.profile import VaryingRate
 
 
 def sections(model: type[Section]) -> list[type[Section]]:
@@ -106,3 +107,25 @@ def test_an_unknown_key_in_a_link_is_named_with_those_allowed():
     rate = {"kind": "varying", "mean": 5}
     with pytest.raises(ConfigError, match="allows: kind, mean_mbps, variation"):
         load("t_junction", {"link.profile": {"rate": rate}})
+
+
+def test_a_value_of_a_link_can_be_laid_over_one_given_by_its_values(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("link: {profile: {name: mine, rtt: {median_ms: 5, p95_ms: 6, p99_ms: 7}}}")
+    profile = load(str(file), {"link.profile.rate.mean_mbps": 5}).link.profile
+    assert profile is not None
+    assert (profile.name, profile.rtt.p99_ms) == ("mine", 7)
+    assert profile.rate == VaryingRate(mean_mbps=5)
+
+
+def test_a_value_of_a_link_can_be_laid_over_none():
+    empty = {"link.profile": None, "link.profile.rate.mean_mbps": 5}
+    profile = load("t_junction", empty).link.profile
+    assert profile is not None
+    assert profile.rate == VaryingRate(mean_mbps=5)
+
+
+def test_a_value_of_a_link_given_by_its_name_has_no_place():
+    named = {"link.profile": "lte", "link.profile.rate.mean_mbps": 5}
+    with pytest.raises(ConfigError, match="profile is 'lte', which has no keys of its own"):
+        load("t_junction", named)

@@ -1,5 +1,3 @@
-import os
-import signal
 from pathlib import Path
 
 import pytest
@@ -10,6 +8,7 @@ from cpnet.scenario import Scenario
 from cpnet.supervisor import Supervisor
 from protocol.errors import ConfigError
 from protocol.topics import BusName
+from tests.waiting import wait_until
 
 SLEEPER = """
 import signal, sys, time
@@ -33,13 +32,10 @@ def entry(tmp_path: Path, name: str, code: str) -> ProcessEntry:
 
 
 def wait_for(path: Path, text: str) -> None:
-    """Waits for a line of a child's log; the child writes it or the test times out with it."""
-    for _ in range(200):
-        if path.exists() and text in path.read_text():
-            return
-        os.sched_yield()
-        signal.sigtimedwait([], 0.05)
-    raise AssertionError(f"{path} never said {text!r}")
+    """Waits for a line of a child's log."""
+    wait_until(
+        lambda: path.exists() and text in path.read_text(), what=f"{path} never said {text!r}"
+    )
 
 
 def test_a_process_that_ends_is_named_with_its_log(supervisor, tmp_path):
@@ -47,8 +43,7 @@ def test_a_process_that_ends_is_named_with_its_log(supervisor, tmp_path):
     with supervisor:
         supervisor.start([entry(tmp_path, "short_lived", code)])
         wait_for(tmp_path / "logs" / "short_lived.log", "lidar")
-        while (death := supervisor.death(at_end=False)) is None:
-            signal.sigtimedwait([], 0.01)
+        death = wait_until(lambda: supervisor.death(at_end=False))
     assert (death.id, death.how) == ("short_lived", "ended with status 1")
     assert death.tail == "the cat ate the lidar"
 
@@ -61,16 +56,15 @@ def test_a_killed_process_is_named_before_those_that_fell_with_it(supervisor, tm
                 entry(tmp_path, "killed", "import os; os.kill(os.getpid(), 9)"),
             ]
         )
-        while (death := supervisor.death(at_end=False)) is None or death.id == "fell":
-            signal.sigtimedwait([], 0.01)
+        wait_until(lambda: not supervisor.running("fell", "killed"))
+        death = supervisor.death(at_end=False)
     assert (death.id, death.how) == ("killed", "was killed by SIGKILL")
 
 
 def test_at_the_runs_end_a_process_that_ends_well_is_no_death(supervisor, tmp_path):
     with supervisor:
         supervisor.start([entry(tmp_path, "done", "pass")])
-        while supervisor.running("done"):
-            signal.sigtimedwait([], 0.01)
+        wait_until(lambda: not supervisor.running("done"))
         assert supervisor.death(at_end=True) is None
         assert supervisor.death(at_end=False) is not None
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,6 +18,7 @@ from protocol.local import LocalNetwork
 from protocol.process import Context
 from protocol.roadmap import RoadMap
 from protocol.topics import BusName
+from tests.waiting import wait_until
 
 M = TypeVar("M", bound=m.Message)
 
@@ -76,6 +76,11 @@ class Rig:
         heard = []
         while (item := self.seen.get()) is not None:
             heard.append(item)
+        return heard
+
+    def until_said(self, kind: type[m.Message]) -> list[Envelope | Presence]:
+        heard: list[Envelope | Presence] = []
+        wait_until(lambda: heard.extend(self.turn()) or said(heard, kind))
         return heard
 
     def start(self) -> None:
@@ -389,10 +394,7 @@ def test_a_flood_from_one_agent_delays_no_frame_of_the_others(
             rig.say_scan(frame, "rsu-0", chunk=(63, 64), key="cav")  # in another's name
         rig.say_scan(frame, "rsu-0")
         assert rig.inbox._queue.qsize() <= 4 * (chunks + 1) + 8
-        heard = rig.turn()
-        if not said(heard, m.LaneCounts):
-            time.sleep(0.05)
-            heard += rig.turn()
+        heard = rig.until_said(m.LaneCounts)
         (counts,) = said(heard, m.LaneCounts)
         assert counts.frame == frame
         (metrics,) = said(heard, m.Metrics)

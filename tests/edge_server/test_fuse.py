@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from random import Random
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -89,14 +91,14 @@ spots = st.lists(
 @settings(deadline=None)
 @given(found=spots, own=spots, order=st.randoms(use_true_random=False))
 def test_the_order_of_boxes_and_poses_is_no_matter(
-    found: list[tuple[int, int, float]], own: list[tuple[int, int, float]], order: object
+    found: list[tuple[int, int, float]], own: list[tuple[int, int, float]], order: Random
 ) -> None:
     rows = np.array([(x, y, 0.75, 4.5, 1.8, 1.5, yaw) for x, y, yaw in found]).reshape(-1, 7)
     vehicles = Vehicles.from_lidar(rows, np.linspace(0.1, 0.9, len(rows)))
     kinds = [Equipment.CAV, Equipment.CV]
     agents = [pose(f"v{i}", x, y, kinds[i % 2]) for i, (x, y, _) in enumerate(own)]
     shuffled = list(range(len(rows)))
-    order.shuffle(shuffled)  # type: ignore[attr-defined]
+    order.shuffle(shuffled)
     one = fuse(vehicles, agents, centre=CENTRE, config=FusionConfig())
     chosen = np.array(shuffled, np.int64)
     other = fuse(vehicles.take(chosen), agents[::-1], centre=CENTRE, config=FusionConfig())

@@ -1,16 +1,25 @@
-"""The far side of a relay."""
+"""What stands around a relay in its tests: an edge that listens, an agent that is connected."""
 
 import socket
 import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from link_relay.server import Address, Draw, Server
+from protocol.tcpinfo import unsent_bytes
+from sensing.link.named import profile_named
+from sensing.link.path import Path
+from sensing.link.profile import LinkProfile
+from tests.waiting import wait_until
 
 
 class Sink:
-    """The far side: notes when each message of a fixed size is whole, or keeps the bytes."""
+    """The far side: keeps the bytes, and when how many were there."""
 
     def __init__(self) -> None:
         self.server = socket.create_server(("127.0.0.1", 0))
-        self.address: tuple[str, int] = self.server.getsockname()
+        self.address: Address = self.server.getsockname()
         self.data = bytearray()
         self.marks: list[tuple[int, int]] = []
         self.peer: socket.socket | None = None
@@ -27,9 +36,54 @@ class Sink:
                 self.marks.append((time.monotonic_ns(), len(self.data)))
         self.ended.set()
 
-    def arrival_ns(self, total_bytes: int, patience_s: float = 20) -> int:
-        give_up_ns = time.monotonic_ns() + int(patience_s * 1e9)
-        while len(self.data) < total_bytes:
-            assert time.monotonic_ns() < give_up_ns, f"{len(self.data)} of {total_bytes} came"
-            time.sleep(0.002)
+    def arrival_ns(self, total_bytes: int) -> int:
+        """Waits until so many bytes have come in all; returns when they had."""
+        wait_until(
+            lambda: self.marks and self.marks[-1][1] >= total_bytes,
+            patience_s=20,
+            what=f"{total_bytes} bytes did not come",
+        )
         return next(when for when, count in list(self.marks) if count >= total_bytes)
+
+
+class Rig:
+    """A relay before a sink, and one connection to it."""
+
+    def __init__(self, relay: Callable[[Address, Address, Draw], Server], profile: str) -> None:
+        self.path = Path.draw(profile_named(profile) or LinkProfile(), 1, "vehicle 0")
+        self.sink = Sink()
+        self.since_ns = time.monotonic_ns()
+        self.relay = relay(("127.0.0.1", 0), self.sink.address, lambda _: self.path)
+        self.thread = threading.Thread(target=self.relay.run)
+        self.thread.start()
+        self.agent = socket.create_connection(self.relay.address)
+        self.agent.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.agent.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
+        assert self.sink.accepted.wait(10)
+
+    def unsent_bytes(self) -> int:
+        """What of the agent's bytes the relay has not taken."""
+        host, port = self.agent.getsockname()
+        return unsent_bytes(f"tcp/{host}:{port}")
+
+    def close(self) -> None:
+        self.agent.close()
+        self.relay.stop()
+        self.thread.join(20)
+        assert not self.thread.is_alive()
+        assert self.sink.ended.wait(10)
+        self.sink.server.close()
+
+
+@contextmanager
+def rigs(relay: Callable[[Address, Address, Draw], Server]) -> Iterator[Callable[[str], Rig]]:
+    """Gives a maker of rigs by their links' profile, and closes what it made."""
+    made: list[Rig] = []
+
+    def make(profile: str) -> Rig:
+        made.append(Rig(relay, profile))
+        return made[-1]
+
+    yield make
+    for rig in made:
+        rig.close()

@@ -1,65 +1,30 @@
 """The relay shapes real TCP connections; what it does agrees with the link in simulated time."""
 
-import os
-import random
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from statistics import fmean
 
 import pytest
 
 from link_relay.shaper import SLACK_NS, Shaper
-from protocol.tcpinfo import unsent_bytes
-from sensing.link.named import profile_named
 from sensing.link.path import Path, on_air_bytes
 from sensing.link.profile import LinkProfile
 from sensing.link.virtual import VirtualLink
-from tests.link_relay.sink import Sink
+from tests.link_relay.sink import Rig, rigs
 
 MS = 1_000_000
-
-
-class Rig:
-    """A relay before a sink, and one connection to it."""
-
-    def __init__(self, name: str) -> None:
-        self.path = Path.draw(profile_named(name) or LinkProfile(), 1, "vehicle 0")
-        self.sink = Sink()
-        self.since_ns = time.monotonic_ns()
-        self.shaper = Shaper(("127.0.0.1", 0), self.sink.address, lambda _: self.path)
-        self.thread = threading.Thread(target=self.shaper.run)
-        self.thread.start()
-        self.agent = socket.create_connection(self.shaper.address)
-        self.agent.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self.agent.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
-        assert self.sink.accepted.wait(10)
-
-    def close(self) -> None:
-        self.agent.close()
-        self.shaper.stop()
-        self.thread.join(10)
-        assert not self.thread.is_alive()
-        assert self.sink.ended.wait(10)
-        self.sink.server.close()
+Make = Callable[[str], Rig]
 
 
 @pytest.fixture
-def make() -> Iterator[type[Rig]]:
-    made: list[Rig] = []
-
-    class Kept(Rig):
-        def __init__(self, name: str) -> None:
-            super().__init__(name)
-            made.append(self)
-
-    yield Kept
-    for rig in made:
-        rig.close()
+def make() -> Iterator[Make]:
+    with rigs(Shaper) as made:
+        yield made
 
 
-def compare(make: type[Rig], name: str, size: int, messages: int = 20) -> tuple[float, float]:
+def compare(make: Make, name: str, size: int, messages: int = 20) -> tuple[float, float]:
     """Returns the mean latency in ms, virtual and emulated, of a message every 100 ms."""
     rig = make(name)
     link = VirtualLink(rig.path)
@@ -75,19 +40,6 @@ def compare(make: type[Rig], name: str, size: int, messages: int = 20) -> tuple[
         rig.sink.arrival_ns((number + 1) * size) - now_ns for number, now_ns in enumerate(sent)
     ]
     return fmean(virtual) / 1e6, fmean(emulated) / 1e6
-
-
-@pytest.fixture
-def undisturbed() -> Iterator[None]:
-    """Other processes of a busy machine would delay every hand-over; root can forbid it."""
-    before = os.sched_getscheduler(0)
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-    except PermissionError:
-        yield
-        return
-    yield
-    os.sched_setscheduler(0, before, os.sched_param(0))
 
 
 @pytest.mark.usefixtures("undisturbed")
@@ -110,20 +62,6 @@ def test_virtual_and_emulated_links_agree_on_mean_latency_within_10_percent(make
     pytest.fail(f"virtual {virtual_ms:.1f} ms, emulated {emulated_ms:.1f} ms")
 
 
-def test_bytes_come_out_as_they_went_in_both_ways(make):
-    rig = make("100mbit,4ms")
-    data = random.Random(1).randbytes(300_000)
-    rig.agent.sendall(data)
-    rig.sink.arrival_ns(len(data))
-    assert bytes(rig.sink.data) == data
-    assert rig.sink.peer is not None
-    rig.sink.peer.sendall(data[:1000])
-    back = b""
-    while len(back) < 1000:
-        back += rig.agent.recv(1000)
-    assert back == data[:1000]
-
-
 def test_nothing_comes_faster_than_the_link_carries(make):
     rig = make("4mbit,30ms")
     begin_ns = time.monotonic_ns()
@@ -141,22 +79,6 @@ def test_the_answer_takes_half_a_round_trip(make):
     rig.sink.peer.sendall(b"enough")
     assert rig.agent.recv(10) == b"enough"
     assert time.monotonic_ns() - begin_ns >= 30 * MS
-
-
-def test_what_the_link_does_not_take_stays_with_the_sender(make):
-    rig = make("200kbit")
-    rig.agent.sendall(bytes(150_000))
-    time.sleep(0.3)
-    host, port = rig.agent.getsockname()
-    assert unsent_bytes(f"tcp/{host}:{port}") > 100_000
-
-
-def test_a_connection_that_the_agent_ends_ends_at_the_edge(make):
-    rig = make("5mbit,20ms")
-    rig.agent.sendall(b"last words")
-    rig.agent.shutdown(socket.SHUT_WR)
-    assert rig.sink.ended.wait(10)
-    assert bytes(rig.sink.data) == b"last words"
 
 
 def test_an_edge_that_is_not_there_ends_the_agents_connection():

@@ -17,7 +17,7 @@ from perception.roadway import Placed, Roadway
 from protocol.errors import ConfigError
 from protocol.roadmap import RoadMap
 
-CARS = [(-60.0, -1.75, 0.0), (-35.0, 1.75, 0.0), (-18.0, -1.75, 4.0), (28.0, 1.75, 0.0)]
+CARS = [(-60.0, -1.75, 0.0), (-35.0, 1.75, 0.0), (-14.0, 1.75, 4.0), (28.0, 1.75, 0.0)]
 WHOLE = {"ground": {"tile_m": None}, "boxes": {"complete": False}}
 
 

@@ -102,3 +102,30 @@ def test_a_full_inbox_drops_a_limited_message_whole():
     assert isinstance(item, Envelope)
     assert item.message.frame == 7
     assert inbox.drops == {"inbox_full": 1}
+
+
+def test_an_inbox_full_of_bytes_drops_until_some_are_read():
+    size = len(encode(ROSTER))
+    inbox = Inbox(max_bytes=2 * size)
+    for _ in range(5):
+        inbox.put(sealed(encode(ROSTER)))
+    inbox.put(Presence("edge", "edge", alive=True))
+    assert inbox.drops == {"inbox_full": 3}
+    assert isinstance(inbox.get(), Envelope)
+    inbox.put(sealed(encode(ROSTER)))
+    assert [type(inbox.get()) for _ in range(4)] == [Envelope, Presence, Envelope, type(None)]
+    assert inbox.drops == {"inbox_full": 3}
+
+
+def test_a_newer_message_takes_the_bytes_of_the_one_it_drives_out():
+    large = encode(ROSTER.model_copy(update={"frame": 7, "agents": ["a" * 100]}))
+    size = len(encode(ROSTER))
+    inbox = Inbox(max_bytes=size + 8)
+    inbox.limit("roster", 1)
+    for data in (encode(ROSTER), encode(ROSTER.model_copy(update={"frame": 2})), large):
+        inbox.put(sealed(data))
+    item = inbox.get()
+    assert isinstance(item, Envelope)
+    assert item.message.frame == 2
+    assert inbox.get() is None
+    assert inbox.drops == {"overtaken": 1, "inbox_full": 1}

@@ -15,7 +15,7 @@ from protocol.local import LocalNetwork
 from protocol.process import Context
 from protocol.roadmap import RoadMap, Signal
 from protocol.topics import BusName
-from recorder.ledger import OPEN_FRAMES
+from recorder.pulse import OPEN_FRAMES
 from recorder.role import RecordRole
 from recorder.run import Run
 from recorder.tables import (
@@ -31,6 +31,7 @@ from recorder.tables import (
     TruthRow,
     UploadRow,
 )
+from tests.waiting import wait_until
 
 PERIOD_NS = 100_000_000
 MS = 1_000_000
@@ -238,9 +239,7 @@ def test_the_role_stops_soon_after_the_end_once_the_last_frame_is_whole(rig: Rig
     rig.world.publish("end", m.End(frames=1, reason="finished"))
     begun = time.monotonic()
     rig.drain()
-    while not rig.stop.is_set() and time.monotonic() - begun < 3:
-        rig.role.poll()
-        time.sleep(0.01)
+    wait_until(lambda: rig.role.poll() or rig.stop.is_set(), 3)
     rig.role.close()
     assert 0.1 < time.monotonic() - begun < 1.0
 
@@ -280,12 +279,32 @@ def test_progress_is_told_about_once_a_second(rig: Rig) -> None:
     rig.role.close()
 
 
+def test_an_absurd_tick_is_counted_and_changes_nothing(rig: Rig, tmp_path: Path) -> None:
+    rig.frame(0)
+    for frame, sim_time_ns in ((1 << 39, PERIOD_NS), (1, 1 << 61)):
+        tick = m.Tick(
+            frame=frame, sim_time_ns=sim_time_ns, processes=[], ids=[], types=[],
+            poses=np.zeros((0, 6)), speeds_mps=np.zeros(0), equipment=np.zeros(0),
+            hosts=np.zeros(0),
+        )  # fmt: skip
+        rig.world.publish("tick", tick)
+    rig.frame(1)
+    rig.drain()
+    rig.role.close()
+    assert rig.inbox.drops == {"MessageError": 2}
+    with Run(tmp_path) as run:
+        assert [(row.frame, row.sim_time_ns) for row in run.rows(FrameRow)] == [
+            (0, 0),
+            (1, PERIOD_NS),
+        ]
+
+
 def test_memory_holds_a_bounded_number_of_frames(rig: Rig, tmp_path: Path) -> None:
     frames = OPEN_FRAMES * 2
     for frame in range(frames):
         rig.metrics("infra-0", max(frame - 1, 0))
         tick = m.Tick(
-            frame=frame, sim_time_ns=frame, processes=[], ids=[], types=[],
+            frame=frame, sim_time_ns=frame * PERIOD_NS, processes=[], ids=[], types=[],
             poses=np.zeros((0, 6)), speeds_mps=np.zeros(0), equipment=np.zeros(0),
             hosts=np.zeros(0),
         )  # fmt: skip

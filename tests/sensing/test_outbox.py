@@ -11,6 +11,7 @@ import pytest
 from protocol.errors import BusError
 from sensing.upload import outbox as module
 from sensing.upload.outbox import Outbox
+from tests.waiting import wait_until
 
 PATIENCE_S = 10.0
 
@@ -35,11 +36,7 @@ def passes(_: int) -> None:
 
 def done(outbox: Outbox) -> list[int]:
     """Waits until the outbox is done with something; returns the frames."""
-    give_up_ns = time.monotonic_ns() + int(PATIENCE_S * 1e9)
-    while not (frames := [shipment.frame for shipment in outbox.take_done()]):
-        assert time.monotonic_ns() < give_up_ns
-        time.sleep(0.001)
-    return frames
+    return wait_until(lambda: [shipment.frame for shipment in outbox.take_done()])
 
 
 @pytest.fixture

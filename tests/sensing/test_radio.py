@@ -1,5 +1,5 @@
 from protocol.inbox import Inbox
-from protocol.local import LocalNetwork
+from protocol.local import LocalBus, LocalNetwork
 from protocol.messages import NEVER_NS
 from sensing.link.config import LinkConfig
 from sensing.link.path import on_air_bytes
@@ -14,10 +14,11 @@ def radio(kind: AgentKind = "vehicle", mode: str = "lockstep", **link: object) -
     return radio_of(scenario, LinkConfig.model_validate(link), kind, "a", bus)
 
 
-class FullBus:
+class FullBus(LocalBus):
     """A bus whose link takes 1000 bytes a frame."""
 
     def __init__(self) -> None:
+        super().__init__(LocalNetwork(), Inbox())
         self.sent, self.waiting = 0, 0
 
     def wire_bytes(self) -> int:
@@ -81,7 +82,7 @@ def test_a_roadside_post_is_wired_unless_it_has_a_profile_of_its_own() -> None:
 
 def test_a_real_radio_is_clogged_when_more_waits_than_left_in_a_frame() -> None:
     bus = FullBus()
-    made = RealRadio(bus)  # type: ignore[arg-type]
+    made = RealRadio(bus)
     assert not made.is_clogged(0)
     bus.sent, bus.waiting = 1000, 900
     assert not made.is_clogged(0)

@@ -7,7 +7,7 @@ import pytest
 
 from protocol.errors import ConfigError
 from sim_host.config import TrafficConfig
-from sim_host.demand import movements
+from sim_host.demand import movements, write_demand
 from sim_host.net import road_map
 from sim_host.netfile import read_net
 
@@ -185,3 +185,37 @@ def test_a_signal_that_the_net_lacks_is_refused_with_those_it_has(tmp_path: Path
 def test_an_unfit_plan_is_a_configuration_error(tmp_path: Path, green: str, says: str) -> None:
     with pytest.raises(ConfigError, match=says):
         road_map(read_net(write(tmp_path, green=green)), "T")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('id="w"', 'id="w w"', "the edge id 'w w' has 3 characters, .* without spaces"),
+        ('id="w_0"', 'id="w;0"', "the lane id 'w;0'"),
+        ('id="w"', f'id="{"w" * 513}"', "has 513 characters, allowed are 1 to 512"),
+        ('linkIndex="1"', 'linkIndex="-1"', "from w to e at signal T has the linkIndex -1"),
+        (' linkIndex="1"', "", "from w to e at signal T has the linkIndex -1"),
+        ('speed="13"', 'speed="nan"', "the number 'nan' is not finite"),
+        ('shape="-120,0', 'shape="-inf,0', "the number '-inf' is not finite"),
+        ('duration="30"', 'duration="1e999"', "the number '1e999' is not finite"),
+        ('length="100"', "", "lacks 'length'"),
+    ],
+)
+def test_what_sumo_or_a_message_would_not_take_is_refused(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    path = write(tmp_path)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(
+        ConfigError, match=rf"^net file {path} is not a valid SUMO net: .*{message}.*$"
+    ):
+        read_net(path)
+
+
+def test_edges_of_names_too_long_for_a_vehicle_are_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, net=[part.replace('"w', '"' + "w" * 120) for part in CROSS])
+    net = read_net(path)
+    with pytest.raises(ConfigError, match="limit 118; rename the edges"):
+        write_demand(tmp_path / "demand.rou.xml", net, road_map(net, "T").signal, TrafficConfig())

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
@@ -17,6 +17,7 @@ from protocol.process import Context
 from protocol.topics import BusName
 from sim_host.role import SimRole
 from sim_host.setup import build_setup
+from tests.waiting import wait_until
 
 MAIN, SIDE = "rrrrrGGGGGGGG", "GGGGGrrrrrrrr"
 M = TypeVar("M", bound=m.Message)
@@ -72,6 +73,12 @@ class Rig:
         said = []
         while isinstance(item := self.seen.get(), Envelope):
             said.append(item.message)
+        return said
+
+    def until(self, holds: Callable[[list[m.Message]], bool]) -> list[m.Message]:
+        """Turns until what was said is what is waited for."""
+        said: list[m.Message] = []
+        wait_until(lambda: said.extend(self.turn()) or holds(said))
         return said
 
     def until_frame(self) -> list[m.Message]:
@@ -210,19 +217,16 @@ def test_a_request_that_a_newer_one_has_overtaken_is_counted(make: type[Rig]) ->
 def test_who_never_appears_is_named(make: type[Rig]) -> None:
     rig = make(traffic={"warmup_s": 0, "start_timeout_s": 0.05})
     rig.appear("edge", "signal", "infra-0", "vehicle-1")
-    rig.turn()
-    time.sleep(0.06)
     with pytest.raises(BusError, match=r"record, vehicle-0 did not appear within .* 0\.05 s"):
-        rig.turn()
+        rig.until(lambda _: False)
 
 
 def test_a_request_that_never_comes_ends_the_run(make: type[Rig]) -> None:
     rig = make(cabinet={"request_timeout_s": 0.05})
     rig.appear(*OTHERS)
     rig.until_frame()
-    time.sleep(0.06)
     with pytest.raises(BusError, match="no request for frame 0"):
-        rig.turn()
+        rig.until(lambda _: False)
     [end] = [item.message for item in iter(rig.seen.get, None) if item.topic == "end"]
     assert (end.frames, end.reason) == (1, "failed")
 
@@ -246,8 +250,7 @@ def test_the_world_stays_until_the_recorder_has_left(make: type[Rig]) -> None:
     rig.until_frame()
     closing = threading.Thread(target=rig.role.close)
     closing.start()
-    while (item := rig.seen.get(1.0)) is None or item.topic != "end":
-        pass
+    wait_until(lambda: (item := rig.seen.get()) is not None and item.topic == "end")
     assert closing.is_alive()
     rig.vanish("record")
     closing.join(1.0)
@@ -259,10 +262,7 @@ def test_realtime_keeps_the_clock_without_any_request(make: type[Rig]) -> None:
     rig.appear(*OTHERS)
     rig.until_frame()
     start_ns = time.monotonic_ns()
-    said: list[m.Message] = []
-    while not rig.stop.is_set():
-        said += rig.turn()
-        time.sleep(0.001)
+    said = rig.until(lambda _: rig.stop.is_set())
     assert 0.4 < (time.monotonic_ns() - start_ns) / 1e9 < 2
     assert [tick.frame for tick in only(said, m.Tick)] == [1, 2, 3, 4]
     assert only(said, m.End)[0].frames == 5
@@ -275,8 +275,5 @@ def test_realtime_acts_on_a_frames_request_once_and_at_once(make: type[Rig]) -> 
     [tick] = only(rig.until_frame(), m.Tick)
     rig.ask(tick, MAIN)
     rig.ask(tick, SIDE)
-    said: list[m.Message] = []
-    while len(only(said, m.Metrics)) < 2:
-        said += rig.turn()
-        time.sleep(0.001)
+    said = rig.until(lambda said: len(only(said, m.Metrics)) == 2)
     assert stages(only(said, m.Metrics)) == ["actuate", "world"]

@@ -1,5 +1,6 @@
 """SUMO behind its clean face, on the built-in junction."""
 
+import gzip
 from pathlib import Path
 
 import numpy as np
@@ -154,3 +155,10 @@ def test_a_users_mistake_is_a_configuration_error(
 ) -> None:
     with pytest.raises(ConfigError, match=says):
         build_setup({"traffic": traffic}, tmp_path)
+
+
+def test_a_packed_sumocfg_that_breaks_off_is_a_configuration_error(tmp_path: Path) -> None:
+    cut = tmp_path / "cut.sumocfg.gz"
+    cut.write_bytes(gzip.compress(b"<configuration/>" * 50)[:-9])
+    with pytest.raises(ConfigError, match=r"cut\.sumocfg\.gz cannot be read as XML"):
+        build_setup({"traffic": {"sumocfg": str(cut)}}, tmp_path)

@@ -3,6 +3,7 @@
 import builtins
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -103,10 +104,10 @@ def test_missing_matplotlib_names_what_to_install(
 ) -> None:
     real_import = builtins.__import__
 
-    def refuse(name: str, *rest: object) -> object:
+    def refuse(name: str, *rest: Any) -> object:
         if name.startswith("matplotlib"):
             raise ModuleNotFoundError(f"No module named {name!r}", name="matplotlib")
-        return real_import(name, *rest)  # type: ignore[arg-type]
+        return real_import(name, *rest)
 
     for module in [m for m in sys.modules if m.startswith("studies.")]:
         monkeypatch.delitem(sys.modules, module)

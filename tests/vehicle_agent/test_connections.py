@@ -5,6 +5,7 @@ import pytest
 from protocol.errors import BusError
 from protocol.inbox import Inbox
 from protocol.local import LocalBus, LocalNetwork
+from tests.waiting import wait_until
 from vehicle_agent.connections import Connections
 
 
@@ -26,8 +27,7 @@ def test_in_the_background_nobody_waits_for_a_newcomer():
     assert connections.get("a") is None
     assert connections.get("a") is None
     network.may_open.set()
-    while connections.get("a") is None:
-        pass
+    wait_until(lambda: connections.get("a"))
     assert connections.get("a") is connections.get("a")
     connections.close()
     assert network.local.buses == []

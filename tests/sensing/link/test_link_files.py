@@ -1,15 +1,30 @@
 from pathlib import Path
 
+import msgpack
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.errors import ConfigError
+from protocol.messages import Setup
 from sensing.link.config import LinkConfig
 from sensing.link.files import read_trace
 from sensing.link.named import profile_named
 from sensing.link.path import Path as LinkPath
-from sensing.link.profile import LinkProfile, TraceRate
+from sensing.link.profile import (
+    MAX_PERIOD_US,
+    MAX_RATE_BPS,
+    MAX_RTT_US,
+    MAX_STEPS,
+    LinkProfile,
+    TraceRate,
+    VaryingRate,
+)
+
+WIDE_CSV = f"time_s,rate_mbps\n0,1\n1,{'1' * 140_000}\n"
+LONG_NAME = pytest.param("x" * 5000, id="long")
+HUGE_RATE = pytest.param("9" * 999 + "mbit", id="huge")
+LONG_CSV = "time_s,rate_mbps\n" + "".join(f"{n},1\n" for n in range(MAX_STEPS + 1))
 
 
 def written(folder: Path, name: str, text: str) -> Path:
@@ -43,8 +58,15 @@ def test_a_csv_trace_keeps_rate_and_round_trip(tmp_path):
         ("time_s,rate_mbps\n0,1\n1\n", "line 3: rate_mbps is None"),
         ("time_s,rate_mbps\n0,1\n1,-2\n", "line 3: rate_mbps is '-2'"),
         ("time_s,rate_mbps\n0,1\n1,nan\n", "line 3: rate_mbps is 'nan'"),
-        ("time_s,rate_mbps\n0,1\n0,2\n", "line 3: time_s must be later"),
+        ("time_s,rate_mbps\n0,1\n0,2\n", "line 3: time_s must be 1 ms later"),
         ("time_s,rate_mbps\n0,0\n1,0\n", "the rate is 0 on every line"),
+        ("time_s,rate_mbps\n0,1\n0.0009,2\n", "line 3: time_s must be 1 ms later"),
+        ("time_s,rate_mbps\n0,1\n1,100001\n", "line 3: rate_mbps is '100001'.*to 100000"),
+        ("time_s,rate_mbps,rtt_ms\n0,1,60001\n", "line 2: rtt_ms is '60001'.*to 60000"),
+        ("time_s,rate_mbps\n0,1\n1e6,1\n", "begins anew after 2e.06 s, limit 86400"),
+        ("time_s,rate_mbps\n0,0.00001\n", "the mean rate is 10 bit/s, needs 1000"),
+        pytest.param(WIDE_CSV, "line 3: field larger than field limit", id="wide"),
+        pytest.param(LONG_CSV, "limit 200000", id="long"),
     ],
 )
 def test_a_csv_that_is_no_trace_is_refused_with_file_and_line(tmp_path, text, message):
@@ -59,6 +81,8 @@ def test_a_csv_that_is_no_trace_is_refused_with_file_and_line(tmp_path, text, me
         ("1\n2\nx\n", "line 3: 'x' is not a whole millisecond"),
         ("5\n4\n", "line 2: 4 ms comes after 5 ms"),
         ("0\n0\n", "line 2: the trace has no length"),
+        ("1\n999999999999\n", "the trace begins anew after 1e.09 s, limit 86400"),
+        pytest.param("1\n" * 8400, "rates_bps are from 100800000000.*to 100000000000", id="fast"),
     ],
 )
 def test_a_mahimahi_file_that_is_none_is_refused_with_file_and_line(tmp_path, text, message):
@@ -106,9 +130,12 @@ def test_a_rate_is_a_profile(text, mbps, rtt_ms):
     assert profile.rtt.p99_ms == rtt_ms
 
 
-@pytest.mark.parametrize("text", ["6g", "5mbps", "0mbit", "nowhere.csv"])
+@pytest.mark.parametrize(
+    "text",
+    ["6g", "5mbps", "0mbit", "nowhere.csv", "", "a\0b", "5mbit,60001ms", LONG_NAME, HUGE_RATE],
+)
 def test_what_is_no_profile_is_refused_with_what_is_allowed(text):
-    with pytest.raises(ConfigError, match=r"5g-urban|above 1kbit"):
+    with pytest.raises(ConfigError, match=r"^.{,120}(neither a file.*5g-urban|above 1kbit)"):
         profile_named(text)
 
 
@@ -133,3 +160,20 @@ def test_a_scenario_keeps_the_whole_profile():
 )
 def test_the_mode_decides_how_a_link_is_applied(data, mode, way):
     assert LinkConfig.model_validate(data).way(mode) == way
+
+
+def test_a_rate_needs_no_kind_to_be_a_varying_one():
+    profile = LinkProfile.model_validate({"rate": {"mean_mbps": 5}})
+    assert profile.rate == VaryingRate(mean_mbps=5)
+
+
+def test_the_longest_traces_fit_into_a_setup():
+    count, day = MAX_STEPS, MAX_PERIOD_US
+    starts = [0, *range(day - count * 1000, day - 1000, 1000)]
+    rates = [MAX_RATE_BPS] * len(starts)
+    rtts = [MAX_RTT_US] * len(starts)
+    rate = TraceRate(starts_us=starts, rates_bps=rates, rtt_us=rtts, period_us=day)
+    profile = LinkProfile(rate=rate).model_dump(mode="json")
+    packed = msgpack.packb({"profile": profile, "roadside_profile": profile})
+    assert len(starts) == MAX_STEPS
+    assert len(packed) < Setup.max_header_bytes * 0.6

@@ -1,8 +1,8 @@
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from sensing.link.steps import Steps
+from sensing.link.steps import Interrupted, Steps
 
 TIMES = st.integers(-10_000, 10_000)
 
@@ -50,3 +50,37 @@ def test_what_is_always_zero_is_never_reached():
 def test_steps_that_cannot_be_are_refused(starts, values):
     with pytest.raises(ValueError, match="steps"):
         Steps(starts, values, 10)
+
+
+@st.composite
+def interrupted(draw: st.DrawFn) -> tuple[Interrupted, Steps, list[tuple[int, int]]]:
+    base = draw(steps())
+    edges = sorted(draw(st.sets(st.integers(1, 599), max_size=8)))
+    gone = list(zip(edges[::2], edges[1::2], strict=False))
+    return Interrupted(base, gone, 3), base, gone
+
+
+@settings(deadline=None)
+@given(interrupted(), TIMES, st.integers(0, 700))
+def test_within_a_span_nothing_passes_and_outside_all_does(made, start, length):
+    trace, base, gone = made
+    for t in range(start, start + length):
+        lost = any(a <= t % 600 < b for a, b in gone)
+        assert trace.at(t) == (0 if lost else base.at(t))
+    expected = sum(trace.at(t) for t in range(start, start + length))
+    assert trace.integral(start, start + length) == expected
+
+
+@settings(deadline=None)
+@given(interrupted(), TIMES, st.integers(1, 30_000))
+def test_an_amount_is_reached_past_the_spans_at_its_first_moment(made, start, amount):
+    trace, _, _ = made
+    assume(trace.integral(0, 600) > 0)
+    end = trace.reach(start, amount)
+    assert trace.integral(start, end) >= amount > trace.integral(start, end - 1)
+
+
+def test_spans_that_overlap_or_leave_the_period_are_refused():
+    for gone in ([(0, 5), (4, 6)], [(5, 11)]):
+        with pytest.raises(ValueError, match="spans"):
+            Interrupted(Steps([0], [1], 10), gone, 1)

@@ -1,5 +1,7 @@
 """The link in simulated time: a queue that keeps order, wastes nothing and is never too fast."""
 
+import time
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -55,7 +57,7 @@ def test_no_time_is_wasted_while_something_is_queued(path, sends):
         free = now + link.backlog_ns(now)
         carried = path.rate_bps.integral(busy_since, free)
         queued = traffic(sends).index((now, size)) + 1
-        rounding = queued * max(path.rate_bps.values)  # a message ends on a whole ns
+        rounding = queued * path.rate_bps.largest  # a message ends on a whole ns
         assert bits * 10**9 <= carried <= bits * 10**9 + rounding
 
 
@@ -138,7 +140,8 @@ def test_built_in_profiles_have_the_figures_they_name(name):
 def test_a_path_depends_on_seed_and_agent_alone():
     def draw(seed: int, agent: str) -> tuple[list[int], list[int]]:
         path = Path.draw(BUILTIN["5g-weak"], seed, agent)
-        return path.rate_bps.values, path.rtt_ns.values
+        rates = [path.rate_bps.at(t) for t in range(0, path.rate_bps.period_ns, 100 * MS)]
+        return rates, path.rtt_ns.values
 
     assert draw(1, "a") == draw(1, "a")
     assert draw(1, "a") != draw(1, "b")
@@ -150,7 +153,7 @@ def test_outages_take_their_share_and_leave_the_rest_alone():
     lossy = quiet.model_copy(update={"outages": Outages(per_minute=6, mean_s=2)})
     path = Path.draw(lossy, 1, "a")
     rate = path.rate_bps
-    assert set(rate.values) == {0, 8_000_000}
+    assert {rate.at(t) for t in range(0, rate.period_ns, 77 * MS)} == {0, 8_000_000}
     share = rate.integral(0, rate.period_ns) / rate.period_ns / 8e6
     assert 0.7 < share < 0.95  # 6 x 2 s lost in 72 s
 
@@ -159,6 +162,23 @@ def test_outages_go_over_a_trace_of_any_length():
     trace = TraceRate(starts_us=[0, 700_000], rates_bps=[1000, 3000], period_us=1_300_000)
     path = Path.draw(LinkProfile(rate=trace, outages=Outages(per_minute=2, mean_s=3)), 4, "a")
     plain = Path.draw(LinkProfile(rate=trace), 4, "a")
-    assert 0 in path.rate_bps.values
-    for t in range(0, path.rate_bps.period_ns, 77 * MS):
+    moments = range(0, path.rate_bps.period_ns, 77 * MS)
+    assert any(path.rate_bps.at(t) == 0 for t in moments)
+    for t in moments:
         assert path.rate_bps.at(t) in (0, plain.rate_bps.at(t))
+
+
+def test_outages_cost_no_more_on_a_trace_of_milliseconds():
+    trace = TraceRate(starts_us=[0, 1000], rates_bps=[2000, 6000], period_us=2000)
+    begin = time.monotonic_ns()
+    path = Path.draw(LinkProfile(rate=trace, outages=Outages(per_minute=6, mean_s=2)), 4, "a")
+    assert time.monotonic_ns() - begin < 100 * MS
+    assert 0 < path.rate_bps.integral(0, path.rate_bps.period_ns) < 4000 * path.rate_bps.period_ns
+
+
+def test_a_message_under_way_for_hours_is_timed_at_once():
+    trace = TraceRate(starts_us=[0, 1000], rates_bps=[2000, 0], rtt_us=[9, 5], period_us=2000)
+    path = Path.draw(LinkProfile(rate=trace), 1, "a")
+    begin = time.monotonic_ns()
+    assert path.arrival_ns(0, 100_000_000 * MS) == 100_000_000 * MS + 4500
+    assert time.monotonic_ns() - begin < 100 * MS

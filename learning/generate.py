@@ -1,0 +1,165 @@
+"""Writes a dataset: labelled scans of many generated junctions."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from learning.kitti import CALIB
+from learning.layout import (
+    DESCRIPTION,
+    INFO,
+    NET,
+    NETWORKS,
+    POSES,
+    ROAD_MAP,
+    SPLITS,
+    VERSION,
+    Info,
+    ScanRow,
+    scan_paths,
+    split_path,
+    splits,
+)
+from learning.observe import Observatory
+from learning.sites import draw_site
+from protocol.errors import ConfigError
+
+MAX_NETWORKS, MAX_MOMENTS = 1000, 500
+_PARTS = ".parts"
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What a dataset is made from; the same gives the same bytes."""
+
+    networks: int
+    moments: int
+    seed: int
+
+
+def generate(
+    folder: Path, asked: Asked, jobs: int, report: Callable[[int, int], None] = lambda *_: None
+) -> None:
+    """Writes the dataset into a folder that must be new or empty.
+
+    Networks are made by `jobs` processes, each one network at a time, and take their places in
+    the order of their numbers. `report` hears, after each, how many networks and scans there are.
+
+    Raises:
+        ConfigError: a number is out of bounds, the folder holds something, or SUMO fails.
+    """
+    _check(asked, jobs)
+    _prepare(folder)
+    scans = 0
+    by_split: dict[str, list[int]] = {split: [] for split in SPLITS}
+    of = splits(asked.networks)
+    with (folder / POSES).open("w", encoding="utf-8") as poses:
+        for number, (part, rows) in enumerate(_made(folder / _PARTS, asked, jobs)):
+            for local, line in enumerate(rows):
+                row = ScanRow.model_validate_json(line).model_copy(update={"index": scans})
+                poses.write(row.model_dump_json() + "\n")
+                for source, target in zip(
+                    scan_paths(part, local), scan_paths(folder, scans), strict=True
+                ):
+                    source.rename(target)
+                by_split[of[number]].append(scans)
+                scans += 1
+            (part / NETWORKS).rename(folder / NETWORKS / part.name)
+            shutil.rmtree(part)
+            report(number + 1, scans)
+    for split in SPLITS:
+        text = "".join(f"{index:06d}\n" for index in by_split[split])
+        split_path(folder, split).write_text(text, "utf-8")
+    (folder / _PARTS).rmdir()
+    info = Info(version=VERSION, **_arguments(asked))
+    (folder / INFO).write_text(info.model_dump_json(indent=2) + "\n", "utf-8")
+
+
+def _arguments(asked: Asked) -> dict[str, int]:
+    return {"networks": asked.networks, "moments": asked.moments, "seed": asked.seed}
+
+
+def _check(asked: Asked, jobs: int) -> None:
+    limits = {
+        "--networks": (asked.networks, 1, MAX_NETWORKS),
+        "--moments": (asked.moments, 1, MAX_MOMENTS),
+        "--seed": (asked.seed, 0, 2**31 - 1),
+        "--jobs": (jobs, 1, 256),
+    }
+    for name, (value, low, high) in limits.items():
+        if not low <= value <= high:
+            raise ConfigError(f"{name} {value}: must be {low} to {high}")
+
+
+def _prepare(folder: Path) -> None:
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise ConfigError(f"{folder}: it exists and is not an empty folder")
+        for path in (
+            *(target.parent for target in scan_paths(folder, 0)),
+            split_path(folder, "train").parent,
+            folder / NETWORKS,
+            folder / _PARTS,
+        ):
+            path.mkdir(parents=True)
+    except OSError as error:
+        raise ConfigError(f"{folder}: {error.strerror}") from None
+
+
+def _made(parts: Path, asked: Asked, jobs: int) -> Iterator[tuple[Path, list[str]]]:
+    """Yields each network's folder and its lines of `poses.jsonl`, in the order of numbers."""
+    context = multiprocessing.get_context("spawn")
+    workers = min(jobs, asked.networks)
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_undisturbed)
+    try:
+        futures = [
+            pool.submit(_make, parts, asked.seed, number, asked.moments)
+            for number in range(asked.networks)
+        ]
+        for future in futures:
+            yield future.result()
+    except BrokenProcessPool:
+        raise ConfigError(
+            f"a process that makes networks was ended, perhaps for want of memory: fewer --jobs "
+            f"than {jobs} take less"
+        ) from None
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _undisturbed() -> None:
+    """Leaves Ctrl-C to the process that collects."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _make(parts: Path, seed: int, number: int, moments: int) -> tuple[Path, list[str]]:
+    site = draw_site(seed, number)
+    try:
+        observatory = Observatory(site, moments)
+    except ConfigError as error:
+        raise ConfigError(f"{site.name}: {error}") from None
+    part = parts / site.name
+    for path in (*(target.parent for target in scan_paths(part, 0)), part / NETWORKS):
+        path.mkdir(parents=True)
+    lines = []
+    for local, observed in enumerate(observatory.scans()):
+        cloud, labels, calib = scan_paths(part, local)
+        cloud.write_bytes(observed.points.astype("<f4").tobytes())
+        labels.write_text("".join(f"{label.line}\n" for label in observed.labels), "utf-8")
+        calib.write_text(CALIB, "utf-8")
+        lines.append(observed.row.model_dump_json())
+    description: dict[str, Any] = site.model_dump(mode="json")
+    description["mounts"] = [mount.model_dump(mode="json") for mount in observatory.mounts]
+    (part / NETWORKS / NET).write_text(observatory.net, "utf-8")
+    (part / NETWORKS / ROAD_MAP).write_text(observatory.road_map.model_dump_json() + "\n", "utf-8")
+    (part / NETWORKS / DESCRIPTION).write_text(json.dumps(description, indent=1) + "\n", "utf-8")
+    return part, lines

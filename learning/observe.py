@@ -1,0 +1,155 @@
+"""One network's traffic, scanned: every moment's scans with the vehicles that each hit."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from learning.kitti import Label, into_sensor
+from learning.layout import REACH_M, Kind, ScanRow, SensorPoses
+from learning.sites import Site, draw_mounts
+from perception.arrays import Floats, Floats32
+from protocol.geometry import SE3
+from protocol.messages import Equipment
+from protocol.roadmap import RoadMap
+from sensing.attribution import counts, owners
+from sensing.config import Mount, PoseErrorConfig
+from sensing.lidar import Lidar
+from sensing.mounting import above, mounted
+from sensing.noise import stream
+from sensing.pose import believed_pose
+from sensing.returns import returns
+from sensing.scene import scene_of
+from sensing.shapes import VehicleShapes
+from sim_host.filming import film
+from sim_host.junctions import write_junction
+from sim_host.setup import build_setup
+from sim_host.world import Bodies
+
+_CAVS = (1, 5)
+_CAVS_NEAR_M = 100.0  # from the junction's centre
+_PAUSE_S = (4.0, 14.0)  # between moments
+_OVER_ROOF_M = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observed:
+    """A scan: points (N, 4) with intensity, its labels, and its line of `poses.jsonl`."""
+
+    points: Floats32
+    labels: list[Label]
+    row: ScanRow
+
+
+class Observatory:
+    """A network with its scene and sensors; `net` is the text of its net file."""
+
+    def __init__(self, site: Site, moments: int) -> None:
+        self.site = site
+        with tempfile.TemporaryDirectory(prefix="cpnet-") as scratch:
+            folder = Path(scratch)
+            path = write_junction(folder, site.name, site.junction)
+            self.net = path.read_text("utf-8")
+            traffic = site.traffic.model_copy(update={"net": str(path)})
+            setup = build_setup({"traffic": traffic.model_dump()}, folder)
+            scene = scene_of(setup, site.scene, site.seed)
+            self._filmed = film(setup, folder, scene.terrain, site.seed, self._steps(moments))
+        self.road_map: RoadMap = setup.road_map
+        self.mounts: list[Mount] = draw_mounts(site, setup.road_map)
+        self._terrain = scene.terrain
+        self._shapes = VehicleShapes.from_setup(setup)
+        self._lidar = Lidar(site.lidar, scene, self._shapes)
+
+    def scans(self) -> Iterator[Observed]:
+        """Yields every moment's scans: posts first, then CAVs."""
+        for frame, bodies in enumerate(self._filmed):
+            sizes_m = self._shapes.bodies(bodies.types).size_m
+            for mount in self.mounts:
+                pose = mounted(mount, self.road_map, self._terrain)
+                yield self._scan((frame, mount.id, "roadside"), (pose, pose), bodies, sizes_m)
+            for own in self._cavs(frame, bodies):
+                name = bodies.ids[own]
+                poses = self._on_roof(frame, name, bodies.poses[own], float(sizes_m[own, 2]))
+                yield self._scan((frame, name, "vehicle"), poses, bodies, sizes_m)
+
+    def _steps(self, moments: int) -> list[int]:
+        pauses_s = stream(self.site.seed, "pauses").uniform(*_PAUSE_S, size=moments)
+        pauses_s[0] = self.site.warm_up_s
+        at = np.cumsum(np.round(pauses_s / self.site.traffic.step_s)).astype(int)
+        return [int(step) for step in at]
+
+    def _cavs(self, frame: int, bodies: Bodies) -> list[int]:
+        rng = stream(self.site.seed, "cavs", frame)
+        centre = np.array(self.road_map.centre[:2])
+        away_m = np.linalg.norm(bodies.poses[:, :2] - centre, axis=1)
+        near = np.flatnonzero(away_m < _CAVS_NEAR_M)
+        count = min(len(near), int(rng.integers(_CAVS[0], _CAVS[1] + 1)))
+        return sorted(int(index) for index in rng.choice(near, count, replace=False))
+
+    def _on_roof(self, frame: int, name: str, pose: Floats, roof_m: float) -> tuple[SE3, SE3]:
+        """Returns where the sensor of a CAV is and where it is believed to be."""
+        height_m = stream(self.site.seed, "roof", name).uniform(*self.site.roof_m)
+        height_m = max(height_m, roof_m + _OVER_ROOF_M)
+        rng = stream(self.site.seed, "pose", name, frame)
+        believed = believed_pose(pose, PoseErrorConfig(), Equipment.CAV, rng)
+        return above(pose, height_m), above(believed, height_m)
+
+    def _scan(
+        self,
+        who: tuple[int, str, Kind],
+        poses: tuple[SE3, SE3],
+        bodies: Bodies,
+        sizes_m: Floats,
+    ) -> Observed:
+        frame, agent, kind = who
+        true, believed = poses
+        own = bodies.ids.index(agent) if kind == "vehicle" else None
+        config = self.site.lidar
+        clean_m = self._lidar.distances(true, bodies.poses, bodies.types, own)
+        bare_m = self._lidar.distances(true, bodies.poses[:0], [], None)
+        rng = stream(self.site.seed, "scan", agent, frame)
+        range_m, intensity = returns(clean_m, config, rng)
+        owner = owners(clean_m, bare_m, config.pattern, true, (bodies.poses, sizes_m))
+        hits = counts(owner, range_m, len(bodies.ids))
+        boxes = into_sensor(_boxes(bodies.poses, sizes_m), true)
+        near = np.linalg.norm(boxes[:, :3], axis=1) <= REACH_M
+        if own is not None:
+            near[own] = False
+        hit = range_m > 0
+        points = config.pattern.directions[hit] * range_m[hit][:, None]
+        return Observed(
+            points=np.column_stack([points, intensity[hit]]).astype(np.float32),
+            labels=[
+                Label(bodies.ids[n], tuple(boxes[n].tolist()), int(hits[n]))
+                for n in np.flatnonzero(near)
+            ],
+            row=ScanRow(
+                index=0,
+                network=self.site.name,
+                frame=frame,
+                agent=agent,
+                kind=kind,
+                map_SE3_sensor=SensorPoses(
+                    believed=_rounded(believed),
+                    true=_rounded(true),
+                ),
+                own=None if own is None else bodies.ids[own],
+            ),
+        )
+
+
+def _boxes(poses: Floats, sizes_m: Floats) -> Floats:
+    """Returns boxes (N, 7) of bodies; their middles are those of the tilted bodies."""
+    middles = [
+        above(pose, height_m / 2).translation
+        for pose, height_m in zip(poses, sizes_m[:, 2], strict=True)
+    ]
+    return np.column_stack([np.array(middles).reshape(-1, 3), sizes_m, poses[:, 5]])
+
+
+def _rounded(pose: SE3) -> list[float]:
+    return [round(value, 7) for value in pose.as_pose().tolist()]

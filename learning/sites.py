@@ -1,0 +1,145 @@
+"""What is drawn for each network: junction, traffic, scene, weather, LiDAR and where they stand."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import numpy as np
+from pydantic import Field
+
+from protocol.config import Section
+from protocol.roadmap import RoadMap
+from sensing.config import LidarConfig, Mount, SceneConfig
+from sensing.noise import stream
+from sensing.road import RoadArea
+from sim_host.config import MeshName, TrafficConfig, VehicleSpec
+from sim_host.junctions import Junction, draw_junction
+
+_TALL: dict[MeshName, tuple[tuple[float, float], ...]] = {  # ranges of length, width, height
+    "car": ((3.5, 5.1), (1.6, 2.0), (1.35, 1.85)),
+    "microcargo": ((3.9, 5.6), (1.65, 2.1), (1.75, 2.5)),
+    "minibus": ((4.9, 7.0), (1.85, 2.3), (1.9, 2.8)),
+}
+_USUAL_FOV_DEG = (2.0, -24.9)
+_OTHER_FOVS_DEG = ((10.0, -30.0), (15.0, -25.0), (3.0, -25.0), (5.0, -20.0))
+_POSTS_M = (6.0, 45.0)  # from the junction's centre to a post beside the road
+_OFF_ROAD_M = 0.6
+
+
+class Site(Section):
+    """A network but for its sensors' places, which depend on the roads."""
+
+    number: int
+    seed: int
+    junction: Junction
+    traffic: TrafficConfig
+    scene: SceneConfig
+    lidar: LidarConfig = Field(description="of all sensors at this junction")
+    warm_up_s: float
+    roof_m: tuple[float, float] = Field(description="range of the CAVs' sensor heights")
+
+    @property
+    def name(self) -> str:
+        """What the network is called."""
+        return f"network-{self.number:03d}"
+
+
+def draw_site(seed: int, number: int) -> Site:
+    """Draws a network by its number; it does not depend on how many there are."""
+    rng = stream(seed, "site", number)
+    junction = draw_junction(stream(seed, "junction", number))
+    approaches = [f"{arm.name}_in" for arm in junction.arms if arm.lanes_in]
+    return Site(
+        number=number,
+        seed=int(rng.integers(2**31)),
+        junction=junction,
+        traffic=TrafficConfig(
+            step_s=0.5,
+            demand_vph_per_lane={
+                edge: round(float(rng.uniform(120, 650)), 1) for edge in approaches
+            },
+            vehicles=_vehicles(rng),
+            cav_rate=0.0,  # who carries a LiDAR is drawn anew at every moment
+            reach_m=300.0,
+        ),
+        scene=_scene(rng),
+        lidar=_lidar(rng),
+        warm_up_s=float(rng.integers(60, 151)),
+        roof_m=(1.6, 2.6),
+    )
+
+
+def draw_mounts(site: Site, road_map: RoadMap) -> list[Mount]:
+    """Draws one post or, one time in four, two: at the centre or beside the road."""
+    rng = stream(site.seed, "mounts")
+    centre = np.array(road_map.centre[:2])
+    area = RoadArea(road_map)
+    feet = np.concatenate(
+        [edge.points + edge.outward * rng.uniform(0.9, 3.0) for edge in area.edges()]
+    )
+    away_m = np.linalg.norm(feet - centre, axis=1)
+    near = (away_m > _POSTS_M[0]) & (away_m < _POSTS_M[1])
+    feet = feet[near & (area.clearance_m(feet) > _OFF_ROAD_M)] - centre
+    mounts = []
+    for number in range(1 + int(rng.random() < 0.25)):
+        central = number == 0 and rng.random() < 0.35
+        x, y = (0.0, 0.0) if central or not len(feet) else feet[rng.integers(len(feet))].tolist()
+        mount = Mount(
+            id=f"rsu-{number}",
+            x_m=round(x, 2),
+            y_m=round(y, 2),
+            height_m=round(rng.uniform(2.5, 7.0), 2),
+            yaw_deg=round(rng.uniform(-180, 180), 1),
+        )
+        mounts.append(mount)
+    return mounts
+
+
+def _vehicles(rng: np.random.Generator) -> list[VehicleSpec]:
+    names: list[MeshName] = ["car"] * int(rng.integers(3, 6))
+    names += [mesh for mesh in get_args(MeshName) if mesh in _TALL and rng.random() < 0.7]
+    weights = {"car": (0.5, 1.5), "microcargo": (0.1, 0.5), "minibus": (0.05, 0.3)}
+    specs = []
+    for number, mesh in enumerate(names):
+        length_m, width_m, height_m = (round(rng.uniform(*span), 2) for span in _TALL[mesh])
+        specs.append(
+            VehicleSpec(
+                name=f"{mesh}{number}",
+                mesh=mesh,
+                length_m=length_m,
+                width_m=width_m,
+                height_m=height_m,
+                share=round(rng.uniform(*weights[mesh]), 3),
+            )
+        )
+    return specs
+
+
+def _scene(rng: np.random.Generator) -> SceneConfig:
+    return SceneConfig(
+        terrain_amplitude_m=round(rng.uniform(0, 0.25), 3),
+        kerb_height_m=float(rng.choice([0.0, 0.08, 0.12, 0.15], p=[0.15, 0.2, 0.4, 0.25])),
+        sidewalk_width_m=round(rng.uniform(1.0, 4.5), 2),
+        building_setback_m=round(rng.uniform(4, 22), 2),
+        building_density=round(rng.uniform(0, 0.95), 3),
+        pole_spacing_m=round(rng.uniform(14, 60), 1),
+        trees_per_100m=round(rng.uniform(0, 10), 2),
+    )
+
+
+def _lidar(rng: np.random.Generator) -> LidarConfig:
+    """Draws mostly the usual 64 x 1800 beams, and a weather."""
+    channels = 64 if rng.random() < 0.8 else 32
+    upper, lower = _USUAL_FOV_DEG
+    if rng.random() < 0.2:
+        upper, lower = _OTHER_FOVS_DEG[rng.integers(len(_OTHER_FOVS_DEG))]
+    bad = rng.random() < 0.2  # rain or fog
+    return LidarConfig(
+        channels=channels,
+        points_per_second=channels * 18_000,
+        upper_fov=upper,
+        lower_fov=lower,
+        atmosphere_attenuation_rate=round(rng.uniform(0.008, 0.03) if bad else 0.004, 4),
+        dropoff_general_rate=round(rng.uniform(0.15, 0.4) if bad else rng.uniform(0.05, 0.15), 3),
+        noise_stddev=round(rng.uniform(0.02, 0.04) if bad else rng.uniform(0.01, 0.025), 4),
+    )

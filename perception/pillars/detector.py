@@ -1,0 +1,98 @@
+"""PointPillars as a detector: windows over the points, one call of the network, doubles removed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from perception.arrays import Floats, Floats32
+from perception.config import PillarsDetection
+from perception.detector import Cloud, Stage, untimed
+from perception.overlap import suppress
+from perception.pillars.config import FULL
+from perception.pillars.cover import cover
+from perception.pillars.engine import Engine
+from perception.pillars.network import PointPillars
+from perception.pillars.voxels import Window, pillars_of
+from perception.pillars.weights import SHIPPED, load
+from perception.roadway import Roadway
+from perception.vehicles import Vehicles
+
+CELLS = 256  # of a window: 64 m
+EDGE_M = 3.0  # what lies closer to a window's edge is seen better by the next one
+AT_ONCE = 16  # windows; bounds the memory that a cloud takes
+
+
+class PillarsDetector:
+    """Looks for vehicles in clouds placed on `roadway`."""
+
+    def __init__(self, engine: Engine, roadway: Roadway, config: PillarsDetection) -> None:
+        self._engine = engine
+        self._roadway = roadway
+        self._config = config
+
+    def detect(self, cloud: Cloud, rng: np.random.Generator, stage: Stage = untimed) -> Vehicles:  # noqa: ARG002 - nothing is drawn
+        """See `perception.detector.Detector.detect`."""
+        with stage("detect"):
+            points = np.concatenate([cloud.near.points, cloud.bare.points])
+            height_m = points[:, 2] - np.concatenate([cloud.near.road_m, cloud.bare.road_m])
+            boxes, scores = self._ask(points, height_m)
+            kept = suppress(boxes, scores, iou=self._config.same_iou)
+            boxes, scores = boxes[kept], scores[kept]
+            boxes[:, 2] += self._roadway.height_at(boxes)
+            boxes[:, 6] = _headed(boxes[:, 6], self._roadway.yaw_at(boxes))
+            return Vehicles.from_lidar(boxes, scores)
+
+    def _ask(self, points: Floats32, height_m: Floats32) -> tuple[Floats, Floats]:
+        shape = self._engine.config
+        inside = (height_m >= shape.low_m) & (height_m < shape.high_m)
+        windows = cover(points[inside], CELLS, shape.cell_m)
+        boxes, scores = [np.zeros((0, 7))], [np.zeros(0)]
+        for first in range(0, len(windows), AT_ONCE):
+            part = windows[first : first + AT_ONCE]
+            pillars = [pillars_of(points, height_m, window, shape) for window in part]
+            found, score, number = self._engine.ask(part, pillars, min_score=self._config.min_score)
+            well = _well_inside(found, [part[n] for n in number], shape.cell_m)
+            boxes.append(found[well])
+            scores.append(score[well])
+        return np.concatenate(boxes), np.concatenate(scores)
+
+
+def pillars_detector(name: str, config: PillarsDetection, roadway: Roadway) -> PillarsDetector:
+    """Builds `pointpillars` or `pointpillars-full`, with the shipped weights or the user's.
+
+    Raises:
+        ConfigError: the weights cannot be used.
+    """
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    path = Path(config.weights) if config.weights else SHIPPED / f"{name}.safetensors"
+    network, _ = load(path)
+    return PillarsDetector(Engine(network, device, half=computes_in_half(device)), roadway, config)
+
+
+def untrained_full() -> PointPillars:
+    """Returns the paper's network as it is before training, to be timed."""
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        return PointPillars(FULL).eval()
+
+
+def computes_in_half(device: torch.device) -> bool:
+    """Whether bfloat16 is a gain: on CPUs that have no instructions for it, it is slow."""
+    known = torch.cpu.get_capabilities()
+    return device.type != "cpu" or bool(known.get("avx512_bf16") or known.get("amx_bf16"))
+
+
+def _well_inside(boxes: Floats, windows: list[Window], cell_m: float) -> np.ndarray:
+    low = np.array([window.low for window in windows]).reshape(-1, 2)
+    side_m = np.array([window.cells * cell_m for window in windows]).reshape(-1, 1)
+    off = boxes[:, :2] - low
+    return np.asarray(((off >= EDGE_M) & (off < side_m - EDGE_M)).all(axis=1))
+
+
+def _headed(yaw: Floats, road_yaw: Floats) -> Floats:
+    """Turns boxes that have no front so that they head along the road."""
+    off = (yaw - road_yaw + np.pi / 2) % np.pi - np.pi / 2
+    return np.asarray((road_yaw + off + np.pi) % (2 * np.pi) - np.pi)

@@ -1,0 +1,21 @@
+"""Files that a user names; also names that no file could have, for which `pathlib` raises."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def is_file(name: str | Path) -> bool:
+    """Returns whether there is a file of this name."""
+    try:
+        return Path(name).is_file()
+    except (OSError, ValueError):  # too long, or with a null byte
+        return False
+
+
+def is_folder(name: str | Path) -> bool:
+    """Returns whether there is a folder of this name."""
+    try:
+        return Path(name).is_dir()
+    except (OSError, ValueError):
+        return False

@@ -1,0 +1,58 @@
+"""Every message, as a frozen record: scalars go into the header, arrays into the body.
+
+Times ending in `_ns` without `sim_` come from `time.monotonic_ns` of the process that wrote them.
+Poses are x, y, z in m and roll, pitch, yaw in rad, in the map frame.
+
+Every number, text and list has a bound, so that one absurd message cannot spoil what is kept.
+Where links are virtual, `arrival_sim_ns` says when, in simulated time, the edge has a message, and
+`delay_sim_ns` how long after the frame's time a result is there; else they are None. What arrives
+at `NEVER_NS` was taken off the link before it left.
+"""
+
+from protocol.messages.agents import AgentPose, Objects, Roster, Scan
+from protocol.messages.base import Message, Part
+from protocol.messages.clock import ClockReading, TimeReply
+from protocol.messages.edge import Detections, LaneCounts, Plan
+from protocol.messages.fields import MAX_DELAY_NS, MAX_ITEMS, NEVER_NS, Equipment
+from protocol.messages.metrics import Arrival, Metrics, Progress, Span, Upload, WireCount
+from protocol.messages.signal import SignalRequest, SignalState
+from protocol.messages.world import End, MeshPart, Setup, Tick, Trip, Trips, Truth, VehicleType
+
+__all__ = [
+    "MAX_DELAY_NS",
+    "MAX_ITEMS",
+    "MESSAGES",
+    "NEVER_NS",
+    "AgentPose",
+    "Arrival",
+    "ClockReading",
+    "Detections",
+    "End",
+    "Equipment",
+    "LaneCounts",
+    "MeshPart",
+    "Message",
+    "Metrics",
+    "Objects",
+    "Part",
+    "Plan",
+    "Progress",
+    "Roster",
+    "Scan",
+    "Setup",
+    "SignalRequest",
+    "SignalState",
+    "Span",
+    "Tick",
+    "TimeReply",
+    "Trip",
+    "Trips",
+    "Truth",
+    "Upload",
+    "VehicleType",
+    "WireCount",
+]
+
+MESSAGES: dict[int, type[Message]] = {
+    m.kind: m for m in sorted(Message.__subclasses__(), key=lambda m: m.kind)
+}

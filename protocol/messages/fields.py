@@ -1,0 +1,60 @@
+"""The fields that messages share, each within its bounds."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import AfterValidator, FailFast, Field
+
+from protocol import arrays
+
+MAX_ITEMS = 4096  # of a list or map
+_REACH = np.array([1e7, 1e7, 1e7, 1e3, 1e3, 1e3])  # m, rad: farther than any map
+
+
+def _within_reach(poses: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    if not (np.abs(poses) <= _REACH).all():
+        raise ValueError("a pose lies beyond 1e7 m or 1e3 rad")
+    return poses
+
+
+def _on_the_map(sites: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    if not (np.abs(sites) <= _REACH[0]).all():
+        raise ValueError("a site lies beyond 1e7 m")
+    return sites
+
+
+def _moderate(weights_m2: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    if not (np.abs(weights_m2) <= _REACH[0] ** 2).all():
+        raise ValueError("a weight lies beyond 1e14 m^2")
+    return weights_m2
+
+
+Id = Annotated[str, Field(min_length=1, max_length=128)]
+NetId = Annotated[str, Field(min_length=1, max_length=512)]  # joined junctions have long ones
+Text = Annotated[str, Field(max_length=512)]
+FrameNumber = Annotated[int, Field(ge=0, lt=1 << 40)]
+Count = Annotated[int, Field(ge=0, lt=1 << 40)]
+Total = Annotated[int, Field(ge=0, lt=1 << 53)]
+TimeNs = Annotated[int, Field(gt=-(1 << 62), lt=1 << 62)]  # so that differences fit into 64 bit
+Sites = Annotated[arrays.Sites, AfterValidator(_on_the_map)]
+Borders = Annotated[arrays.Borders, AfterValidator(_moderate)]
+Pose = Annotated[arrays.Pose6, AfterValidator(_within_reach)]
+Poses = Annotated[arrays.Poses, AfterValidator(_within_reach)]
+BOUNDED = (FailFast(), Field(max_length=MAX_ITEMS))  # one error will do, a million cost memory
+Ids = Annotated[list[Id], *BOUNDED]
+Texts = Annotated[list[Text], *BOUNDED]
+MAX_DELAY_NS = 60_000_000_000
+NEVER_NS = (1 << 62) - 1  # the arrival of what a virtual link was not given any more
+DelayNs = Annotated[int, Field(ge=0, le=MAX_DELAY_NS)]
+
+
+class Equipment(IntEnum):
+    """What a vehicle carries: nothing, a LiDAR and a radio, or a radio alone."""
+
+    NONE = 0
+    CAV = 1
+    CV = 2

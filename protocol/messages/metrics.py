@@ -1,0 +1,101 @@
+"""What processes did in a frame, for the recorder and for whoever watches."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+from pydantic import Field
+
+from protocol.messages.base import Message, Part
+from protocol.messages.fields import (
+    BOUNDED,
+    MAX_ITEMS,
+    Count,
+    DelayNs,
+    FrameNumber,
+    Id,
+    Text,
+    TimeNs,
+    Total,
+)
+
+
+class Span(Part):
+    """One stage of one frame; `agent` is empty for stages that serve all."""
+
+    stage: Text
+    agent: Text = ""
+    start_ns: TimeNs
+    end_ns: TimeNs
+
+
+class Upload(Part):
+    """One chunk as its sender saw it.
+
+    `link_sim_ns` is its time on a virtual link, the queue before it included.
+    """
+
+    agent: Id
+    chunk: Count
+    points: Count
+    payload_bytes: Count
+    sense_start_ns: TimeNs
+    sense_end_ns: TimeNs
+    encode_end_ns: TimeNs
+    sent_ns: TimeNs
+    link_sim_ns: DelayNs | None = None
+
+
+class WireCount(Part):
+    """What TCP sent for an agent from one frame's upload until the next one's began.
+
+    Over a virtual link: what the link took of the frame, with the headers of TCP and IP.
+    """
+
+    agent: Id
+    frame: FrameNumber
+    sent_bytes: Count
+
+
+class Arrival(Part):
+    """The same chunk as the edge saw it."""
+
+    agent: Id
+    chunk: Count
+    received_ns: TimeNs
+    decoded_ns: TimeNs
+
+
+class Metrics(Message):
+    """What one process did in one frame. `drops` counts since its start, by reason.
+
+    `wire` settles earlier frames: only when the next upload begins has TCP sent all of the last.
+    """
+
+    kind: ClassVar[int] = 13
+    process: Id
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    spans: Annotated[list[Span], *BOUNDED] = Field([])
+    uploads: Annotated[list[Upload], *BOUNDED] = Field([])
+    wire: Annotated[list[WireCount], *BOUNDED] = Field([])
+    arrivals: Annotated[list[Arrival], *BOUNDED] = Field([])
+    points: Count = 0
+    drops: dict[Id, Total] = Field({}, max_length=MAX_ITEMS)
+
+
+class Progress(Message):
+    """The run at a glance, about once a second, for whoever watches."""
+
+    kind: ClassVar[int] = 14
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    real_time_factor: float
+    vehicles: Count
+    cavs: Count
+    cvs: Count
+    detections: Count
+    mbps: dict[Id, float] = Field(max_length=MAX_ITEMS)
+    end_to_end_ms: float
+    state: Text
+    drops: Total

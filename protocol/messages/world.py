@@ -1,0 +1,157 @@
+"""What the simulated world says: setup, bodies and truth, journeys, the end."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Self
+
+from pydantic import Field, model_validator
+
+from protocol.arrays import Bytes, Floats32, Indices, Triangles, Vertices
+from protocol.messages.base import Message, Part, check_lengths
+from protocol.messages.fields import (
+    BOUNDED,
+    Count,
+    Equipment,
+    FrameNumber,
+    Id,
+    Ids,
+    Poses,
+    Text,
+    Texts,
+    TimeNs,
+)
+from protocol.roadmap import RoadMap
+
+
+class VehicleType(Part):
+    """A SUMO vType as sensors see it: a mesh of the setup, scaled to these sizes."""
+
+    name: Text
+    mesh: Text
+    length_m: float
+    width_m: float
+    height_m: float
+
+
+class MeshPart(Part):
+    """Where one mesh lies in the setup's vertex and triangle arrays."""
+
+    name: Text
+    vertices: int
+    triangles: int
+
+
+class Setup(Message):
+    """What every process is given before the first frame.
+
+    Meshes are unit sized: the footprint's centre at the origin on the ground, x forward, extent 1
+    along each axis. Triangles index into their own mesh.
+    """
+
+    kind: ClassVar[int] = 1
+    max_header_bytes: ClassVar[int] = 16 << 20  # two recorded links take 9 MiB at most
+    scenario: dict[str, Any]
+    road_map: RoadMap
+    vehicle_types: list[VehicleType]
+    meshes: list[MeshPart]
+    mesh_vertices: Vertices
+    mesh_triangles: Triangles
+    polygons: list[list[tuple[float, float]]] = Field([])
+    polygon_heights_m: list[float] = Field([])
+
+
+class Tick(Message):
+    """Where every body is at the start of a frame.
+
+    A pose is that of the footprint's centre on the ground. `hosts` is an index into `processes`:
+    the vehicle process that plays this vehicle, or -1.
+    """
+
+    kind: ClassVar[int] = 2
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    processes: Ids
+    ids: Ids
+    types: Texts
+    poses: Poses
+    speeds_mps: Floats32
+    equipment: Bytes
+    hosts: Indices
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        _check_bodies(self, "ids", "types", "poses", "speeds_mps", "equipment", "hosts")
+        if not ((self.hosts >= -1) & (self.hosts < len(self.processes))).all():
+            raise ValueError(f"a host is none of the {len(self.processes)} processes")
+        return self
+
+
+class Truth(Message):
+    """What perception ought to have seen; for the recorder alone."""
+
+    kind: ClassVar[int] = 3
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    ids: Ids
+    types: Texts
+    lanes: Texts
+    poses: Poses
+    speeds_mps: Floats32
+    lane_positions_m: Floats32
+    equipment: Bytes
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        _check_bodies(
+            self, "ids", "types", "lanes", "poses", "speeds_mps", "lane_positions_m", "equipment"
+        )
+        return self
+
+    @property
+    def cavs(self) -> list[str]:
+        """Ids of the vehicles with a LiDAR."""
+        kinds = zip(self.ids, self.equipment.tolist(), strict=True)
+        return [vehicle for vehicle, kind in kinds if kind == Equipment.CAV]
+
+
+class Trip(Part):
+    """One vehicle's journey over the signal.
+
+    `time_loss_s` is what it lost within reach of the signal, since frame 0 or since it came there.
+    `arrive_s` is None while it is still under way at the end.
+    """
+
+    vehicle: Id
+    equipment: Equipment
+    depart_s: float
+    arrive_s: float | None
+    time_loss_s: float
+    teleported: bool = False
+
+
+class Trips(Message):
+    """Journeys that ended in this frame, or that the end of the run cut off."""
+
+    kind: ClassVar[int] = 4
+    frame: FrameNumber
+    trips: Annotated[list[Trip], *BOUNDED]
+
+
+class End(Message):
+    """The world has stopped; `frames` ticks were published.
+
+    `waiting` vehicles had found no room to enter the net.
+    """
+
+    kind: ClassVar[int] = 5
+    frames: FrameNumber
+    reason: Text
+    waiting: Count = 0
+
+
+def _check_bodies(message: Tick | Truth, *columns: str) -> None:
+    check_lengths(message, *columns)
+    if len(set(message.ids)) < len(message.ids):
+        raise ValueError("an id stands there twice")
+    if (message.equipment > max(Equipment)).any():
+        raise ValueError(f"equipment {message.equipment.max()} is none of {[*map(int, Equipment)]}")

@@ -1,0 +1,78 @@
+"""Training goes on where it was left, and gives the same weights for the same seed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the extra `learn`")
+
+from learning.examples import Sight  # noqa: E402 - after the check for torch
+from learning.training import Recipe, Trainer  # noqa: E402
+from perception.pillars.config import PillarsConfig  # noqa: E402
+
+TINY = PillarsConfig(pillar_channels=8, channels=(8, 8, 8), layers=(0, 0, 0), up_channels=8)
+RECIPE = Recipe(steps=4, windows=2, cells=64)
+CPU = torch.device("cpu")
+
+
+def sight(seed: int) -> Sight:
+    """A flat place with a few cars of a hundred points each."""
+    rng = np.random.default_rng(seed)
+    boxes = np.array([[x, y, 0.75, 4.4, 1.8, 1.5, 0.3] for x in (-8, 4) for y in (-6, 6)])
+    on_cars = [box[:3] + rng.uniform(-0.7, 0.7, (100, 3)) for box in boxes]
+    ground = np.column_stack([rng.uniform(-30, 30, (2000, 2)), np.zeros(2000)])
+    points = np.concatenate([ground, *on_cars]).astype(np.float32)
+    everywhere = np.ones(len(points), np.bool_)
+    hits = np.full((1, len(boxes)), 100)
+    return Sight([points], [points[:, 2].copy()], [everywhere], boxes, hits)
+
+
+SIGHTS = [sight(1), sight(2)]
+
+
+def weights(trainer: Trainer) -> dict[str, object]:
+    return {name: value.clone() for name, value in trainer.network.state_dict().items()}
+
+
+def test_the_same_seed_gives_the_same_weights_also_when_it_was_interrupted(
+    tmp_path: Path,
+) -> None:
+    whole = Trainer(TINY, RECIPE, CPU)
+    assert [step.step for step in whole.run(SIGHTS)] == [1, 2, 3, 4]
+    begun = Trainer(TINY, RECIPE, CPU)
+    for step in begun.run(SIGHTS):
+        if step.step == 2:
+            begun.save(tmp_path)
+            break
+    resumed = Trainer(TINY, RECIPE, CPU)
+    assert resumed.resume(tmp_path)
+    assert [step.step for step in resumed.run(SIGHTS)] == [3, 4]
+    for name, value in weights(whole).items():
+        assert torch.equal(value, weights(resumed)[name]), name
+
+
+def test_another_recipe_s_state_is_not_taken_up(tmp_path: Path) -> None:
+    first = Trainer(TINY, RECIPE, CPU)
+    next(iter(first.run(SIGHTS)))
+    first.save(tmp_path)
+    assert not Trainer(TINY, Recipe(steps=5, windows=2, cells=64), CPU).resume(tmp_path)
+    assert not Trainer(TINY, RECIPE, CPU).resume(tmp_path / "nowhere")
+
+
+def test_the_rate_rises_and_falls() -> None:
+    rates = [Recipe(steps=100).rate_at(step) for step in range(100)]
+    assert max(rates) == pytest.approx(3e-3, rel=0.01)
+    assert rates.index(max(rates)) == pytest.approx(9, abs=1)
+    assert rates[-1] < 1e-5
+
+
+def test_losses_fall_on_what_is_shown_again_and_again() -> None:
+    trainer = Trainer(TINY, Recipe(steps=60, windows=2, cells=64), CPU)
+    steps = list(trainer.run(SIGHTS[:1]))
+    first, last = (
+        np.mean([s.score_loss + s.box_loss for s in part]) for part in (steps[:10], steps[-10:])
+    )
+    assert last < first / 2

@@ -1,0 +1,61 @@
+"""IoU of boxes, against areas counted point by point."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from perception.overlap import overlaps, suppress
+
+box = st.tuples(
+    st.floats(-3, 3), st.floats(-3, 3), st.floats(-1, 1),
+    st.floats(0.5, 5), st.floats(0.5, 3), st.floats(0.5, 2), st.floats(-4, 4),
+)  # fmt: skip
+
+
+def inside(boxes: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    off = xy - boxes[:2]
+    cos, sin = np.cos(boxes[6]), np.sin(boxes[6])
+    along, across = cos * off[:, 0] + sin * off[:, 1], cos * off[:, 1] - sin * off[:, 0]
+    return (np.abs(along) <= boxes[3] / 2) & (np.abs(across) <= boxes[4] / 2)
+
+
+@settings(max_examples=60, deadline=None)
+@given(box, box)
+def test_overlap_is_that_of_points_counted(a: tuple[float, ...], b: tuple[float, ...]) -> None:
+    first, second = np.array(a), np.array(b)
+    side = np.arange(-6.5, 6.5, 0.04)
+    xy = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2)
+    in_a, in_b = inside(first, xy), inside(second, xy)
+    bev, space = overlaps(first[None], second[None])
+    assert bev[0, 0] == pytest.approx((in_a & in_b).sum() / max((in_a | in_b).sum(), 1), abs=0.06)
+    common_m = max(
+        min(first[2] + first[5] / 2, second[2] + second[5] / 2)
+        - max(first[2] - first[5] / 2, second[2] - second[5] / 2),
+        0,
+    )
+    areas = first[3] * first[4], second[3] * second[4]
+    common_m2 = bev[0, 0] * sum(areas) / (1 + bev[0, 0])
+    volumes = areas[0] * first[5] + areas[1] * second[5]
+    common_m3 = common_m2 * common_m
+    assert space[0, 0] == pytest.approx(common_m3 / (volumes - common_m3), abs=1e-9)
+
+
+@given(box)
+def test_a_box_is_itself_and_a_half_turn_changes_nothing(a: tuple[float, ...]) -> None:
+    first = np.array([a])
+    turned = first + np.array([0, 0, 0, 0, 0, 0, np.pi])
+    for other in (first, turned):
+        bev, space = overlaps(first, other)
+        assert bev[0, 0] == pytest.approx(1)
+        assert space[0, 0] == pytest.approx(1)
+
+
+def test_of_two_that_overlap_the_better_stays_whatever_their_order() -> None:
+    boxes = np.array([[0, 0, 0, 4, 2, 1, 0], [0.5, 0, 0, 4, 2, 1, 0], [9, 0, 0, 4, 2, 1, 0]], float)
+    scores = np.array([0.5, 0.9, 0.1])
+    assert suppress(boxes, scores, iou=0.1).tolist() == [1, 2]
+    assert sorted(suppress(boxes[::-1], scores[::-1], iou=0.1).tolist()) == [0, 1]
+    assert suppress(np.zeros((0, 7)), np.zeros(0), iou=0.1).size == 0

@@ -1,0 +1,59 @@
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from protocol.errors import ConfigError
+from studies.bench_codec import BenchCloud, BenchRow, bench
+from studies.bench_table import print_bench
+
+
+def file_of(folder: Path, rows: list[list[float]]) -> Path:
+    path = folder / "cloud.bin"
+    np.array(rows, np.float32).tofile(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([], "no point with finite coordinates"),
+        ([[np.nan, 0, 0, 0]], "no point with finite coordinates"),
+        ([[0, 0, 0, 0], [1e30, 0, 0, 0]], "cannot be encoded"),
+    ],
+)
+def test_a_file_without_a_cloud_is_refused_with_its_name(tmp_path, rows, message):
+    pytest.importorskip("DracoPy")
+    with pytest.raises(ConfigError, match=rf"cloud\.bin: .*{message}"):
+        BenchCloud.of_file(file_of(tmp_path, rows))
+
+
+@pytest.mark.parametrize("points", [1, 2])
+def test_a_cloud_of_a_point_or_two_is_measured(tmp_path, points):
+    pytest.importorskip("DracoPy")
+    rows = bench(BenchCloud.of_file(file_of(tmp_path, [[1, 2, 3, 0]] * points)), runs=1)
+    assert {row.points for row in rows} == {points}
+    assert all(row.max_error_m <= row.bound_m for row in rows)
+
+
+def test_no_number_of_a_table_is_cut_where_a_file_is_large_and_its_path_long():
+    row = BenchRow(
+        cloud="/somewhere" * 9 + "/x.bin",
+        codec="float32+zstd",
+        points=1,
+        bytes=10_432_123_456,
+        bits_per_point=123.45,
+        encode_ms=12345.67,
+        decode_ms=76543.21,
+        max_error_m=0.1,
+        bound_m=0.1234,
+        noise_floor_bits=None,
+        loss_floor_bits=None,
+    )
+    said = io.StringIO()
+    print_bench([row], Console(file=said, width=80))
+    assert "…mewhere/somewhere/x.bin, 1 points" in said.getvalue()
+    for number in ("10432123456", "12345.67", "76543.21", "123.45", "10.00", "12.34"):
+        assert number in said.getvalue()
