@@ -217,7 +217,6 @@ def dataset_command(
     """Write labelled scans of many generated junctions, for training."""
     from learning.generate import Asked, generate
 
-    cores = len(os.sched_getaffinity(0))
     asked = Asked(networks=networks, moments=moments, seed=seed)
     columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()]
     with Progress(*columns, TimeElapsedColumn(), console=_errors, transient=True) as progress:
@@ -226,7 +225,7 @@ def dataset_command(
         def report(done: int, scans: int) -> None:
             progress.update(task, completed=done, description=f"networks, {scans} scans")
 
-        generate(out, asked, cores if jobs is None else jobs, report)
+        generate(out, asked, (os.cpu_count() or 1) if jobs is None else jobs, report)
     _console.print(f"wrote {out}", highlight=False, soft_wrap=True)
 
 

@@ -25,6 +25,7 @@ from learning.layout import (
     VERSION,
     Info,
     ScanRow,
+    Split,
     scan_paths,
     split_path,
     splits,
@@ -58,34 +59,43 @@ def generate(
         ConfigError: a number is out of bounds, the folder holds something, or SUMO fails.
     """
     _check(asked, jobs)
-    _prepare(folder)
+    try:
+        _prepare(folder)
+        by_split = _collect(folder, asked, jobs, report)
+        for split, indices in by_split.items():
+            text = "".join(f"{index:06d}\n" for index in indices)
+            split_path(folder, split).write_text(text, "utf-8")
+        (folder / _PARTS).rmdir()
+        info = Info(
+            version=VERSION, networks=asked.networks, moments=asked.moments, seed=asked.seed
+        )
+        (folder / INFO).write_text(info.model_dump_json(indent=2) + "\n", "utf-8")
+    except OSError as error:
+        raise ConfigError(f"{error.filename or folder}: {error.strerror or error}") from None
+
+
+def _collect(
+    folder: Path, asked: Asked, jobs: int, report: Callable[[int, int], None]
+) -> dict[Split, list[int]]:
+    """Numbers the scans of all networks as they come; returns the indices of each split."""
     scans = 0
-    by_split: dict[str, list[int]] = {split: [] for split in SPLITS}
-    of = splits(asked.networks)
+    by_split: dict[Split, list[int]] = {split: [] for split in SPLITS}
+    made = _made(folder / _PARTS, asked, jobs)
     with (folder / POSES).open("w", encoding="utf-8") as poses:
-        for number, (part, rows) in enumerate(_made(folder / _PARTS, asked, jobs)):
-            for local, line in enumerate(rows):
-                row = ScanRow.model_validate_json(line).model_copy(update={"index": scans})
-                poses.write(row.model_dump_json() + "\n")
-                for source, target in zip(
-                    scan_paths(part, local), scan_paths(folder, scans), strict=True
-                ):
+        for done, (split, (part, rows)) in enumerate(
+            zip(splits(asked.networks), made, strict=True), 1
+        ):
+            for local, row in enumerate(rows):
+                here = scan_paths(part, local), scan_paths(folder, scans)
+                for source, target in zip(*here, strict=True):
                     source.rename(target)
-                by_split[of[number]].append(scans)
+                poses.write(row.model_copy(update={"index": scans}).model_dump_json() + "\n")
+                by_split[split].append(scans)
                 scans += 1
             (part / NETWORKS).rename(folder / NETWORKS / part.name)
             shutil.rmtree(part)
-            report(number + 1, scans)
-    for split in SPLITS:
-        text = "".join(f"{index:06d}\n" for index in by_split[split])
-        split_path(folder, split).write_text(text, "utf-8")
-    (folder / _PARTS).rmdir()
-    info = Info(version=VERSION, **_arguments(asked))
-    (folder / INFO).write_text(info.model_dump_json(indent=2) + "\n", "utf-8")
-
-
-def _arguments(asked: Asked) -> dict[str, int]:
-    return {"networks": asked.networks, "moments": asked.moments, "seed": asked.seed}
+            report(done, scans)
+    return by_split
 
 
 def _check(asked: Asked, jobs: int) -> None:
@@ -101,21 +111,18 @@ def _check(asked: Asked, jobs: int) -> None:
 
 
 def _prepare(folder: Path) -> None:
-    try:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise ConfigError(f"{folder}: it exists and is not an empty folder")
-        for path in (
-            *(target.parent for target in scan_paths(folder, 0)),
-            split_path(folder, "train").parent,
-            folder / NETWORKS,
-            folder / _PARTS,
-        ):
-            path.mkdir(parents=True)
-    except OSError as error:
-        raise ConfigError(f"{folder}: {error.strerror}") from None
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ConfigError(f"{folder}: it exists and is not an empty folder")
+    for path in (
+        *(target.parent for target in scan_paths(folder, 0)),
+        split_path(folder, "train").parent,
+        folder / NETWORKS,
+        folder / _PARTS,
+    ):
+        path.mkdir(parents=True)
 
 
-def _made(parts: Path, asked: Asked, jobs: int) -> Iterator[tuple[Path, list[str]]]:
+def _made(parts: Path, asked: Asked, jobs: int) -> Iterator[tuple[Path, list[ScanRow]]]:
     """Yields each network's folder and its lines of `poses.jsonl`, in the order of numbers."""
     context = multiprocessing.get_context("spawn")
     workers = min(jobs, asked.networks)
@@ -141,7 +148,7 @@ def _undisturbed() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _make(parts: Path, seed: int, number: int, moments: int) -> tuple[Path, list[str]]:
+def _make(parts: Path, seed: int, number: int, moments: int) -> tuple[Path, list[ScanRow]]:
     site = draw_site(seed, number)
     try:
         observatory = Observatory(site, moments)
@@ -150,16 +157,16 @@ def _make(parts: Path, seed: int, number: int, moments: int) -> tuple[Path, list
     part = parts / site.name
     for path in (*(target.parent for target in scan_paths(part, 0)), part / NETWORKS):
         path.mkdir(parents=True)
-    lines = []
+    rows = []
     for local, observed in enumerate(observatory.scans()):
         cloud, labels, calib = scan_paths(part, local)
         cloud.write_bytes(observed.points.astype("<f4").tobytes())
         labels.write_text("".join(f"{label.line}\n" for label in observed.labels), "utf-8")
         calib.write_text(CALIB, "utf-8")
-        lines.append(observed.row.model_dump_json())
+        rows.append(observed.row)
     description: dict[str, Any] = site.model_dump(mode="json")
     description["mounts"] = [mount.model_dump(mode="json") for mount in observatory.mounts]
     (part / NETWORKS / NET).write_text(observatory.net, "utf-8")
     (part / NETWORKS / ROAD_MAP).write_text(observatory.road_map.model_dump_json() + "\n", "utf-8")
     (part / NETWORKS / DESCRIPTION).write_text(json.dumps(description, indent=1) + "\n", "utf-8")
-    return part, lines
+    return part, rows

@@ -56,7 +56,7 @@ class ScanRow(BaseModel):
 
     model_config = ConfigDict(frozen=True)
     index: Annotated[int, Field(ge=0)]
-    network: str
+    network: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
     frame: Annotated[int, Field(ge=0)]
     agent: str
     kind: Kind

@@ -34,9 +34,11 @@ def owners(
     hit = distance_m < bare_m
     ends = map_SE3_sensor.apply(pattern.directions[hit] * distance_m[hit][:, None].astype(float))
     found = np.full(len(ends), -1, np.int64)
+    x, y = np.ascontiguousarray(ends[:, :2].T)
     for index, (pose, size_m) in enumerate(zip(*bodies, strict=True)):
         reach_m = float(np.linalg.norm(size_m)) + _SLACK_M
-        near = np.flatnonzero(np.abs(ends[:, :2] - pose[:2]).max(axis=1) < reach_m)
+        beside = (np.abs(x - pose[0]) < reach_m) & (np.abs(y - pose[1]) < reach_m)
+        near = np.flatnonzero(beside)
         local = (ends[near] - pose[:3]) @ euler_rotation(*pose[3:])
         local[:, 2] -= size_m[2] / 2
         inside = (np.abs(local) <= size_m / 2 + _SLACK_M).all(axis=1)

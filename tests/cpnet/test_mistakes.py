@@ -141,3 +141,23 @@ def test_a_refused_start_leaves_no_folder_behind(shell, tmp_path):
     refused(shell, "up", "--tls", "K", "--out", "run")
     assert not (tmp_path / "run").exists()
     assert list(Path(tmp_path).iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["full"], "not an empty folder"),
+        (["file/out"], "Not a directory"),
+        (["out", "--networks=0"], "--networks 0: must be 1 to 1000"),
+        (["out", "--moments=501"], "--moments 501: must be 1 to 500"),
+        (["out", "--seed=-1"], "--seed -1: must be 0 to"),
+        (["out", "--jobs=0"], "--jobs 0: must be 1 to"),
+    ],
+)
+def test_a_dataset_that_cannot_be_made(shell, tmp_path, arguments, message):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "precious").write_text("data")
+    (tmp_path / "file").write_text("")
+    assert message in refused(shell, "dataset", *arguments)
+    assert (tmp_path / "full" / "precious").read_text() == "data"
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,22 @@
+"""A small dataset, made once per test process."""
+
+from pathlib import Path
+
+import pytest
+
+from learning.dataset import Dataset
+from learning.generate import Asked, generate
+
+ASKED = Asked(networks=3, moments=2, seed=7)
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("dataset") / "small"
+    generate(path, ASKED, jobs=2)
+    return path
+
+
+@pytest.fixture
+def dataset(folder: Path) -> Dataset:
+    return Dataset(folder)
