@@ -8,7 +8,6 @@ from pydantic import Field, model_validator
 
 from protocol.config import Section
 
-
 DetectorName = Literal["fast", "reference", "pointpillars", "pointpillars-full"]
 
 

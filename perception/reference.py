@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
@@ -103,7 +104,7 @@ class Reference:
         """
         order = np.argsort(labels, kind="stable")
         ends = np.searchsorted(labels[order], np.arange(labels.max(initial=-1) + 2))
-        clusters = [points[order[a:b]] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        clusters = [points[order[a:b]] for a, b in pairwise(ends)]
         boxes = np.array([smallest_box(cluster) for cluster in clusters]).reshape(-1, 7)
         scores = certainty(np.array([len(cluster) for cluster in clusters]))
         found = Vehicles.from_lidar(boxes, scores)
@@ -125,4 +126,4 @@ def smallest_box(points: Floats32) -> Floats:
     yaw = TURNS_RAD[best]
     if sizes[1] > sizes[0]:
         yaw, sizes = yaw + np.pi / 2, sizes[[1, 0, 2]]
-    return np.array([*(middle + [x, y, z]), *sizes, yaw])
+    return np.array([*(middle + np.array([x, y, z])), *sizes, yaw])
