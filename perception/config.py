@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 from pydantic import Field, model_validator
 
 from protocol.config import Section
 
 DetectorName = Literal["fast", "reference", "pointpillars", "pointpillars-full"]
+DETECTORS: tuple[DetectorName, ...] = get_args(DetectorName)
 
 
 class GeofenceConfig(Section):
@@ -58,6 +59,13 @@ class ClusterConfig(Section):
     eps_m: float = Field(1.25, gt=0, le=5, description="points this close are neighbours")
     min_points: int = Field(
         3, ge=1, le=100, description="neighbours, itself included, that make a core point"
+    )
+    split_eps_m: float | None = Field(
+        0.6,
+        gt=0,
+        le=5,
+        description="ours: clusters too long for one vehicle are clustered anew with this in the "
+        "place of eps_m; null to leave them, as in the paper",
     )
 
 
