@@ -44,7 +44,7 @@ def _table(title: str, heads: list[str], left: int) -> Table:
         title=title,
         box=box.SIMPLE_HEAD,
         title_justify="left",
-        padding=(0, 1, 0, 0),
+        padding=0,
         pad_edge=False,
     )
     for n, head in enumerate(heads):
