@@ -30,6 +30,7 @@ from cpnet import doctor as checks
 from cpnet import scenario as scenarios
 from cpnet.bench import LINK_CHOICES, POLICY_CHOICES, UplinkBench, measure, measure_rates
 from cpnet.up import Options, up
+from perception.config import DETECTORS
 from protocol.errors import CpnetError
 from recorder.compare import differences
 from studies.bench_traffic import FRAME_PERIOD_S
@@ -249,6 +250,37 @@ def train_command(
     recipe = Recipe(steps=steps, windows=windows, cells=cells, seed=seed)
     path = train(Training(dataset, out, network, recipe), _errors)
     _console.print(f"wrote {path}", highlight=False, soft_wrap=True)
+
+
+@app.command("eval")
+def eval_command(
+    dataset: Annotated[
+        Path | None, typer.Argument(help="a folder that `cpnet dataset` wrote")
+    ] = None,
+    *,
+    net: Annotated[Path | None, typer.Option(help="instead: your own .net.xml")] = None,
+    tls: Annotated[str | None, typer.Option(help="id of the signal in that net")] = None,
+    detectors: Annotated[
+        str, typer.Option(metavar="NAME,...", help=f"of {', '.join(DETECTORS)}")
+    ] = "fast",
+    split: Annotated[str, typer.Option(help="of the dataset: train, val or test")] = "test",
+    moments: Annotated[int, typer.Option(min=1, max=500, help="of your own net")] = 12,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="a key of `edge`")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure detectors beside the truth: AP40, recall, precision, beside the paper's."""
+    from cpnet.evaluation import Source, detectors_of
+    from studies.evaluate import evaluate
+    from studies.evaluate_table import print_evaluation
+
+    names = detectors_of(detectors)
+    config = scenarios.load("t_junction", _assigned(set_)).edge
+    count, listed = Source(dataset, net, tls, split, moments).open(config)
+    shown = track(listed, "measuring", count, console=_errors, transient=True)
+    rows = evaluate(shown, names)
+    _show(rows, print_evaluation, as_json=as_json)
 
 
 @app.command("doctor")

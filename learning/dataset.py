@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -23,7 +24,7 @@ from learning.layout import (
     split_path,
 )
 from learning.moments import Moment, Shot
-from perception.arrays import Floats
+from perception.arrays import Floats, Floats32
 from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
@@ -81,34 +82,8 @@ class Dataset:
         rows = self._moments.get((network, frame))
         if rows is None:
             raise ConfigError(f"{self._folder / POSES}: no scan of {network}, frame {frame}")
-        labels = [self._labels(row) for row in rows]
-        boxes: dict[str, Floats] = {}
-        for row, of_scan in zip(rows, labels, strict=True):
-            placed = np.array([label.box for label in of_scan]).reshape(-1, 7)
-            placed = into_map(placed, SE3.from_pose(row.map_SE3_sensor.true))
-            for label, box in zip(of_scan, placed, strict=True):
-                boxes.setdefault(label.vehicle, box)
-        order = {vehicle: index for index, vehicle in enumerate(sorted(boxes))}
-        points_on = np.zeros((len(rows), len(order)), np.int64)
-        for shot, of_scan in enumerate(labels):
-            for label in of_scan:
-                points_on[shot, order[label.vehicle]] = label.points
-        return Moment(
-            network=network,
-            frame=frame,
-            shots=[self._shot(row, order) for row in rows],
-            boxes=np.array([boxes[vehicle] for vehicle in order]).reshape(-1, 7),
-            points_on=points_on,
-        )
-
-    def _shot(self, row: ScanRow, order: dict[str, int]) -> Shot:
-        cloud, _, _ = scan_paths(self._folder, row.index)
-        return Shot(
-            agent=row.agent,
-            points=read_points(cloud).points,
-            map_SE3_sensor=SE3.from_pose(row.map_SE3_sensor.believed),
-            own=None if row.own is None else order.get(row.own),
-        )
+        clouds = [read_points(scan_paths(self._folder, row.index)[0]).points for row in rows]
+        return moment_of(rows, [self._labels(row) for row in rows], clouds)
 
     def _labels(self, row: ScanRow) -> list[Label]:
         _, path, _ = scan_paths(self._folder, row.index)
@@ -119,6 +94,38 @@ class Dataset:
             except ValueError as error:
                 raise ConfigError(f"{path}:{number}: {error}") from None
         return labels
+
+
+def moment_of(
+    rows: Sequence[ScanRow], labels: Sequence[list[Label]], clouds: Sequence[Floats32]
+) -> Moment:
+    """Puts a moment's scans together; their vehicles, sorted by id, stand in the map frame."""
+    boxes: dict[str, Floats] = {}
+    for row, of_scan in zip(rows, labels, strict=True):
+        placed = np.array([label.box for label in of_scan]).reshape(-1, 7)
+        placed = into_map(placed, SE3.from_pose(row.map_SE3_sensor.true))
+        for label, box in zip(of_scan, placed, strict=True):
+            boxes.setdefault(label.vehicle, box)
+    order = {vehicle: index for index, vehicle in enumerate(sorted(boxes))}
+    points_on = np.zeros((len(rows), len(order)), np.int64)
+    for shot, of_scan in enumerate(labels):
+        for label in of_scan:
+            points_on[shot, order[label.vehicle]] = label.points
+    return Moment(
+        network=rows[0].network,
+        frame=rows[0].frame,
+        shots=[
+            Shot(
+                agent=row.agent,
+                points=points,
+                map_SE3_sensor=SE3.from_pose(row.map_SE3_sensor.believed),
+                own=None if row.own is None else order.get(row.own),
+            )
+            for row, points in zip(rows, clouds, strict=True)
+        ],
+        boxes=np.array([boxes[vehicle] for vehicle in order]).reshape(-1, 7),
+        points_on=points_on,
+    )
 
 
 def _text(path: Path) -> str:

@@ -46,13 +46,17 @@ class Observed:
 
 
 class Observatory:
-    """A network with its scene and sensors; `net` is the text of its net file."""
+    """A network with its scene and sensors; `net` is the text of its net file.
+
+    A site whose traffic names a net has that one in the place of its junction.
+    """
 
     def __init__(self, site: Site, moments: int) -> None:
         self.site = site
         with tempfile.TemporaryDirectory(prefix="cpnet-") as scratch:
             folder = Path(scratch)
-            path = write_junction(folder, site.name, site.junction)
+            own = site.traffic.net
+            path = Path(own) if own else write_junction(folder, site.name, site.junction)
             self.net = path.read_text("utf-8")
             traffic = site.traffic.model_copy(update={"net": str(path)})
             setup = build_setup({"traffic": traffic.model_dump()}, folder)

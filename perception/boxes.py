@@ -51,28 +51,32 @@ def fit_boxes(
     yaws = roadway.yaw_at(middles)
     extents = np.empty((len(members), 2, 3))
     _fit(grouped, starts, middles, yaws, extents)
-    fits = _fits(extents[:, 1] - extents[:, 0], config)
+    kept = fits(extents[:, 1] - extents[:, 0], config)
     if config.complete:
         _complete(extents, middles, yaws, sensors, config)
         floor_m = np.add.reduceat(ground_m[order].astype(np.float64), starts[:-1]) / members
-        fits &= extents[:, 1, 2] - floor_m <= config.max_height_m + HANGING_M
+        kept &= extents[:, 1, 2] - floor_m <= config.max_height_m + HANGING_M
         extents[:, 0, 2] = floor_m
         extents[:, 1, 2] = np.maximum(extents[:, 1, 2], floor_m + config.usual_height_m)
-    scores = 1.0 - np.exp(-members / CERTAIN_POINTS)
-    return Vehicles.from_lidar(_boxes(extents, middles, yaws), scores).take(fits)
+    return Vehicles.from_lidar(_boxes(extents, middles, yaws), certainty(members)).take(kept)
 
 
-def _fits(sizes_m: Floats, config: BoxConfig) -> Bools:
-    """The size filter, on what was measured: the longer side of a box is its length.
+def certainty(members: Ints) -> Floats:
+    """Returns the scores (C,) of clusters of so many points."""
+    return np.asarray(1.0 - np.exp(-members / CERTAIN_POINTS))
+
+
+def fits(sizes_m: Floats, config: BoxConfig) -> Bools:
+    """The size filter, on what was measured (C, 3): the longer side of a box is its length.
 
     A box that will be completed may be as narrow as it likes: it is a vehicle's side.
     """
     length_m, width_m = sizes_m[:, :2].max(axis=1), sizes_m[:, :2].min(axis=1)
     min_width_m = 0.0 if config.complete else config.min_width_m
-    fits: Bools = (length_m >= config.min_length_m) & (length_m <= config.max_length_m)
-    fits &= (width_m >= min_width_m) & (width_m <= config.max_width_m)
-    fits &= (sizes_m[:, 2] >= config.min_height_m) & (sizes_m[:, 2] <= config.max_height_m)
-    return fits
+    result: Bools = (length_m >= config.min_length_m) & (length_m <= config.max_length_m)
+    result &= (width_m >= min_width_m) & (width_m <= config.max_width_m)
+    result &= (sizes_m[:, 2] >= config.min_height_m) & (sizes_m[:, 2] <= config.max_height_m)
+    return result
 
 
 def _complete(

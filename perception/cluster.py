@@ -40,6 +40,34 @@ def cluster(points: Floats32, *, config: ClusterConfig) -> Ints32:
     return result
 
 
+def split(points: Floats32, labels: Ints32, *, config: ClusterConfig, longest_m: float) -> Ints32:
+    """Clusters anew, with `split_eps_m`, what is too long for a vehicle: several in a queue.
+
+    Returns the labels (N,) without gaps; -1 is noise.
+    """
+    if config.split_eps_m is None or len(labels) == 0 or labels.max() < 0:
+        return labels
+    ends = np.full((2, int(labels.max()) + 1, 2), np.inf)
+    known = labels >= 0
+    np.minimum.at(ends[0], labels[known], points[known, :2])
+    np.minimum.at(ends[1], labels[known], -points[known, :2])
+    too_long = np.hypot(*(-ends[0] - ends[1]).T) > longest_m
+    again = np.flatnonzero(known & too_long[labels])
+    if len(again) == 0:
+        return labels
+    closer = config.model_copy(update={"eps_m": config.split_eps_m})
+    parts = cluster(np.ascontiguousarray(points[again]), config=closer)
+    result = labels.copy()
+    result[again] = np.where(parts >= 0, parts + len(too_long), NOISE)
+    return _without_gaps(result)
+
+
+def _without_gaps(labels: Ints32) -> Ints32:
+    """Numbers clusters from 0, in the order of their numbers."""
+    used, numbers = np.unique(labels, return_inverse=True)
+    return np.asarray(numbers - int(used[0] < 0), np.int32)
+
+
 @njit("int64[::1](float32[:,::1], float64, int64[::1])", cache=True)
 def _place(points: Floats32, side_m: float, keys: Ints) -> Ints:
     """Writes the key (N,) of each point's cell; returns how far keys step along x, y and z."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from perception.boxes import fit_boxes
-from perception.cluster import cluster
+from perception.cluster import cluster, split
 from perception.config import DetectionConfig
 from perception.detector import Cloud, Stage, untimed
 from perception.ground import remove_ground
@@ -32,10 +32,15 @@ class Clustering:
             above = np.concatenate([above, bare.points])
             ground_m = np.concatenate([ground_m, bare.road_m])
         with stage("detect"):
+            labels = cluster(above, config=self.config.cluster)
+            longest_m = float(
+                np.hypot(self.config.boxes.max_length_m, self.config.boxes.max_width_m)
+            )
+            labels = split(above, labels, config=self.config.cluster, longest_m=longest_m)
             return fit_boxes(
                 above,
                 ground_m,
-                cluster(above, config=self.config.cluster),
+                labels,
                 roadway=self.roadway,
                 sensors=cloud.sensors,
                 config=self.config.boxes,

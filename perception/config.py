@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 from pydantic import Field, model_validator
 
 from protocol.config import Section
+
+DetectorName = Literal["fast", "reference", "pointpillars", "pointpillars-full"]
+DETECTORS: tuple[DetectorName, ...] = get_args(DetectorName)
 
 
 class GeofenceConfig(Section):
@@ -55,6 +60,13 @@ class ClusterConfig(Section):
     min_points: int = Field(
         3, ge=1, le=100, description="neighbours, itself included, that make a core point"
     )
+    split_eps_m: float | None = Field(
+        0.6,
+        gt=0,
+        le=5,
+        description="ours: clusters too long for one vehicle are clustered anew with this in the "
+        "place of eps_m; null to leave them, as in the paper",
+    )
 
 
 class BoxConfig(Section):
@@ -99,6 +111,11 @@ class PillarsDetection(Section):
 class DetectionConfig(Section):
     """From points to vehicles, wherever that is done."""
 
+    detector: DetectorName = Field(
+        "fast",
+        description="fast (ours): clustering tile by tile, boxes completed; reference: clustering "
+        "as in the paper, by Open3D (extra `reference`); pointpillars, pointpillars-full: learned",
+    )
     geofence: GeofenceConfig = Field(GeofenceConfig(), description="what belongs to the road")
     ground: GroundConfig = Field(GroundConfig(), description="ground removal, RANSAC")
     cluster: ClusterConfig = Field(ClusterConfig(), description="clustering, DBSCAN")

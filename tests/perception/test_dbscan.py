@@ -7,7 +7,7 @@ import numpy.typing as npt
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perception.cluster import NOISE, cluster
+from perception.cluster import NOISE, cluster, split
 from perception.config import ClusterConfig
 
 EPS_M = 1.25
@@ -60,3 +60,19 @@ def test_clusters_are_numbered_by_their_first_points() -> None:
 
 def test_an_empty_cloud_has_no_clusters() -> None:
     assert cluster(np.zeros((0, 3), np.float32), config=ClusterConfig()).shape == (0,)
+
+
+def test_a_queue_that_is_one_cluster_is_parted_and_a_car_is_left_alone():
+    rng = np.random.default_rng(3)
+    cars = [rng.uniform([x, 0, 0.3], [x + 4.5, 1.8, 1.5], (600, 3)) for x in (0.0, 5.5, 40.0)]
+    points = np.concatenate(cars).astype(np.float32)
+    config = ClusterConfig()
+    together = cluster(points, config=config)
+    assert together.max() == 1
+    parted = split(points, together, config=config, longest_m=6.7)
+    assert [len(set(part)) for part in np.split(parted, 3)] == [1, 1, 1]
+    assert sorted(set(parted)) == [0, 1, 2]
+    left = split(
+        points, together, config=config.model_copy(update={"split_eps_m": None}), longest_m=6.7
+    )
+    np.testing.assert_array_equal(left, together)

@@ -1,0 +1,80 @@
+"""`cpnet eval`: moments of a dataset, or of the user's net, for the study to measure on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from edge_server.config import EdgeConfig
+from learning.dataset import Dataset
+from learning.layout import SPLITS, Split
+from learning.moments import Moment
+from learning.own_net import moments_on
+from perception.config import DETECTORS, DetectorName
+from protocol.errors import ConfigError
+from studies.evaluate import Site
+
+SEED = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where moments come from: a dataset's split, or a net with a signal."""
+
+    dataset: Path | None
+    net: Path | None
+    tls: str | None
+    split: str
+    moments: int
+
+    def open(self, config: EdgeConfig) -> tuple[int, Iterator[tuple[Site, Moment]]]:
+        """Returns how many moments there are, and the moments with their sites.
+
+        Raises:
+            ConfigError: here or on the way: there is no such source, or it cannot be read.
+        """
+        if self.net is not None:
+            if self.dataset is not None:
+                raise ConfigError("give a dataset or --net, not both")
+            road_map, made = moments_on(self.net, self.tls, self.moments, SEED)
+            site = Site(road_map, config)
+            return len(made), ((site, moment) for moment in made)
+        if self.dataset is None:
+            raise ConfigError("give the folder of a dataset (cpnet dataset OUT), or --net FILE")
+        dataset = Dataset(self.dataset)
+        listed = dataset.moments(_split(self.split))
+        if not listed:
+            raise ConfigError(f"{self.dataset}: its split {self.split} is empty")
+        return len(listed), _read(dataset, listed, config)
+
+
+def detectors_of(text: str) -> tuple[DetectorName, ...]:
+    """Reads names with commas between.
+
+    Raises:
+        ConfigError: there is no such detector.
+    """
+    names = [name.strip() for name in text.split(",")]
+    unknown = [name for name in names if name not in DETECTORS]
+    if unknown:
+        raise ConfigError(f"detector {unknown[0]!r}: must be one of {', '.join(DETECTORS)}")
+    return tuple(name for name in DETECTORS if name in names)
+
+
+def _split(name: str) -> Split:
+    for split in SPLITS:
+        if split == name:
+            return split
+    raise ConfigError(f"--split {name}: must be one of {', '.join(SPLITS)}")
+
+
+def _read(
+    dataset: Dataset, listed: list[tuple[str, int]], config: EdgeConfig
+) -> Iterator[tuple[Site, Moment]]:
+    """Yields moments one at a time; a network's site is made once, its moments follow."""
+    name, site = "", None
+    for network, frame in listed:
+        if site is None or network != name:
+            name, site = network, Site(dataset.road_map(network), config)
+        yield site, dataset.load(network, frame)

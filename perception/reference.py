@@ -1,0 +1,129 @@
+"""The paper's detector to the letter (Chen et al. 2022), by Open3D: planes off, DBSCAN, bare boxes.
+
+Planes go through the whole cloud, boxes hold a cluster's points and no more. Of the configuration
+only the paper's own parameters are read. Open3D comes with the extra `reference`.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from itertools import pairwise
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from perception.arrays import Floats, Floats32, Ints32
+from perception.boxes import certainty, fits
+from perception.config import DetectionConfig, GroundConfig
+from perception.detector import Cloud, Stage, untimed
+from perception.vehicles import Vehicles
+from protocol.errors import ConfigError
+
+PACKAGES = ("libusb-1.0-0", "libgl1", "libgomp1")
+TURNS_RAD = np.radians(np.arange(90.0))  # a rectangle comes back to itself after 90 degrees
+
+
+def load_open3d() -> ModuleType:
+    """Imports Open3D.
+
+    Raises:
+        ConfigError: it is not installed, or a system library that it needs is not.
+    """
+    try:
+        import open3d
+    except ImportError as error:
+        missing = error.name == "open3d" and isinstance(error, ModuleNotFoundError)
+        advice = f"{sys.executable} -m pip install open3d" if missing else str(error)
+        raise ConfigError(
+            f"the detector `reference` needs Open3D: {advice}. It comes with the extra `reference` "
+            f"and links to system libraries: apt-get install {' '.join(PACKAGES)}"
+        ) from None
+    module: ModuleType = open3d
+    return module
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """Open3D and the paper's parameters."""
+
+    config: DetectionConfig
+    open3d: Any
+
+    @classmethod
+    def of(cls, config: DetectionConfig) -> Reference:
+        """Loads Open3D.
+
+        Raises:
+            ConfigError: it cannot be loaded.
+        """
+        return cls(config, load_open3d())
+
+    def detect(self, cloud: Cloud, rng: np.random.Generator, stage: Stage = untimed) -> Vehicles:
+        """See `perception.detector.Detector.detect`."""
+        # Open3D has one generator for the whole process: what else draws from it in the same
+        # process gets another sequence from here on.
+        self.open3d.utility.random.seed(int(rng.integers(2**31)))
+        with stage("ground"):
+            above = self._without_planes(cloud.near.points, self.config.ground)
+            above = np.concatenate([above, cloud.bare.points])
+        with stage("detect"):
+            return self._boxes(above, self._clusters(above))
+
+    def _without_planes(self, points: Floats32, config: GroundConfig) -> Floats32:
+        """Takes the planes with most points away, one after the other."""
+        left = self._cloud(points)
+        for _ in range(config.runs):
+            if len(left.points) < 3:
+                break
+            _, on_plane = left.segment_plane(
+                distance_threshold=config.distance_m,
+                ransac_n=3,
+                num_iterations=config.max_iterations,
+            )
+            left = left.select_by_index(on_plane, invert=True)
+        return np.asarray(left.points).astype(np.float32).reshape(-1, 3)
+
+    def _clusters(self, points: Floats32) -> Ints32:
+        """Returns the cluster of each point (N,); -1 is noise."""
+        if len(points) == 0:
+            return np.zeros(0, np.int32)
+        config = self.config.cluster
+        found = self._cloud(points).cluster_dbscan(eps=config.eps_m, min_points=config.min_points)
+        return np.asarray(found, np.int32)
+
+    def _cloud(self, points: Floats32) -> Any:  # noqa: ANN401 - Open3D is untyped
+        vector = self.open3d.utility.Vector3dVector(np.ascontiguousarray(points, np.float64))
+        return self.open3d.geometry.PointCloud(vector)
+
+    def _boxes(self, points: Floats32, labels: Ints32) -> Vehicles:
+        """Returns a box for each cluster that is as large as a vehicle may be.
+
+        The paper gives clusters no score; here those with more points come first.
+        """
+        order = np.argsort(labels, kind="stable")
+        ends = np.searchsorted(labels[order], np.arange(labels.max(initial=-1) + 2))
+        clusters = [points[order[a:b]] for a, b in pairwise(ends)]
+        boxes = np.array([smallest_box(cluster) for cluster in clusters]).reshape(-1, 7)
+        scores = certainty(np.array([len(cluster) for cluster in clusters]))
+        found = Vehicles.from_lidar(boxes, scores)
+        config = self.config.boxes.model_copy(update={"complete": False})
+        return found.take(fits(boxes[:, 3:6], config))
+
+
+def smallest_box(points: Floats32) -> Floats:
+    """Returns the upright box (7,) of least area around points (N, 3), to the degree."""
+    middle = points.mean(axis=0, dtype=np.float64)
+    local = points - middle
+    cos, sin = np.cos(TURNS_RAD), np.sin(TURNS_RAD)
+    along = np.outer(local[:, 0], cos) + np.outer(local[:, 1], sin)
+    across = np.outer(local[:, 1], cos) - np.outer(local[:, 0], sin)
+    best = int(np.argmin(np.ptp(along, axis=0) * np.ptp(across, axis=0)))
+    extents = [(axis.min(), axis.max()) for axis in (along[:, best], across[:, best], local[:, 2])]
+    (u, v, z), sizes = np.mean(extents, axis=1), np.ptp(extents, axis=1)
+    x, y = cos[best] * u - sin[best] * v, sin[best] * u + cos[best] * v
+    yaw = TURNS_RAD[best]
+    if sizes[1] > sizes[0]:
+        yaw, sizes = yaw + np.pi / 2, sizes[[1, 0, 2]]
+    return np.array([*(middle + np.array([x, y, z])), *sizes, yaw])

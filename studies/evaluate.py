@@ -1,0 +1,281 @@
+"""Detectors beside the truth, as in Table 1 of Chen et al. 2022: single scans, merged clouds.
+
+Of merged clouds there are two kinds: detection in all points together (early fusion), and in each
+scan alone, duplicates removed afterwards (late fusion). A scene is a square around the sensor, or
+around the junction's centre for merged clouds.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from edge_server.config import EdgeConfig
+from edge_server.fuse import fuse
+from edge_server.lanes import LaneIndex
+from edge_server.merge import merge
+from learning.moments import Moment
+from perception.arrays import Bools, Floats, Ints
+from perception.config import DetectorName
+from perception.detector import Cloud, Detector
+from perception.registry import detector_of
+from perception.roadway import Placed, Roadway
+from perception.vehicles import Vehicles
+from protocol.geometry import SE3
+from protocol.roadmap import RoadMap
+from studies.average_precision import Scene, View, average_precision, outcomes
+
+Truth = Literal["all", "visible"]
+Kind = tuple[Literal["single", "merged"], Literal["none", "early", "late"]]
+
+RANGE_M = 80.0  # of x and y, as the paper's PointPillars
+CUT_M = 90.0  # points are given so far, so that a vehicle at the border is whole
+VISIBLE_POINTS = 5
+IOUS = (0.01, 0.1, 0.3, 0.5, 0.7)
+VIEWS: tuple[View, ...] = ("bev", "3d")
+TRUTHS: tuple[Truth, ...] = ("all", "visible")
+KINDS: tuple[Kind, ...] = (("single", "none"), ("merged", "early"), ("merged", "late"))
+EVERYTHING = "all"
+_WIDE_M = 150.0  # from the lanes: more than any point of a scene is away
+_NO_POINTS = Placed(np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
+
+
+@dataclass(frozen=True, slots=True)
+class EvalRow:
+    """AP40, recall and precision of a detector under one way of counting.
+
+    `part` is `all`, a range of distances or one of points on the vehicle; of points there is
+    recall only, because a false detection has none. `detect_ms` is the median time of a cloud.
+    """
+
+    detector: str
+    cloud: str
+    fusion: str
+    truth: Truth
+    geofence: bool
+    view: View
+    iou: float
+    part: str
+    scenes: int
+    vehicles: int
+    ap40: float | None
+    recall: float | None
+    precision: float | None
+    detect_ms: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Returns the row with stable keys."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Which vehicles count: by their distance or by the points on them, from low to below high."""
+
+    name: str
+    of: Literal["distance", "points"]
+    low: float
+    high: float
+
+
+ALL = Part(EVERYTHING, "distance", 0, np.inf)
+BY_DISTANCE = (
+    Part("0-30 m", "distance", 0, 30),
+    Part("30-50 m", "distance", 30, 50),
+    Part("50-80 m", "distance", 50, 80),
+    Part("beyond 80 m", "distance", 80, np.inf),
+)
+BY_POINTS = (
+    Part("1-4 points", "points", 1, 5),
+    Part("5-19 points", "points", 5, 20),
+    Part("20-99 points", "points", 20, 100),
+    Part("100+ points", "points", 100, np.inf),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """A scene's detections beside its vehicles: (N,) as they were given, (M,) of the truth.
+
+    Distances are those from the scene's middle; infinite for what does not count.
+    """
+
+    scene: Scene
+    found_m: Floats
+    vehicles_m: Floats
+    points: Ints
+    took_ms: float
+
+    def due(self, truth: Truth, part: Part) -> Bools:
+        """Marks the vehicles (M,) that must be found."""
+        value = self.vehicles_m if part.of == "distance" else self.points
+        due = np.isfinite(self.vehicles_m) & (value >= part.low) & (value < part.high)
+        return np.asarray(due & (self.points >= VISIBLE_POINTS) if truth == "visible" else due)
+
+    def fair(self, part: Part) -> Bools:
+        """Marks the detections (N,) that are false where they match nothing."""
+        fair = np.isfinite(self.found_m)
+        if part.of == "distance":
+            fair &= (self.found_m >= part.low) & (self.found_m < part.high)
+        return fair
+
+
+class Site:
+    """A junction's road, twice: as the geofence has it, and with the whole plane around it."""
+
+    def __init__(self, road_map: RoadMap, config: EdgeConfig) -> None:
+        self.road_map = road_map
+        self._config = config
+        self._lanes = LaneIndex(road_map)
+        self._detectors: dict[tuple[DetectorName, bool], Detector] = {}
+
+    @cached_property
+    def _fenced(self) -> Roadway:
+        return Roadway.of(self.road_map, margin_m=self._config.geofence.margin_m)
+
+    @cached_property
+    def _wide(self) -> Roadway:
+        """Every cell belongs to the road, at the height of the nearest lane."""
+        return Roadway.of(self.road_map, margin_m=_WIDE_M)
+
+    def roadway(self, *, geofence: bool) -> Roadway:
+        """Returns what points are placed on."""
+        return self._fenced if geofence else self._wide
+
+    def detector(self, name: DetectorName, *, geofence: bool) -> Detector:
+        """Returns the detector of this name; it is made once."""
+        key = (name, geofence)
+        if key not in self._detectors:
+            config = self._config.model_copy(update={"detector": name})
+            self._detectors[key] = detector_of(config, self.roadway(geofence=geofence))
+        return self._detectors[key]
+
+    def place(self, moment: Moment, shot: int, *, geofence: bool) -> Placed:
+        """Moves a scan into the map; without the geofence, whatever its height."""
+        fence, scan = self._config.geofence, moment.shots[shot]
+        below_m, above_m = (fence.below_m, fence.above_m) if geofence else (np.inf, np.inf)
+        near = (np.abs(scan.points[:, :2]) < CUT_M).all(axis=1)
+        return self.roadway(geofence=geofence).place(
+            scan.points[near], scan.map_SE3_sensor, below_m=below_m, above_m=above_m
+        )
+
+    def on_road(self, boxes: Floats) -> Bools:
+        """Marks the boxes (N, 7) whose middles are inside the geofence."""
+        margin_m = np.full(len(boxes), self._config.geofence.margin_m)
+        return np.asarray(self._lanes.locate(boxes, margin_m=margin_m).lane >= 0)
+
+    def without_doubles(self, found: Vehicles) -> Vehicles:
+        """Removes duplicates as the edge does."""
+        centre = np.array(self.road_map.centre)
+        return fuse(found, [], centre=centre, config=self._config.fusion)
+
+
+def evaluate(
+    moments: Iterable[tuple[Site, Moment]], detectors: Sequence[DetectorName]
+) -> list[EvalRow]:
+    """Returns all rows of these detectors.
+
+    Raises:
+        ConfigError: a detector cannot be had here.
+    """
+    judged: dict[tuple[str, bool, Kind], list[Judged]] = {}
+    for site, moment in moments:
+        for name in detectors:
+            for geofence in (True, False):
+                for kind, one in judge(site, moment, name, geofence=geofence):
+                    judged.setdefault((name, geofence, kind), []).append(one)
+    return [row for key, scenes in judged.items() for row in rows_of(*key, scenes)]
+
+
+def judge(
+    site: Site, moment: Moment, name: DetectorName, *, geofence: bool
+) -> list[tuple[Kind, Judged]]:
+    """Detects in a moment's scans, alone and together, and compares with the truth."""
+    detector = site.detector(name, geofence=geofence)
+    placed = [site.place(moment, n, geofence=geofence) for n in range(len(moment.shots))]
+    sensors = np.array([shot.map_SE3_sensor.translation for shot in moment.shots])
+    on_road = site.on_road(moment.boxes) if geofence else np.ones(len(moment.boxes), np.bool_)
+    centre = SE3(np.eye(3), np.array(site.road_map.centre))
+
+    def detected(near: Placed, seen_from: Floats, number: int) -> tuple[Vehicles, float]:
+        rng = np.random.default_rng([moment.frame, number])
+        start = time.perf_counter()
+        found = detector.detect(Cloud(near, _NO_POINTS, seen_from), rng)
+        return found, 1e3 * (time.perf_counter() - start)
+
+    def judged(found: Vehicles, map_SE3_scene: SE3, seen: tuple[Ints, Bools], ms: float) -> Judged:
+        if geofence:
+            found = found.take(site.on_road(found.boxes))
+        points, counts = seen
+        return Judged(
+            Scene.of(found.boxes, found.scores, moment.boxes),
+            _away_m(found.boxes, map_SE3_scene),
+            np.where(counts, _away_m(moment.boxes, map_SE3_scene), np.inf),
+            points,
+            ms,
+        )
+
+    result: list[tuple[Kind, Judged]] = []
+    singles, total_ms = Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0)), 0.0
+    for number, shot in enumerate(moment.shots):
+        found, ms = detected(placed[number], sensors[number : number + 1], number)
+        others = on_road & (np.arange(len(moment.boxes)) != (-1 if shot.own is None else shot.own))
+        seen = moment.points_on[number], others
+        result.append((KINDS[0], judged(found, shot.map_SE3_sensor, seen, ms)))
+        singles, total_ms = singles + found, total_ms + ms
+    together = moment.points_on.sum(axis=0), on_road
+    found, ms = detected(_cut(merge(placed), centre), sensors, len(placed))
+    result.append((KINDS[1], judged(found, centre, together, ms)))
+    late = site.without_doubles(singles)
+    result.append((KINDS[2], judged(late, centre, together, total_ms)))
+    return result
+
+
+def rows_of(detector: str, geofence: bool, kind: Kind, scenes: list[Judged]) -> list[EvalRow]:
+    """Returns the rows of scenes of one kind: all counted both ways, and by parts."""
+    cells = [(truth, ALL) for truth in TRUTHS]
+    cells += [("visible", part) for part in BY_DISTANCE] + [("all", part) for part in BY_POINTS]
+    median_ms = float(np.median([one.took_ms for one in scenes]))
+    rows = []
+    for truth, part in cells:
+        due = [one.due(truth, part) for one in scenes]
+        fair = [one.fair(part) for one in scenes]
+        for view in VIEWS:
+            for iou in IOUS:
+                found = [
+                    outcomes(one.scene, view, iou, *masks)
+                    for one, *masks in zip(scenes, due, fair, strict=True)
+                ]
+                scores = [one.scene.scores for one in scenes]
+                score = average_precision(found, scores, sum(int(mask.sum()) for mask in due))
+                of_points = part.of == "points"
+                rows.append(
+                    EvalRow(
+                        detector, *kind, truth, geofence, view, iou, part.name,
+                        scenes=len(scenes),
+                        vehicles=score.vehicles,
+                        ap40=None if of_points else score.ap40,
+                        recall=score.recall,
+                        precision=None if of_points else score.precision,
+                        detect_ms=median_ms,
+                    )
+                )  # fmt: skip
+    return rows
+
+
+def _away_m(boxes: Floats, map_SE3_scene: SE3) -> Floats:
+    """Returns the level distance (N,) from a scene's middle, infinite out of its range."""
+    local = (boxes[:, :3] - map_SE3_scene.translation) @ map_SE3_scene.rotation
+    inside = (np.abs(local[:, :2]) <= RANGE_M).all(axis=1)
+    return np.where(inside, np.hypot(local[:, 0], local[:, 1]), np.inf)
+
+
+def _cut(placed: Placed, map_SE3_scene: SE3) -> Placed:
+    off = np.abs(placed.points[:, :2] - map_SE3_scene.translation[:2].astype(np.float32))
+    near = (off < CUT_M).all(axis=1)
+    return Placed(placed.points[near], placed.road_m[near])

@@ -1,0 +1,129 @@
+"""What is counted in an evaluation, on made-up moments and with a made-up detector."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from cpnet.evaluation import Source, detectors_of
+from edge_server.config import EdgeConfig
+from learning.moments import Moment, Shot
+from perception.detector import Cloud
+from perception.vehicles import Vehicles
+from protocol.errors import ConfigError
+from protocol.geometry import SE3
+from studies import evaluate as study
+from studies.evaluate import Site, evaluate
+from studies.evaluate_table import print_evaluation
+from tests.edge_server.conftest import car_shell, ground_points, make_road
+
+
+def car(x: float, y: float) -> list[float]:
+    return [x, y, 0.75, 4.5, 1.8, 1.5, 0.0]
+
+
+def a_moment(boxes: list[list[float]], points_on: list[list[int]], own: int | None) -> Moment:
+    """Two sensors: at the junction's centre, and one at x = 40 that a vehicle may carry."""
+    rng = np.random.default_rng(2)
+    shots = []
+    for agent, x, carrier in (("rsu-0", 0.0, None), ("cav", 40.0, own)):
+        sensor = SE3(np.eye(3), np.array([x, 0.0, 3.0]))
+        cars = [
+            car_shell([*box[:2], 0, 0, 0, box[6]], (x, 0.0), rng)
+            for n, box in enumerate(boxes)
+            if n != carrier
+        ]
+        points = np.concatenate([ground_points(rng, count=8000), *cars])
+        local = sensor.inverse().apply(points).astype(np.float32)
+        shots.append(Shot(agent, local, sensor, carrier))
+    return Moment("made-up", 0, shots, np.array(boxes), np.array(points_on))
+
+
+class Told:
+    """Finds what it is told to."""
+
+    def __init__(self, boxes: list[list[float]]) -> None:
+        self.boxes = np.array(boxes).reshape(-1, 7)
+
+    def detect(self, cloud: Cloud, rng: Any, stage: Any = None) -> Vehicles:
+        return Vehicles.from_lidar(self.boxes, np.linspace(1, 0.5, len(self.boxes)))
+
+
+def rows_with(monkeypatch: pytest.MonkeyPatch, moment: Moment, boxes: list[list[float]]) -> Any:
+    monkeypatch.setattr(study, "detector_of", lambda *_: Told(boxes))
+    rows = evaluate([(Site(make_road(), EdgeConfig()), moment)], ["fast"])
+
+    def of(**wanted: Any) -> Any:
+        wanted = {"part": "all", "view": "bev", "iou": 0.5, "geofence": False} | wanted
+        (row,) = [r for r in rows if all(getattr(r, k) == v for k, v in wanted.items())]
+        return row
+
+    return of
+
+
+def test_vehicles_with_few_points_are_counted_both_ways(monkeypatch: pytest.MonkeyPatch) -> None:
+    boxes = [car(-30, 1.75), car(20, -1.75)]
+    of = rows_with(monkeypatch, a_moment(boxes, [[50, 2], [0, 2]], None), boxes[:1])
+    assert of(fusion="early", truth="all").recall == 0.5
+    assert of(fusion="early", truth="visible").recall == 1.0
+    assert of(fusion="early", truth="all", part="1-4 points").vehicles == 1
+    assert of(fusion="early", truth="all", part="1-4 points").recall == 0.0
+    assert of(fusion="early", truth="visible", part="30-50 m").ap40 == 1.0
+
+
+def test_the_geofence_drops_detections_beside_the_road(monkeypatch: pytest.MonkeyPatch) -> None:
+    boxes = [car(-30, 1.75)]
+    moment = a_moment(boxes, [[50], [50]], None)
+    of = rows_with(monkeypatch, moment, [*boxes, car(-30, 20)])
+    assert of(fusion="early", truth="all", geofence=False).precision == 0.5
+    assert of(fusion="early", truth="all", geofence=True).precision == 1.0
+
+
+def test_nobody_misses_the_vehicle_it_stands_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    boxes = [car(-30, 1.75), car(40, 1.75)]
+    of = rows_with(monkeypatch, a_moment(boxes, [[50, 50], [50, 0]], 1), [])
+    assert of(cloud="single", truth="all").vehicles == 3
+    assert of(fusion="early", truth="all").vehicles == 2
+
+
+def test_what_is_out_of_range_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    boxes = [car(-30, 1.75), car(-100, 1.75)]
+    moment = a_moment(boxes, [[50, 50], [50, 50]], None)
+    of = rows_with(monkeypatch, moment, [car(-30, 1.75), car(-90, 1.75)])
+    row = of(fusion="early", truth="all")
+    assert (row.vehicles, row.recall, row.precision) == (1, 1.0, 1.0)
+
+
+def test_late_fusion_makes_one_of_what_two_sensors_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    boxes = [car(-30, 1.75)]
+    of = rows_with(monkeypatch, a_moment(boxes, [[50], [50]], None), boxes)
+    assert of(fusion="late", truth="all").precision == 1.0
+
+
+def test_the_fast_detector_finds_cars_with_and_without_geofence() -> None:
+    boxes = [car(-30, 1.75), car(20, -1.75), car(-50, -1.75)]
+    moment = a_moment(boxes, [[300] * 3, [300] * 3], None)
+    rows = evaluate([(Site(make_road(), EdgeConfig()), moment)], ["fast"])
+    for row in rows:
+        if row.part == "all" and row.iou <= 0.3:
+            assert row.recall == 1.0
+    out = io.StringIO()
+    print_evaluation(rows, Console(file=out, width=80))
+    assert "…" not in out.getvalue()
+    assert "Chen DBSCAN" in out.getvalue()
+
+
+def test_mistakes_of_an_evaluation_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="must be one of fast, reference"):
+        detectors_of("fast,slow")
+    with pytest.raises(ConfigError, match="not both"):
+        Source(tmp_path, tmp_path, None, "test", 1).open(EdgeConfig())
+    with pytest.raises(ConfigError, match="cpnet dataset"):
+        Source(None, None, None, "test", 1).open(EdgeConfig())
+    with pytest.raises(ConfigError, match="no such file"):
+        Source(None, tmp_path / "none.net.xml", None, "test", 1).open(EdgeConfig())
