@@ -15,7 +15,7 @@ from edge_server.merge import merge, sensor_in_map
 from edge_server.spans import Spans
 from perception.arrays import Floats
 from perception.detector import Cloud
-from perception.registry import detector_of
+from perception.registry import DetectorMaker, detector_of
 from perception.roadway import Placed, Roadway
 from perception.vehicles import Vehicles
 from protocol.messages import Detections, LaneCounts, Span
@@ -35,12 +35,19 @@ class Result:
 class Pipeline:
     """The stages and what they know about the road. No frame depends on another."""
 
-    def __init__(self, road_map: RoadMap, config: EdgeConfig, *, seed: int) -> None:
+    def __init__(
+        self,
+        road_map: RoadMap,
+        config: EdgeConfig,
+        *,
+        seed: int,
+        detector: DetectorMaker = detector_of,
+    ) -> None:
         self._map = road_map
         self._config = config
         self._seed = [seed, zlib.crc32(b"ground")]
         self._roadway = Roadway.of(road_map, margin_m=config.geofence.margin_m)
-        self._detector = detector_of(config, self._roadway)
+        self._detector = detector(config, self._roadway)
         self._lanes = LaneIndex(road_map)
         self._centre = np.array(road_map.centre)
 

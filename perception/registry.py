@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from perception.clustering import Clustering
 from perception.config import DetectionConfig
 from perception.detector import Detector
 from perception.roadway import Roadway
 from protocol.errors import ConfigError
+
+DetectorMaker = Callable[[DetectionConfig, Roadway], Detector]
 
 
 def detector_of(config: DetectionConfig, roadway: Roadway) -> Detector:

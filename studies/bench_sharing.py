@@ -19,20 +19,17 @@ from edge_server.config import EdgeConfig
 from edge_server.frame import Frame, Piece
 from edge_server.pipeline import Pipeline
 from protocol.codec import decode, encode_scan
-from protocol.geometry import SE3
-from protocol.messages import NEVER_NS, Equipment, Setup, Truth
+from protocol.messages import NEVER_NS, Setup, Truth
 from recorder.rows import count_rows, detection_rows, truth_rows
-from sensing.config import PoseErrorConfig, SceneConfig, UploadConfig
+from sensing.config import SceneConfig, UploadConfig
 from sensing.link.named import profile_named
 from sensing.link.path import Path as LinkPath
 from sensing.link.virtual import VirtualLink
-from sensing.noise import stream
-from sensing.pose import believed_pose
 from sensing.radio import ENVELOPE_BYTES
 from sensing.recording import Recording
 from sensing.terrain import Terrain
 from sim_host.setup import build_setup
-from studies.bench_traffic import POST, ROOF_HEIGHT_M, SEED, post_pose, visible_vehicles
+from studies.bench_traffic import POST, SEED, believed_sensor, post_pose, visible_vehicles
 from studies.bench_uplink import LEARNING_FRAMES, UplinkRow
 from studies.latency import distribution_ms
 from studies.tally import Tally
@@ -55,7 +52,7 @@ class _Sharing:
     def __init__(self, setup: Setup, traffic: Path, link: str) -> None:
         self._recording = Recording(traffic)
         self._visible = visible_vehicles(traffic)
-        self._post = post_pose(setup, Terrain(setup.road_map, SceneConfig(), SEED))
+        self._post = post_pose(setup.road_map, Terrain(setup.road_map, SceneConfig(), SEED))
         self._pipeline = Pipeline(setup.road_map, EdgeConfig(), seed=SEED)
         self._tally = Tally(setup)
         self._link = link
@@ -116,16 +113,8 @@ class _Sharing:
 
     def _piece(self, agent: str, truth: Truth) -> Piece:
         nothing = np.zeros((0, 3), np.float32)
-        pose = self._believed(agent, truth).as_pose()
+        pose = believed_sensor(agent, truth, self._post).as_pose()
         return Piece(truth.frame, truth.sim_time_ns, agent, 0, 1, pose, nothing, 0, 0, 0)
-
-    def _believed(self, agent: str, truth: Truth) -> SE3:
-        if agent == POST:
-            return self._post
-        rng = stream(SEED, "pose", agent, truth.frame)
-        pose = truth.poses[truth.ids.index(agent)]
-        believed = believed_pose(pose, PoseErrorConfig(), Equipment.CAV, rng)
-        return SE3.from_pose(believed) @ SE3.from_pose([0, 0, ROOF_HEIGHT_M, 0, 0, 0])
 
     def _receive(
         self, agent: str, truth: Truth, now_ns: int, sent: dict[str, tuple[Piece, bytes, int]]

@@ -15,12 +15,14 @@ import numpy as np
 
 from protocol.codec import RangeScan
 from protocol.geometry import SE3
-from protocol.messages import Equipment, Setup
+from protocol.messages import Equipment, Truth
+from protocol.roadmap import RoadMap
 from sensing.attribution import counts, owners
-from sensing.config import LidarConfig, SceneConfig
+from sensing.config import LidarConfig, PoseErrorConfig, SceneConfig
 from sensing.lidar import Lidar
 from sensing.mounting import above
 from sensing.noise import stream
+from sensing.pose import believed_pose
 from sensing.recording import write_recording
 from sensing.returns import returns
 from sensing.scene import scene_of
@@ -54,7 +56,7 @@ def record_traffic(folder: Path, agents: int, frames: int, seed: int = SEED) -> 
     config = LidarConfig()
     shapes = VehicleShapes.from_setup(setup)
     lidar = Lidar(config, scene, shapes)
-    post = post_pose(setup, scene.terrain)
+    post = post_pose(setup.road_map, scene.terrain)
     scans: dict[str, list[RangeScan]] = {name: [] for name in [POST, *cavs]}
     visible = []
     for frame, bodies in enumerate(moments):
@@ -81,11 +83,20 @@ def record_traffic(folder: Path, agents: int, frames: int, seed: int = SEED) -> 
     (folder / VISIBLE_NAME).write_text(json.dumps(visible) + "\n", "utf-8")
 
 
-def post_pose(setup: Setup, terrain: Terrain) -> SE3:
+def post_pose(road_map: RoadMap, terrain: Terrain) -> SE3:
     """Returns where the roadside LiDAR stands: at the junction's centre."""
-    centre = np.array(setup.road_map.centre[:2])
+    centre = np.array(road_map.centre[:2])
     base = terrain.body_poses(centre[:1], centre[1:], np.zeros(1))[0]
     return above(base, _POST_HEIGHT_M)
+
+
+def believed_sensor(agent: str, truth: Truth, post: SE3) -> SE3:
+    """Returns `map_SE3_sensor` of a recorded agent as it believes; the post knows its own."""
+    if agent == POST:
+        return post
+    rng = stream(SEED, "pose", agent, truth.frame)
+    pose = truth.poses[truth.ids.index(agent)]
+    return above(believed_pose(pose, PoseErrorConfig(), Equipment.CAV, rng), ROOF_HEIGHT_M)
 
 
 def visible_vehicles(folder: Path) -> list[set[str]]:

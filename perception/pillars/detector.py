@@ -72,11 +72,12 @@ def pillars_detector(name: str, config: PillarsDetection, roadway: Roadway) -> P
     return PillarsDetector(Engine(network, device, half=computes_in_half(device)), roadway, config)
 
 
-def untrained_full() -> PointPillars:
-    """Returns the paper's network as it is before training, to be timed."""
+def paper_detector(config: PillarsDetection, roadway: Roadway) -> PillarsDetector:
+    """Returns the paper's network as it is before training, in float32: to be timed."""
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        return PointPillars(FULL).eval()
+        network = PointPillars(FULL)
+    return PillarsDetector(Engine(network, torch.device("cpu"), half=False), roadway, config)
 
 
 def computes_in_half(device: torch.device) -> bool:

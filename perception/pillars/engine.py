@@ -26,12 +26,12 @@ class Engine:
         self.config = network.config
         self.device = device
         self._type = torch.bfloat16 if half else torch.float32
+        network.eval().requires_grad_(requires_grad=False)
         self._weight, self._bias = _fold(network)
         for part in (*network.blocks, *network.ups):
             assert isinstance(part, nn.Sequential)
             _fuse(part)
         self._weight, self._bias = self._weight.to(device), self._bias.to(device)
-        network.eval().requires_grad_(requires_grad=False)
         self._canvas = torch.zeros(
             0, network.config.pillar_channels, dtype=self._type, device=device
         )

@@ -1,0 +1,156 @@
+"""From payloads to counts, stage by stage: what each detector takes for more and more agents.
+
+Recorded traffic again, encoded beforehand. Every detector with every number of agents has a process
+of its own, so that its memory can be told apart; they run one after the other.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import resource
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edge_server.config import EdgeConfig
+from edge_server.frame import Frame, open_scan
+from edge_server.pipeline import Pipeline
+from perception.config import DetectionConfig
+from perception.detector import Detector
+from perception.registry import detector_of
+from perception.roadway import Roadway
+from protocol.codec import encode_scan
+from protocol.geometry import SE3
+from protocol.messages import Scan, Truth
+from sensing.config import SceneConfig, UploadConfig
+from sensing.recording import Recording
+from sensing.terrain import Terrain
+from sim_host.setup import build_setup
+from studies.bench_traffic import POST, SEED, believed_sensor, post_pose, record_traffic
+
+TOTAL = "total"
+WARM_UP = 3  # frames: loops are read from their cache, buffers grow
+STAGES = ("decode", "place", "merge", "ground", "detect", "fuse", "count", TOTAL)
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeBench:
+    """What is measured: `frames` frames of the same traffic for each."""
+
+    detectors: tuple[str, ...]
+    agents: tuple[int, ...]
+    frames: int
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeRow:
+    """A stage of a detector for so many agents; `points` are a frame's, `peak_mb` the process's."""
+
+    detector: str
+    agents: int
+    points: int
+    stage: str
+    ms_p50: float
+    ms_p95: float
+    peak_mb: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Returns stable keys."""
+        return asdict(self)
+
+
+def measure_edge(bench: EdgeBench) -> Iterator[EdgeRow]:
+    """Yields the rows of each detector for each number of agents.
+
+    Raises:
+        ConfigError: a detector cannot be built.
+    """
+    with tempfile.TemporaryDirectory(prefix="cpnet-bench-") as name:
+        traffic = Path(name)
+        record_traffic(traffic, max(bench.agents), bench.frames + WARM_UP)
+        context = multiprocessing.get_context("spawn")
+        for agents in bench.agents:
+            for detector in bench.detectors:
+                with context.Pool(1) as pool:
+                    yield from pool.apply(_measure, (traffic, detector, agents))
+
+
+def _measure(traffic: Path, detector: str, agents: int) -> list[EdgeRow]:
+    """Measures one cell; runs in a process of its own."""
+    with tempfile.TemporaryDirectory() as scratch:
+        road_map = build_setup({}, Path(scratch)).road_map
+    config = EdgeConfig.model_validate({"detector": detector})
+    pipeline = Pipeline(road_map, config, seed=SEED, detector=_detector_of)
+    recording = Recording(traffic)
+    chosen = [POST, *(name for name in recording.agents if name != POST)][:agents]
+    post = post_pose(road_map, Terrain(road_map, SceneConfig(), SEED))
+    times_ms: dict[str, list[float]] = {stage: [] for stage in STAGES}
+    points = []
+    for frame, truth in enumerate(recording.truths):
+        scans = [_scan(recording, agent, truth, post) for agent in chosen]
+        spent, seen = _run(pipeline, scans, truth)
+        if frame >= WARM_UP:
+            points.append(seen)
+            for stage in STAGES:
+                times_ms[stage].append(spent.get(stage, 0.0))
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    shape = (detector, agents, round(float(np.mean(points))))
+    rows = []
+    for stage in STAGES:
+        p50, p95 = np.percentile(times_ms[stage], [50, 95]).tolist()
+        rows.append(EdgeRow(*shape, stage, p50, p95, peak_mb))
+    return rows
+
+
+def _detector_of(config: DetectionConfig, roadway: Roadway) -> Detector:
+    """Builds detectors as ever, but for the paper's network: untrained, and in float32."""
+    if config.detector != "pointpillars-full":
+        return detector_of(config, roadway)
+    from perception.pillars.detector import paper_detector
+
+    return paper_detector(config.pillars, roadway)
+
+
+def _scan(recording: Recording, agent: str, truth: Truth, post: SE3) -> Scan:
+    """Returns what an agent would have sent."""
+    payload = encode_scan(recording.scan(agent, truth.frame), UploadConfig().max_error_m)
+    return Scan(
+        frame=truth.frame,
+        sim_time_ns=truth.sim_time_ns,
+        agent=agent,
+        chunk=0,
+        chunks=1,
+        points=0,
+        sensor_pose=believed_sensor(agent, truth, post).as_pose(),
+        sense_start_ns=0,
+        sense_end_ns=0,
+        encode_end_ns=0,
+        payload=np.frombuffer(payload, np.uint8),
+    )
+
+
+def _run(pipeline: Pipeline, scans: list[Scan], truth: Truth) -> tuple[dict[str, float], int]:
+    """Returns the ms of each stage, and how many points came."""
+    begin_ns = time.monotonic_ns()
+    pieces = [pipeline.place_early(open_scan(scan, 0)) for scan in scans]
+    frame = Frame(
+        truth.frame,
+        truth.sim_time_ns,
+        sorted(scan.agent for scan in scans),
+        [],
+        pieces,
+        complete=True,
+        first_ns=0,
+        ready_ns=0,
+    )
+    result = pipeline.run(frame)
+    spent = {TOTAL: (time.monotonic_ns() - begin_ns) / 1e6}
+    spent["decode"] = sum(p.decode_end_ns - p.decode_start_ns for p in pieces) / 1e6
+    spent["place"] = sum(p.placed_ns - p.decode_end_ns for p in pieces if p.placed) / 1e6
+    spent |= {span.stage: (span.end_ns - span.start_ns) / 1e6 for span in result.spans}
+    return spent, result.points
