@@ -16,6 +16,7 @@ from perception.config import ClusterConfig
 from perception.grouping import group
 
 NOISE = -1
+TALL_M = 3.5  # a cluster that is this high is a building or a tree, not several vehicles
 _SHRINK = 0.9999  # keeps float32 rounding from making two points of a cell no neighbours
 
 
@@ -47,11 +48,12 @@ def split(points: Floats32, labels: Ints32, *, config: ClusterConfig, longest_m:
     """
     if config.split_eps_m is None or len(labels) == 0 or labels.max() < 0:
         return labels
-    ends = np.full((2, int(labels.max()) + 1, 2), np.inf)
+    ends = np.full((2, int(labels.max()) + 1, 3), np.inf)
     known = labels >= 0
-    np.minimum.at(ends[0], labels[known], points[known, :2])
-    np.minimum.at(ends[1], labels[known], -points[known, :2])
-    too_long = np.hypot(*(-ends[0] - ends[1]).T) > longest_m
+    np.minimum.at(ends[0], labels[known], points[known])
+    np.minimum.at(ends[1], labels[known], -points[known])
+    sizes_m = -ends[0] - ends[1]
+    too_long = (np.hypot(*sizes_m[:, :2].T) > longest_m) & (sizes_m[:, 2] < TALL_M)
     again = np.flatnonzero(known & too_long[labels])
     if len(again) == 0:
         return labels
