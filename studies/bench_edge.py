@@ -20,11 +20,12 @@ import numpy as np
 from edge_server.config import EdgeConfig
 from edge_server.frame import Frame, open_scan
 from edge_server.pipeline import Pipeline
-from perception.config import DetectionConfig
+from perception.config import DetectionConfig, DetectorName
 from perception.detector import Detector
 from perception.registry import detector_of
 from perception.roadway import Roadway
 from protocol.codec import encode_scan
+from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from protocol.messages import Scan, Truth
 from sensing.config import SceneConfig, UploadConfig
@@ -34,6 +35,7 @@ from sim_host.setup import build_setup
 from studies.bench_traffic import POST, SEED, believed_sensor, post_pose, record_traffic
 
 TOTAL = "total"
+MOST_AGENTS = 16
 WARM_UP = 3  # frames: loops are read from their cache, buffers grow
 STAGES = ("decode", "place", "merge", "ground", "detect", "fuse", "count", TOTAL)
 
@@ -42,9 +44,14 @@ STAGES = ("decode", "place", "merge", "ground", "detect", "fuse", "count", TOTAL
 class EdgeBench:
     """What is measured: `frames` frames of the same traffic for each."""
 
-    detectors: tuple[str, ...]
+    detectors: tuple[DetectorName, ...]
     agents: tuple[int, ...]
     frames: int
+
+    @property
+    def rows(self) -> int:
+        """How many there will be."""
+        return len(self.detectors) * len(self.agents) * len(STAGES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +71,21 @@ class EdgeRow:
         return asdict(self)
 
 
+def numbers_of(text: str) -> tuple[int, ...]:
+    """Reads numbers of agents, written with commas.
+
+    Raises:
+        ConfigError: one is no number that can be measured, or stands twice.
+    """
+    words = text.split(",")
+    numbers = tuple(int(word) for word in words if word.strip().isdecimal())
+    if len(numbers) < len(words) or not all(1 <= n <= MOST_AGENTS for n in numbers):
+        raise ConfigError(f"--agents {text}: must be numbers from 1 to {MOST_AGENTS}")
+    if len(set(numbers)) < len(numbers):
+        raise ConfigError(f"--agents {text}: each number may stand once")
+    return numbers
+
+
 def measure_edge(bench: EdgeBench) -> Iterator[EdgeRow]:
     """Yields the rows of each detector for each number of agents.
 
@@ -72,6 +94,9 @@ def measure_edge(bench: EdgeBench) -> Iterator[EdgeRow]:
     """
     with tempfile.TemporaryDirectory(prefix="cpnet-bench-") as name:
         traffic = Path(name)
+        roadway = Roadway.of(build_setup({}, traffic).road_map, margin_m=0)
+        for detector in bench.detectors:
+            _detector_of(DetectionConfig(detector=detector), roadway)
         record_traffic(traffic, max(bench.agents), bench.frames + WARM_UP)
         context = multiprocessing.get_context("spawn")
         for agents in bench.agents:

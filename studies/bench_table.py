@@ -9,27 +9,20 @@ from rich.console import Console
 from rich.table import Table
 
 from studies.bench_codec import FLOOR_BOUND_M, BenchRow
+from studies.whole_table import print_whole
 
 _BLANK = "–"
 _NAME_WIDTH = 24
-_ANY_WIDTH = 1000
 
 
 def print_bench(rows: list[BenchRow], console: Console) -> None:
     """Prints a table for each cloud, then the least favourable ratios of each profile."""
     for name in dict.fromkeys(row.cloud for row in rows):
-        _print(_cloud_table(name, [row for row in rows if row.cloud == name]), console)
-    _print(_summary_table(rows), console)
+        print_whole(_cloud_table(name, [row for row in rows if row.cloud == name]), console)
+    print_whole(_summary_table(rows), console)
     floors = [row for row in rows if row.noise_floor_bits and row.bound_m == FLOOR_BOUND_M]
     if floors:
-        _print(_floor_table(floors), console)
-
-
-def _print(table: Table, console: Console) -> None:
-    """Prints a table whole: numbers that were cut at the terminal's edge would look like others."""
-    boundless = console.options.update(width=_ANY_WIDTH)
-    table.width = console.measure(table, options=boundless).maximum
-    console.print(table, crop=False)
+        print_whole(_floor_table(floors), console)
 
 
 def _short(name: str) -> str:

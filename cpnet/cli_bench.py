@@ -1,0 +1,113 @@
+"""The commands that measure parts of the system."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.progress import track
+
+from cpnet.bench import LINK_CHOICES, POLICY_CHOICES, UplinkBench, measure, measure_rates
+from cpnet.cli_options import AsJson, errors, show
+from perception.config import DETECTORS
+from studies.bench_traffic import FRAME_PERIOD_S
+from studies.bench_uplink import LEARNING_FRAMES
+from studies.uplink_table import print_rates, print_uplink
+
+bench_app = typer.Typer(help="Measure parts of the system.", no_args_is_help=True)
+
+Policies = Annotated[str, typer.Option(metavar="NAME[+FILTER],...", help="upload policies")]
+Agents = Annotated[int, typer.Option(help="a roadside LiDAR and CAVs")]
+Frames = Annotated[
+    int, typer.Option(help=f"frames of each run; the first {LEARNING_FRAMES} do not count")
+]
+_ALL_POLICIES = ",".join(POLICY_CHOICES)
+
+
+@bench_app.command("codec")
+def bench_codec_command(
+    *,
+    points: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="PATH", help="a .bin or .pcd file as well, or all in a folder"),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure the scan codec beside Draco and zstd at equal maximum error."""
+    from protocol.codec.draco import load_draco
+    from sensing.point_files import point_files
+    from studies.bench_codec import BenchCloud, bench
+    from studies.bench_scans import cast_scans
+    from studies.bench_table import print_bench
+
+    load_draco()
+    files = [BenchCloud.of_file(path) for path in point_files(points or [])]
+    clouds = [BenchCloud.of_scan(scan) for scan in cast_scans()] + files
+    rows = [row for cloud in clouds for row in bench(cloud)]
+    show(rows, print_bench, as_json=as_json)
+
+
+@bench_app.command("uplink")
+def bench_uplink_command(
+    *,
+    policies: Policies = _ALL_POLICIES,
+    link: Annotated[
+        list[str] | None, typer.Option(help="uplink of all agents; may be given several times")
+    ] = None,
+    agents: Agents = 6,
+    frames: Frames = 60,
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="emulated links and the wall clock")
+    ] = False,
+    rate: Annotated[float, typer.Option(min=1, max=100, help="realtime: frames a second")] = 10,
+    as_json: AsJson = False,
+) -> None:
+    """Measure upload policies on links: bytes, latency, what is still detected and counted."""
+    bench = UplinkBench(
+        policies=tuple(policies.split(",")),
+        links=tuple(link or LINK_CHOICES),
+        agents=agents,
+        frames=frames,
+        realtime=realtime,
+        rate_hz=rate if realtime else 1 / FRAME_PERIOD_S,
+    )
+    cells = len(bench.policies) * len(bench.links)
+    rows = list(track(measure(bench), "measuring", cells, console=errors, transient=True))
+    show(rows, print_uplink, as_json=as_json)
+
+
+@bench_app.command("rate")
+def bench_rate_command(
+    *,
+    policies: Policies = "full,foreground,reap+foreground",
+    agents: Agents = 6,
+    frames: Frames = 120,
+    as_json: AsJson = False,
+) -> None:
+    """Find the highest frame rate in realtime, with detection, on recorded scans."""
+    bench = UplinkBench(policies=tuple(policies.split(",")), agents=agents, frames=frames)
+    rows = list(track(measure_rates(bench), "measuring", None, console=errors, transient=True))
+    show(rows, print_rates, as_json=as_json)
+
+
+@bench_app.command("edge")
+def bench_edge_command(
+    *,
+    detectors: Annotated[
+        str, typer.Option(metavar="NAME,...", help=f"of {', '.join(DETECTORS)}")
+    ] = ",".join(DETECTORS),
+    agents: Annotated[
+        str, typer.Option(metavar="N,...", help="a roadside LiDAR and CAVs, up to 16")
+    ] = "1,2,4,8,16",
+    frames: Annotated[int, typer.Option(min=1, max=600, help="of each")] = 20,
+    as_json: AsJson = False,
+) -> None:
+    """Measure the edge from payloads to counts, stage by stage, for each detector."""
+    from cpnet.evaluation import detectors_of
+    from studies.bench_edge import EdgeBench, measure_edge, numbers_of
+    from studies.edge_table import print_edge
+
+    bench = EdgeBench(detectors_of(detectors), numbers_of(agents), frames)
+    rows = list(track(measure_edge(bench), "measuring", bench.rows, console=errors, transient=True))
+    show(rows, print_edge, as_json=as_json)

@@ -1,0 +1,100 @@
+"""The commands that make data sets, train detectors and measure them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    track,
+)
+
+from cpnet import scenario as scenarios
+from cpnet.cli_options import AsJson, assigned, console, errors, show
+from perception.config import DETECTORS
+
+learn_app = typer.Typer()
+
+
+@learn_app.command("dataset")
+def dataset_command(
+    out: Annotated[Path, typer.Argument(help="a new or empty folder")],
+    *,
+    networks: Annotated[int, typer.Option(help="generated junctions")] = 60,
+    moments: Annotated[int, typer.Option(help="of each network, some seconds apart")] = 12,
+    seed: Annotated[int, typer.Option(help="the same bytes for the same seed")] = 1,
+    jobs: Annotated[int | None, typer.Option(help="processes; default one a core")] = None,
+) -> None:
+    """Write labelled scans of many generated junctions, for training."""
+    from learning.generate import Asked, generate
+
+    asked = Asked(networks=networks, moments=moments, seed=seed)
+    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()]
+    with Progress(*columns, TimeElapsedColumn(), console=errors, transient=True) as progress:
+        task = progress.add_task("networks", total=networks)
+
+        def report(done: int, scans: int) -> None:
+            progress.update(task, completed=done, description=f"networks, {scans} scans")
+
+        generate(out, asked, (os.cpu_count() or 1) if jobs is None else jobs, report)
+    console.print(f"wrote {out}", highlight=False, soft_wrap=True)
+
+
+@learn_app.command("train")
+def train_command(
+    dataset: Annotated[Path, typer.Argument(help="a folder that `cpnet dataset` wrote")],
+    *,
+    out: Annotated[Path, typer.Option(help="for weights and state; training goes on from there")],
+    network: Annotated[
+        str, typer.Option(help="pointpillars or pointpillars-full")
+    ] = "pointpillars",
+    steps: Annotated[int, typer.Option(help="of the optimiser")] = 20_000,
+    windows: Annotated[int, typer.Option(help="a step")] = 4,
+    cells: Annotated[int, typer.Option(help="of 0.25 m, a window's side")] = 320,
+    seed: Annotated[int, typer.Option(help="the same weights for the same seed")] = 1,
+) -> None:
+    """Train PointPillars on labelled scans, on a GPU if there is one."""
+    from learning.train import Training, train
+    from learning.training import Recipe
+
+    recipe = Recipe(steps=steps, windows=windows, cells=cells, seed=seed)
+    path = train(Training(dataset, out, network, recipe), errors)
+    console.print(f"wrote {path}", highlight=False, soft_wrap=True)
+
+
+@learn_app.command("eval")
+def eval_command(
+    dataset: Annotated[
+        Path | None, typer.Argument(help="a folder that `cpnet dataset` wrote")
+    ] = None,
+    *,
+    net: Annotated[Path | None, typer.Option(help="instead: your own .net.xml")] = None,
+    tls: Annotated[str | None, typer.Option(help="id of the signal in that net")] = None,
+    detectors: Annotated[
+        str, typer.Option(metavar="NAME,...", help=f"of {', '.join(DETECTORS)}")
+    ] = "fast",
+    split: Annotated[str, typer.Option(help="of the dataset: train, val or test")] = "test",
+    moments: Annotated[int, typer.Option(min=1, max=500, help="of your own net")] = 12,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="a key of `edge`")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure detectors beside the truth: AP40, recall, precision, beside the paper's."""
+    from cpnet.evaluation import Source, detectors_of
+    from studies.evaluate import evaluate
+    from studies.evaluate_table import print_evaluation
+
+    names = detectors_of(detectors)
+    config = scenarios.load("t_junction", assigned(set_)).edge
+    count, listed = Source(dataset, net, tls, split, moments).open(config)
+    shown = track(listed, "measuring", count, console=errors, transient=True)
+    rows = evaluate(shown, names)
+    show(rows, print_evaluation, as_json=as_json)

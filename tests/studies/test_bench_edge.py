@@ -1,0 +1,36 @@
+"""`cpnet bench edge` on a little traffic."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from rich.console import Console
+
+from protocol.errors import ConfigError
+from studies.bench_edge import STAGES, EdgeBench, measure_edge, numbers_of
+from studies.edge_table import print_edge
+
+
+def test_each_detector_and_number_of_agents_has_a_row_for_each_stage() -> None:
+    bench = EdgeBench(("fast",), (1, 2), frames=2)
+    rows = list(measure_edge(bench))
+    assert len(rows) == bench.rows
+    assert [(row.agents, row.stage) for row in rows] == [(n, s) for n in (1, 2) for s in STAGES]
+    for agents in (1, 2):
+        ms = {row.stage: row.ms_p50 for row in rows if row.agents == agents}
+        assert sum(ms.values()) - ms["total"] == pytest.approx(ms["total"], rel=0.5)
+        assert ms["total"] > 0
+    assert rows[-1].points > 1.5 * rows[0].points
+    said = io.StringIO()
+    print_edge(rows, Console(file=said, width=60))
+    assert str(rows[-1].points) in said.getvalue()
+    assert set(rows[0].as_json()) == {
+        "detector", "agents", "points", "stage", "ms_p50", "ms_p95", "peak_mb",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("text", ["", "0", "17", "1,x", "2,2", "-1"])
+def test_numbers_of_agents_that_cannot_be_are_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="--agents"):
+        numbers_of(text)
