@@ -1,16 +1,23 @@
 """`python -m cpnet`, and the installed command."""
 
+import signal
 import sys
+from types import FrameType
 
 
 def main() -> None:
-    """Runs the command; Ctrl-C while Python still reads it in ends it without a traceback."""
+    """Runs the command; a signal to end ends it without a traceback, and cleans up."""
+    signal.signal(signal.SIGTERM, _end)
     try:
         from cpnet.cli import main as run
 
         run()
     except KeyboardInterrupt:
         sys.exit(130)
+
+
+def _end(number: int, _: FrameType | None) -> None:
+    sys.exit(128 + number)
 
 
 if __name__ == "__main__":

@@ -79,6 +79,7 @@ def upload_of(policy: str) -> dict[str, Any]:
     if name not in POLICIES:
         known = ", ".join([*POLICIES, SHARING])
         raise ConfigError(f"policy {name!r}: must be one of {known}")
+    _check_once(f"policy {policy!r}", tuple(filters))
     unknown = sorted(set(filters) - set(get_args(Filter)))
     if unknown:
         raise ConfigError(
@@ -141,12 +142,18 @@ def run_cell(bench: UplinkBench, traffic: Path, policy: str, link: str, run_dir:
     said = io.StringIO()
     options = Options(_SCENARIO, overrides(bench, traffic, policy, link), None, [], [], run_dir)
     status, _ = up(options, Console(file=said))
+    if status > 128:  # a signal asked for the end
+        raise SystemExit(status)
     if status != 0:
         raise ConfigError(f"{policy} on {link} failed:\n{said.getvalue()}")
     recording, visible = Recording(traffic), visible_vehicles(traffic)
     with Run(run_dir) as run:
         return row_of(
-            run, policy, link, lambda frame: visible[recording.place(frame)], 1 / bench.rate_hz
+            run,
+            (policy, link),
+            bench.agents,
+            lambda frame: visible[recording.place(frame)],
+            1 / bench.rate_hz,
         )
 
 

@@ -118,7 +118,9 @@ def _conclude(run_dir: Path) -> None:
         return
     print_report(summary, console)
     shown = _relative(run_dir)
-    command = "cpnet" if shutil.which("cpnet") else _relative(Path(sys.argv[0]).absolute())
+    called = Path(sys.argv[0]).absolute()
+    is_found = shutil.which("cpnet") is not None or called.name == "__main__.py"
+    command = "cpnet" if is_found else _relative(called)
     console.print(
         f"next: {command} draw {shown}    {command} report {shown} --json", soft_wrap=True
     )

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import track
 
 from cpnet.bench import LINK_CHOICES, POLICY_CHOICES, UplinkBench, measure, measure_rates
-from cpnet.cli_options import AsJson, errors, show
+from cpnet.cli_options import AsJson, show, show_measured
 from perception.config import DETECTORS
 from studies.bench_traffic import FRAME_PERIOD_S
 from studies.bench_uplink import LEARNING_FRAMES
@@ -73,8 +72,7 @@ def bench_uplink_command(
         rate_hz=rate if realtime else 1 / FRAME_PERIOD_S,
     )
     cells = len(bench.policies) * len(bench.links)
-    rows = list(track(measure(bench), "measuring", cells, console=errors, transient=True))
-    show(rows, print_uplink, as_json=as_json)
+    show_measured(measure(bench), cells, print_uplink, as_json=as_json)
 
 
 @bench_app.command("rate")
@@ -87,8 +85,7 @@ def bench_rate_command(
 ) -> None:
     """Find the highest frame rate in realtime, with detection, on recorded scans."""
     bench = UplinkBench(policies=tuple(policies.split(",")), agents=agents, frames=frames)
-    rows = list(track(measure_rates(bench), "measuring", None, console=errors, transient=True))
-    show(rows, print_rates, as_json=as_json)
+    show_measured(measure_rates(bench), None, print_rates, as_json=as_json)
 
 
 @bench_app.command("edge")
@@ -109,5 +106,4 @@ def bench_edge_command(
     from studies.edge_table import print_edge
 
     bench = EdgeBench(detectors_of(detectors), numbers_of(agents), frames)
-    rows = list(track(measure_edge(bench), "measuring", bench.rows, console=errors, transient=True))
-    show(rows, print_edge, as_json=as_json)
+    show_measured(measure_edge(bench), bench.rows, print_edge, as_json=as_json)

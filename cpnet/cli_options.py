@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Annotated, Any, Protocol, TypeVar
 
 import typer
 from rich.console import Console
+from rich.progress import track
 
 from cpnet import scenario as scenarios
 
@@ -29,6 +30,23 @@ class Row(Protocol):
 
 
 R = TypeVar("R", bound=Row)
+
+
+def show_measured(
+    rows: Iterable[R],
+    total: int | None,
+    print_table: Callable[[list[R], Console], None],
+    *,
+    as_json: bool,
+) -> None:
+    """Prints rows once all are there; if something ends it before, those that are."""
+    done: list[R] = []
+    try:
+        for row in track(rows, "measuring", total, console=errors, transient=True):
+            done.append(row)  # noqa: PERF402 - those before an error are wanted too
+    finally:
+        if done:
+            show(done, print_table, as_json=as_json)
 
 
 def show(rows: list[R], print_table: Callable[[list[R], Console], None], *, as_json: bool) -> None:

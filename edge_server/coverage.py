@@ -7,6 +7,9 @@ the space between them once they have sent four chunks together. Neighbours are 
 cells meet. Then every place lies within the borders of an agent: its owner's, or, if the owner sent
 its tight part only and the place lies beyond, those of the one that comes nearest to owning it,
 which is a neighbour of the owner and has sent up to its wide border.
+
+Unlike in EMP, every owner's first chunk is needed besides: within its tight border nobody else sees
+as well, and a post on a wire, which sends all at once, would make the others' scans useless.
 """
 
 from __future__ import annotations
@@ -51,11 +54,9 @@ class Borders:
     def covered(self, came: Mapping[str, int]) -> bool:
         """Whether these numbers of chunks cover the scene.
 
-        An agent that is not among them has left; its part is covered when the next plan comes. An
-        owner without neighbours needs its first chunk: all that it sees lies within its borders.
+        An agent that is not among them has left, or its link is full; its part is covered when the
+        next plan comes.
         """
         here = [(a, b) for a, b in self.pairs if a in came and b in came]
-        paired = {agent for pair in here for agent in pair}
-        return all(came[a] + came[b] >= TOGETHER for a, b in here) and all(
-            came[agent] > 0 for agent in self.owners if agent in came and agent not in paired
-        )
+        own = [came[agent] for agent in self.owners if agent in came]
+        return all(own) and all(came[a] + came[b] >= TOGETHER for a, b in here)

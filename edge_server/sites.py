@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from perception.arrays import Floats
 from protocol.messages import AgentPose, Scan
@@ -14,9 +14,14 @@ FORGET_FRAMES = 10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Site:
-    """A sensor's place (2,) in m in the map frame, in a frame; `drives` if it has said a pose."""
+    """A sensor's place (2,) in m in the map frame; `drives` if its agent has said a pose.
 
-    frame: int
+    `told` are the frame and whether a scan said it: the newest is believed, and of one frame a scan
+    rather than a pose, which is that of the vehicle below the sensor. So the order in which they
+    come is no matter.
+    """
+
+    told: tuple[int, bool]
     place: Floats
     drives: bool
 
@@ -30,18 +35,20 @@ class Sites:
     def hear(self, message: AgentPose | Scan) -> None:
         """Takes note of where an agent believes to be; of too many agents no more are noted."""
         known = self._sites.get(message.agent)
-        says_pose = isinstance(message, AgentPose)
         if known is None and len(self._sites) >= MAX_AGENTS:
             return
-        if known is not None and message.frame < known.frame:
-            return
-        drives = says_pose or (known is not None and known.drives)
-        place = message.pose if isinstance(message, AgentPose) else message.sensor_pose
-        self._sites[message.agent] = Site(message.frame, place[:2], drives)
+        if isinstance(message, AgentPose):
+            site = Site((message.frame, False), message.pose[:2], drives=True)
+        else:
+            drives = known is not None and known.drives
+            site = Site((message.frame, True), message.sensor_pose[:2], drives)
+        if known is not None and known.told > site.told:
+            site = replace(known, drives=known.drives or site.drives)
+        self._sites[message.agent] = site
 
     def of(self, agents: Sequence[str], frame: int) -> dict[str, Site]:
         """Returns the sites of those agents that are known; who fell silent is forgotten."""
-        silent = [a for a, site in self._sites.items() if site.frame < frame - FORGET_FRAMES]
+        silent = [a for a, site in self._sites.items() if site.told[0] < frame - FORGET_FRAMES]
         for agent in silent:
             del self._sites[agent]
         return {agent: self._sites[agent] for agent in agents if agent in self._sites}

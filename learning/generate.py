@@ -9,6 +9,7 @@ import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -61,17 +62,31 @@ def generate(
     _check(asked, jobs)
     try:
         _prepare(folder)
-        by_split = _collect(folder, asked, jobs, report)
-        for split, indices in by_split.items():
-            text = "".join(f"{index:06d}\n" for index in indices)
-            split_path(folder, split).write_text(text, "utf-8")
-        (folder / _PARTS).rmdir()
-        info = Info(
-            version=VERSION, networks=asked.networks, moments=asked.moments, seed=asked.seed
-        )
-        (folder / INFO).write_text(info.model_dump_json(indent=2) + "\n", "utf-8")
+        with _nothing_half_done(folder):
+            _write(folder, asked, jobs, report)
     except OSError as error:
         raise ConfigError(f"{error.filename or folder}: {error.strerror or error}") from None
+
+
+@contextmanager
+def _nothing_half_done(folder: Path) -> Iterator[None]:
+    """Empties a folder again should what happens inside not come to its end."""
+    try:
+        yield
+    except BaseException:
+        for path in folder.iterdir():
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        raise
+
+
+def _write(folder: Path, asked: Asked, jobs: int, report: Callable[[int, int], None]) -> None:
+    by_split = _collect(folder, asked, jobs, report)
+    for split, indices in by_split.items():
+        text = "".join(f"{index:06d}\n" for index in indices)
+        split_path(folder, split).write_text(text, "utf-8")
+    (folder / _PARTS).rmdir()
+    info = Info(version=VERSION, networks=asked.networks, moments=asked.moments, seed=asked.seed)
+    (folder / INFO).write_text(info.model_dump_json(indent=2) + "\n", "utf-8")
 
 
 def _collect(

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from protocol.codec import RangeScan
+from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from protocol.messages import Equipment, Truth
 from protocol.roadmap import RoadMap
@@ -45,7 +46,11 @@ _NEAR_M = 120.0  # from the junction's centre: where the agents drive
 
 
 def record_traffic(folder: Path, agents: int, frames: int, seed: int = SEED) -> None:
-    """Records `agents` scanning agents, one of them the post, over some frames of 0.1 s."""
+    """Records `agents` scanning agents, one of them the post, over some frames of 0.1 s.
+
+    Raises:
+        ConfigError: too few vehicles stay near the junction for so long.
+    """
     with tempfile.TemporaryDirectory() as scratch:
         setup = build_setup({}, Path(scratch))
         scene = scene_of(setup, SceneConfig(), seed)
@@ -113,6 +118,11 @@ def _choose(moments: Sequence[Bodies], centre: np.ndarray, count: int) -> list[s
     middle = moments[len(moments) // 2]
     away_m = np.linalg.norm(middle.poses[:, :2] - centre, axis=1)
     order = [middle.ids[i] for i in np.argsort(away_m, kind="stable") if middle.ids[i] in always]
+    if len(order) < count:
+        raise ConfigError(
+            f"{len(order)} vehicles stay within {_NEAR_M:g} m of the junction for "
+            f"{len(moments)} frames, {count} are asked for: take fewer agents or frames"
+        )
     picks = np.linspace(0, len(order) - 1, count).round().astype(int)
     return [order[i] for i in picks]
 

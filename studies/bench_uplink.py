@@ -67,8 +67,11 @@ class RateRow:
         return {"rate_hz": self.rate_hz, "is_sustained": self.is_sustained, **row}
 
 
-def row_of(run: Run, policy: str, link: str, visible: Visible, frame_period_s: float) -> UplinkRow:
-    """Reads a row from a run."""
+def row_of(
+    run: Run, names: tuple[str, str], agents: int, visible: Visible, frame_period_s: float
+) -> UplinkRow:
+    """Reads a row from a run; `names` are policy and link."""
+    policy, link = names
     sent = by_agent(run, frame_period_s)
     frames = run.query("SELECT count(*) FROM frames WHERE tick_ns IS NOT NULL")[0][0]
     sizes = [
@@ -79,7 +82,7 @@ def row_of(run: Run, policy: str, link: str, visible: Visible, frame_period_s: f
     return UplinkRow(
         policy=policy,
         link=link,
-        agents=len(sent),
+        agents=agents,
         bytes_per_frame=mean_bytes,
         mbps_per_agent=None if mean_bytes is None else mean_bytes * 8e-6 / frame_period_s,
         latency_ms=end_to_end_ms(run, after_frame=LEARNING_FRAMES),

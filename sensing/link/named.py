@@ -13,7 +13,8 @@ from sensing.link.profile import LinkProfile, RoundTrip, VaryingRate
 
 NONE = "none"
 _FIXED = re.compile(
-    r"(?P<rate>\d+(?:\.\d+)?)(?P<unit>k|m|g)bit(?:/s)?(?:,(?P<rtt>\d+(?:\.\d+)?)ms)?", re.IGNORECASE
+    r"(?P<rate>[0-9]+(?:\.[0-9]+)?)(?P<unit>k|m|g)bit(?:/s)?(?:,(?P<rtt>[0-9]+(?:\.[0-9]+)?)ms)?",
+    re.IGNORECASE,
 )
 _MBPS = {"k": 1e-3, "m": 1.0, "g": 1e3}
 
@@ -40,10 +41,9 @@ def profile_named(text: str) -> LinkProfile | None:
 
 def _fixed(text: str, match: re.Match[str]) -> LinkProfile:
     mbps, rtt_ms = float(match["rate"]) * _MBPS[match["unit"].lower()], float(match["rtt"] or 0)
-    if not (0.001 < mbps <= 100_000 and rtt_ms <= 60_000):
+    if not (0.001 <= mbps <= 100_000 and rtt_ms <= 60_000):
         raise ConfigError(
-            f"link {text!r:.80}: the rate must be above 1kbit and at most 100gbit, the round trip "
-            "at most 60000ms"
+            f"link {text!r:.80}: the rate must be 1kbit to 100gbit, the round trip at most 60000ms"
         )
     return LinkProfile(
         name=text[:80],

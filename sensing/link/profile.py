@@ -21,7 +21,7 @@ class VaryingRate(Section):
     """A rate drawn by seed and agent: log-normal around its mean, correlated in time."""
 
     kind: Literal["varying"] = "varying"
-    mean_mbps: float = Field(10.0, gt=0.001, le=100_000, description="mean uplink rate, Mbit/s")
+    mean_mbps: float = Field(10.0, ge=0.001, le=100_000, description="mean uplink rate, Mbit/s")
     variation: float = Field(
         0.0, ge=0, le=3, description="standard deviation over mean; 0 for a fixed rate"
     )

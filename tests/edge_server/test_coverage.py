@@ -49,8 +49,13 @@ def test_when_neighbours_cover_the_space_between_them_no_place_is_left(
 def test_two_neighbours_need_four_chunks_together() -> None:
     borders = Borders(("a", "b", "c"), ("a", "b"), (("a", "b"),))
     assert borders.covered({"a": 1, "b": 3, "c": 0})
-    assert borders.covered({"a": 4, "b": 0, "c": 0})
     assert not borders.covered({"a": 1, "b": 2, "c": 4})
+
+
+def test_an_owner_s_own_part_is_needed_whatever_its_neighbours_sent() -> None:
+    borders = Borders(("a", "b", "c"), ("a", "b"), (("a", "b"), ("b", "c")))
+    assert not borders.covered({"a": 4, "b": 0, "c": 4})
+    assert borders.covered({"a": 4, "b": 1, "c": 4})
 
 
 def test_who_has_left_is_not_waited_for_and_who_is_alone_needs_one_chunk() -> None:

@@ -135,7 +135,7 @@ def test_a_rate_is_a_profile(text, mbps, rtt_ms):
     ["6g", "5mbps", "0mbit", "nowhere.csv", "", "a\0b", "5mbit,60001ms", LONG_NAME, HUGE_RATE],
 )
 def test_what_is_no_profile_is_refused_with_what_is_allowed(text):
-    with pytest.raises(ConfigError, match=r"^.{,120}(neither a file.*5g-urban|above 1kbit)"):
+    with pytest.raises(ConfigError, match=r"^.{,120}(neither a file.*5g-urban|1kbit to 100gbit)"):
         profile_named(text)
 
 
