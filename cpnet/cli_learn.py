@@ -19,6 +19,7 @@ from rich.progress import (
 from cpnet import scenario as scenarios
 from cpnet.cli_options import AsJson, assigned, console, errors, show
 from perception.config import DETECTORS
+from protocol.errors import ConfigError
 
 learn_app = typer.Typer()
 
@@ -61,11 +62,19 @@ def train_command(
     seed: Annotated[int, typer.Option(help="the same weights for the same seed")] = 1,
 ) -> None:
     """Train PointPillars on labelled scans, on a GPU if there is one."""
-    from learning.train import Training, train
-    from learning.training import Recipe
+    from cpnet.evaluation import detectors_of, figures_of
 
+    try:
+        from learning.train import Training, train
+        from learning.training import Recipe
+        from perception.pillars.weights import describe
+    except ImportError as error:
+        raise ConfigError(f"training needs PyTorch (extra `learn`): {error}") from None
     recipe = Recipe(steps=steps, windows=windows, cells=cells, seed=seed)
     path = train(Training(dataset, out, network, recipe), errors)
+    errors.print("measuring it on the networks kept for validation")
+    (name,) = detectors_of(network)
+    describe(path, {"ap40_val": figures_of(dataset, name, path, "val")})
     console.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 

@@ -13,7 +13,7 @@ from learning.moments import Moment
 from learning.own_net import moments_on
 from perception.config import DETECTORS, DetectorName
 from protocol.errors import ConfigError
-from studies.evaluate import Site
+from studies.evaluate import EVERYTHING, Site, evaluate
 
 SEED = 1
 
@@ -47,6 +47,24 @@ class Source:
         if not listed:
             raise ConfigError(f"{self.dataset}: its split {self.split} is empty")
         return len(listed), _read(dataset, listed, config)
+
+
+def figures_of(
+    dataset: Path, network: DetectorName, weights: Path, split: Split
+) -> dict[str, float]:
+    """Returns AP40 on a split, of visible vehicles inside the geofence, by cloud, view and IoU.
+
+    Raises:
+        ConfigError: the data set cannot be read.
+    """
+    config = EdgeConfig.model_validate({"pillars": {"weights": str(weights)}})
+    _, listed = Source(dataset, None, None, split, 0).open(config)
+    rows = evaluate(listed, (network,))
+    return {
+        f"{row.cloud} {row.fusion} {row.view} {row.iou:g}": round(row.ap40, 4)
+        for row in rows
+        if row.geofence and row.truth == "visible" and row.part == EVERYTHING and row.ap40
+    }
 
 
 def detectors_of(text: str) -> tuple[DetectorName, ...]:

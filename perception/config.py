@@ -10,6 +10,7 @@ from protocol.config import Section
 
 DetectorName = Literal["fast", "reference", "pointpillars", "pointpillars-full"]
 DETECTORS: tuple[DetectorName, ...] = get_args(DetectorName)
+LEARNED: tuple[DetectorName, ...] = ("pointpillars", "pointpillars-full")
 
 
 class GeofenceConfig(Section):

@@ -48,7 +48,7 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """What detections are worth. `recall` and `precision` are those of all detections together.
+    """What detections are worth, all scenes together.
 
     All are None where there is nothing that they could be a share of.
     """
@@ -85,10 +85,13 @@ def outcomes(scene: Scene, view: View, least_iou: float, due: Bools, fair: Bools
     return result
 
 
-def average_precision(results: list[Outcomes], scores: list[Floats], vehicles: int) -> Score:
+def average_precision(
+    results: list[Outcomes], scores: list[Floats], vehicles: int, least_score: float = 0.0
+) -> Score:
     """Returns the score of all scenes together, given their outcomes and scores by detection.
 
-    `vehicles` is how many are due. Detections with equal scores count together: no threshold parts
+    `vehicles` is how many are due. Recall and precision are those of detections with `least_score`
+    or more. Detections with equal scores count together: no threshold parts
     them, so that their order is no matter.
     """
     result = np.concatenate([np.zeros(0, np.int64), *results])
@@ -99,12 +102,13 @@ def average_precision(results: list[Outcomes], scores: list[Floats], vehicles: i
     last = np.append(ranks[1:] != ranks[:-1], [True])[: len(ranks)]
     hits, all_so_far = np.cumsum(hit)[last], np.flatnonzero(last) + 1
     precision = hits / all_so_far
-    total = int(hits[-1]) if len(hits) else 0
+    used = hit[ranks >= least_score]
+    total = int(used.sum())
     return Score(
         vehicles=vehicles,
         ap40=_ap40(hits, precision, vehicles) if vehicles else None,
         recall=total / vehicles if vehicles else None,
-        precision=total / len(hit) if len(hit) else None,
+        precision=total / len(used) if len(used) else None,
     )
 
 

@@ -21,7 +21,7 @@ from edge_server.lanes import LaneIndex
 from edge_server.merge import merge
 from learning.moments import Moment
 from perception.arrays import Bools, Floats, Ints
-from perception.config import DetectorName
+from perception.config import LEARNED, DetectorName
 from perception.detector import Cloud, Detector
 from perception.registry import detector_of
 from perception.roadway import Placed, Roadway
@@ -41,6 +41,7 @@ VIEWS: tuple[View, ...] = ("bev", "3d")
 TRUTHS: tuple[Truth, ...] = ("all", "visible")
 KINDS: tuple[Kind, ...] = (("single", "none"), ("merged", "early"), ("merged", "late"))
 EVERYTHING = "all"
+LISTED_SCORE = 0.02  # of a learned detector, boxes down to this one are ranked for AP40
 _WIDE_M = 150.0  # from the lanes: more than any point of a scene is away
 _NO_POINTS = Placed(np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
 
@@ -151,9 +152,14 @@ class Site:
         """Returns the detector of this name; it is made once."""
         key = (name, geofence)
         if key not in self._detectors:
-            config = self._config.model_copy(update={"detector": name})
+            pillars = self._config.pillars.model_copy(update={"min_score": LISTED_SCORE})
+            config = self._config.model_copy(update={"detector": name, "pillars": pillars})
             self._detectors[key] = detector_of(config, self.roadway(geofence=geofence))
         return self._detectors[key]
+
+    def least_score(self, name: DetectorName) -> float:
+        """Returns the score from which the edge takes a box for a vehicle."""
+        return self._config.pillars.min_score if name in LEARNED else 0.0
 
     def place(self, moment: Moment, shot: int, *, geofence: bool) -> Placed:
         """Moves a scan into the map; without the geofence, whatever its height."""
@@ -184,12 +190,14 @@ def evaluate(
         ConfigError: a detector cannot be had here.
     """
     judged: dict[tuple[str, bool, Kind], list[Judged]] = {}
+    least: dict[str, float] = {}
     for site, moment in moments:
         for name in detectors:
+            least[name] = site.least_score(name)
             for geofence in (True, False):
                 for kind, one in judge(site, moment, name, geofence=geofence):
                     judged.setdefault((name, geofence, kind), []).append(one)
-    return [row for key, scenes in judged.items() for row in rows_of(*key, scenes)]
+    return [row for key, scenes in judged.items() for row in rows_of(*key, scenes, least[key[0]])]
 
 
 def judge(
@@ -231,12 +239,14 @@ def judge(
     together = moment.points_on.sum(axis=0), on_road
     found, ms = detected(_cut(merge(placed), centre), sensors, len(placed))
     result.append((KINDS[1], judged(found, centre, together, ms)))
-    late = site.without_doubles(singles)
+    late = site.without_doubles(singles.take(singles.scores >= site.least_score(name)))
     result.append((KINDS[2], judged(late, centre, together, total_ms)))
     return result
 
 
-def rows_of(detector: str, geofence: bool, kind: Kind, scenes: list[Judged]) -> list[EvalRow]:
+def rows_of(
+    detector: str, geofence: bool, kind: Kind, scenes: list[Judged], least_score: float
+) -> list[EvalRow]:
     """Returns the rows of scenes of one kind: all counted both ways, and by parts."""
     cells = [(truth, ALL) for truth in TRUTHS]
     cells += [("visible", part) for part in BY_DISTANCE] + [("all", part) for part in BY_POINTS]
@@ -252,7 +262,8 @@ def rows_of(detector: str, geofence: bool, kind: Kind, scenes: list[Judged]) -> 
                     for one, *masks in zip(scenes, due, fair, strict=True)
                 ]
                 scores = [one.scene.scores for one in scenes]
-                score = average_precision(found, scores, sum(int(mask.sum()) for mask in due))
+                vehicles = sum(int(mask.sum()) for mask in due)
+                score = average_precision(found, scores, vehicles, least_score)
                 of_points = part.of == "points"
                 rows.append(
                     EvalRow(

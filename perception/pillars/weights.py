@@ -35,6 +35,16 @@ def save(network: PointPillars, path: Path, about: Mapping[str, Any]) -> None:
     save_file(tensors, path, metadata)
 
 
+def describe(path: Path, more: Mapping[str, Any]) -> None:
+    """Adds to what a file says of its weights; these stay as they are.
+
+    Raises:
+        ConfigError: see `load`.
+    """
+    network, about = load(path)
+    save(network, path, {**about, **more})
+
+
 def load(path: Path) -> tuple[PointPillars, dict[str, Any]]:
     """Reads a network and what is known of it.
 
