@@ -16,7 +16,6 @@ from perception.config import ClusterConfig
 from perception.grouping import group
 
 NOISE = -1
-TALL_M = 3.5  # a cluster that is this high is a building or a tree, not several vehicles
 _SHRINK = 0.9999  # keeps float32 rounding from making two points of a cell no neighbours
 
 
@@ -37,37 +36,8 @@ def cluster(points: Floats32, *, config: ClusterConfig) -> Ints32:
     labels = _label(ordered, starts, pairs, square_m2, config.min_points)
     result = np.empty(len(points), np.int32)
     result[order] = labels
-    _renumber(result)
+    renumber(result)
     return result
-
-
-def split(points: Floats32, labels: Ints32, *, config: ClusterConfig, longest_m: float) -> Ints32:
-    """Clusters anew, with `split_eps_m`, what is too long for a vehicle: several in a queue.
-
-    Returns the labels (N,) without gaps; -1 is noise.
-    """
-    if config.split_eps_m is None or len(labels) == 0 or labels.max() < 0:
-        return labels
-    ends = np.full((2, int(labels.max()) + 1, 3), np.inf)
-    known = labels >= 0
-    np.minimum.at(ends[0], labels[known], points[known])
-    np.minimum.at(ends[1], labels[known], -points[known])
-    sizes_m = -ends[0] - ends[1]
-    too_long = (np.hypot(*sizes_m[:, :2].T) > longest_m) & (sizes_m[:, 2] < TALL_M)
-    again = np.flatnonzero(known & too_long[labels])
-    if len(again) == 0:
-        return labels
-    closer = config.model_copy(update={"eps_m": config.split_eps_m})
-    parts = cluster(np.ascontiguousarray(points[again]), config=closer)
-    result = labels.copy()
-    result[again] = np.where(parts >= 0, parts + len(too_long), NOISE)
-    return _without_gaps(result)
-
-
-def _without_gaps(labels: Ints32) -> Ints32:
-    """Numbers clusters from 0, in the order of their numbers."""
-    used, numbers = np.unique(labels, return_inverse=True)
-    return np.asarray(numbers - int(used[0] < 0), np.int32)
 
 
 @njit("int64[::1](float32[:,::1], float64, int64[::1])", cache=True)
@@ -267,9 +237,12 @@ def _label(
 
 
 @njit("void(int32[::1])", cache=True)
-def _renumber(labels: Ints32) -> None:
+def renumber(labels: Ints32) -> None:
     """Numbers clusters from 0 in the order of their first points."""
-    new = np.full(labels.size, NOISE, np.int32)
+    highest = NOISE
+    for label in labels:
+        highest = max(highest, label)
+    new = np.full(highest + 1, NOISE, np.int32)
     following = 0
     for index in range(labels.size):
         label = labels[index]

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from perception.boxes import fit_boxes
-from perception.cluster import cluster, split
+from perception.cluster import cluster
 from perception.config import DetectionConfig
 from perception.detector import Cloud, Stage, untimed
 from perception.ground import remove_ground
 from perception.roadway import Roadway
+from perception.split import split
 from perception.vehicles import Vehicles
 
 

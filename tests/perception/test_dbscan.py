@@ -7,8 +7,9 @@ import numpy.typing as npt
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perception.cluster import NOISE, cluster, split
+from perception.cluster import NOISE, cluster
 from perception.config import ClusterConfig
+from perception.split import split
 
 EPS_M = 1.25
 
