@@ -14,12 +14,12 @@ from safetensors.torch import load_file, save_file  # noqa: E402 - after the che
 from perception.config import PillarsDetection  # noqa: E402
 from perception.detector import Cloud  # noqa: E402
 from perception.pillars.batch import Batch  # noqa: E402
-from perception.pillars.config import PillarsConfig  # noqa: E402
-from perception.pillars.detector import PillarsDetector  # noqa: E402
+from perception.pillars.config import SMALL, PillarsConfig  # noqa: E402
+from perception.pillars.detector import PillarsDetector, pillars_detector  # noqa: E402
 from perception.pillars.engine import Engine  # noqa: E402
 from perception.pillars.network import PointPillars  # noqa: E402
 from perception.pillars.voxels import Window, pillars_of  # noqa: E402
-from perception.pillars.weights import load, save  # noqa: E402
+from perception.pillars.weights import SHIPPED, load, save  # noqa: E402
 from perception.roadway import Placed, Roadway  # noqa: E402
 from protocol.errors import ConfigError  # noqa: E402
 from protocol.roadmap import Lane, RoadMap, Signal  # noqa: E402
@@ -155,3 +155,17 @@ def test_weights_that_cannot_be_right_are_refused(tmp_path: Path, how: str, said
     spoilt(path, how)
     with pytest.raises(ConfigError, match=said):
         load(path)
+
+
+def test_the_shipped_weights_load_and_say_how_they_were_made() -> None:
+    path = SHIPPED / "pointpillars.safetensors"
+    assert path.stat().st_size < 20 << 20
+    network, about = load(path)
+    assert network.config == SMALL
+    assert about["recipe"]["seed"] == 1
+    assert about["dataset"]["networks"] == 100
+
+
+def test_a_network_whose_weights_do_not_come_with_the_package_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"pointpillars-full\.safetensors: there is no such file"):
+        pillars_detector("pointpillars-full", PillarsDetection(), roadway())
