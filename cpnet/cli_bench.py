@@ -40,8 +40,8 @@ def bench_codec_command(
     from studies.bench_scans import cast_scans
     from studies.bench_table import print_bench
 
-    load_draco()
     files = [BenchCloud.of_file(path) for path in point_files(points or [])]
+    load_draco()
     clouds = [BenchCloud.of_scan(scan) for scan in cast_scans()] + files
     rows = [row for cloud in clouds for row in bench(cloud)]
     show(rows, print_bench, as_json=as_json)

@@ -182,7 +182,9 @@ def test_virtual_links_give_the_same_rows_whatever_the_number_of_processes(shell
     assert drops["edge"]["late"] > 0
     with sqlite3.connect(f"file:{shell.folder}/first/run.sqlite?mode=ro", uri=True) as database:
         delays = database.execute("SELECT delay_sim_ns FROM requests").fetchall()
-    assert {delay_ns for (delay_ns,) in delays} == {80_000_000}  # the deadline
+    # The deadline, unless all whose scans would be late left the frame out: their links are full.
+    assert max(delay_ns for (delay_ns,) in delays) == 80_000_000
+    assert sum(delay_ns == 80_000_000 for (delay_ns,) in delays) > len(delays) / 2
     check_account(shell.folder / "first", exactly=True)
 
 
