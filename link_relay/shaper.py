@@ -59,10 +59,12 @@ class Shaper(Server):
         finally:
             for way in ways:
                 way.cancel()
-            await asyncio.gather(*ways, return_exceptions=True)
-            agent.close()
-            if edge is not None:
-                edge.close()
+            try:  # the end of the relay may come while this one ends
+                await asyncio.gather(*ways, return_exceptions=True)
+            finally:
+                agent.close()
+                if edge is not None:
+                    edge.close()
 
     async def _pass_on(
         self, source: socket.socket, sink: socket.socket, path: Path, *, limited: bool
