@@ -1,21 +1,10 @@
-"""Merge: where each agent's sensor stands in the map, and all agents' points as one cloud."""
+"""Merge: where each agent's sensor stands in the map."""
 
 from __future__ import annotations
 
-import numpy as np
-
 from edge_server.config import MergeMethod
 from perception.arrays import Floats
-from perception.roadway import Placed
 from protocol.geometry import SE3, euler_rotation
-
-
-def merge(placed: list[Placed]) -> Placed:
-    """Returns all points, in the order of the pieces."""
-    if not placed:
-        return Placed(np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
-    points = np.concatenate([piece.points for piece in placed])
-    return Placed(points, np.concatenate([piece.road_m for piece in placed]))
 
 
 def sensor_in_map(sensor_pose: Floats, *, method: MergeMethod, reference_pose: Floats) -> SE3:

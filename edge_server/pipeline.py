@@ -11,7 +11,7 @@ from edge_server.config import EdgeConfig
 from edge_server.frame import Frame, Piece
 from edge_server.fuse import fuse
 from edge_server.lanes import LaneIndex, Place
-from edge_server.merge import merge, sensor_in_map
+from edge_server.merge import sensor_in_map
 from edge_server.spans import Spans
 from perception.arrays import Floats
 from perception.detector import Cloud
@@ -58,7 +58,7 @@ class Pipeline:
         with spans.stage("merge"):
             reference = _reference(frame)
             near, bare = (
-                merge([self.place(p, reference) for p in frame.pieces if p.ground_free is is_bare])
+                [self.place(p, reference) for p in frame.pieces if p.ground_free is is_bare]
                 for is_bare in (False, True)
             )
         found = self._detector.detect(Cloud(near, bare, _sensors(frame)), rng, spans.stage)

@@ -12,7 +12,6 @@ from numba import njit
 
 from perception.arrays import Bools, Floats, Floats32, Ints, Ints32
 from perception.config import BoxConfig
-from perception.grouping import group
 from perception.roadway import Roadway
 from perception.vehicles import Vehicles
 
@@ -42,19 +41,12 @@ def fit_boxes(
     """
     if len(labels) == 0 or labels.max() < 0:
         return Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
-    order, _, starts = group(labels.astype(np.int64) + 1, int(labels.max()) + 2)
-    noise = int(np.count_nonzero(labels < 0))
-    order, starts = order[noise:], starts[starts >= noise] - noise
-    members = np.diff(starts)
-    grouped = points[order]
-    middles = np.add.reduceat(grouped.astype(np.float64), starts[:-1], axis=0) / members[:, None]
+    members, starts, middles, floor_m = _middles(points, ground_m, labels, int(labels.max()) + 1)
     yaws = roadway.yaw_at(middles)
-    extents = np.empty((len(members), 2, 3))
-    _fit(grouped, starts, middles, yaws, extents)
+    extents = _fit(points, labels, starts, middles, yaws)
     kept = fits(extents[:, 1] - extents[:, 0], config)
     if config.complete:
         _complete(extents, middles, yaws, sensors, config)
-        floor_m = np.add.reduceat(ground_m[order].astype(np.float64), starts[:-1]) / members
         kept &= extents[:, 1, 2] - floor_m <= config.max_height_m + HANGING_M
         extents[:, 0, 2] = floor_m
         extents[:, 1, 2] = np.maximum(extents[:, 1, 2], floor_m + config.usual_height_m)
@@ -109,7 +101,37 @@ def _boxes(extents: Floats, middles: Floats, yaws: Floats) -> Floats:
     return np.column_stack([x, y, up, extents[:, 1] - extents[:, 0], yaws])
 
 
-@njit("void(float64[:,::1], float64, float64[:,::1])", cache=True)
+@njit(
+    "Tuple((int64[::1], int64[::1], float64[:,::1], float64[::1]))"
+    "(float32[:,::1], float32[::1], int32[::1], int64)",
+    cache=True,
+    nogil=True,
+)
+def _middles(
+    points: Floats32, ground_m: Floats32, labels: Ints32, count: int
+) -> tuple[Ints, Ints, Floats, Floats]:
+    """Returns the clusters' points' numbers (C,) and their sum before each (C + 1,), means (C, 3).
+
+    The last is the mean height of the ground below each (C,).
+    """
+    members, starts = np.zeros(count, np.int64), np.zeros(count + 1, np.int64)
+    sums, floor_m = np.zeros((count, 3)), np.zeros(count)
+    for index in range(labels.size):
+        label = labels[index]
+        if label >= 0:
+            members[label] += 1
+            floor_m[label] += ground_m[index]
+            for axis in range(3):
+                sums[label, axis] += points[index, axis]
+    for label in range(count):
+        starts[label + 1] = starts[label] + members[label]
+        floor_m[label] /= members[label]
+        for axis in range(3):
+            sums[label, axis] /= members[label]
+    return members, starts, sums, floor_m
+
+
+@njit("void(float64[:,::1], float64, float64[:,::1])", cache=True, nogil=True)
 def _measure(local: Floats, yaw: float, extents: Floats) -> None:
     cos, sin = np.cos(yaw), np.sin(yaw)
     extents[0, :2], extents[1, :2] = np.inf, -np.inf
@@ -120,7 +142,7 @@ def _measure(local: Floats, yaw: float, extents: Floats) -> None:
         extents[0, 1], extents[1, 1] = min(extents[0, 1], across), max(extents[1, 1], across)
 
 
-@njit("float64(float64[:,::1], float64)", cache=True)
+@njit("float64(float64[:,::1], float64)", cache=True, nogil=True)
 def _direction(local: Floats, road_yaw: float) -> float:
     """Returns the yaw, within 45 degrees of the road's, whose box has most points on its edges."""
     extents = np.zeros((2, 3))
@@ -145,16 +167,26 @@ def _direction(local: Floats, road_yaw: float) -> float:
 
 
 @njit(
-    "void(float32[:,::1], int64[::1], float64[:,::1], float64[::1], float64[:,:,::1])", cache=True
+    "float64[:,:,::1](float32[:,::1], int32[::1], int64[::1], float64[:,::1], float64[::1])",
+    cache=True,
+    nogil=True,
 )
-def _fit(points: Floats32, starts: Ints, middles: Floats, yaws: Floats, extents: Floats) -> None:
-    """Turns each cluster's yaw to the best one and writes its extents along the box's axes."""
-    local = np.empty((points.shape[0], 2))
+def _fit(points: Floats32, labels: Ints32, starts: Ints, middles: Floats, yaws: Floats) -> Floats:
+    """Turns each cluster's yaw to the best one; returns extents (C, 2, 3) along the box's axes."""
+    local, extents = np.empty((starts[-1], 2)), np.empty((middles.shape[0], 2, 3))
+    extents[:, 0, 2], extents[:, 1, 2] = np.inf, -np.inf
+    following = starts.copy()
+    for index in range(labels.size):
+        label = labels[index]
+        if label >= 0:
+            place, z = following[label], points[index, 2]
+            following[label] += 1
+            local[place, 0] = points[index, 0] - middles[label, 0]
+            local[place, 1] = points[index, 1] - middles[label, 1]
+            extents[label, 0, 2] = min(extents[label, 0, 2], z)
+            extents[label, 1, 2] = max(extents[label, 1, 2], z)
     for index in range(middles.shape[0]):
         first, end = starts[index], starts[index + 1]
-        for i in range(first, end):
-            local[i, 0] = points[i, 0] - middles[index, 0]
-            local[i, 1] = points[i, 1] - middles[index, 1]
         if end - first >= FEW_POINTS:
             step = max((end - first) // FIT_POINTS, 1)
             yaws[index] = _direction(local[first:end:step].copy(), yaws[index])
@@ -163,7 +195,4 @@ def _fit(points: Floats32, starts: Ints, middles: Floats, yaws: Floats, extents:
         if sizes[1] > WIDE_M and sizes[1] > sizes[0]:
             yaws[index] += np.pi / 2
             _measure(local[first:end], yaws[index], extents[index])
-        low, high = np.inf, -np.inf
-        for i in range(first, end):
-            low, high = min(low, points[i, 2]), max(high, points[i, 2])
-        extents[index, 0, 2], extents[index, 1, 2] = low, high
+    return extents

@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 
 from perception.arrays import Bytes, Floats, Floats32, Ints, Ints32
+from perception.cells import Cells
 from perception.config import ClusterConfig
-from perception.grouping import group
 
 NOISE = -1
 _SHRINK = 0.9999  # keeps float32 rounding from making two points of a cell no neighbours
@@ -26,38 +26,10 @@ def cluster(points: Floats32, *, config: ClusterConfig) -> Ints32:
     """
     if len(points) == 0:
         return np.zeros(0, np.int32)
-    side_m = config.eps_m / np.sqrt(3) * _SHRINK
-    keys = np.empty(len(points), np.int64)
-    stride = _place(points, side_m, keys)
-    order, cells, starts = group(keys, int(keys.max()) + 1)
-    square_m2 = config.eps_m**2
-    pairs = _pairs(cells, _windows(stride))
-    ordered = np.ascontiguousarray(points[order])
-    labels = _label(ordered, starts, pairs, square_m2, config.min_points)
-    result = np.empty(len(points), np.int32)
-    result[order] = labels
-    renumber(result)
-    return result
-
-
-@njit("int64[::1](float32[:,::1], float64, int64[::1])", cache=True)
-def _place(points: Floats32, side_m: float, keys: Ints) -> Ints:
-    """Writes the key (N,) of each point's cell; returns how far keys step along x, y and z."""
-    low, high = points[0].copy(), points[0].copy()
-    for index in range(points.shape[0]):
-        for axis in range(3):
-            low[axis] = min(low[axis], points[index, axis])
-            high[axis] = max(high[axis], points[index, axis])
-    # Two empty cells on either side of each row, so that no offset runs into the next one.
-    rows = np.int64((high[1] - low[1]) / side_m) + 5
-    layers = np.int64((high[2] - low[2]) / side_m) + 5
-    stride = np.array([rows * layers, layers, 1])
-    for index in range(points.shape[0]):
-        key = 0
-        for axis in range(3):
-            key += np.int64((points[index, axis] - low[axis]) / side_m) * stride[axis]
-        keys[index] = key
-    return stride
+    cells = Cells.of(points, config.eps_m / np.sqrt(3) * _SHRINK)
+    pairs = _pairs(cells.keys, _windows(cells.stride))
+    labels = _label(cells.points, cells.starts, pairs, config.eps_m**2, config.min_points)
+    return np.asarray(_numbered(labels, cells.order))
 
 
 def _windows(stride: Ints) -> Ints:
@@ -71,7 +43,7 @@ def _windows(stride: Ints) -> Ints:
     return np.concatenate([[[1, 2]], np.stack([ahead - 2, ahead + 2], -1)])
 
 
-@njit("int64(int64[::1], int64)", cache=True)
+@njit("int64(int64[::1], int64)", cache=True, nogil=True)
 def _root(parents: Ints, cell: int) -> int:
     while parents[cell] != cell:
         parents[cell] = parents[parents[cell]]
@@ -79,7 +51,7 @@ def _root(parents: Ints, cell: int) -> int:
     return cell
 
 
-@njit("float64(float32[:,::1], int64, int64)", cache=True)
+@njit("float64(float32[:,::1], int64, int64)", cache=True, nogil=True)
 def _apart(points: Floats32, i: int, j: int) -> float:
     """Returns the squared distance between two points."""
     x = np.float64(points[i, 0]) - points[j, 0]
@@ -98,7 +70,7 @@ def _pairs(cells: Ints, windows: Ints) -> Ints:
     return pairs[:count]
 
 
-@njit("int64(int64[::1], int64[:,::1], int64[:,::1])", cache=True)
+@njit("int64(int64[::1], int64[:,::1], int64[:,::1])", cache=True, nogil=True)
 def _pair_up(cells: Ints, windows: Ints, pairs: Ints) -> int:
     """Writes as many pairs as fit; returns how many there are."""
     count = 0
@@ -118,28 +90,49 @@ def _pair_up(cells: Ints, windows: Ints, pairs: Ints) -> int:
 
 
 @njit(
-    "uint8[::1](float32[:,::1], int64[::1], int64[:,::1], float64, int64)",
+    "void(float32[:,::1], int32[::1], int64, int64, float64, int64, int32[::1])",
     cache=True,
+    nogil=True,
 )
-def _core(points: Floats32, starts: Ints, pairs: Ints, square_m2: float, min_points: int) -> Bytes:
-    """Marks the points with enough neighbours; only thin cells need counting."""
-    neighbours = np.zeros(points.shape[0], np.int64)
+def _count(
+    points: Floats32,
+    starts: Ints32,
+    cell: int,
+    other: int,
+    square_m2: float,
+    enough: int,
+    neighbours: Ints32,
+) -> None:
+    """Adds the points of another cell that are neighbours, for those that lack some."""
+    for i in range(starts[cell], starts[cell + 1]):
+        for j in range(starts[other], starts[other + 1]):
+            if neighbours[i] >= enough:
+                break
+            if _apart(points, i, j) <= square_m2:
+                neighbours[i] += 1
+
+
+@njit(
+    "uint8[::1](float32[:,::1], int32[::1], int64[:,::1], float64, int64)", cache=True, nogil=True
+)
+def _core(
+    points: Floats32, starts: Ints32, pairs: Ints, square_m2: float, min_points: int
+) -> Bytes:
+    """Marks the points with enough neighbours; only in thin cells need they be counted."""
+    neighbours = np.empty(points.shape[0], np.int32)
     for cell in range(starts.size - 1):
         neighbours[starts[cell] : starts[cell + 1]] = starts[cell + 1] - starts[cell]
     for pair in range(pairs.shape[0]):
-        a, b = pairs[pair]
-        if starts[a + 1] - starts[a] >= min_points and starts[b + 1] - starts[b] >= min_points:
-            continue
-        for i in range(starts[a], starts[a + 1]):
-            for j in range(starts[b], starts[b + 1]):
-                if _apart(points, i, j) <= square_m2:
-                    neighbours[i] += 1
-                    neighbours[j] += 1
+        a, b = pairs[pair, 0], pairs[pair, 1]
+        if starts[a + 1] - starts[a] < min_points:
+            _count(points, starts, a, b, square_m2, min_points, neighbours)
+        if starts[b + 1] - starts[b] < min_points:
+            _count(points, starts, b, a, square_m2, min_points, neighbours)
     return (neighbours >= min_points).astype(np.uint8)
 
 
-@njit("float32[:,::1](float32[:,::1], int64[::1])", cache=True)
-def _bounds(points: Floats32, starts: Ints) -> Floats32:
+@njit("float32[:,::1](float32[:,::1], int32[::1])", cache=True, nogil=True)
+def _bounds(points: Floats32, starts: Ints32) -> Floats32:
     """Returns the lowest and highest x, y and z in each cell (C, 6)."""
     bounds = np.empty((starts.size - 1, 6), np.float32)
     for cell in range(starts.size - 1):
@@ -152,47 +145,56 @@ def _bounds(points: Floats32, starts: Ints) -> Floats32:
 
 
 @njit(
-    "boolean(float32[:,::1], uint8[::1], int64[::1], int64[::1], float32[::1], float64)",
+    "boolean(float32[:,::1], uint8[::1], int32[::1], float32[:,::1], int64, int64, float64)",
     cache=True,
+    nogil=True,
 )
 def _touch(
-    points: Floats32, core: Bytes, cell: Ints, other: Ints, bounds: Floats32, square_m2: float
+    points: Floats32,
+    core: Bytes,
+    starts: Ints32,
+    bounds: Floats32,
+    cell: int,
+    other: int,
+    square_m2: float,
 ) -> bool:
-    """Whether two cells have core points that are neighbours; the bounds are the other cell's."""
-    for i in range(cell[0], cell[1]):
+    """Whether two cells have core points that are neighbours."""
+    for i in range(starts[cell], starts[cell + 1]):
         if not core[i]:
             continue
         gap_m2 = 0.0
         for axis in range(3):
             at = np.float64(points[i, axis])
-            gap_m = max(max(bounds[axis] - at, at - bounds[3 + axis]), 0.0)
+            gap_m = max(max(bounds[other, axis] - at, at - bounds[other, 3 + axis]), 0.0)
             gap_m2 += gap_m * gap_m
         if gap_m2 > square_m2:
             continue
-        for j in range(other[0], other[1]):
+        for j in range(starts[other], starts[other + 1]):
             if core[j] and _apart(points, i, j) <= square_m2:
                 return True
     return False
 
 
 @njit(
-    "void(float32[:,::1], uint8[::1], int64[::1], int64[::1], int64, int32[::1], float64[::1])",
+    "void(float32[:,::1], uint8[::1], int32[::1], int64, int64, int64, int32[::1], float64[::1])",
     cache=True,
+    nogil=True,
 )
 def _adopt(
     points: Floats32,
     core: Bytes,
-    cell: Ints,
-    other: Ints,
+    starts: Ints32,
+    cell: int,
+    other: int,
     root: int,
     labels: Ints32,
     nearest_m2: Floats,
 ) -> None:
     """Gives a cell's border points to the other cell's cluster where its core points are nearer."""
-    for i in range(cell[0], cell[1]):
+    for i in range(starts[cell], starts[cell + 1]):
         if core[i]:
             continue
-        for j in range(other[0], other[1]):
+        for j in range(starts[other], starts[other + 1]):
             apart_m2 = _apart(points, i, j)
             nearer = apart_m2 < nearest_m2[i] or (labels[i] == NOISE and apart_m2 <= nearest_m2[i])
             if core[j] and nearer:
@@ -200,43 +202,40 @@ def _adopt(
 
 
 @njit(
-    "int32[::1](float32[:,::1], int64[::1], int64[:,::1], float64, int64)",
+    "int32[::1](float32[:,::1], int32[::1], int64[:,::1], float64, int64)",
     cache=True,
+    nogil=True,
 )
 def _label(
-    points: Floats32, starts: Ints, pairs: Ints, square_m2: float, min_points: int
+    points: Floats32, starts: Ints32, pairs: Ints, square_m2: float, min_points: int
 ) -> Ints32:
     """Returns the cell that stands for each point's cluster, or -1; points lie cell by cell."""
     core = _core(points, starts, pairs, square_m2, min_points)
     bounds = _bounds(points, starts)
     parents = np.arange(bounds.shape[0])
     for pair in range(pairs.shape[0]):
-        a, b = pairs[pair]
+        a, b = pairs[pair, 0], pairs[pair, 1]
         root_a, root_b = _root(parents, a), _root(parents, b)
-        if root_a != root_b:
-            cell_a, cell_b = starts[a : a + 2], starts[b : b + 2]
-            if _touch(points, core, cell_a, cell_b, bounds[b], square_m2):
-                parents[max(root_a, root_b)] = min(root_a, root_b)
-    labels = np.full(points.shape[0], NOISE, np.int32)
+        if root_a != root_b and _touch(points, core, starts, bounds, a, b, square_m2):
+            parents[max(root_a, root_b)] = min(root_a, root_b)
+    labels = np.empty(points.shape[0], np.int32)
     nearest_m2 = np.full(points.shape[0], square_m2)
     for cell in range(bounds.shape[0]):
-        parents[cell] = _root(parents, cell)
-        own = starts[cell : cell + 2]
-        for i in range(own[0], own[1]):
-            if core[i]:
-                labels[i] = parents[cell]
-        _adopt(points, core, own, own, parents[cell], labels, nearest_m2)
+        root = parents[cell] = _root(parents, cell)
+        for i in range(starts[cell], starts[cell + 1]):
+            labels[i] = root if core[i] else NOISE
+        if starts[cell + 1] - starts[cell] < min_points:  # else all of them are core points
+            _adopt(points, core, starts, cell, cell, root, labels, nearest_m2)
     for pair in range(pairs.shape[0]):
-        a, b = pairs[pair]
-        cell_a, cell_b = starts[a : a + 2], starts[b : b + 2]
-        if cell_a[1] - cell_a[0] < min_points:  # else all of them are core points
-            _adopt(points, core, cell_a, cell_b, parents[b], labels, nearest_m2)
-        if cell_b[1] - cell_b[0] < min_points:
-            _adopt(points, core, cell_b, cell_a, parents[a], labels, nearest_m2)
+        a, b = pairs[pair, 0], pairs[pair, 1]
+        if starts[a + 1] - starts[a] < min_points:
+            _adopt(points, core, starts, a, b, parents[b], labels, nearest_m2)
+        if starts[b + 1] - starts[b] < min_points:
+            _adopt(points, core, starts, b, a, parents[a], labels, nearest_m2)
     return labels
 
 
-@njit("void(int32[::1])", cache=True)
+@njit("void(int32[::1])", cache=True, nogil=True)
 def renumber(labels: Ints32) -> None:
     """Numbers clusters from 0 in the order of their first points."""
     highest = NOISE
@@ -252,3 +251,13 @@ def renumber(labels: Ints32) -> None:
             new[label] = following
             following += 1
         labels[index] = new[label]
+
+
+@njit("int32[::1](int32[::1], int32[::1])", cache=True, nogil=True)
+def _numbered(labels: Ints32, order: Ints32) -> Ints32:
+    """Brings labels back into the points' order and numbers clusters by their first points."""
+    result = np.empty_like(labels)
+    for place in range(labels.size):
+        result[np.uint32(order[place])] = labels[place]
+    renumber(result)
+    return result

@@ -11,7 +11,7 @@ from perception.cluster import cluster
 from perception.config import DetectionConfig
 from perception.detector import Cloud, Stage, untimed
 from perception.ground import remove_ground
-from perception.roadway import Roadway
+from perception.roadway import Roadway, merge
 from perception.split import split
 from perception.vehicles import Vehicles
 
@@ -25,13 +25,12 @@ class Clustering:
 
     def detect(self, cloud: Cloud, rng: np.random.Generator, stage: Stage = untimed) -> Vehicles:
         """See `perception.detector.Detector.detect`."""
-        near, bare = cloud.near, cloud.bare
         with stage("ground"):
-            above, ground_m = remove_ground(
-                near.points, near.road_m, config=self.config.ground, rng=rng
-            )
-            above = np.concatenate([above, bare.points])
-            ground_m = np.concatenate([ground_m, bare.road_m])
+            above, ground_m = remove_ground(cloud.near, config=self.config.ground, rng=rng)
+            if cloud.bare:
+                bare, road_m = merge(cloud.bare)
+                above = np.concatenate([above, bare])
+                ground_m = np.concatenate([ground_m, road_m])
         with stage("detect"):
             labels = cluster(above, config=self.config.cluster)
             longest_m = float(

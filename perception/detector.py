@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Protocol
@@ -15,14 +16,14 @@ from perception.vehicles import Vehicles
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloud:
-    """Points in the map frame, with the road's height below each.
+    """Points in the map frame, with the road's height below each, in the parts they came in.
 
-    `near` still has the ground in it, `bare` was freed of it by those who sent it. `sensors`
+    `near` still have the ground in them, `bare` were freed of it by those who sent them. `sensors`
     (S, 3) are the places the points were seen from.
     """
 
-    near: Placed
-    bare: Placed
+    near: Sequence[Placed]
+    bare: Sequence[Placed]
     sensors: Floats
 
 

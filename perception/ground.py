@@ -10,100 +10,115 @@ cloud, every point alike, without the map.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
 
 from perception.arrays import Floats, Floats32, Ints
 from perception.config import GroundConfig
+from perception.lowest import lowest, span, square, squares
+from perception.roadway import Placed
 
-CELL_M = 1.0  # of a tile, hypotheses are scored on the lowest point of each cell
 SAMPLE = 4096  # of the whole cloud, on every n-th point
 WALL_DEG = 20.0  # a plane through the whole cloud that is steeper than this is a wall
 LEAST_INLIERS = 6
 LEAST_SHARE = 0.2  # of the sample: a plane with less support need not be found
 CONFIDENCE = 0.99
+_PART = "Tuple((float32[:,::1], float32[::1], float32[::1]))"
 _CHANCE = "Tuple((float64, float64, float64, int64))"
 
 
+Part = tuple[Floats32, Floats32, Floats32]  # points (N, 3), heights (N,) of road and ground
+
+
 def remove_ground(
-    points: Floats32, road_m: Floats32, *, config: GroundConfig, rng: np.random.Generator
+    parts: Sequence[Placed], *, config: GroundConfig, rng: np.random.Generator
 ) -> tuple[Floats32, Floats32]:
-    """Takes points (N, 3), map frame, on the ground away; `road_m` (N,) is the map's height there.
+    """Takes points on the ground away, of all parts of a cloud together.
 
     Returns:
-        The points above the ground (M, 3) and the height of the ground below each (M,): the
-        plane's where one was found, else the road map's.
+        The points above the ground (M, 3), map frame, in the order of the parts, and the height of
+        the ground below each (M,): the plane's where one was found, else the road map's.
     """
     by_tiles = config.tile_m is not None
-    points, road_m = points.copy(), road_m.copy()
-    base_m = road_m if by_tiles else np.zeros_like(road_m)
-    ground_m = np.full(len(points), np.nan, np.float32)
     slope_deg, offset_m = config.max_slope_deg, config.max_offset_m
     if not by_tiles:
         slope_deg, offset_m = WALL_DEG, np.inf
     limits = np.array([config.distance_m, np.tan(np.radians(slope_deg)), offset_m])
-    band = np.array([-np.inf if by_tiles else -config.distance_m, config.distance_m])
+    left = [_Left.of(part) for part in parts]
     for _ in range(config.runs):
-        if len(points) < LEAST_INLIERS:
+        if sum(len(part.points) for part in left) < LEAST_INLIERS:
             break
-        low_high = _span(points)
-        tiles = _squares(low_high, config.tile_m or np.inf)
-        if by_tiles:
-            voters = _lowest(points, base_m, _squares(low_high, CELL_M))
-        else:
-            voters = np.arange(0, len(points), max(len(points) // SAMPLE, 1))
-        votes = np.column_stack([points[voters, :2], points[voters, 2] - base_m[voters]])
+        votes = _by_area(left) if by_tiles else _by_point(left)
+        tiles = squares(span(votes), config.tile_m or np.inf)
         work = np.array([config.max_iterations, rng.integers(2**62)])
         planes = _fit_all(*_by_tile(votes, tiles), limits, work)
-        kept = _remove(points, base_m, ground_m, tiles, planes, band)
-        points, base_m, ground_m = points[:kept], base_m[:kept], ground_m[:kept]
-    return points, np.where(np.isnan(ground_m), road_m[: len(points)], ground_m)
+        layers = _layers(planes, config.distance_m, bottomless=by_tiles)
+        left = [_without(left, tiles, layers, over_road=by_tiles)]
+    points = np.concatenate([np.zeros((0, 3), np.float32), *(part.points for part in left)])
+    heights_m = [np.where(np.isnan(p.ground_m), p.road_m, p.ground_m) for p in left]
+    return points, np.concatenate([np.zeros(0, np.float32), *heights_m])
 
 
-def _squares(span: Floats, side_m: float) -> Floats:
-    """Returns a grid (5,) over a span: origin x and y, squares per metre, columns, rows.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Left:
+    """What is left of a part: points (N, 3), heights (N,) of road and ground, the lowest points.
 
-    Its lines are fixed in the map. An infinite side gives one square.
+    The ground's is NaN where no plane was found.
     """
-    low, high = span
-    if np.isinf(side_m):
-        return np.array([*low, 0, 1, 1], np.float64)
-    first = np.floor(low / side_m)
-    return np.array([*(first * side_m), 1 / side_m, *(np.floor(high / side_m) - first + 1)])
+
+    points: Floats32
+    road_m: Floats32
+    ground_m: Floats32
+    lowest: Floats32
+
+    @classmethod
+    def of(cls, part: Placed) -> _Left:
+        unknown = np.full(len(part.points), np.nan, np.float32)
+        return cls(part.points, part.road_m, unknown, part.lowest)
 
 
-@njit("float64[:,::1](float32[:,::1])", cache=True)
-def _span(points: Floats32) -> Floats:
-    """Returns the lowest and the highest x and y as (2, 2)."""
-    span = np.array([[np.inf, np.inf], [-np.inf, -np.inf]])
-    for index in range(points.shape[0]):
-        for axis in range(2):
-            span[0, axis] = min(span[0, axis], points[index, axis])
-            span[1, axis] = max(span[1, axis], points[index, axis])
-    return span
+def _by_area(parts: Sequence[_Left]) -> Floats32:
+    """Returns one vote (V, 3) for each square metre: x, y and height over the road."""
+    votes = np.concatenate([part.lowest for part in parts])
+    return lowest(votes, np.zeros(len(votes), np.float32))
 
 
-@njit("int64(float32, float32, float64[::1])", cache=True)
-def _square(x: float, y: float, grid: Floats) -> int:
-    """Returns the square of a grid in which a point lies."""
-    column = min(max(int((x - grid[0]) * grid[2]), 0), int(grid[3]) - 1)
-    row = min(max(int((y - grid[1]) * grid[2]), 0), int(grid[4]) - 1)
-    return row * int(grid[3]) + column
+def _by_point(parts: Sequence[_Left]) -> Floats32:
+    """Returns every n-th point (V, 3)."""
+    points = np.concatenate([part.points for part in parts])
+    return np.ascontiguousarray(points[:: max(len(points) // SAMPLE, 1)])
 
 
-@njit("int64[::1](float32[:,::1], float32[::1], float64[::1])", cache=True)
-def _lowest(points: Floats32, base_m: Floats32, cells: Floats) -> Ints:
-    """Returns the index of the point that lies lowest over the base, for each cell with points."""
-    lowest = np.full(int(cells[3] * cells[4]), -1, np.int64)
-    for index in range(points.shape[0]):
-        cell = _square(points[index, 0], points[index, 1], cells)
-        held = lowest[cell]
-        if held < 0 or points[index, 2] - base_m[index] < points[held, 2] - base_m[held]:
-            lowest[cell] = index
-    return lowest[lowest >= 0]
+def _without(parts: Sequence[_Left], tiles: Floats, layers: Floats32, *, over_road: bool) -> _Left:
+    """Returns the points of all parts that lie outside their tile's layer."""
+    room = sum(len(part.points) for part in parts) + 1  # one is written before it is known to stay
+    points, road_m, ground_m = (np.empty((room, *s), np.float32) for s in ((3,), (), ()))
+    count = 0
+    for part in parts:
+        kept = points[count:], road_m[count:], ground_m[count:]
+        given = part.points, part.road_m, part.ground_m
+        count += _remove(given, tiles, layers, over_road, kept)
+    points, road_m, ground_m = points[:count], road_m[:count], ground_m[:count]
+    return _Left(points, road_m, ground_m, lowest(points, road_m))
 
 
-@njit("int64(uint64[::1])", cache=True)
+def _layers(planes: Floats, distance_m: float, *, bottomless: bool) -> Floats32:
+    """Returns what is taken for ground, by tile, from planes (T, 3).
+
+    Each is (T, 5): the plane, and the heights over it, straight up, between which points go; none
+    where there is no plane.
+    """
+    reach_m = distance_m * np.sqrt(1.0 + planes[:, :1] ** 2 + planes[:, 1:2] ** 2)
+    low_m = np.full_like(reach_m, -np.inf) if bottomless else -reach_m
+    layers = np.column_stack([planes, low_m, reach_m]).astype(np.float32)
+    layers[np.isnan(planes[:, 0])] = [np.nan, np.nan, np.nan, np.inf, -np.inf]
+    return layers
+
+
+@njit("int64(uint64[::1])", cache=True, nogil=True)
 def _draw(state: Ints) -> int:
     """Splitmix64: the next number of a sequence that any machine repeats."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
@@ -113,7 +128,12 @@ def _draw(state: Ints) -> int:
     return int((z ^ (z >> np.uint64(31))) >> np.uint64(2))
 
 
-@njit("int64(float32[:,::1], float64, float64, float64, float64)", cache=True, fastmath=True)
+@njit(
+    "int64(float32[:,::1], float64, float64, float64, float64)",
+    cache=True,
+    nogil=True,
+    fastmath=True,
+)
 def _support(sample: Floats32, a: float, b: float, c: float, reach_m: float) -> int:
     """Counts the points of a sample (3, K) within reach of z = a x + b y + c."""
     slope_x, slope_y, height = np.float32(a), np.float32(b), np.float32(c)
@@ -125,7 +145,12 @@ def _support(sample: Floats32, a: float, b: float, c: float, reach_m: float) -> 
     return count
 
 
-@njit(f"{_CHANCE}(float32[:,::1], float64, float64, float64, float64)", cache=True, fastmath=True)
+@njit(
+    f"{_CHANCE}(float32[:,::1], float64, float64, float64, float64)",
+    cache=True,
+    nogil=True,
+    fastmath=True,
+)
 def _refine(
     sample: Floats32, a: float, b: float, c: float, reach_m: float
 ) -> tuple[float, float, float, int]:
@@ -152,14 +177,14 @@ def _refine(
     return a, b, mz - a * mx - b * my, n
 
 
-@njit("int64(float64, int64)", cache=True)
+@njit("int64(float64, int64)", cache=True, nogil=True)
 def _enough(share: float, max_iterations: int) -> int:
     """Returns after how many draws of 3 points a plane with this share was hardly missed."""
     miss = 1.0 - min(share**3, 1.0 - 1e-9)
     return min(max_iterations, int(np.log(1.0 - CONFIDENCE) / np.log(miss)) + 1)
 
 
-@njit(f"{_CHANCE}(float32[:,::1], float64[::1], int64, uint64[::1])", cache=True)
+@njit(f"{_CHANCE}(float32[:,::1], float64[::1], int64, uint64[::1])", cache=True, nogil=True)
 def _ransac(
     sample: Floats32, limits: Floats, max_iterations: int, state: Ints
 ) -> tuple[float, float, float, int]:
@@ -201,7 +226,9 @@ def _by_tile(votes: Floats32, tiles: Floats) -> tuple[Floats32, Ints]:
     return np.ascontiguousarray(votes[order]), np.concatenate([[0], np.cumsum(members)])
 
 
-@njit("float64[:,::1](float32[:,::1], int64[::1], float64[::1], int64[::1])", cache=True)
+@njit(
+    "float64[:,::1](float32[:,::1], int64[::1], float64[::1], int64[::1])", cache=True, nogil=True
+)
 def _fit_all(votes: Floats32, starts: Ints, limits: Floats, work: Ints) -> Floats:
     """Returns each tile's plane, height over base = a x + b y + c, as (T, 3); NaN for none.
 
@@ -232,29 +259,25 @@ def _fit_all(votes: Floats32, starts: Ints, limits: Floats, work: Ints) -> Float
 
 
 @njit(
-    "int64(float32[:,::1], float32[::1], float32[::1], float64[::1], float64[:,::1], float64[::1])",
+    f"int64({_PART}, float64[::1], float32[:,::1], boolean, {_PART})",
     cache=True,
+    nogil=True,
 )
-def _remove(
-    points: Floats32,
-    base_m: Floats32,
-    ground_m: Floats32,
-    grid: Floats,
-    planes: Floats,
-    band: Floats,
-) -> int:
-    """Moves the points off their tile's plane to the front, in order; returns their number."""
-    kept = 0
+def _remove(part: Part, grid: Floats, layers: Floats32, over_road: bool, kept: Part) -> int:
+    """Copies the points outside their tile's layer, in order; returns their number."""
+    points, road_m, ground_m = part
+    kept_points, kept_road_m, kept_ground_m = kept
+    share = np.float32(1.0 if over_road else 0.0)
+    count = np.uint64(0)
     for index in range(points.shape[0]):
-        a, b, c = planes[_square(points[index, 0], points[index, 1], grid)]
-        plane_m = a * points[index, 0] + b * points[index, 1] + c + base_m[index]
-        if not np.isnan(a):
-            off_m = (points[index, 2] - plane_m) / np.sqrt(1.0 + a * a + b * b)
-            if band[0] <= off_m <= band[1]:
-                continue
-        for axis in range(3):
-            points[kept, axis] = points[index, axis]
-        base_m[kept] = base_m[index]
-        ground_m[kept] = plane_m if np.isnan(ground_m[index]) else ground_m[index]
-        kept += 1
-    return kept
+        x, y, z = points[index, 0], points[index, 1], points[index, 2]
+        tile = square(x, y, grid)
+        plane_m = layers[tile, 0] * x + layers[tile, 1] * y + layers[tile, 2]
+        plane_m += share * road_m[index]
+        kept_points[count, 0], kept_points[count, 1], kept_points[count, 2] = x, y, z
+        kept_road_m[count] = road_m[index]
+        kept_ground_m[count] = plane_m if np.isnan(ground_m[index]) else ground_m[index]
+        over_m = z - plane_m
+        is_ground = (layers[tile, 3] <= over_m) & (over_m <= layers[tile, 4])
+        count += np.uint64(not is_ground)  # no branch: it would be foreseen wrongly too often
+    return int(count)

@@ -18,6 +18,7 @@ from perception.arrays import Floats, Floats32, Ints32
 from perception.boxes import certainty, fits
 from perception.config import DetectionConfig, GroundConfig
 from perception.detector import Cloud, Stage, untimed
+from perception.roadway import merge
 from perception.vehicles import Vehicles
 from protocol.errors import ConfigError
 
@@ -66,8 +67,8 @@ class Reference:
         # process gets another sequence from here on.
         self.open3d.utility.random.seed(int(rng.integers(2**31)))
         with stage("ground"):
-            above = self._without_planes(cloud.near.points, self.config.ground)
-            above = np.concatenate([above, cloud.bare.points])
+            above = self._without_planes(merge(cloud.near)[0], self.config.ground)
+            above = np.concatenate([above, merge(cloud.bare)[0]])
         with stage("detect"):
             return self._boxes(above, self._clusters(above))
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
 from perception.arrays import Bools, Bytes, Floats, Floats32, Ints
+from perception.lowest import lowest
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 
@@ -17,10 +19,26 @@ MAX_CELLS = 8_000_000  # 9 bytes each
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
-    """Points (M, 3) on the road, map frame, and the road map's height below each (M,)."""
+    """Points (M, 3) on the road, map frame, and the road map's height below each (M,).
+
+    `lowest` (V, 3) are x, y and height over the road of the lowest point of each square metre.
+    """
 
     points: Floats32
     road_m: Floats32
+    lowest: Floats32
+
+    @classmethod
+    def of(cls, points: Floats32, road_m: Floats32) -> Placed:
+        """Finds the lowest points."""
+        return cls(points, road_m, lowest(points, road_m))
+
+
+def merge(parts: Sequence[Placed]) -> tuple[Floats32, Floats32]:
+    """Returns all points (N, 3), in the order of the parts, and the road's height below (N,)."""
+    points = [np.zeros((0, 3), np.float32), *(part.points for part in parts)]
+    road_m = [np.zeros(0, np.float32), *(part.road_m for part in parts)]
+    return np.concatenate(points), np.concatenate(road_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +88,7 @@ class Roadway:
         motion = np.column_stack([map_SE3_sensor.rotation, map_SE3_sensor.translation])
         grid = np.array([*self.origin_m, self.cell_m, -below_m, above_m], np.float64)
         count = _place(points, motion, grid, self.inside, self.height_m, kept, road_m)
-        return Placed(kept[:count], road_m[:count])
+        return Placed.of(kept[:count], road_m[:count])
 
     def yaw_at(self, points: Floats) -> Floats:
         """Returns the road's direction (N,) at points (N, 2 or 3); 0 off the road."""
@@ -151,6 +169,7 @@ def _draw(
     "int64(float32[:,::1], float64[:,::1], float64[::1], uint8[:,::1], float32[:,::1], "
     "float32[:,::1], float32[::1])",
     cache=True,
+    nogil=True,
 )
 def _place(
     points: Floats32,

@@ -18,7 +18,6 @@ import numpy as np
 from edge_server.config import EdgeConfig
 from edge_server.fuse import fuse
 from edge_server.lanes import LaneIndex
-from edge_server.merge import merge
 from learning.moments import Moment
 from perception.arrays import Bools, Floats, Ints
 from perception.config import LEARNED, DetectorName
@@ -43,7 +42,6 @@ KINDS: tuple[Kind, ...] = (("single", "none"), ("merged", "early"), ("merged", "
 EVERYTHING = "all"
 LISTED_SCORE = 0.02  # of a learned detector, boxes down to this one are ranked for AP40
 _WIDE_M = 150.0  # from the lanes: more than any point of a scene is away
-_NO_POINTS = Placed(np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,10 +208,10 @@ def judge(
     on_road = site.on_road(moment.boxes) if geofence else np.ones(len(moment.boxes), np.bool_)
     centre = SE3(np.eye(3), np.array(site.road_map.centre))
 
-    def detected(near: Placed, seen_from: Floats, number: int) -> tuple[Vehicles, float]:
+    def detected(near: Sequence[Placed], seen_from: Floats, number: int) -> tuple[Vehicles, float]:
         rng = np.random.default_rng([moment.frame, number])
         start = time.perf_counter()
-        found = detector.detect(Cloud(near, _NO_POINTS, seen_from), rng)
+        found = detector.detect(Cloud(near, [], seen_from), rng)
         return found, 1e3 * (time.perf_counter() - start)
 
     def judged(found: Vehicles, map_SE3_scene: SE3, seen: tuple[Ints, Bools], ms: float) -> Judged:
@@ -231,13 +229,13 @@ def judge(
     result: list[tuple[Kind, Judged]] = []
     singles, total_ms = Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0)), 0.0
     for number, shot in enumerate(moment.shots):
-        found, ms = detected(placed[number], sensors[number : number + 1], number)
+        found, ms = detected([placed[number]], sensors[number : number + 1], number)
         others = on_road & (np.arange(len(moment.boxes)) != (-1 if shot.own is None else shot.own))
         seen = moment.points_on[number], others
         result.append((KINDS[0], judged(found, shot.map_SE3_sensor, seen, ms)))
         singles, total_ms = singles + found, total_ms + ms
     together = moment.points_on.sum(axis=0), on_road
-    found, ms = detected(_cut(merge(placed), centre), sensors, len(placed))
+    found, ms = detected([_cut(part, centre) for part in placed], sensors, len(placed))
     result.append((KINDS[1], judged(found, centre, together, ms)))
     late = site.without_doubles(singles.take(singles.scores >= site.least_score(name)))
     result.append((KINDS[2], judged(late, centre, together, total_ms)))
@@ -289,4 +287,4 @@ def _away_m(boxes: Floats, map_SE3_scene: SE3) -> Floats:
 def _cut(placed: Placed, map_SE3_scene: SE3) -> Placed:
     off = np.abs(placed.points[:, :2] - map_SE3_scene.translation[:2].astype(np.float32))
     near = (off < CUT_M).all(axis=1)
-    return Placed(placed.points[near], placed.road_m[near])
+    return Placed.of(placed.points[near], placed.road_m[near])

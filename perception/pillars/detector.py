@@ -19,7 +19,7 @@ from perception.pillars.engine import Engine
 from perception.pillars.network import PointPillars
 from perception.pillars.voxels import Window, pillars_of
 from perception.pillars.weights import SHIPPED, load
-from perception.roadway import Roadway
+from perception.roadway import Roadway, merge
 from perception.vehicles import Vehicles
 
 EDGE_M = 3.0  # what lies closer to a window's edge is seen better by the next one
@@ -37,9 +37,8 @@ class PillarsDetector:
     def detect(self, cloud: Cloud, rng: np.random.Generator, stage: Stage = untimed) -> Vehicles:  # noqa: ARG002 - nothing is drawn
         """See `perception.detector.Detector.detect`."""
         with stage("detect"):
-            points = np.concatenate([cloud.near.points, cloud.bare.points])
-            height_m = points[:, 2] - np.concatenate([cloud.near.road_m, cloud.bare.road_m])
-            boxes, scores = self._ask(points, height_m)
+            points, road_m = merge([*cloud.near, *cloud.bare])
+            boxes, scores = self._ask(points, points[:, 2] - road_m)
             kept = suppress(boxes, scores, iou=self._config.same_iou)
             boxes, scores = boxes[kept], scores[kept]
             boxes[:, 2] += self._roadway.height_at(boxes)

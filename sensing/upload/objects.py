@@ -10,13 +10,11 @@ import numpy as np
 from perception.config import DetectionConfig, GeofenceConfig
 from perception.detector import Cloud, Detector
 from perception.registry import detector_of
-from perception.roadway import Placed, Roadway
+from perception.roadway import Roadway
 from perception.vehicles import Vehicles
 from protocol.codec import RangeScan
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
-
-_NOTHING = Placed(np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,5 +43,5 @@ class OnBoard:
             below_m=self.geofence.below_m,
             above_m=self.geofence.above_m,
         )
-        near, bare = (_NOTHING, placed) if ground_free else (placed, _NOTHING)
+        near, bare = ([], [placed]) if ground_free else ([placed], [])
         return self.detector.detect(Cloud(near, bare, map_SE3_sensor.translation[None]), rng)

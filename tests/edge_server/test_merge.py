@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge_server.merge import merge, sensor_in_map
-from perception.roadway import Placed
+from edge_server.merge import sensor_in_map
 from protocol.geometry import SE3
 
 POINTS = np.random.default_rng(1).uniform(-40, 40, (500, 3))
@@ -36,15 +35,3 @@ def test_angle_differences_are_off_by_centimetres_on_a_slope() -> None:
 
 def test_a_reference_agrees_with_itself() -> None:
     assert apart_m(SENSOR, SENSOR) < 1e-9
-
-
-def test_pieces_follow_each_other() -> None:
-    near = POINTS.astype(np.float32)
-    road_m = np.arange(len(near), dtype=np.float32)
-    merged = merge([Placed(near, road_m), Placed(near[:3], road_m[:3])])
-    np.testing.assert_array_equal(merged.points, np.concatenate([near, near[:3]]))
-    np.testing.assert_array_equal(merged.road_m, np.concatenate([road_m, road_m[:3]]))
-
-
-def test_no_pieces_give_no_points() -> None:
-    assert merge([]).points.shape == (0, 3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from perception.config import GroundConfig
 from perception.ground import remove_ground
+from perception.roadway import Placed
 
 CLIMB = 0.035
 
@@ -31,7 +33,7 @@ def test_tiles_take_the_ground_of_a_climbing_road_and_leave_the_cars(
 ) -> None:
     points, road_m, flat = scene(ground, shell)
     above, ground_m = remove_ground(
-        points, road_m, config=GroundConfig(), rng=np.random.default_rng(1)
+        [Placed.of(points, road_m)], config=GroundConfig(), rng=np.random.default_rng(1)
     )
     high = (points[flat:, 2] - road_m[flat:] > 0.8).sum()
     assert (above[:, 2] - CLIMB * above[:, 0] > 0.8).sum() == high
@@ -45,7 +47,7 @@ def test_a_wall_of_points_beside_a_sensor_does_not_tilt_the_ground() -> None:
     roofs = np.column_stack([rng.uniform(8, 12, (20_000, 2)), rng.normal(1.5, 0.02, 20_000)])
     points = np.concatenate([ground, roofs]).astype(np.float32)
     above, _ = remove_ground(
-        points, np.zeros(len(points), np.float32), config=GroundConfig(), rng=rng
+        [Placed.of(points, np.zeros(len(points), np.float32))], config=GroundConfig(), rng=rng
     )
     assert len(above) == 20_000
     assert above[:, 2].min() > 1.0
@@ -55,7 +57,7 @@ def test_global_planes_serve_a_level_road(ground: Callable[..., Any]) -> None:
     points = ground(np.random.default_rng(3))
     config = GroundConfig(tile_m=None)
     none = np.zeros(len(points), np.float32)
-    above, _ = remove_ground(points, none, config=config, rng=np.random.default_rng(1))
+    above, _ = remove_ground([Placed.of(points, none)], config=config, rng=np.random.default_rng(1))
     assert len(above) < 0.001 * len(points)
 
 
@@ -65,7 +67,9 @@ def test_the_same_seed_gives_the_same_points_and_arguments_are_left_alone(
     points, road_m, _ = scene(ground, shell)
     before = points.copy(), road_m.copy()
     one, other = (
-        remove_ground(points, road_m, config=GroundConfig(), rng=np.random.default_rng(9))
+        remove_ground(
+            [Placed.of(points, road_m)], config=GroundConfig(), rng=np.random.default_rng(9)
+        )
         for _ in range(2)
     )
     for a, b in zip(one, other, strict=True):
@@ -77,7 +81,28 @@ def test_the_same_seed_gives_the_same_points_and_arguments_are_left_alone(
 @pytest.mark.parametrize("count", [0, 1, 2, 7])
 def test_hardly_any_points_are_no_trouble(count: int) -> None:
     points = np.full((count, 3), 2.0, np.float32)
-    above, ground_m = remove_ground(
-        points, np.zeros(count, np.float32), config=GroundConfig(), rng=np.random.default_rng(1)
-    )
+    placed = Placed.of(points, np.zeros(count, np.float32))
+    above, ground_m = remove_ground([placed], config=GroundConfig(), rng=np.random.default_rng(1))
     assert len(above) == len(ground_m) == count
+
+
+def test_no_parts_give_no_points() -> None:
+    above, ground_m = remove_ground([], config=GroundConfig(), rng=np.random.default_rng(1))
+    assert above.shape == (0, 3)
+    assert ground_m.shape == (0,)
+
+
+@pytest.mark.parametrize("tile_m", [20.0, None])
+def test_a_cloud_in_parts_is_one_cloud(
+    ground: Callable[..., Any], shell: Callable[..., Any], tile_m: float | None
+) -> None:
+    points, road_m, _ = scene(ground, shell)
+    config = GroundConfig(tile_m=tile_m)
+    cuts = [0, 1, 7000, 7000, len(points)]
+    parts = [Placed.of(points[a:b], road_m[a:b]) for a, b in pairwise(cuts)]
+    whole, parted = (
+        remove_ground(given, config=config, rng=np.random.default_rng(4))
+        for given in ([Placed.of(points, road_m)], parts)
+    )
+    for a, b in zip(whole, parted, strict=True):
+        np.testing.assert_array_equal(a, b)

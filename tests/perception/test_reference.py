@@ -35,10 +35,8 @@ def cloud(shell: Callable[..., Any], ground: Callable[..., Any]) -> Cloud:
     ]
     points = np.concatenate([ground(rng, count=20_000), *cars])
     points = points[np.abs(points[:, 1]) < 4]  # what lies beside the road is fenced off
-    nothing = Placed(points[:0], points[:0, 0])
-    return Cloud(
-        Placed(points, np.zeros(len(points), np.float32)), nothing, np.array([[0, 0, 3.0]])
-    )
+    placed = Placed.of(points, np.zeros(len(points), np.float32))
+    return Cloud([placed], [], np.array([[0, 0, 3.0]]))
 
 
 def need_open3d() -> None:
@@ -66,8 +64,10 @@ def test_the_reference_takes_clouds_of_few_points(roadway: Roadway) -> None:
     need_open3d()
     detector = detector_of(DetectionConfig(detector="reference"), roadway)
     for count in (0, 2, 5):
-        placed = Placed(np.zeros((count, 3), np.float32), np.zeros(count, np.float32))
-        found = detector.detect(Cloud(placed, placed, np.zeros((1, 3))), np.random.default_rng(1))
+        placed = Placed.of(np.zeros((count, 3), np.float32), np.zeros(count, np.float32))
+        found = detector.detect(
+            Cloud([placed], [placed], np.zeros((1, 3))), np.random.default_rng(1)
+        )
         assert len(found) == 0
 
 

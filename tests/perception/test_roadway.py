@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from perception.roadway import Roadway
+from perception.roadway import Placed, Roadway, merge
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 
@@ -48,3 +48,11 @@ def test_points_are_moved_before_they_are_looked_up(road_map: RoadMap) -> None:
     by_hand = roadway.place(moved.astype(np.float32), SE3.identity(), below_m=2.0, above_m=5.0)
     assert 0 < len(placed.points) < len(points)
     np.testing.assert_allclose(placed.points, by_hand.points, atol=1e-4)
+
+
+def test_parts_follow_each_other() -> None:
+    points, road_m = np.ones((5, 3), np.float32), np.arange(5, dtype=np.float32)
+    merged, merged_m = merge([Placed.of(points, road_m), Placed.of(points[:3], road_m[:3])])
+    np.testing.assert_array_equal(merged, np.concatenate([points, points[:3]]))
+    np.testing.assert_array_equal(merged_m, np.concatenate([road_m, road_m[:3]]))
+    assert merge([])[0].shape == (0, 3)

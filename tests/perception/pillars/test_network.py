@@ -51,9 +51,8 @@ def roadway() -> Roadway:
 
 def cloud(points: np.ndarray) -> Cloud:
     points = np.asarray(points, np.float32).reshape(-1, 3)
-    nothing = Placed(np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
-    near = Placed(points, np.zeros(len(points), np.float32))
-    return Cloud(near, nothing, np.zeros((1, 3)))
+    near = Placed.of(points, np.zeros(len(points), np.float32))
+    return Cloud([near], [], np.zeros((1, 3)))
 
 
 def test_the_engine_says_what_the_network_says() -> None:
