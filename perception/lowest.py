@@ -51,9 +51,12 @@ def span(points: Floats32) -> Floats:
 @njit("uint64(float32, float32, float64[::1])", cache=True, nogil=True, inline="always")
 def square(x: float, y: float, grid: Floats) -> np.uint64:
     """Returns the square of a grid in which a point lies; the outermost ones reach to infinity."""
-    column = min(max(int((x - grid[0]) * grid[2]), 0), int(grid[3]) - 1)
-    row = min(max(int((y - grid[1]) * grid[2]), 0), int(grid[4]) - 1)
-    return np.uint64(row * int(grid[3]) + column)
+    column, row = (x - grid[0]) * grid[2], (y - grid[1]) * grid[2]
+    column = column if column > 0.0 else 0.0  # as a choice of two values this takes no branch
+    column = column if column < grid[3] - 1.0 else grid[3] - 1.0
+    row = row if row > 0.0 else 0.0
+    row = row if row < grid[4] - 1.0 else grid[4] - 1.0
+    return np.uint64(row) * np.uint64(grid[3]) + np.uint64(column)
 
 
 @njit("float32[:,::1](float32[:,::1], float32[::1], float64[::1])", cache=True, nogil=True)

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from perception.arrays import Bools, Bytes, Floats, Floats32, Ints
+from perception.arrays import Bools, Floats, Floats32, Ints
 from perception.lowest import lowest
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 
 CELL_M = 0.5
-MAX_CELLS = 8_000_000  # 9 bytes each
+MAX_CELLS = 8_000_000  # 8 bytes each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,15 +43,14 @@ def merge(parts: Sequence[Placed]) -> tuple[Floats32, Floats32]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roadway:
-    """Cells of the map's plane: whether they belong to the road, its height and its direction.
+    """Cells of the map's plane: the road's height, NaN off the road, and its direction.
 
-    `inside`, `height_m` and `yaw_rad` are (rows, columns); rows go with y. Height and direction
-    are those of the nearest lane and hold inside only.
+    `height_m` and `yaw_rad` are (rows, columns); rows go with y. Both are those of the nearest
+    lane. The outermost cells lie off the road.
     """
 
     origin_m: tuple[float, float]
     cell_m: float
-    inside: Bytes
     height_m: Floats32
     yaw_rad: Floats32
 
@@ -64,11 +63,13 @@ class Roadway:
         high = np.maximum(segments[:, 0:2], segments[:, 3:5]).max(axis=0) + reach_m
         cell_m = max(CELL_M, float(np.sqrt(np.prod(high - low) / MAX_CELLS)))
         columns, rows = (int(n) for n in np.ceil((high - low) / cell_m))
-        inside = np.zeros((rows, columns), np.uint8)
-        height_m = np.zeros((rows, columns), np.float32)
-        yaw_rad = np.zeros((rows, columns), np.float32)
-        _draw(segments, low, cell_m, margin_m, inside, height_m, yaw_rad)
-        return cls((float(low[0]), float(low[1])), cell_m, inside, height_m, yaw_rad)
+        low -= cell_m
+        height_m = np.full((rows + 2, columns + 2), np.nan, np.float32)
+        yaw_rad = np.zeros_like(height_m)
+        _draw(segments, low, cell_m, margin_m, height_m, yaw_rad)
+        for edge in (height_m[0], height_m[-1], height_m[:, 0], height_m[:, -1]):
+            edge[:] = np.nan
+        return cls((float(low[0]), float(low[1])), cell_m, height_m, yaw_rad)
 
     def place(
         self,
@@ -83,11 +84,11 @@ class Roadway:
         The paper geofences detections; no point elsewhere can be part of a vehicle that counts, so
         leaving it out here gives the same counts for a fraction of the work.
         """
-        kept = np.empty_like(points)
-        road_m = np.empty(len(points), np.float32)
+        room = len(points) + 1  # one is written before it is known to stay
+        kept, road_m = np.empty((room, 3), np.float32), np.empty(room, np.float32)
         motion = np.column_stack([map_SE3_sensor.rotation, map_SE3_sensor.translation])
-        grid = np.array([*self.origin_m, self.cell_m, -below_m, above_m], np.float64)
-        count = _place(points, motion, grid, self.inside, self.height_m, kept, road_m)
+        grid = np.array([*self.origin_m, 1 / self.cell_m, -below_m, above_m], np.float32)
+        count = _place(points, motion.astype(np.float32), grid, self.height_m, kept, road_m)
         return Placed.of(kept[:count], road_m[:count])
 
     def yaw_at(self, points: Floats) -> Floats:
@@ -102,15 +103,13 @@ class Roadway:
 
     def contains(self, points: Floats | Floats32) -> Bools:
         """Whether points (N, 2 or 3) lie on the road."""
-        rows, columns, known = self._cells(points)
-        return np.asarray(known & (self.inside[rows, columns] > 0))
+        return self._cells(points)[2]
 
     def _cells(self, points: Floats | Floats32) -> tuple[Ints, Ints, Bools]:
+        """Returns rows, columns and whether they belong to the road (N,)."""
         cells = np.floor((points[:, :2] - self.origin_m) / self.cell_m)
-        shape = np.array(self.inside.shape[::-1])
-        known: Bools = np.asarray(((cells >= 0) & (cells < shape)).all(axis=1))
-        places = np.clip(cells, 0, shape - 1).astype(np.int64)
-        return places[:, 1], places[:, 0], known
+        columns, rows = np.clip(cells, 0, np.array(self.height_m.shape[::-1]) - 1).T.astype(int)
+        return rows, columns, ~np.isnan(self.height_m[rows, columns])
 
 
 def lane_segments(road_map: RoadMap) -> Floats:
@@ -126,8 +125,7 @@ def lane_segments(road_map: RoadMap) -> Floats:
 
 
 @njit(
-    "void(float64[:,::1], float64[::1], float64, float64, uint8[:,::1], float32[:,::1], "
-    "float32[:,::1])",
+    "void(float64[:,::1], float64[::1], float64, float64, float32[:,::1], float32[:,::1])",
     cache=True,
 )
 def _draw(
@@ -135,12 +133,11 @@ def _draw(
     low: Floats,
     cell_m: float,
     margin_m: float,
-    inside: Bytes,
     height_m: Floats32,
     yaw_rad: Floats32,
 ) -> None:
     """Fills the cells within reach of each segment from the nearest one."""
-    rows, columns = inside.shape
+    rows, columns = height_m.shape
     best = np.full((rows, columns), np.float32(np.inf))
     for index in range(segments.shape[0]):
         x0, y0, z0, x1, y1, z1, half_m = segments[index]
@@ -160,42 +157,43 @@ def _draw(
                 off_m = np.hypot(x - x0 - along * dx, y - y0 - along * dy)
                 if off_m <= reach_m and off_m < best[row, column]:
                     best[row, column] = off_m
-                    inside[row, column] = 1
                     height_m[row, column] = z0 + along * (z1 - z0)
                     yaw_rad[row, column] = yaw
 
 
 @njit(
-    "int64(float32[:,::1], float64[:,::1], float64[::1], uint8[:,::1], float32[:,::1], "
-    "float32[:,::1], float32[::1])",
+    "int64(float32[:,::1], float32[:,::1], float32[::1], float32[:,::1], float32[:,::1], "
+    "float32[::1])",
     cache=True,
     nogil=True,
 )
 def _place(
     points: Floats32,
-    motion: Floats,
-    grid: Floats,
-    inside: Bytes,
+    motion: Floats32,
+    grid: Floats32,
     height_m: Floats32,
     kept: Floats32,
     road_m: Floats32,
 ) -> int:
-    """Copies the points whose cell is inside and whose height lies in the band; counts them."""
-    rows, columns = inside.shape
-    x_m, y_m, cell_m, low_m, high_m = grid
-    per_m = 1.0 / cell_m
-    count = 0
+    """Copies the points over road cells whose height lies in the band; counts them.
+
+    Choices of two values take no branch, which would be foreseen wrongly too often.
+    """
+    x_m, y_m, per_m, low_m, high_m = grid
+    last_row, last_column = np.float32(height_m.shape[0] - 1), np.float32(height_m.shape[1] - 1)
+    none, count = np.float32(0), np.uint64(0)
     for index in range(points.shape[0]):
         u, v, w = points[index, 0], points[index, 1], points[index, 2]
         x = motion[0, 0] * u + motion[0, 1] * v + motion[0, 2] * w + motion[0, 3]
         y = motion[1, 0] * u + motion[1, 1] * v + motion[1, 2] * w + motion[1, 3]
-        row, column = int(np.floor((y - y_m) * per_m)), int(np.floor((x - x_m) * per_m))
-        if row < 0 or row >= rows or column < 0 or column >= columns or not inside[row, column]:
-            continue
         z = motion[2, 0] * u + motion[2, 1] * v + motion[2, 2] * w + motion[2, 3]
-        base_m = height_m[row, column]
-        if low_m <= z - base_m <= high_m:
-            kept[count, 0], kept[count, 1], kept[count, 2] = x, y, z
-            road_m[count] = base_m
-            count += 1
-    return count
+        column, row = (x - x_m) * per_m, (y - y_m) * per_m
+        column = column if column > none else none
+        column = column if column < last_column else last_column
+        row = row if row > none else none
+        row = row if row < last_row else last_row
+        base_m = height_m[np.uint64(row), np.uint64(column)]
+        kept[count, 0], kept[count, 1], kept[count, 2], road_m[count] = x, y, z, base_m
+        over_m = z - base_m
+        count += np.uint64((low_m <= over_m) & (over_m <= high_m))
+    return int(count)

@@ -14,7 +14,6 @@ from protocol.geometry import SE3
 
 Floats = npt.NDArray[np.float64]
 Floats32 = npt.NDArray[np.float32]
-Bytes = npt.NDArray[np.uint8]
 
 BELOW_M, ABOVE_M = -2.0, 5.0  # what lies lower or higher over the road is not on it
 
@@ -42,7 +41,6 @@ def locate(scan: RangeScan, map_SE3_sensor: SE3, roadway: Roadway) -> Located:
         scan.pattern.directions.reshape(-1, 3),
         motion.astype(np.float32),
         np.array([*roadway.origin_m, 1 / roadway.cell_m]),
-        roadway.inside,
         roadway.height_m,
         located.xy,
         located.above_m,
@@ -52,7 +50,7 @@ def locate(scan: RangeScan, map_SE3_sensor: SE3, roadway: Roadway) -> Located:
 
 @njit(
     "void(float32[::1], Array(float32, 2, 'C', readonly=True), float32[:,::1], float64[::1], "
-    "uint8[:,::1], float32[:,::1], float32[:,::1], float32[::1])",
+    "float32[:,::1], float32[:,::1], float32[::1])",
     cache=True,
 )
 def _locate(
@@ -60,12 +58,11 @@ def _locate(
     directions: Floats32,
     motion: Floats32,
     grid: Floats,
-    inside: Bytes,
     height_m: Floats32,
     xy: Floats32,
     above_m: Floats32,
 ) -> None:
-    rows, columns = inside.shape
+    rows, columns = height_m.shape
     x_m, y_m, per_m = np.float32(grid[0]), np.float32(grid[1]), np.float32(grid[2])
     for beam in range(range_m.size):
         metres = range_m[beam]
@@ -81,9 +78,9 @@ def _locate(
         y = motion[1, 0] * u + motion[1, 1] * v + motion[1, 2] * w + motion[1, 3]
         xy[beam, 0], xy[beam, 1] = x + x_m, y + y_m
         column, row = int(np.floor(x * per_m)), int(np.floor(y * per_m))
-        if row < 0 or row >= rows or column < 0 or column >= columns or not inside[row, column]:
+        if row < 0 or row >= rows or column < 0 or column >= columns:
             continue
         z = motion[2, 0] * u + motion[2, 1] * v + motion[2, 2] * w + motion[2, 3]
         over = z - height_m[row, column]
-        if BELOW_M <= over <= ABOVE_M:
+        if BELOW_M <= over <= ABOVE_M:  # never off the road: there it is NaN
             above_m[beam] = over
