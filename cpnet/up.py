@@ -30,7 +30,7 @@ from protocol.wire import encode
 from sensing.source import check_recording
 
 POLL_S = 0.1
-OVERTAKEN_S = 0.5
+OVERTAKEN_S = 2.0
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 OTHERS_LEAVE_S = 5.0
 PLAYERS = {"sim", "vehicle", "infra"}  # who plays a recording, if there is one
@@ -193,7 +193,7 @@ def _follow(
         if watch.update(POLL_S) and watch.progress:
             display.show(watch.progress)
         if supervisor.death(at_end=False) and watch.end is None:
-            watch.update(OVERTAKEN_S)  # the end may still be on its way
+            watch.await_end(OVERTAKEN_S)  # the end may still be on its way
         if death := supervisor.death(at_end=watch.end is not None):
             return death
         if watch.end is None and (elsewhere := _lost_elsewhere(supervisor, watch)):
@@ -210,7 +210,7 @@ def _lost_elsewhere(supervisor: Supervisor, watch: Watch) -> Death | None:
     """Returns a process of another machine that left before the run's end."""
     for role, process in watch.lost():
         if not supervisor.holds(role):
-            watch.update(OVERTAKEN_S)  # the end may still be on its way
+            watch.await_end(OVERTAKEN_S)  # the end may still be on its way
             if watch.end is None:
                 return Death(process, "left another machine before the run ended", "(no log here)")
     return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 
 from protocol.bus import Endpoint, open_bus
 from protocol.inbox import Envelope, Inbox, Presence
@@ -49,6 +50,12 @@ class Watch:
             self._take(item)
             item = self._inbox.get()
         return self.progress is not before
+
+    def await_end(self, timeout_s: float) -> None:
+        """Takes what comes until the run's end is among it, waiting at most this long."""
+        until_s = time.monotonic() + timeout_s
+        while self.end is None and (left_s := until_s - time.monotonic()) > 0:
+            self.update(left_s)
 
     def here(self, role: str) -> bool:
         """Whether a process of this role lives on any machine."""
