@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -19,6 +20,7 @@ from numba import njit
 from perception.arrays import Floats, Floats32, Ints
 from perception.config import GroundConfig
 from perception.lowest import lowest, span, square, squares
+from perception.parallel import each
 from perception.roadway import Placed
 
 SAMPLE = 4096  # of the whole cloud, on every n-th point
@@ -56,33 +58,40 @@ def remove_ground(
         work = np.array([config.max_iterations, rng.integers(2**62)])
         planes = _fit_all(*_by_tile(votes, tiles), limits, work)
         layers = _layers(planes, config.distance_m, bottomless=by_tiles)
-        left = [_without(left, tiles, layers, over_road=by_tiles)]
+        left = each(partial(_without, tiles=tiles, layers=layers, over_road=by_tiles), left)
     points = np.concatenate([np.zeros((0, 3), np.float32), *(part.points for part in left)])
-    heights_m = [np.where(np.isnan(p.ground_m), p.road_m, p.ground_m) for p in left]
-    return points, np.concatenate([np.zeros(0, np.float32), *heights_m])
+    return points, np.concatenate([np.zeros(0, np.float32), *(part.floor_m() for part in left)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Left:
-    """What is left of a part: points (N, 3), heights (N,) of road and ground, the lowest points.
+    """What is left of a part: points (N, 3), heights (N,) of road and ground.
 
-    The ground's is NaN where no plane was found.
+    The ground's is NaN where no plane was found. `lowest` (V, 3) as of `Placed`, once known.
     """
 
     points: Floats32
     road_m: Floats32
     ground_m: Floats32
-    lowest: Floats32
+    lowest: Floats32 | None = None
 
     @classmethod
     def of(cls, part: Placed) -> _Left:
         unknown = np.full(len(part.points), np.nan, np.float32)
         return cls(part.points, part.road_m, unknown, part.lowest)
 
+    def votes(self) -> Floats32:
+        """Returns the lowest points."""
+        return lowest(self.points, self.road_m) if self.lowest is None else self.lowest
+
+    def floor_m(self) -> Floats32:
+        """Returns the height of the ground below each point, or else the road's (N,)."""
+        return np.where(np.isnan(self.ground_m), self.road_m, self.ground_m)
+
 
 def _by_area(parts: Sequence[_Left]) -> Floats32:
     """Returns one vote (V, 3) for each square metre: x, y and height over the road."""
-    votes = np.concatenate([part.lowest for part in parts])
+    votes = np.concatenate(each(_Left.votes, parts))
     return lowest(votes, np.zeros(len(votes), np.float32))
 
 
@@ -92,17 +101,13 @@ def _by_point(parts: Sequence[_Left]) -> Floats32:
     return np.ascontiguousarray(points[:: max(len(points) // SAMPLE, 1)])
 
 
-def _without(parts: Sequence[_Left], tiles: Floats, layers: Floats32, *, over_road: bool) -> _Left:
-    """Returns the points of all parts that lie outside their tile's layer."""
-    room = sum(len(part.points) for part in parts) + 1  # one is written before it is known to stay
-    points, road_m, ground_m = (np.empty((room, *s), np.float32) for s in ((3,), (), ()))
-    count = 0
-    for part in parts:
-        kept = points[count:], road_m[count:], ground_m[count:]
-        given = part.points, part.road_m, part.ground_m
-        count += _remove(given, tiles, layers, over_road, kept)
-    points, road_m, ground_m = points[:count], road_m[:count], ground_m[:count]
-    return _Left(points, road_m, ground_m, lowest(points, road_m))
+def _without(part: _Left, tiles: Floats, layers: Floats32, *, over_road: bool) -> _Left:
+    """Returns the points that lie outside their tile's layer."""
+    room = len(part.points) + 1  # one is written before it is known to stay
+    kept = np.empty((room, 3), np.float32), np.empty(room, np.float32), np.empty(room, np.float32)
+    given = part.points, part.road_m, part.ground_m
+    count = _remove(given, tiles, layers, over_road, kept)
+    return _Left(*(array[:count] for array in kept))
 
 
 def _layers(planes: Floats, distance_m: float, *, bottomless: bool) -> Floats32:
