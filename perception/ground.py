@@ -67,7 +67,8 @@ def remove_ground(
 class _Left:
     """What is left of a part: points (N, 3), heights (N,) of road and ground.
 
-    The ground's is NaN where no plane was found. `lowest` (V, 3) as of `Placed`, once known.
+    The ground's is NaN where no plane was found, and empty before any was looked for. `lowest`
+    (V, 3) is as of `Placed`, once known.
     """
 
     points: Floats32
@@ -77,8 +78,7 @@ class _Left:
 
     @classmethod
     def of(cls, part: Placed) -> _Left:
-        unknown = np.full(len(part.points), np.nan, np.float32)
-        return cls(part.points, part.road_m, unknown, part.lowest)
+        return cls(part.points, part.road_m, np.zeros(0, np.float32), part.lowest)
 
     def votes(self) -> Floats32:
         """Returns the lowest points."""
@@ -86,6 +86,8 @@ class _Left:
 
     def floor_m(self) -> Floats32:
         """Returns the height of the ground below each point, or else the road's (N,)."""
+        if len(self.ground_m) == 0:
+            return self.road_m
         return np.where(np.isnan(self.ground_m), self.road_m, self.ground_m)
 
 
@@ -221,14 +223,19 @@ def _ransac(
     return best_a, best_b, best_c, best
 
 
+@njit("Tuple((float32[:,::1], int64[::1]))(float32[:,::1], float64[::1])", cache=True, nogil=True)
 def _by_tile(votes: Floats32, tiles: Floats) -> tuple[Floats32, Ints]:
     """Sorts votes by their tile; tile t has those from starts[t] to starts[t + 1]."""
-    places = ((votes[:, :2] - tiles[:2]) * tiles[2]).astype(np.int64)
-    column, row = np.clip(places, 0, tiles[3:].astype(np.int64) - 1).T
-    tile_of = row * int(tiles[3]) + column
-    members = np.bincount(tile_of, minlength=int(tiles[3] * tiles[4]))
-    order = np.argsort(tile_of, kind="stable")
-    return np.ascontiguousarray(votes[order]), np.concatenate([[0], np.cumsum(members)])
+    starts = np.zeros(int(tiles[3] * tiles[4]) + 1, np.int64)
+    for vote in range(votes.shape[0]):
+        starts[square(votes[vote, 0], votes[vote, 1], tiles) + np.uint64(1)] += 1
+    starts = np.cumsum(starts)
+    following, ordered = starts.copy(), np.empty_like(votes)
+    for vote in range(votes.shape[0]):
+        tile = square(votes[vote, 0], votes[vote, 1], tiles)
+        ordered[following[tile]] = votes[vote]
+        following[tile] += 1
+    return ordered, starts
 
 
 @njit(
@@ -272,7 +279,7 @@ def _remove(part: Part, grid: Floats, layers: Floats32, over_road: bool, kept: P
     """Copies the points outside their tile's layer, in order; returns their number."""
     points, road_m, ground_m = part
     kept_points, kept_road_m, kept_ground_m = kept
-    share = np.float32(1.0 if over_road else 0.0)
+    share, is_first = np.float32(1.0 if over_road else 0.0), ground_m.size == 0
     count = np.uint64(0)
     for index in range(points.shape[0]):
         x, y, z = points[index, 0], points[index, 1], points[index, 2]
@@ -281,7 +288,7 @@ def _remove(part: Part, grid: Floats, layers: Floats32, over_road: bool, kept: P
         plane_m += share * road_m[index]
         kept_points[count, 0], kept_points[count, 1], kept_points[count, 2] = x, y, z
         kept_road_m[count] = road_m[index]
-        kept_ground_m[count] = plane_m if np.isnan(ground_m[index]) else ground_m[index]
+        kept_ground_m[count] = plane_m if is_first or np.isnan(ground_m[index]) else ground_m[index]
         over_m = z - plane_m
         is_ground = (layers[tile, 3] <= over_m) & (over_m <= layers[tile, 4])
         count += np.uint64(not is_ground)  # no branch: it would be foreseen wrongly too often
