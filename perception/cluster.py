@@ -218,14 +218,15 @@ def _label(
         root_a, root_b = _root(parents, a), _root(parents, b)
         if root_a != root_b and _touch(points, core, starts, bounds, a, b, square_m2):
             parents[max(root_a, root_b)] = min(root_a, root_b)
-    labels = np.empty(points.shape[0], np.int32)
-    nearest_m2 = np.full(points.shape[0], square_m2)
+    labels, nearest_m2 = np.empty(points.shape[0], np.int32), np.empty(points.shape[0])
     for cell in range(bounds.shape[0]):
         root = parents[cell] = _root(parents, cell)
+        labels[starts[cell] : starts[cell + 1]] = root
+        if starts[cell + 1] - starts[cell] >= min_points:
+            continue  # all of them are core points
         for i in range(starts[cell], starts[cell + 1]):
-            labels[i] = root if core[i] else NOISE
-        if starts[cell + 1] - starts[cell] < min_points:  # else all of them are core points
-            _adopt(points, core, starts, cell, cell, root, labels, nearest_m2)
+            labels[i], nearest_m2[i] = root if core[i] else NOISE, square_m2
+        _adopt(points, core, starts, cell, cell, root, labels, nearest_m2)
     for pair in range(pairs.shape[0]):
         a, b = pairs[pair, 0], pairs[pair, 1]
         if starts[a + 1] - starts[a] < min_points:
