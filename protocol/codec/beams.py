@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from protocol.codec.cloud import Floats, Floats32
+from protocol.codec.fill import Filling
 from protocol.codec.filters import BANDS, SIZE_CLASSES, WEIGHT_BITS, WEIGHTS
 from protocol.codec.filters import CONTEXTS as FINE_CONTEXTS
 from protocol.codec.fine import describe_fine, restore_fine
@@ -44,8 +45,10 @@ def image_step_m(room_m: float) -> float:
     return 2.0 * room_m * _QUANTISED
 
 
-def pack_image(range_m: Floats32, step_m: float, fine: bool = False) -> tuple[list[bytes], int]:
-    """Returns the sections of an image (channels, columns) and the number of its returns.
+def pack_image(
+    range_m: Floats32, step_m: float, filling: Filling, fine: bool = False
+) -> tuple[list[bytes], int]:
+    """Returns the sections of an image (channels, columns) and the number of its points.
 
     Raises:
         CodecError: a range takes too many steps.
@@ -64,11 +67,13 @@ def pack_image(range_m: Floats32, step_m: float, fine: bool = False) -> tuple[li
         for learns in _LESSONS if noise_steps >= _COARSE else (False,):
             counts[:] = 0
             gram = np.zeros((BANDS if learns else 0, WEIGHTS + 1, WEIGHTS + 1))
-            describe_fine(*given, SIZE_CLASSES, weights, gram, symbols, raw, counts, sizes)
+            filling.filled[:] = 0
+            found = (symbols, raw, counts, sizes)
+            describe_fine(*given, SIZE_CLASSES, weights, gram, *found, *filling.parts)
             if learns:
                 weights = np.array([_solve(of_band) for of_band in gram], np.int32)
     else:
-        describe(*given, CONTEXT_OF, NEXT_KIND, symbols, raw, counts, sizes)
+        describe(*given, CONTEXT_OF, NEXT_KIND, symbols, raw, counts, sizes, *filling.parts)
     contexts = FINE_CONTEXTS if fine else CONTEXTS
     per_context = counts[:, : contexts * STRIDE].sum(axis=0, dtype=np.int64)
     sections = pack_symbols(symbols, int(sizes[0]), per_context.reshape(contexts, STRIDE))

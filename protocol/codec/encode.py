@@ -2,33 +2,43 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from protocol.codec import planes
 from protocol.codec.beams import image_step_m, pack_image
-from protocol.codec.cloud import MAX_POINTS, Floats, PointCloud, RangeScan
+from protocol.codec.cloud import MAX_POINTS, Floats, Floats32, PointCloud, RangeScan
 from protocol.codec.draco import bits_for, pack_draco
+from protocol.codec.fill import Filling
 from protocol.codec.payload import Form, Head, seal_intensity, squeeze
 from protocol.codec.profile import Profile, profile_named
 from protocol.codec.rings import RingImage, find_rings
-from protocol.codec.step import check_bound, room_m
+from protocol.codec.step import check_bound, reach_m, room_m
 from protocol.codec.tree import cell_edge_m, pack_tree
 from protocol.codec.window import Window
 from protocol.errors import CodecError
 
 
 def encode_scan(
-    scan: RangeScan, max_error_m: float, *, profile: str = Profile.DEFAULT, intensity: bool = False
+    scan: RangeScan,
+    max_error_m: float,
+    *,
+    profile: str = Profile.DEFAULT,
+    intensity: bool = False,
+    fill: bool = False,
 ) -> bytes:
     """Encodes a structured scan; every point moves by at most `max_error_m` along its beam.
+
+    With `fill`, beams that were lost between returns may come back as points that nobody measured,
+    each within `max_error_m` of a point that somebody did: fewer bytes where the bound is coarse.
+    That is right for a whole scan only. Where beams were left out on purpose, their holes would be
+    filled too, so that by default exactly the beams that returned come back.
 
     Args:
         scan: one revolution.
         max_error_m: the bound, 0.1 mm to 10 m.
-        profile: name of a `Profile`.
-        intensity: whether intensities are sent, a byte each.
+        profile: name of a `Profile`; `draco` fills nothing.
+        intensity: whether intensities are sent, a byte each; those of filled points are 0.
+        fill: whether lost beams may be filled, as in `protocol.codec.fill`.
 
     Raises:
         CodecError: a range is negative, not finite, or too far for the bound.
@@ -41,38 +51,28 @@ def encode_scan(
     room = room_m(max_error_m, farthest_m, "range")
     if chosen is Profile.DRACO:
         return _draco(scan.cloud(), room, intensity)
-    pattern = scan.pattern
     range_m = np.ascontiguousarray(scan.range_m, np.float32)
-    head = Head(
-        Form.IMAGE,
-        0,
-        image_step_m(room),
-        pattern.channels,
-        pattern.columns,
-        pattern.upper_fov_deg,
-        pattern.lower_fov_deg,
-        intensity,
-    )
+    window = None if chosen is Profile.FAST else Window.around(range_m)
+    filling = Filling.nothing(scan.pattern.channels)
+    if fill:
+        window = window and window.of_all_columns()
+        turns = scan.pattern.spin[0] if window is None else scan.pattern.spin[0][window.rings]
+        reach = reach_m(max_error_m, room)
+        filling = Filling.of(scan.pattern, turns, reach, known=intensity)
     if chosen is Profile.FAST:
-        step_m = 2.0 * room
-        if farthest_m >= planes.MAX_STEPS * step_m:
-            raise CodecError(
-                f"range {farthest_m:.1f} m at a bound of {max_error_m} m: profile fast ends at "
-                f"{planes.MAX_STEPS * step_m:.1f} m"
-            )
-        raw = np.empty(2 * range_m.size, np.uint8)
-        points = planes.pack_ranges(range_m, 1.0 / step_m, raw)
-        head = replace(head, form=Form.PLANES, step_m=step_m)
-        sections = [squeeze(raw)]
+        form, step_m = Form.PLANES, 2.0 * room
+        sections, points = _planes(range_m, max_error_m, step_m, filling)
     else:
-        fine = chosen is Profile.COMPACT
-        window = Window.around(range_m)
+        form = Form.FINE if chosen is Profile.COMPACT else Form.IMAGE
+        step_m = image_step_m(room)
         image = range_m if window is None else window.cut(range_m)
-        sections, points = pack_image(image, head.step_m, fine)
+        sections, points = pack_image(image, step_m, filling, fine=form is Form.FINE)
         sections = [b"" if window is None else window.to_bytes(), *sections]
-        head = replace(head, form=Form.FINE if fine else Form.IMAGE)
-    shades = seal_intensity(scan.intensity[range_m > 0], True) if intensity else []
-    return replace(head, points=points).seal(*sections, *shades)
+    shades = _shades(scan, window, filling if fill else None) if intensity else []
+    pattern = scan.pattern
+    fov_deg = (pattern.upper_fov_deg, pattern.lower_fov_deg)
+    beams = (pattern.channels, pattern.columns)
+    return Head(form, points, step_m, *beams, *fov_deg, intensity).seal(*sections, *shades)
 
 
 def encode_cloud(
@@ -120,6 +120,30 @@ def encode_cloud(
     return head.seal(*sections, *shades)
 
 
+def _planes(
+    range_m: Floats32, max_error_m: float, step_m: float, filling: Filling
+) -> tuple[list[bytes], int]:
+    farthest_m = float(range_m.max())
+    if farthest_m >= planes.MAX_STEPS * step_m:
+        raise CodecError(
+            f"range {farthest_m:.1f} m at a bound of {max_error_m} m: profile fast ends at "
+            f"{planes.MAX_STEPS * step_m:.1f} m"
+        )
+    raw = np.empty(2 * range_m.size, np.uint8)
+    points = planes.pack_ranges(range_m, 1.0 / step_m, raw, *filling.parts)
+    return [squeeze(raw)], points
+
+
+def _shades(scan: RangeScan, window: Window | None, filling: Filling | None) -> list[bytes]:
+    """Returns the section of intensities, 0 for filled beams."""
+    measured = scan.range_m > 0
+    if filling is None:
+        return seal_intensity(scan.intensity[measured], True)
+    sent = measured.copy()
+    sent[slice(None) if window is None else window.rings] |= filling.filled > 0
+    return seal_intensity(np.where(measured, scan.intensity, np.float32(0))[sent], True)
+
+
 def _deltas(cloud: PointCloud, points: Floats, room: float, intensity: bool) -> bytes:
     step_m = cell_edge_m(room)
     if len(points) and float(np.abs(points).max()) >= (2**30 - 1) * step_m:
@@ -134,7 +158,7 @@ def _rings(
 ) -> bytes:
     step_m = image_step_m(float(np.sqrt(room**2 - image.beside_m**2)))
     rings = image.rings
-    sections, _ = pack_image(image.range_m, step_m)
+    sections, _ = pack_image(image.range_m, step_m, Filling.nothing(len(image.range_m)))
     rest, order = pack_tree(points[image.misfits], cell_edge_m(room))
     shades = []
     if intensity:

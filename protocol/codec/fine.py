@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from protocol.codec.cloud import Floats, Floats32
+from protocol.codec.fill import SIDES, find_holes, ring_units
 from protocol.codec.filters import (
     AT,
     BANDS,
@@ -56,7 +57,8 @@ _PARTS = 6  # of all rings: one for each band, but for the lowest, which has the
 
 @njit(
     "void(float32[:,::1], float64, int64[::1], int64[::1], uint8[::1], int32[:,::1], "
-    "float64[:,:,::1], uint16[::1], uint32[::1], int32[:,::1], int64[::1])",
+    "float64[:,:,::1], uint16[::1], uint32[::1], int32[:,::1], int64[::1], float64, float64[::1], "
+    "uint8[:,::1])",
     cache=True,
 )
 def describe_fine(
@@ -71,6 +73,9 @@ def describe_fine(
     raw: U4,
     counts: I4,
     sizes: I8,
+    reach_m: float,
+    chords: Floats,
+    filled: U1,
 ) -> None:
     """Turns an image into symbols and raw bits, as `image.describe`.
 
@@ -86,6 +91,9 @@ def describe_fine(
         raw: as there.
         counts: as there.
         sizes: as there.
+        reach_m: as there.
+        chords: as there.
+        filled: as there.
     """
     channels, columns = range_m.shape
     low = tuning[3]
@@ -95,9 +103,15 @@ def describe_fine(
     extra = np.zeros(MORE + 1, np.int32)
     place, inputs, learns = np.zeros(PLACES, np.int64), np.zeros(WEIGHTS + 1), len(gram) > 0
     measure(tuning, place)
+    beams = np.zeros(columns + 2 * SIDES, np.int32)
+    least, most = np.zeros(columns, np.int32), np.full(columns, np.int32(-1), np.int32)
+    reach = reach_m * units_per_m - 1.0
     count, words, held, points, rise = 0, 0, 0, 0, 0
     bits = u64(0)
     for row in range(channels - 1, -1, -1):
+        ring_units(range_m[row], units_per_m, beams)
+        if reach > 0:
+            find_holes(beams, 1, reach, chords[row], least, most)
         begin(rows, columns, UNITS - tuning[0])
         band = min(row * _PARTS // channels, BANDS - 1)
         last = i64(rows[BELOW, PAD]) + rise
@@ -108,10 +122,14 @@ def describe_fine(
             context = context_of(rows, size_classes, at, expected, marks)
             place[AT] = at
             turn = (column & (STATES - 1)) << TURN_SHIFT
-            metres = range_m[row, column]
-            if metres > 0:
+            value = i64(beams[column + SIDES])
+            if value < 0 and least[column] <= expected <= most[column]:
+                value = expected
+                if len(filled) > 0:
+                    filled[row, column] = 1
+            if value >= 0:
                 points += 1
-                value, base, which = i64(metres * units_per_m + 0.5), expected, 0
+                base, which = expected, 0
                 median = i64(extra[MORE])
                 k = (value - expected + UNITS // 2) >> 8
                 whole = fold(k)

@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit
 
 from protocol.codec.cloud import Floats, Floats32
+from protocol.codec.fill import LOST, SIDES, find_holes
 from protocol.codec.rans import SHARES, STATES, TURN_SHIFT, advance, is_short, refill
 from protocol.codec.tokens import (
     ESCAPE,
@@ -147,9 +148,31 @@ def _expect(last: int, under: int, slope: int) -> int:
     return expected
 
 
+@njit("void(int32[::1], int64, int64)", cache=True)
+def _look_around(around: I4, wide: int, columns: int) -> None:
+    """Fills what sectors see of each other beyond their ends, `SIDES` beams of each.
+
+    Args:
+        around: ((wide + 2 * SIDES) * SECTORS,), ranges as in `find_holes`.
+        wide: beams of a sector.
+        columns: of a ring. The last beams of sectors may be no beams: what lies behind them is
+            `LOST`, so that they are never filled.
+    """
+    first, end = SIDES * SECTORS, (wide + SIDES) * SECTORS
+    whole = wide * SECTORS == columns and wide >= SIDES
+    for n in range(SIDES * SECTORS):
+        place, sector = n // SECTORS, n % SECTORS
+        before, behind = np.int32(LOST), np.int32(LOST)
+        if sector > 0 or whole:
+            before = around[end - first + place * SECTORS + (sector + 7) % 8]
+        if sector < SECTORS - 1 or whole:
+            behind = around[first + place * SECTORS + (sector + 1) % 8]
+        around[n], around[end + n] = before, behind
+
+
 @njit(
     "void(float32[:,::1], float64, int64[::1], int64[::1], uint8[::1], uint8[::1], uint16[::1], "
-    "uint32[::1], int32[:,::1], int64[::1])",
+    "uint32[::1], int32[:,::1], int64[::1], float64, float64[::1], uint8[:,::1])",
     cache=True,
 )
 def describe(
@@ -163,6 +186,9 @@ def describe(
     raw: U4,
     counts: I4,
     sizes: I8,
+    reach_m: float,
+    chords: Floats,
+    filled: U1,
 ) -> None:
     """Turns an image into symbols and raw bits.
 
@@ -176,7 +202,10 @@ def describe(
         symbols: filled with `sector << TURN_SHIFT | context * STRIDE + token`.
         raw: filled with raw bits.
         counts: zeros (2, COUNTS); filled with how often each symbol occurs, in two parts.
-        sizes: filled with the number of symbols, of raw words and of returns.
+        sizes: filled with the number of symbols, of raw words and of points.
+        reach_m: of `Filling`, as are the next two.
+        chords: (channels,).
+        filled: zeros (channels, columns) to be set to 1 where a lost beam is sent, or (0, 0).
     """
     channels, columns = range_m.shape
     floor, jump, shift, low = tuning[0], tuning[1], tuning[2], tuning[3]
@@ -186,56 +215,74 @@ def describe(
     lines = np.full((2, room), np.int32(marks[3]), np.int32)
     kinds = np.zeros((2, room), np.uint8)
     slopes, bases = np.zeros(room, np.int32), np.zeros(room, np.int16)
-    beams, steps = np.zeros(room, np.int32), np.zeros(room, np.int32)
+    around = np.full(room + 2 * SECTORS, np.int32(LOST), np.int32)
+    beams, steps = around[SECTORS : SECTORS + room], np.zeros(room, np.int32)
+    units = np.full(wide * SECTORS, np.int32(LOST), np.int32)
+    least, most = np.zeros(room, np.int32), np.full(room, np.int32(-1), np.int32)
+    reach = reach_m * units_per_m - 1.0
+    fills = reach > 0 and wide >= SIDES
     seen, classes = np.zeros(SECTORS, np.int64), np.empty(STRIDE, np.uint16)
     _classify(shift, low, classes)
     gains = np.empty(16, np.int64)
     for n in range(16):
         gains[n] = max(UNITS * 2 // (2 * n + 3), floor)
-    count, words, held, points, rise = 0, 0, 0, 0, 0
+    count, words, held, rise = 0, 0, 0, 0
     bits = u64(0)
     for row in range(channels - 1, -1, -1):
         here, below = lines[row & 1], lines[1 - (row & 1)]
         kind, kind_below = kinds[row & 1], kinds[1 - (row & 1)]
         _look_below(below, kind_below, slopes, bases, wide, shift, marks)
-        for sector in range(SECTORS):
-            seen[sector] = 0
-            base, at = sector * wide, u64(SECTORS + sector)
-            inside = max(0, min(wide, columns - base))
-            for metres in range_m[row, base : base + inside]:
-                beams[at] = np.int32(metres * units_per_m + 0.5) if metres > 0 else np.int32(-1)
-                at += u64(SECTORS)
-            for _ in range(inside, wide):
-                beams[at] = -1
-                at += u64(SECTORS)
+        for column in range(columns):
+            metres = range_m[row, column]
+            units[column] = np.int32(metres * units_per_m + 0.5) if metres > 0 else np.int32(LOST)
+        seen[:] = 0
+        for column in range(wide):
+            start = u64((column + 1) * SECTORS)
+            for n in range(SECTORS):
+                beams[start + u64(n)] = units[u64(n * wide + column)]
+        if fills:
+            _look_around(around, wide, columns)
+            find_holes(around, SECTORS, reach, chords[row], least[SECTORS:end], most[SECTORS:end])
         change = rise
-        for at in range(SECTORS, end):
+        for at in range(SECTORS, 2 * SECTORS):
             under = i64(below[at])
-            if at < 2 * SECTORS:
-                here[at - SECTORS] = under + change
-            last = i64(here[at - SECTORS])
-            expected = _expect(last, under, i64(slopes[at]))
+            here[at - SECTORS] = under + change
+            expected = _expect(i64(here[at - SECTORS]), under, i64(slopes[at]))
             there = i64(beams[at] >= 0)
-            points += there
             k = ((i64(beams[at]) - expected + UNITS // 2) >> 8) * there
-            steps[at] = k
-            calm = seen[u64(at & 7)]
+            there |= i64(expected >= i64(least[at])) & i64(expected <= i64(most[at]))
             jumps = abs(k) >= jump
-            here[at] = expected + (UNITS if jumps else gains[u64(calm)]) * k
-            seen[u64(at & 7)] = 0 if jumps else min(calm + there, 15)
-            if at < 2 * SECTORS:
-                change = i64(here[at]) - under
-                if at == SECTORS:
-                    rise = change
+            steps[at] = (fold(k) + 1) * there
+            here[at] = expected + (UNITS if jumps else gains[0]) * k
+            seen[at & 7] = 0 if jumps else there
+            change = i64(here[at]) - under
+            if at == SECTORS:
+                rise = change
+        for column in range(1, wide):  # as above, with nothing to ask
+            start = u64((column + 1) * SECTORS)
+            for n in range(SECTORS):
+                sector, at = u64(n), start + u64(n)
+                under, last = i64(below[at]), i64(here[at - u64(SECTORS)])
+                expected = _expect(last, under, i64(slopes[at]))
+                there, calm = i64(beams[at] >= 0), seen[sector]
+                k = ((i64(beams[at]) - expected + UNITS // 2) >> 8) * there
+                there |= i64(expected >= i64(least[at])) & i64(expected <= i64(most[at]))
+                jumps = abs(k) >= jump
+                steps[at] = (fold(k) + 1) * there
+                here[at] = expected + (UNITS if jumps else gains[u64(calm)]) * k
+                seen[sector] = 0 if jumps else min(calm + there, 15)
+        if fills and len(filled) > 0:
+            for column in range(columns):
+                at = (column % wide + 1) * SECTORS + column // wide
+                filled[row, column] = i64(steps[at] > 0) & i64(beams[at] < 0)
         for sector in range(SECTORS):
             kind[sector] = kind_below[SECTORS + sector]
         for at in range(SECTORS, end):
-            there = i64(beams[at] >= 0)
             before, base = i64(kind[at - SECTORS]), i64(bases[at])
             context = i64(context_of[u64((base << 4) | before)])
-            whole = fold(i64(steps[at]))
+            whole = i64(steps[at]) - 1  # of a lost beam -1, and so is the number
             number = min(whole >> low, ESCAPE)
-            token = (number + 1) * there
+            token = number + 1
             symbol = context * STRIDE + token
             symbols[u64(count)] = (at & 7) << TURN_SHIFT | symbol
             counts[u64(at & 1), u64(symbol)] += 1
@@ -243,7 +290,7 @@ def describe(
             kind[at] = next_kind[u64(i64(classes[u64(token)]) | ((base & 24) << 1) | before)]
             if number != ESCAPE and plain:
                 continue
-            extra, length = whole & ((1 << low) - 1), low * there
+            extra, length = whole & ((1 << low) - 1), low * i64(whole >= 0)
             if number == ESCAPE:
                 over = (whole >> low) - ESCAPE
                 token = tail_token(over)
@@ -264,6 +311,9 @@ def describe(
     if held > 0:
         raw[words] = np.uint32(bits & u64(0xFFFFFFFF))
         words += 1
+    points = channels * wide * SECTORS
+    for context in range(_TAIL):
+        points -= counts[0, context * STRIDE + _LOST] + counts[1, context * STRIDE + _LOST]
     sizes[0], sizes[1], sizes[2] = count, words, points
 
 

@@ -41,6 +41,10 @@ class Window:
             return None
         return cls(rings.astype(bool), np.repeat(blocks, BLOCK)[:columns].astype(bool))
 
+    def of_all_columns(self) -> Window | None:
+        """Returns the window of the same rings and all columns; None if that is the image."""
+        return None if self.rings.all() else Window(self.rings, np.ones_like(self.columns))
+
     def cut(self, range_m: Floats32) -> Floats32:
         """Returns the window of an image."""
         return np.ascontiguousarray(range_m[self.rings][:, self.columns])
@@ -76,11 +80,15 @@ class Window:
 
 @njit("void(float32[:,::1], uint8[::1], uint8[::1])", cache=True)
 def _mark(range_m: Floats32, rings: U1, blocks: U1) -> None:
-    for ring in range(range_m.shape[0]):
+    missing = blocks.size
+    for ring in range(range_m.shape[0] - 1, -1, -1):  # from below, where the returns are
         for block in range(blocks.size):
+            if rings[ring] and missing == 0:
+                break
             if rings[ring] and blocks[block]:
                 continue
             for column in range(block * BLOCK, min((block + 1) * BLOCK, range_m.shape[1])):
                 if range_m[ring, column] > 0:
+                    missing -= 1 - blocks[block]
                     rings[ring], blocks[block] = 1, 1
                     break
