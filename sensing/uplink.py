@@ -180,7 +180,11 @@ class Uplink:
         part = shipment.selection.part(shipment.scan, chunk)
         config, tick = self._kit.config, shipment.tick
         payload = encode_scan(
-            part, config.max_error_m, profile=config.profile, intensity=config.intensity
+            part,
+            config.max_error_m,
+            profile=config.profile,
+            intensity=config.intensity,
+            fill=config.fill_lost and part is shipment.scan,
         )
         encode_end_ns = time.monotonic_ns()
         passage = self._carry(tick, len(payload))

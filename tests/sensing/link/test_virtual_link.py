@@ -49,14 +49,13 @@ def test_messages_arrive_in_order_and_not_before_the_link_could_carry_them(path,
 def test_no_time_is_wasted_while_something_is_queued(path, sends):
     link = VirtualLink(path)
     busy_since, bits = 0, 0
-    for now, size in traffic(sends):
+    for queued, (now, size) in enumerate(traffic(sends), 1):
         if link.backlog_ns(now) == 0:
             busy_since, bits = now, 0
         link.send(now, size)
         bits += 8 * on_air_bytes(size)
         free = now + link.backlog_ns(now)
         carried = path.rate_bps.integral(busy_since, free)
-        queued = traffic(sends).index((now, size)) + 1
         rounding = queued * path.rate_bps.largest  # a message ends on a whole ns
         assert bits * 10**9 <= carried <= bits * 10**9 + rounding
 

@@ -1,0 +1,91 @@
+"""What an agent puts on the bus of a frame: a tunnel's wall, with a tenth of the beams lost."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from perception.roadway import Roadway
+from protocol.codec import RangeScan, ScanPattern, decode
+from protocol.geometry import SE3
+from protocol.messages import Scan, Tick
+from protocol.roadmap import RoadMap
+from sensing.config import UploadConfig
+from sensing.radio import RealRadio
+from sensing.uplink import Kit, Uplink
+from sensing.upload.registry import POLICIES
+from sensing.upload.selection import Selector
+
+PATTERN = ScanPattern(16, 900, 15.0, -25.0)
+POSE = SE3.from_pose([0, 0, 3.0, 0, 0, 0])
+
+
+class Wire:
+    """A bus that keeps what is published."""
+
+    def __init__(self) -> None:
+        self.scans: list[Scan] = []
+
+    def publish(self, topic: str, message: Any, **parts: str) -> int:
+        assert topic == "scan"
+        self.scans.append(message)
+        return 0
+
+    def wire_bytes(self) -> int:
+        return 0
+
+
+class Tunnel:
+    """The same scan again and again: everything is 8 m away, a tenth of the beams is lost."""
+
+    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> RangeScan:
+        shape = (PATTERN.channels, PATTERN.columns)
+        range_m = np.full(shape, 8.0, np.float32)
+        range_m[np.random.default_rng(1).random(shape) < 0.1] = 0
+        return RangeScan(PATTERN, range_m, np.zeros(shape, np.float32))
+
+
+def sent(road_map: RoadMap, **config: Any) -> Scan:
+    """Returns what one frame puts on the bus."""
+    upload = UploadConfig.model_validate({"max_error_m": 0.2, **config})
+    chosen = upload.of("vehicle")
+    selector = Selector(
+        POLICIES[chosen.policy],
+        chosen.filters,
+        Roadway.of(road_map, margin_m=1.0),
+        PATTERN,
+        thin_m=0.0,
+        standing=False,
+    )
+    wire = Wire()
+    kit = Kit("r", 1, Tunnel(), upload, None, lockstep=True, period_ns=10**8)
+    uplink = Uplink("a", wire, RealRadio(wire), kit, selector)
+    tick = Tick(
+        frame=0,
+        sim_time_ns=0,
+        processes=[],
+        ids=["a"],
+        types=["car"],
+        poses=np.zeros((1, 6)),
+        speeds_mps=np.zeros(1, np.float32),
+        equipment=np.zeros(1, np.uint8),
+        hosts=np.array([-1], np.int32),
+    )
+    uplink.sense_and_send(tick, POSE, POSE, 0)
+    (scan,) = wire.scans
+    return scan
+
+
+def test_a_whole_scan_is_filled_where_the_bound_allows_it(road_map: RoadMap) -> None:
+    filled, exact = sent(road_map), sent(road_map, fill_lost=False)
+    assert filled.points == exact.points == len(decode(exact.payload).points)
+    assert len(decode(filled.payload).points) > 1.08 * filled.points
+    assert filled.payload.size < exact.payload.size
+
+
+@pytest.mark.parametrize("filters", [["roi"], ["foreground"]])
+def test_what_a_filter_leaves_out_stays_out(road_map: RoadMap, filters: list[str]) -> None:
+    scan = sent(road_map, filters=filters)
+    assert len(decode(scan.payload).points) == scan.points
