@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 from edge_server.frame import Piece
+from perception.parallel import threads
 from protocol.codec import MAX_POINTS, claimed_points
 from protocol.messages import Scan
 
-MAX_THREADS = 8
 PER_THREAD = 2  # scans: one that it opens, one that is next
 
 
@@ -42,11 +41,10 @@ class Opener:
     def __init__(
         self, open_scan: Callable[[Scan, int], Piece], wake: Callable[[], None] = lambda: None
     ) -> None:
-        threads = min(len(os.sched_getaffinity(0)), MAX_THREADS)
         self._open_scan = open_scan
         self._wake = wake
-        self._most = PER_THREAD * threads
-        self._pool = ThreadPoolExecutor(threads, "opening")
+        self._most = PER_THREAD * threads()
+        self._pool = ThreadPoolExecutor(threads(), "opening")
         self._under_way: deque[Opening] = deque()
 
     def __len__(self) -> int:
