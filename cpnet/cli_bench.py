@@ -100,7 +100,10 @@ def bench_edge_command(
     frames: Annotated[int, typer.Option(min=1, max=600, help="of each")] = 20,
     as_json: AsJson = False,
 ) -> None:
-    """Measure the edge from payloads to counts, stage by stage, for each detector."""
+    """Measure the edge from payloads to counts, stage by stage, for each detector.
+
+    Scans are decoded and placed by a thread for each core: these two are sums, total is less.
+    """
     from cpnet.evaluation import detectors_of
     from studies.bench_edge import EdgeBench, measure_edge, numbers_of
     from studies.edge_table import print_edge

@@ -1,6 +1,8 @@
 """`python -m edge_server`: see `protocol.process`."""
 
+from edge_server.memory import keep_freed_memory
 from edge_server.role import EdgeRole
 from protocol.process import run
 
+keep_freed_memory()
 run("edge", EdgeRole.build)

@@ -87,6 +87,16 @@ class Assembler:
         part = self._part(scan.frame, received_ns)
         return part is not None and part.wants(scan)
 
+    def begin(self, scan: Scan) -> None:
+        """Takes note that a scan that was wanted is being decoded: its frame's end waits for it."""
+        if part := self._open.get(scan.frame):
+            part.begin(scan)
+
+    def forgo(self, scan: Scan) -> None:
+        """Takes note that a scan could not be decoded, and not by its own fault."""
+        if part := self._open.get(scan.frame):
+            part.forgo(scan)
+
     def add_piece(self, piece: Piece) -> None:
         """Takes a chunk of a scan that was wanted, decoded."""
         if part := self._part(piece.frame, piece.received_ns):
@@ -95,7 +105,8 @@ class Assembler:
     def pop(self, now_ns: int) -> Frame | None:
         """Returns the newest whole frame, else the oldest that has been waited for long enough.
 
-        Older frames than the one returned are given up.
+        Older frames than the one returned are given up. What came of a frame in time is part of it:
+        one that waited for long enough takes no more scans, but those that are being decoded.
         """
         credible = {n: part for n, part in self._open.items() if self._is_credible(n, part)}
         whole = [number for number, part in credible.items() if self._is_whole(number, part)]
@@ -103,6 +114,9 @@ class Assembler:
         if not whole and not old:
             return None
         number = max(whole) if whole else min(old)
+        if not whole and self._open[number].opening:
+            self._open[number].is_closing = True
+            return None
         part = self._open.pop(number)
         for passed in [n for n in self._open if n < number]:
             self._give_up(passed)

@@ -20,7 +20,11 @@ MAX_BYTES = 128 << 20  # of decoded points of a frame
 
 @dataclass(slots=True, eq=False)
 class Gathering:
-    """A frame under way. Chunks are known by (agent, chunk); `drops` counts what came in vain."""
+    """A frame under way. Chunks are known by (agent, chunk); `drops` counts what came in vain.
+
+    `opening` are the chunks that were wanted and are not decoded yet. Once it `is_closing`, no more
+    are wanted.
+    """
 
     first_ns: int
     drops: Counter[str]
@@ -30,6 +34,8 @@ class Gathering:
     pieces: dict[tuple[str, int], Piece] = field(default_factory=dict)
     chunks: dict[str, int] = field(default_factory=dict)
     found: dict[str, Found] = field(default_factory=dict)
+    opening: set[tuple[str, int]] = field(default_factory=set)
+    is_closing: bool = False
 
     def add_roster(self, roster: Roster) -> None:
         """Takes a process's first roster."""
@@ -66,8 +72,11 @@ class Gathering:
 
     def wants(self, scan: Scan) -> bool:
         """Whether a chunk is new, agrees with its fellows and has room; counts it if not."""
-        if (scan.agent, scan.chunk) in self.pieces:
+        key = scan.agent, scan.chunk
+        if key in self.pieces or key in self.opening:
             reason = "duplicate"
+        elif self.is_closing:
+            reason = "late"
         elif self.chunks.get(scan.agent, scan.chunks) != scan.chunks:
             reason = "contradiction"
         elif len(self.pieces) >= MAX_PIECES and not self._can_oust_for(scan.agent):
@@ -77,8 +86,18 @@ class Gathering:
         self.drops[reason] += 1
         return False
 
+    def begin(self, scan: Scan) -> None:
+        """Takes note that a chunk that was wanted is being decoded."""
+        self.opening.add((scan.agent, scan.chunk))
+        self.chunks[scan.agent] = scan.chunks
+
+    def forgo(self, scan: Scan) -> None:
+        """Takes note that a chunk will not come after all."""
+        self.opening.discard((scan.agent, scan.chunk))
+
     def add_piece(self, piece: Piece) -> None:
         """Takes a decoded chunk that was wanted."""
+        self.opening.discard((piece.agent, piece.chunk))
         while not self._fits(piece) and self._can_oust_for(piece.agent):
             self._oust(self.pieces, [key for key in self.pieces if not self._is_announced(key[0])])
         if not self._fits(piece):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge_server.config import EdgeConfig
-from edge_server.frame import Frame, Piece
+from edge_server.frame import Frame, Piece, open_scan
 from edge_server.fuse import fuse
 from edge_server.lanes import LaneIndex, Place
 from edge_server.merge import sensor_in_map
@@ -18,7 +18,7 @@ from perception.detector import Cloud
 from perception.registry import DetectorMaker, detector_of
 from perception.roadway import Placed, Roadway
 from perception.vehicles import Vehicles
-from protocol.messages import Detections, LaneCounts, Span
+from protocol.messages import Detections, LaneCounts, Scan, Span
 from protocol.roadmap import RoadMap
 
 
@@ -78,6 +78,14 @@ class Pipeline:
             counts = self._counts(frame, place)
         points = sum(len(piece.points) for piece in frame.pieces)
         return Result(detections, counts, spans.done, points)
+
+    def open(self, scan: Scan, received_ns: int) -> Piece:
+        """Decodes a chunk and places it, if that needs nothing of others; for any thread.
+
+        Raises:
+            CodecError: the payload is not a scan.
+        """
+        return self.place_early(open_scan(scan, received_ns))
 
     def place_early(self, piece: Piece) -> Piece:
         """Places a piece while others are still under way, if that needs nothing of theirs."""

@@ -8,7 +8,8 @@ from typing import Any
 
 from edge_server.assembler import MAX_OPEN_FRAMES, Assembler
 from edge_server.config import EdgeConfig
-from edge_server.frame import Frame, open_scan, spoilt_scan
+from edge_server.frame import Frame, spoilt_scan
+from edge_server.opening import Opener, Opening
 from edge_server.pipeline import Pipeline, Result
 from edge_server.planner import Planner
 from edge_server.punctual import Punctuality
@@ -29,7 +30,10 @@ from sensing.link.config import LinkConfig
 
 
 class EdgeRole:
-    """Scans are decoded and placed as they come, while others are under way; the rest waits."""
+    """Scans are decoded and placed as they come, by threads, while others are under way.
+
+    All else is done by the thread of the loop, once the frame is whole.
+    """
 
     def __init__(self, context: Context) -> None:
         scenario = context.setup.scenario
@@ -38,6 +42,7 @@ class EdgeRole:
         self._region: str = scenario["region"]
         self._tls = context.setup.road_map.signal.tls
         self._pipeline = Pipeline(context.setup.road_map, config, seed=scenario["seed"])
+        self._opener = Opener(self._pipeline.open, context.inbox.wake)
         expected = expected_agents(scenario)
         self._missing = set(expected)
         self._announced = False
@@ -91,6 +96,8 @@ class EdgeRole:
 
     def poll(self) -> None:
         """Shows the process once it is due, and works on the next frame that is ready."""
+        for opening in self._opener.done():
+            self._add(opening)
         if not self._announced and not self._missing:
             self._announced = True
             self._context.announce("edge")
@@ -101,7 +108,8 @@ class EdgeRole:
             self._publish(cut, self._pipeline.run(cut))
 
     def close(self) -> None:
-        """Holds nothing of its own."""
+        """Ends the threads."""
+        self._opener.close()
 
     def _hear(self, presence: Presence) -> None:
         if presence.role in ("vehicle", "infra"):
@@ -121,7 +129,7 @@ class EdgeRole:
             self._planner.sites.hear(message)
 
     def _take_scan(self, scan: Scan, came: Envelope) -> None:
-        """Decodes what is wanted. What is late still tells of its agent's place and uplink."""
+        """Has opened what is wanted. What is late still tells of its agent's place and uplink."""
         self._note_site(scan)
         if not self._lockstep:
             self._planner.bandwidth.heard(
@@ -131,13 +139,23 @@ class EdgeRole:
                 sent_ns=scan.encode_end_ns,
                 received_ns=came.received_ns,
             )
-        if not self._assembler.wants(scan, came.received_ns):
-            return
+        if self._assembler.wants(scan, came.received_ns):
+            self._assembler.begin(scan)
+            for opening in self._opener.put(scan, came.received_ns):
+                self._add(opening)
+
+    def _add(self, opening: Opening) -> None:
+        """Takes a scan that is open; counts one that could not be opened."""
+        scan = opening.scan
         try:
-            piece = self._pipeline.place_early(open_scan(scan, came.received_ns))
+            piece = opening.piece()
         except CodecError as error:
             self._context.inbox.refuse(f"scan of {scan.agent}", error)
-            piece = spoilt_scan(scan, came.received_ns)
+            piece = spoilt_scan(scan, opening.received_ns)
+        except (ValueError, LookupError, TypeError) as error:
+            self._context.inbox.fail("scan", error)
+            self._assembler.forgo(scan)
+            return
         self._assembler.add_piece(piece)
 
     def _publish_plans(self, frame: Frame, cut: Frame) -> None:

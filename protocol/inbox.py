@@ -56,12 +56,13 @@ class Inbox:
     """
 
     def __init__(self, capacity: int = CAPACITY, max_bytes: int = CAPACITY_BYTES) -> None:
-        self._queue: queue.Queue[str | Sealed | Presence] = queue.Queue(capacity)
+        self._queue: queue.Queue[str | Sealed | Presence | None] = queue.Queue(capacity)
         self._max_bytes = max_bytes
         self._bytes = 0
         self._limits: dict[str, int] = {}
         self._waiting: dict[str, deque[Sealed]] = {}
         self._lock = threading.Lock()
+        self._woken = False
         self._told: set[tuple[str, str]] = set()
         self.drops: Counter[str] = Counter()
 
@@ -89,10 +90,23 @@ class Inbox:
             if oldest is None:
                 self._queue.put_nowait(entry)
 
+    def wake(self) -> None:
+        """Ends the wait of whoever waits for an item, or else the next one; from any thread."""
+        with self._lock:
+            if not self._woken and not self._queue.full():  # a full inbox lets nobody wait
+                self._woken = True
+                self._queue.put_nowait(None)
+
     def get(self, timeout_s: float = 0.0) -> Envelope | Presence | None:
-        """Returns the next item that can be read, or None when the time is over."""
+        """Returns the next item that can be read, or None when the time is over.
+
+        None comes at once if there is no item and `wake` was called since the last wait.
+        """
         try:
             item = self._queue.get(timeout_s > 0, timeout_s or None)
+            while item is None:
+                self._woken = False
+                item = self._queue.get_nowait()
         except queue.Empty:
             return None
         with self._lock:

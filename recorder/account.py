@@ -2,7 +2,9 @@
 
 Along an agent's way the stages follow one another; `wait` is what its last chunk waited at the
 edge, for others or for its turn, `other` what no process measured. They sum to the end-to-end time:
-from the start of the agent's sensing until the cabinet has acted on the frame.
+from the start of the agent's sensing until the cabinet has acted on the frame. The edge opens
+several scans at once: others' are no part of an agent's way, and where chunks of its own overlap,
+the time counts once.
 
 Over real links, clocks of different machines are aligned first, and `clock_error_ns` says how
 wrong that may be. Over virtual links each agent's computing, as measured, and its time on the link
@@ -92,7 +94,7 @@ class Evidence:
         agent = upload.agent
         sent = self._sent(upload)
         edge = [s for s in self.spans["edge"] if s.agent == agent]
-        came = _sums(s for s in edge if s.start_ns >= arrival.received_ns)
+        came = _sums_apart(s for s in edge if s.start_ns >= arrival.received_ns)
         shared = _sums(s for s in self.spans["edge"] if not s.agent)
         decided = _sums(self.spans.get("signal", ()))
         return _Way(
@@ -202,4 +204,15 @@ def _sums(spans: Iterable[Span]) -> dict[str, int]:
     sums: dict[str, int] = defaultdict(int)
     for span in spans:
         sums[span.stage] += span.end_ns - span.start_ns
+    return sums
+
+
+def _sums_apart(spans: Iterable[Span]) -> dict[str, int]:
+    """Returns sums by stage; of spans that overlap, what the earlier one leaves of the later."""
+    sums: dict[str, int] = defaultdict(int)
+    ordered = sorted(spans, key=lambda span: (span.start_ns, span.end_ns))
+    until_ns = ordered[0].start_ns if ordered else 0
+    for span in ordered:
+        sums[span.stage] += max(0, span.end_ns - max(span.start_ns, until_ns))
+        until_ns = max(until_ns, span.end_ns)
     return sums

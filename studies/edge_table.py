@@ -36,6 +36,7 @@ def print_edge(rows: list[EdgeRow], console: Console) -> None:
         )
     print_whole(table, console)
     console.print(
-        "ms, medians of frames; MB: the most memory of its process; x: as fast as `reference`",
+        "ms, medians of frames; decode and place are sums over threads, total is by the clock; "
+        "MB: the most memory of its process; x: as fast as `reference`",
         style="dim",
     )

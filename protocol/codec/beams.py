@@ -162,7 +162,7 @@ def _tune(noise_steps: float, floor: float) -> I8:
     return np.array([round(gain * UNITS), jump, shift, max(0, shift - 1)], np.int64)
 
 
-@njit("float64(float32[:,::1])", cache=True)
+@njit("float64(float32[:,::1])", cache=True, nogil=True)
 def _noise_m(range_m: Floats32) -> float:
     """Estimates the standard deviation of range noise.
 

@@ -62,7 +62,7 @@ class Filling:
         return self.reach_m, self.chords, self.filled
 
 
-@njit("void(int32[::1], int64, float64, float64, int32[::1], int32[::1])", cache=True)
+@njit("void(int32[::1], int64, float64, float64, int32[::1], int32[::1])", cache=True, nogil=True)
 def find_holes(beams: I4, stride: int, reach: float, chord: float, least: I4, most: I4) -> None:
     """Fills between which ranges each beam of a ring may be filled.
 
@@ -97,7 +97,7 @@ def find_holes(beams: I4, stride: int, reach: float, chord: float, least: I4, mo
         most[n] = np.int32(np.int32(a + v if hole else none) - 1)
 
 
-@njit("void(float32[::1], float64, int32[::1])", cache=True)
+@njit("void(float32[::1], float64, int32[::1])", cache=True, nogil=True)
 def ring_units(range_m: Floats32, units_per_m: float, beams: I4) -> None:
     """Fills a ring's ranges as whole units, with what lies behind its ends, for `find_holes`.
 

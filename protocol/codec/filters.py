@@ -65,7 +65,7 @@ def _size_classes() -> U1:
 SIZE_CLASSES = _size_classes()
 
 
-@njit("void(int32[:,::1], int64, int64)", cache=True)
+@njit("void(int32[:,::1], int64, int64)", cache=True, nogil=True)
 def begin(rows: I4, columns: int, step: int) -> None:
     """Makes the ring that is complete the ring below: smooths it and closes its circle.
 
@@ -93,7 +93,9 @@ def begin(rows: I4, columns: int, step: int) -> None:
         rows[_GONE, n] = rows[_GONE_BELOW, n]
 
 
-@njit("int64(int32[:,::1], int32[::1], int32[::1], int64[::1], int64, int64)", cache=True)
+@njit(
+    "int64(int32[:,::1], int32[::1], int32[::1], int64[::1], int64, int64)", cache=True, nogil=True
+)
 def expect(rows: I4, weights: I4, extra: I4, place: I8, at: int, last: int) -> int:
     """Returns what a beam is expected to return; fills four more inputs of the filter.
 
@@ -141,7 +143,7 @@ def expect(rows: I4, weights: I4, extra: I4, place: I8, at: int, last: int) -> i
     return expected
 
 
-@njit("int64(int32[:,::1], int64[::1], int64, int64, int64)", cache=True)
+@njit("int64(int32[:,::1], int64[::1], int64, int64, int64)", cache=True, nogil=True)
 def instead(rows: I4, place: I8, median: int, last: int, which: int) -> int:
     """Returns what a beam may return that is not what was expected: another surface's range.
 
@@ -167,7 +169,11 @@ def instead(rows: I4, place: I8, median: int, last: int, which: int) -> int:
     return found
 
 
-@njit("void(int32[:,::1], int32[::1], int64, int64, float64[::1], float64[:,::1])", cache=True)
+@njit(
+    "void(int32[:,::1], int32[::1], int64, int64, float64[::1], float64[:,::1])",
+    cache=True,
+    nogil=True,
+)
 def note(rows: I4, extra: I4, at: int, wanted: int, inputs: Floats, gram: Floats) -> None:
     """Adds a beam to the normal equations of the filter.
 
@@ -196,7 +202,7 @@ def note(rows: I4, extra: I4, at: int, wanted: int, inputs: Floats, gram: Floats
                 gram[a, b] += x * inputs[b]
 
 
-@njit("int64(int32[:,::1], uint8[::1], int64, int64, int64[::1])", cache=True)
+@njit("int64(int32[:,::1], uint8[::1], int64, int64, int64[::1])", cache=True, nogil=True)
 def context_of(rows: I4, size_classes: U1, at: int, expected: int, marks: I8) -> int:
     """Returns the context of a beam: how large residuals are nearby, and what was lost there."""
     total = i64(
@@ -221,7 +227,7 @@ def context_of(rows: I4, size_classes: U1, at: int, expected: int, marks: I8) ->
     return _NEAR + size
 
 
-@njit("int64(int64)", cache=True)
+@njit("int64(int64)", cache=True, nogil=True)
 def tail_of(context: int) -> int:
     """Returns which of the first four tails an escape in this context has."""
     if context < _FAR:
@@ -229,7 +235,7 @@ def tail_of(context: int) -> int:
     return 3
 
 
-@njit("int64(int32[:,::1], int64[::1], int64[::1], int64, int64, int64)", cache=True)
+@njit("int64(int32[:,::1], int64[::1], int64[::1], int64, int64, int64)", cache=True, nogil=True)
 def settle(rows: I4, tuning: I8, place: I8, median: int, value: int, k: int) -> int:
     """Takes a decoded range into the rows; returns the filtered range.
 
@@ -260,7 +266,7 @@ def settle(rows: I4, tuning: I8, place: I8, median: int, value: int, k: int) -> 
     return here
 
 
-@njit("void(int32[:,::1], int64, int64)", cache=True)
+@njit("void(int32[:,::1], int64, int64)", cache=True, nogil=True)
 def pass_over(rows: I4, at: int, expected: int) -> None:
     """Takes a lost beam into the rows."""
     rows[EXPECTED, at], rows[_GONE, at], rows[HERE, at] = expected, 1, expected
@@ -268,7 +274,7 @@ def pass_over(rows: I4, at: int, expected: int) -> None:
     rows[_SIZE, at] = (rows[_SIZE, at - 1] + rows[_SIZE_BELOW, at]) >> 1
 
 
-@njit("void(int64[::1], int64[::1])", cache=True)
+@njit("void(int64[::1], int64[::1])", cache=True, nogil=True)
 def measure(tuning: I8, place: I8) -> None:
     """Fills bits of scale, the largest input, two thirds of a jump in seven bits, and an edge."""
     widest = tuning[1] * UNITS * 2 // 3

@@ -60,6 +60,7 @@ _PARTS = 6  # of all rings: one for each band, but for the lowest, which has the
     "float64[:,:,::1], uint16[::1], uint32[::1], int32[:,::1], int64[::1], float64, float64[::1], "
     "uint8[:,::1])",
     cache=True,
+    nogil=True,
 )
 def describe_fine(
     range_m: Floats32,
@@ -192,6 +193,7 @@ def describe_fine(
     "Array(float64, 2, 'C', readonly=True), "
     "Array(float64, 2, 'C', readonly=True), float32[:,::1])",
     cache=True,
+    nogil=True,
 )
 def restore_fine(
     words: U2,

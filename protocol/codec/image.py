@@ -90,7 +90,7 @@ def _next_kinds() -> U1:
 CONTEXT_OF, NEXT_KIND = _contexts(), _next_kinds()
 
 
-@njit("void(int64, int64, uint16[::1])", cache=True)
+@njit("void(int64, int64, uint16[::1])", cache=True, nogil=True)
 def _classify(shift: int, low: int, classes: U2) -> None:
     """Fills the size class of each token, as an offset into `NEXT_KIND`."""
     classes[:] = 0
@@ -100,7 +100,11 @@ def _classify(shift: int, low: int, classes: U2) -> None:
         classes[number + 1] = min(3, size >> (shift - low)) << 6
 
 
-@njit("void(int32[::1], uint8[::1], int32[::1], int16[::1], int64, int64, int64[::1])", cache=True)
+@njit(
+    "void(int32[::1], uint8[::1], int32[::1], int16[::1], int64, int64, int64[::1])",
+    cache=True,
+    nogil=True,
+)
 def _look_below(
     below: I4, kinds: U1, slopes: I4, bases: I2, wide: int, shift: int, marks: I8
 ) -> None:
@@ -141,7 +145,7 @@ def _look_below(
         slopes[at] = 0
 
 
-@njit("int64(int64, int64, int64)", cache=True)
+@njit("int64(int64, int64, int64)", cache=True, nogil=True)
 def _expect(last: int, under: int, slope: int) -> int:
     """Returns what a beam is expected to return, by its neighbours to the left and below."""
     expected: int = max(min(last, under), min(max(last, under), last + slope))
@@ -174,6 +178,7 @@ def _look_around(around: I4, wide: int, columns: int) -> None:
     "void(float32[:,::1], float64, int64[::1], int64[::1], uint8[::1], uint8[::1], uint16[::1], "
     "uint32[::1], int32[:,::1], int64[::1], float64, float64[::1], uint8[:,::1])",
     cache=True,
+    nogil=True,
 )
 def describe(
     range_m: Floats32,
@@ -323,6 +328,7 @@ def describe(
     "Array(float64, 2, 'C', readonly=True), "
     "Array(float64, 2, 'C', readonly=True), float32[:,::1])",
     cache=True,
+    nogil=True,
 )
 def restore(
     words: U2,

@@ -38,7 +38,7 @@ def symbol_room(points: int, depth: int) -> int:
     return points * (depth * 3 + 2) + 8
 
 
-@njit("void(int64[:,::1], uint64[::1])", cache=True)
+@njit("void(int64[:,::1], uint64[::1])", cache=True, nogil=True)
 def weave(cells: I8, keys: U8) -> None:
     """Fills the Morton keys (N,) of cells (N, 3), z highest."""
     for n in range(len(keys)):
@@ -54,7 +54,7 @@ def weave(cells: I8, keys: U8) -> None:
         keys[n] = key
 
 
-@njit("void(uint64[::1], int64[:,::1])", cache=True)
+@njit("void(uint64[::1], int64[:,::1])", cache=True, nogil=True)
 def unweave(keys: U8, cells: I8) -> None:
     """Reverses `weave`."""
     for n in range(len(keys)):
@@ -71,6 +71,7 @@ def unweave(keys: U8, cells: I8) -> None:
 @njit(
     "void(uint64[::1], int64, uint16[::1], uint32[::1], int64[:,::1], int64[::1])",
     cache=True,
+    nogil=True,
 )
 def describe_tree(keys: U8, depth: int, symbols: U2, raw: U4, counts: I8, sizes: I8) -> None:
     """Turns sorted keys into symbols and raw bits.
@@ -156,6 +157,7 @@ def describe_tree(keys: U8, depth: int, symbols: U2, raw: U4, counts: I8, sizes:
     "int64(uint16[::1], int64, uint32[::1], uint8[::1], uint8[::1], uint32[::1], int64, "
     "uint64[::1])",
     cache=True,
+    nogil=True,
 )
 def restore_tree(
     words: U2, end: int, raw: U4, table_of: U1, slots: U1, place: U4, depth: int, keys: U8

@@ -132,6 +132,17 @@ def open_payload(data: bytes) -> tuple[Head, Reader]:
     return head, Reader(data, PREFIX.size)
 
 
+def claimed_points(payload: npt.NDArray[np.uint8]) -> int:
+    """Returns how many points a payload claims, without a look at the rest; 0 if it is too short.
+
+    One that claims more than the limit is refused before anything is allocated: it counts as 0.
+    """
+    if len(payload) < PREFIX.size:
+        return 0
+    points: int = PREFIX.unpack_from(payload.data)[5]
+    return points if points <= MAX_POINTS else 0
+
+
 def squeeze(raw: npt.NDArray[np.uint8]) -> bytes:
     """Returns a zstd frame that states its size."""
     return zstandard.ZstdCompressor(level=_LEVEL).compress(np.ascontiguousarray(raw).data)

@@ -19,7 +19,11 @@ U1 = npt.NDArray[np.uint8]
 MAX_STEPS = 65_533
 
 
-@njit("int64(float32[:,::1], float64, uint8[::1], float64, float64[::1], uint8[:,::1])", cache=True)
+@njit(
+    "int64(float32[:,::1], float64, uint8[::1], float64, float64[::1], uint8[:,::1])",
+    cache=True,
+    nogil=True,
+)
 def pack_ranges(
     range_m: Floats32,
     per_step: float,
@@ -73,6 +77,7 @@ def pack_ranges(
     "int64(Array(uint8, 1, 'C', readonly=True), Array(float32, 2, 'C', readonly=True), int64, "
     "float64, float32[:,::1])",
     cache=True,
+    nogil=True,
 )
 def unpack_ranges(raw: U1, directions: Floats32, columns: int, step_m: float, xyz: Floats32) -> int:
     """Fills the points of all beams that returned, as far as there is room; returns their number.

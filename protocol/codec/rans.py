@@ -19,7 +19,7 @@ TURN_SHIFT = 13  # of the state's number above the symbol
 START = 1 << 16  # every state begins and ends here, which tells a damaged payload
 
 
-@njit("int64(uint16[::1], int64, uint16[:,::1], uint16[::1])", cache=True)
+@njit("int64(uint16[::1], int64, uint16[:,::1], uint16[::1])", cache=True, nogil=True)
 def encode_symbols(symbols: U2, count: int, shares: U2, words: U2) -> int:
     """Writes words from the end of `words` backwards; returns where they begin.
 
@@ -62,7 +62,7 @@ def encode_symbols(symbols: U2, count: int, shares: U2, words: U2) -> int:
     return at
 
 
-@njit("void(uint16[:,::1], uint8[:,::1], uint32[:,::1])", cache=True)
+@njit("void(uint16[:,::1], uint8[:,::1], uint32[:,::1])", cache=True, nogil=True)
 def open_tables(shares: U2, slots: U1, place: U4) -> None:
     """Fills what the decoder looks up: the token of each slot, and each token's place."""
     contexts, stride = shares.shape
@@ -75,7 +75,7 @@ def open_tables(shares: U2, slots: U1, place: U4) -> None:
             below += share
 
 
-@njit("uint64(uint64, uint32)", cache=True)
+@njit("uint64(uint64, uint32)", cache=True, nogil=True)
 def advance(state: int, where: int) -> int:
     """Returns a decoder's state behind a symbol whose place is `where`; it may need a word."""
     share, below = u64(where & np.uint32(0xFFFF)), u64(where >> np.uint32(16))
@@ -84,7 +84,7 @@ def advance(state: int, where: int) -> int:
     return result
 
 
-@njit("uint64(uint64, uint16)", cache=True)
+@njit("uint64(uint64, uint16)", cache=True, nogil=True)
 def refill(state: int, word: int) -> int:
     """Returns the state with the next word, if it needs one."""
     short = u64(state < u64(START))
@@ -92,7 +92,7 @@ def refill(state: int, word: int) -> int:
     return result
 
 
-@njit("uint64(uint64)", cache=True)
+@njit("uint64(uint64)", cache=True, nogil=True)
 def is_short(state: int) -> int:
     """Returns 1 if the state needs a word."""
     result: int = u64(state < u64(START))

@@ -11,7 +11,7 @@ from protocol.codec.tokens import I8
 _NEAREST_M = 1e-3
 
 
-@njit("void(float64[:,::1], float64[:,::1], float32[:,:,::1])", cache=True)
+@njit("void(float64[:,::1], float64[:,::1], float32[:,:,::1])", cache=True, nogil=True)
 def turn_rings(turns: Floats, azimuths: Floats, directions: Floats32) -> None:
     """Fills unit vectors (channels, columns, 3).
 
@@ -29,7 +29,11 @@ def turn_rings(turns: Floats, azimuths: Floats, directions: Floats32) -> None:
             directions[ring, column, 2] = up
 
 
-@njit("void(float64[:,::1], float32[:,::1], int64[::1], float64[::1], float64[::1])", cache=True)
+@njit(
+    "void(float64[:,::1], float32[:,::1], int64[::1], float64[::1], float64[::1])",
+    cache=True,
+    nogil=True,
+)
 def measure_beams(
     points: Floats, directions: Floats32, beam: I8, range_m: Floats, beside_m: Floats
 ) -> None:
@@ -47,6 +51,7 @@ def measure_beams(
 @njit(
     "int64(int64[::1], float64[::1], float64[::1], float64, float32[::1], int64[::1], int64[::1])",
     cache=True,
+    nogil=True,
 )
 def claim_beams(
     beam: I8,

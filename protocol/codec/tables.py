@@ -18,7 +18,7 @@ _WRITTEN_BITS = 3.0  # a level, roughly
 _WEIGHTS = np.array([0] + [round(64 * 2 ** (k / 3)) for k in range(LEVELS - 1)], np.int64)
 
 
-@njit("float64(int64[::1])", cache=True)
+@njit("float64(int64[::1])", cache=True, nogil=True)
 def _cost(counts: I8) -> float:
     """Returns the bits that coding these tokens and writing their table takes, roughly."""
     total, bits, last = 0, 0.0, 0
@@ -33,7 +33,7 @@ def _cost(counts: I8) -> float:
     return float(bits + total * np.log2(total) + 6 + _WRITTEN_BITS * (last + 1))
 
 
-@njit("int64(int64[:,::1], uint8[::1], uint8[:,::1])", cache=True)
+@njit("int64(int64[:,::1], uint8[::1], uint8[:,::1])", cache=True, nogil=True)
 def choose_tables(counts: I8, table_of: U1, levels: U1) -> int:
     """Fills the table of each context and the levels of each table; returns how many tables.
 
@@ -72,7 +72,7 @@ def choose_tables(counts: I8, table_of: U1, levels: U1) -> int:
     return table
 
 
-@njit("void(uint8[:,::1], int64, uint16[:,::1])", cache=True)
+@njit("void(uint8[:,::1], int64, uint16[:,::1])", cache=True, nogil=True)
 def spread(levels: U1, tables: int, shares: U2) -> None:
     """Fills shares that sum to 4096, each at most 4095; the same on every machine."""
     stride = levels.shape[1]
@@ -95,14 +95,14 @@ def spread(levels: U1, tables: int, shares: U2) -> None:
         shares[table, largest] = left
 
 
-@njit("int64(uint8[::1], int64, int64, int64)", cache=True)
+@njit("int64(uint8[::1], int64, int64, int64)", cache=True, nogil=True)
 def _put(out: U1, at: int, bits: int, value: int) -> int:
     for n in range(bits):
         out[(at + n) >> 3] |= np.uint8(((value >> n) & 1) << ((at + n) & 7))
     return at + bits
 
 
-@njit("int64(uint8[::1], uint8[:,::1], int64, uint8[::1])", cache=True)
+@njit("int64(uint8[::1], uint8[:,::1], int64, uint8[::1])", cache=True, nogil=True)
 def write_tables(table_of: U1, levels: U1, tables: int, out: U1) -> int:
     """Writes which contexts share a table, and the tables; returns the bytes written.
 
@@ -136,7 +136,9 @@ def write_tables(table_of: U1, levels: U1, tables: int, out: U1) -> int:
     return (at + 7) >> 3
 
 
-@njit("int64(Array(uint8, 1, 'C', readonly=True), uint8[::1], uint8[:,::1])", cache=True)
+@njit(
+    "int64(Array(uint8, 1, 'C', readonly=True), uint8[::1], uint8[:,::1])", cache=True, nogil=True
+)
 def read_tables(data: U1, table_of: U1, levels: U1) -> int:
     """Reverses `write_tables`; returns how many tables, or -1 if `data` does not hold them."""
     contexts, stride = levels.shape

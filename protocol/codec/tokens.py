@@ -29,19 +29,19 @@ I8 = npt.NDArray[np.int64]
 U8 = npt.NDArray[np.uint64]
 
 
-@njit("int64(int64)", cache=True)
+@njit("int64(int64)", cache=True, nogil=True)
 def fold(k: int) -> int:
     """Folds a signed number into one that is not, those near 0 first."""
     return (k << 1) ^ (k >> 63)
 
 
-@njit("int64(int64)", cache=True)
+@njit("int64(int64)", cache=True, nogil=True)
 def unfold(u: int) -> int:
     """Reverses `fold`."""
     return (u >> 1) ^ -(u & 1)
 
 
-@njit("int64(int64)", cache=True)
+@njit("int64(int64)", cache=True, nogil=True)
 def tail_token(over: int) -> int:
     """Returns the second token of a number that lies `over` above the escape: 0, 1, then pairs."""
     if over < 2:
@@ -52,13 +52,13 @@ def tail_token(over: int) -> int:
     return 2 * e + ((over >> (e - 1)) & 1)
 
 
-@njit("int64(int64)", cache=True)
+@njit("int64(int64)", cache=True, nogil=True)
 def tail_bits(token: int) -> int:
     """Returns how many raw bits follow a second token."""
     return max(0, (token >> 1) - 1)
 
 
-@njit("int64(int64)", cache=True)
+@njit("int64(int64)", cache=True, nogil=True)
 def tail_base(token: int) -> int:
     """Returns the smallest number of a second token."""
     if token < 2:

@@ -18,14 +18,14 @@ UNITS = 256  # in one step
 GONE = 4  # the smallest kind of a lost beam
 
 
-@njit("void(uint16[::1], uint64[::1])", cache=True)
+@njit("void(uint16[::1], uint64[::1])", cache=True, nogil=True)
 def open_states(words: U2, states: U8) -> None:
     """Fills the states of the entropy coder."""
     for n in range(STATES):
         states[n] = (u64(words[2 * n]) << u64(16)) | u64(words[2 * n + 1])
 
 
-@njit("boolean(uint64[::1])", cache=True)
+@njit("boolean(uint64[::1])", cache=True, nogil=True)
 def are_done(states: U8) -> bool:
     """Returns whether all states are where they began: if not, the payload is damaged."""
     done = True
@@ -38,6 +38,7 @@ def are_done(states: U8) -> bool:
     "void(int32[::1], uint8[::1], int64, float64, Array(float64, 2, 'C', readonly=True), int64, "
     "Array(float64, 2, 'C', readonly=True), float32[:,::1], int64, int64)",
     cache=True,
+    nogil=True,
 )
 def place_ring(
     beams: I4,

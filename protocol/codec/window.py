@@ -78,7 +78,7 @@ class Window:
         return cls(rings, columns_in.astype(bool))
 
 
-@njit("void(float32[:,::1], uint8[::1], uint8[::1])", cache=True)
+@njit("void(float32[:,::1], uint8[::1], uint8[::1])", cache=True, nogil=True)
 def _mark(range_m: Floats32, rings: U1, blocks: U1) -> None:
     missing = blocks.size
     for ring in range(range_m.shape[0] - 1, -1, -1):  # from below, where the returns are

@@ -21,7 +21,11 @@ from protocol.messages.fields import (
 
 
 class Span(Part):
-    """One stage of one frame; `agent` is empty for stages that serve all."""
+    """One stage of one frame; `agent` is empty for stages that serve all.
+
+    Those that serve all follow one another; others may overlap, for several agents are served at
+    once.
+    """
 
     stage: Text
     agent: Text = ""

@@ -325,3 +325,57 @@ def test_boxes_that_an_agent_found_stand_for_its_scan() -> None:
     assert [one.objects for one in frame.found] == [objects]
     assert frame.agents == ["a", "b", "rsu-0"]
     assert frame.scanning == ["a", "rsu-0"]
+
+
+def test_a_chunk_that_is_being_opened_is_wanted_no_second_time() -> None:
+    assembler = make()
+    scan = chunk_of("a", 0, 2)
+    assert assembler.wants(scan, 5)
+    assembler.begin(scan)
+    assert not assembler.wants(scan, 5)
+    assert not assembler.wants(chunk_of("a", 1, 3), 5)
+    assert assembler.wants(chunk_of("a", 1, 2), 5)
+    assert +assembler.drops == {"duplicate": 1, "contradiction": 1}
+
+
+def test_a_frame_whose_time_is_over_waits_for_what_is_being_opened_and_for_no_more() -> None:
+    assembler = make()
+    for part in whole()[:-1]:
+        give(assembler, part)
+    scan = chunk_of("rsu-0")
+    assert assembler.wants(scan, 5)
+    assembler.begin(scan)
+    assert assembler.pop(6 + WAIT_NS) is None
+    assert not assembler.wants(chunk_of("a", 2, 3), 6 + WAIT_NS)
+    assert +assembler.drops == {"late": 1}
+    give(assembler, piece("rsu-0"))
+    frame = assembler.pop(7 + WAIT_NS)
+    assert frame is not None
+    assert frame.complete
+    assert frame.agents == ["a", "b", "rsu-0"]
+
+
+def test_a_scan_that_could_not_be_opened_holds_no_frame_up() -> None:
+    assembler = make()
+    for part in whole()[:-1]:
+        give(assembler, part)
+    scan = chunk_of("rsu-0")
+    assembler.begin(scan)
+    assert assembler.pop(6 + WAIT_NS) is None
+    assembler.forgo(scan)
+    frame = assembler.pop(6 + WAIT_NS)
+    assert frame is not None
+    assert not frame.complete
+
+
+def test_a_whole_frame_does_not_wait_for_what_nobody_announced() -> None:
+    assembler = make()
+    stranger = chunk_of("ghost")
+    assembler.begin(stranger)  # of a frame of which nothing came
+    for part in whole():
+        give(assembler, part)
+    assembler.begin(stranger)
+    assert assembler.pop(6) is not None
+    give(assembler, piece("ghost"))
+    assembler.forgo(stranger)
+    assert +assembler.drops == {"late": 1}

@@ -10,15 +10,17 @@ import numpy as np
 import pytest
 
 from edge_server.config import EdgeConfig
+from edge_server.frame import Piece
+from edge_server.opening import Opener
 from edge_server.role import EdgeRole
 from protocol import messages as m
 from protocol.codec import PointCloud, encode_cloud
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.local import LocalNetwork
-from protocol.process import Context
+from protocol.process import Context, loop
 from protocol.roadmap import RoadMap
 from protocol.topics import BusName
-from tests.waiting import wait_until
+from tests.waiting import PATIENCE_S, wait_until
 
 M = TypeVar("M", bound=m.Message)
 
@@ -69,10 +71,21 @@ class Rig:
         self.role = EdgeRole.build(context)
 
     def turn(self) -> list[Envelope | Presence]:
-        """Lets the role take all that came; returns what it said."""
+        """Lets the role take all that came, and open all scans; returns what it said."""
+        heard = self.glance()
+        while len(self.role._opener):
+            heard += self.glance()
+        return heard
+
+    def glance(self) -> list[Envelope | Presence]:
+        """Lets the role take all that came, and act; returns what it said."""
         while (item := self.inbox.get()) is not None:
             self.role.on(item)
         self.role.poll()
+        return self.listen()
+
+    def listen(self) -> list[Envelope | Presence]:
+        """Returns what the role said since the last time."""
         heard = []
         while (item := self.seen.get()) is not None:
             heard.append(item)
@@ -252,6 +265,88 @@ def test_a_chunk_is_decoded_once(road_map: RoadMap) -> None:
     rig.say_scan(0, "rsu-0", payload=b"SCAN but no scan")
     (metrics,) = said(rig.turn(), m.Metrics)
     assert metrics.drops == {"duplicate": 1}
+
+
+class Gate:
+    """Stands before the opening of scans until it is opened itself."""
+
+    def __init__(self, rig: Rig, error: Exception | None = None) -> None:
+        self.event = threading.Event()
+        self._open_scan = rig.role._pipeline.open
+        self._error = error
+        rig.role.close()
+        rig.role._opener = Opener(self._pass, rig.inbox.wake)
+
+    def _pass(self, scan: m.Scan, received_ns: int) -> Piece:
+        assert self.event.wait(PATIENCE_S)
+        if self._error is not None:
+            raise self._error
+        return self._open_scan(scan, received_ns)
+
+
+def test_of_two_copies_that_come_at_once_one_is_opened(road_map: RoadMap) -> None:
+    rig = Rig(road_map)
+    rig.start()
+    gate = Gate(rig)
+    rig.say_rosters(0, [], ["rsu-0"])
+    rig.say_scan(0, "rsu-0")
+    rig.say_scan(0, "rsu-0")
+    assert not said(rig.glance(), m.LaneCounts)
+    gate.event.set()
+    (metrics,) = said(rig.turn(), m.Metrics)
+    assert metrics.drops == {"duplicate": 1}
+    assert metrics.points == 100
+
+
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+def test_what_came_in_time_is_used_however_long_opening_it_takes(
+    road_map: RoadMap, mode: str
+) -> None:
+    rig = Rig(road_map, mode=mode, deadline_ms=0.001, lockstep_timeout_s=1e-6)
+    rig.start()
+    gate = Gate(rig)
+    rig.say_rosters(0, [], ["rsu-0"])
+    rig.say_scan(0, "rsu-0")
+    for _ in range(3):
+        assert not said(rig.glance(), m.LaneCounts)
+    gate.event.set()
+    (counts,) = said(rig.turn(), m.LaneCounts)
+    assert (counts.complete, counts.agents) == (True, ["rsu-0"])
+
+
+def test_a_fault_of_the_opening_is_counted_and_the_frame_ends_without_the_scan(
+    road_map: RoadMap,
+) -> None:
+    rig = Rig(road_map, mode="realtime", deadline_ms=0.001)
+    rig.start()
+    Gate(rig, error=ValueError("a fault")).event.set()
+    rig.say_rosters(0, [], ["rsu-0"])
+    rig.say_scan(0, "rsu-0")
+    heard = rig.until_said(m.Metrics)
+    assert not said(heard, m.LaneCounts)[0].complete
+    assert said(heard, m.Metrics)[0].drops == {"role_error": 1, "frame_incomplete": 1}
+
+
+def test_a_frame_is_worked_on_as_soon_as_its_last_scan_is_open(
+    road_map: RoadMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("protocol.process.POLL_S", 10 * PATIENCE_S)
+    rig = Rig(road_map, mode="realtime", deadline_ms=10_000)
+    rig.start()
+    gate, stop = Gate(rig), threading.Event()
+    thread = threading.Thread(target=loop, args=(rig.role, rig.inbox, stop))
+    thread.start()
+    try:
+        rig.say_rosters(0, [], ["rsu-0"])
+        rig.say_scan(0, "rsu-0")
+        wait_until(lambda: len(rig.role._opener) == 1 and rig.inbox._queue.empty())
+        gate.event.set()
+        wait_until(lambda: said(rig.listen(), m.LaneCounts))
+    finally:
+        stop.set()
+        rig.inbox.wake()
+        thread.join()
+        rig.role.close()
 
 
 @pytest.mark.parametrize("unwanted", [{"deadline": 3}, {"merge": "draco"}, {"deadline_ms": 0}])

@@ -1,4 +1,5 @@
 import logging
+import time
 
 import numpy as np
 import pytest
@@ -129,3 +130,30 @@ def test_a_newer_message_takes_the_bytes_of_the_one_it_drives_out():
     assert item.message.frame == 2
     assert inbox.get() is None
     assert inbox.drops == {"overtaken": 1, "inbox_full": 1}
+
+
+def test_a_wake_ends_the_wait_once_and_neither_hides_nor_parts_messages():
+    inbox = Inbox()
+    inbox.wake()
+    inbox.put(sealed(encode(ROSTER)))
+    inbox.wake()
+    inbox.put(sealed(encode(ROSTER)))
+    assert isinstance(inbox.get(1.0), Envelope)
+    assert isinstance(inbox.get(), Envelope)
+    assert inbox.get() is None
+    for _ in range(3):
+        inbox.wake()
+        begin_ns = time.monotonic_ns()
+        assert inbox.get(15.0) is None
+        assert time.monotonic_ns() - begin_ns < 10e9
+    assert not inbox.drops
+
+
+def test_a_full_inbox_needs_no_wake():
+    inbox = Inbox(capacity=1)
+    inbox.put(Presence("edge", "edge", alive=True))
+    inbox.wake()
+    assert inbox.get() == Presence("edge", "edge", alive=True)
+    inbox.wake()
+    assert inbox.get(15.0) is None
+    assert not inbox.drops

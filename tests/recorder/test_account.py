@@ -92,6 +92,23 @@ def test_the_stages_of_a_frame_sum_to_its_end_to_end_time() -> None:
     assert stage_sum_ns(b) == b.end_to_end_ns == 60 * MS
 
 
+def test_time_in_which_two_chunks_of_an_agent_were_opened_counts_once() -> None:
+    made = evidence()
+    for chunk in (0, 1):
+        made.arrivals["a", chunk] = arrival("a", chunk, 20)
+    others = [s for s in made.spans["edge"] if s.agent != "a"]
+    made.spans["edge"] = [
+        *others,
+        span("decode", 22, 28, "a"),
+        span("place", 28, 30, "a"),
+        span("decode", 21, 25, "a"),
+        span("place", 25, 27, "a"),
+    ]
+    a, _ = made.accounts(7, {})
+    assert (in_ms(a)["decode"], in_ms(a)["place"], in_ms(a)["wait"]) == (4 + 3, 2, 11)
+    assert stage_sum_ns(a) == a.end_to_end_ns == 60 * MS
+
+
 def test_only_what_was_used_counts() -> None:
     made = evidence()
     del made.arrivals["a", 1], made.arrivals["b", 0]

@@ -1,0 +1,86 @@
+"""Scans are opened, that is decoded and placed, by threads: on all cores, while others come in."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+from edge_server.frame import Piece
+from perception.parallel import threads
+from protocol.codec import MAX_POINTS, claimed_points
+from protocol.messages import Scan
+
+PER_THREAD = 2  # scans: one that it opens, one that is next
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Opening:
+    """A scan that is being opened or was, and when it came."""
+
+    scan: Scan
+    received_ns: int
+    points: int
+    future: Future[Piece]
+
+    def piece(self) -> Piece:
+        """Waits until the scan is open; raises what opening it raised."""
+        return self.future.result()
+
+
+class Opener:
+    """Opens scans in threads of its own and gives them back in the order in which they came.
+
+    It is for the use of one thread; others call `open_scan`, and `wake` once a scan is open. What
+    is under way is bounded: two scans a thread, and all together claim no more points than one
+    alone may. Whoever puts more waits. What was not put waits in the inbox, which decides by its
+    limits what is dropped.
+    """
+
+    def __init__(
+        self, open_scan: Callable[[Scan, int], Piece], wake: Callable[[], None] = lambda: None
+    ) -> None:
+        self._open_scan = open_scan
+        self._wake = wake
+        self._most = PER_THREAD * threads()
+        self._pool = ThreadPoolExecutor(threads(), "opening")
+        self._under_way: deque[Opening] = deque()
+
+    def __len__(self) -> int:
+        return len(self._under_way)
+
+    def put(self, scan: Scan, received_ns: int) -> list[Opening]:
+        """Has a scan opened; returns those, put before it, that it had to wait for."""
+        points = claimed_points(scan.payload)
+        waited_for = []
+        while not self._has_room(points):
+            waited_for.append(self._take())
+        future = self._pool.submit(self._open_scan, scan, received_ns)
+        self._under_way.append(Opening(scan, received_ns, points, future))
+        future.add_done_callback(lambda _: self._wake())
+        return waited_for
+
+    def done(self) -> Iterator[Opening]:
+        """Yields what is open, up to the first scan that is not."""
+        while self._under_way and self._under_way[0].future.done():
+            yield self._under_way.popleft()
+
+    def rest(self) -> Iterator[Opening]:
+        """Yields all that is under way, as soon as it is open."""
+        while self._under_way:
+            yield self._take()
+
+    def close(self) -> None:
+        """Gives up what nobody has begun with, and ends the threads."""
+        self._under_way.clear()
+        self._pool.shutdown(cancel_futures=True)
+
+    def _has_room(self, points: int) -> bool:
+        claimed = points + sum(other.points for other in self._under_way)
+        return not self._under_way or (len(self._under_way) < self._most and claimed <= MAX_POINTS)
+
+    def _take(self) -> Opening:
+        opening = self._under_way.popleft()
+        opening.future.exception()
+        return opening
