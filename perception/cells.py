@@ -31,7 +31,9 @@ class Cells:
     @classmethod
     def of(cls, points: Floats32, side_m: float) -> Cells:
         """Sorts points (N, 3) into cells of such a side."""
-        return cls(*_sorted_in(points, side_m))
+        keys, stride = _keys(points, side_m)
+        ordered, order, found, starts = grouped(points, keys, True)
+        return cls(ordered, order, found, starts, stride)
 
 
 @njit("int64(int32[::1], int64[::1], int64)", cache=True, nogil=True)
@@ -108,16 +110,22 @@ def _runs(keys: Ints) -> Ints32:
 
 
 @njit(
-    "Tuple((float32[:,::1], int32[::1], int64[::1], int32[::1], int64[::1]))"
-    "(float32[:,::1], float64)",
+    "Tuple((float32[:,::1], int32[::1], int64[::1], int32[::1]))"
+    "(float32[:,::1], int64[::1], boolean)",
     cache=True,
     nogil=True,
 )
-def _sorted_in(points: Floats32, side_m: float) -> tuple[Floats32, Ints32, Ints, Ints32, Ints]:
-    keys, stride = _keys(points, side_m)
+def grouped(points: Floats32, keys: Ints, ascending: bool) -> tuple[Floats32, Ints32, Ints, Ints32]:
+    """Brings points (N, 3) together by their keys (N,), quickly where these come in runs.
+
+    Returns:
+        The points, by keys and, within, as they came; where each stood (N,); the keys (C,),
+        `ascending` or else as they were met; where the points of each begin, with N at the end
+        (C + 1,).
+    """
     first = _runs(keys)
     cell_of, found = _numbered(keys, first[:-1])
-    rank = np.argsort(found)
+    rank = np.argsort(found) if ascending else np.arange(found.size)
     members = np.zeros(found.size, np.int32)
     for run in range(cell_of.size):
         members[cell_of[run]] += first[run + 1] - first[run]
@@ -135,4 +143,4 @@ def _sorted_in(points: Floats32, side_m: float) -> tuple[Floats32, Ints32, Ints,
                 ordered[place, axis] = points[index, axis]
             order[place] = index
             place += 1
-    return ordered, order, found[rank], starts, stride
+    return ordered, order, found[rank], starts

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
-from perception.arrays import Bools, Floats, Floats32, Ints
+from perception.arrays import Bools, Floats, Floats32, Ints, Ints32
 from perception.lowest import lowest
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 
-CELL_M = 0.5
+CELL_M = 0.5  # two make a metre: see `Squares`
 MAX_CELLS = 8_000_000  # 8 bytes each
 
 
@@ -41,6 +42,20 @@ def merge(parts: Sequence[Placed]) -> tuple[Floats32, Floats32]:
     return np.concatenate(points), np.concatenate(road_m)
 
 
+class Squares(threading.local):
+    """Each thread's table of squares, two cells wide: what lay lowest in them so far.
+
+    It is clean between two clouds: `low_m` (S,) is infinite. `index` (S,) are points, `touched`
+    (S + 1,) the squares that hold one.
+    """
+
+    def __init__(self, rows: int, columns: int) -> None:
+        size = ((rows + 1) // 2) * ((columns + 1) // 2)
+        self.low_m = np.full(size, np.inf, np.float32)
+        self.index = np.empty(size, np.int32)
+        self.touched = np.empty(size + 1, np.int32)  # one is written before it is known to be new
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Roadway:
     """Cells of the map's plane: the road's height, NaN off the road, and its direction.
@@ -53,6 +68,7 @@ class Roadway:
     cell_m: float
     height_m: Floats32
     yaw_rad: Floats32
+    squares: Squares
 
     @classmethod
     def of(cls, road_map: RoadMap, *, margin_m: float) -> Roadway:
@@ -62,14 +78,15 @@ class Roadway:
         low = np.minimum(segments[:, 0:2], segments[:, 3:5]).min(axis=0) - reach_m
         high = np.maximum(segments[:, 0:2], segments[:, 3:5]).max(axis=0) + reach_m
         cell_m = max(CELL_M, float(np.sqrt(np.prod(high - low) / MAX_CELLS)))
+        low = np.floor(low)  # squares lie as those of `perception.lowest`
         columns, rows = (int(n) for n in np.ceil((high - low) / cell_m))
-        low -= cell_m
-        height_m = np.full((rows + 2, columns + 2), np.nan, np.float32)
+        height_m = np.full((rows, columns), np.nan, np.float32)
         yaw_rad = np.zeros_like(height_m)
         _draw(segments, low, cell_m, margin_m, height_m, yaw_rad)
         for edge in (height_m[0], height_m[-1], height_m[:, 0], height_m[:, -1]):
             edge[:] = np.nan
-        return cls((float(low[0]), float(low[1])), cell_m, height_m, yaw_rad)
+        squares = Squares(rows, columns)
+        return cls((float(low[0]), float(low[1])), cell_m, height_m, yaw_rad, squares)
 
     def place(
         self,
@@ -88,8 +105,11 @@ class Roadway:
         kept, road_m = np.empty((room, 3), np.float32), np.empty(room, np.float32)
         motion = np.column_stack([map_SE3_sensor.rotation, map_SE3_sensor.translation])
         grid = np.array([*self.origin_m, 1 / self.cell_m, -below_m, above_m], np.float32)
-        count = _place(points, motion.astype(np.float32), grid, self.height_m, kept, road_m)
-        return Placed.of(kept[:count], road_m[:count])
+        squares = self.squares.low_m, self.squares.index, self.squares.touched
+        count, votes = _place(
+            points, motion.astype(np.float32), grid, self.height_m, squares, kept, road_m
+        )
+        return Placed(kept[:count], road_m[:count], votes)
 
     def yaw_at(self, points: Floats) -> Floats:
         """Returns the road's direction (N,) at points (N, 2 or 3); 0 off the road."""
@@ -162,8 +182,8 @@ def _draw(
 
 
 @njit(
-    "int64(float32[:,::1], float32[:,::1], float32[::1], float32[:,::1], float32[:,::1], "
-    "float32[::1])",
+    "Tuple((int64, float32[:,::1]))(float32[:,::1], float32[:,::1], float32[::1], float32[:,::1], "
+    "Tuple((float32[::1], int32[::1], int32[::1])), float32[:,::1], float32[::1])",
     cache=True,
     nogil=True,
 )
@@ -172,28 +192,45 @@ def _place(
     motion: Floats32,
     grid: Floats32,
     height_m: Floats32,
+    squares: tuple[Floats32, Ints32, Ints32],
     kept: Floats32,
     road_m: Floats32,
-) -> int:
-    """Copies the points over road cells whose height lies in the band; counts them.
+) -> tuple[int, Floats32]:
+    """Copies the points over road cells whose height lies in the band; counts them, and votes.
 
     Choices of two values take no branch, which would be foreseen wrongly too often.
     """
     x_m, y_m, per_m, low_m, high_m = grid
+    square_low_m, square_index, touched = squares
     last_row, last_column = np.float32(height_m.shape[0] - 1), np.float32(height_m.shape[1] - 1)
-    none, count = np.float32(0), np.uint64(0)
+    across, one = np.uint64((height_m.shape[1] + 1) // 2), np.uint64(1)
+    none, nowhere = np.float32(0), np.float32(np.inf)
+    count, found = np.uint64(0), np.uint64(0)
     for index in range(points.shape[0]):
         u, v, w = points[index, 0], points[index, 1], points[index, 2]
         x = motion[0, 0] * u + motion[0, 1] * v + motion[0, 2] * w + motion[0, 3]
         y = motion[1, 0] * u + motion[1, 1] * v + motion[1, 2] * w + motion[1, 3]
         z = motion[2, 0] * u + motion[2, 1] * v + motion[2, 2] * w + motion[2, 3]
-        column, row = (x - x_m) * per_m, (y - y_m) * per_m
-        column = column if column > none else none
-        column = column if column < last_column else last_column
-        row = row if row > none else none
-        row = row if row < last_row else last_row
-        base_m = height_m[np.uint64(row), np.uint64(column)]
+        at_x, at_y = (x - x_m) * per_m, (y - y_m) * per_m
+        at_x = at_x if at_x > none else none
+        at_x = at_x if at_x < last_column else last_column
+        at_y = at_y if at_y > none else none
+        at_y = at_y if at_y < last_row else last_row
+        row, column = np.uint64(at_y), np.uint64(at_x)
+        base_m = height_m[row, column]
         kept[count, 0], kept[count, 1], kept[count, 2], road_m[count] = x, y, z, base_m
         over_m = z - base_m
-        count += np.uint64((low_m <= over_m) & (over_m <= high_m))
-    return int(count)
+        stays = (low_m <= over_m) & (over_m <= high_m)
+        square = (row >> one) * across + (column >> one)
+        if (over_m if stays else nowhere) < square_low_m[square]:
+            touched[found] = square
+            found += np.uint64(square_low_m[square] == nowhere)
+            square_low_m[square], square_index[square] = over_m, count
+        count += np.uint64(stays)
+    votes = np.empty((int(found), 3), np.float32)
+    for vote in range(found):
+        square = np.uint64(touched[vote])
+        for axis in range(2):
+            votes[vote, axis] = kept[np.uint64(square_index[square]), axis]
+        votes[vote, 2], square_low_m[square] = square_low_m[square], nowhere
+    return int(count), votes

@@ -17,9 +17,10 @@ _GAP_M = 3 * HALO_M  # a wider one is left out
 
 
 def cover(points: Floats32, cell_m: float) -> list[Window]:
-    """Returns windows whose cores hold all points (N, 2 or 3).
+    """Returns windows whose cores hold all points (N, 2 or 3); one for each square metre will do.
 
     The core is the window less its halo. Windows stand in columns, or in rows if that is less area.
+    Their corners lie on the lines of a grid of cells that is fixed in the map.
     """
     if len(points) == 0:
         return []
@@ -32,7 +33,7 @@ def cover(points: Floats32, cell_m: float) -> list[Window]:
 
 def _window(core: Floats, cell_m: float) -> Window:
     columns, rows = (round(side_m / cell_m) for side_m in _sides_m(core))
-    return Window(core[0] - HALO_M, columns, rows)
+    return Window(np.floor((core[0] - HALO_M) / cell_m + 1e-6) * cell_m, columns, rows)
 
 
 def _sides_m(core: Floats) -> Floats:

@@ -15,9 +15,9 @@ from perception.detector import Cloud, Stage, untimed
 from perception.overlap import suppress
 from perception.pillars.config import FULL
 from perception.pillars.cover import cover
-from perception.pillars.engine import Engine
+from perception.pillars.engine import Engine, Seen
 from perception.pillars.network import PointPillars
-from perception.pillars.voxels import Window, pillars_of
+from perception.pillars.voxels import Pillars, Window, pillars_of
 from perception.pillars.weights import SHIPPED, load
 from perception.roadway import Roadway, merge
 from perception.vehicles import Vehicles
@@ -37,25 +37,36 @@ class PillarsDetector:
     def detect(self, cloud: Cloud, rng: np.random.Generator, stage: Stage = untimed) -> Vehicles:  # noqa: ARG002 - nothing is drawn
         """See `perception.detector.Detector.detect`."""
         with stage("detect"):
-            points, road_m = merge([*cloud.near, *cloud.bare])
-            boxes, scores = self._ask(points, points[:, 2] - road_m)
+            parts = [*cloud.near, *cloud.bare]
+            points, road_m = merge(parts)
+            windows = cover(
+                np.concatenate([np.zeros((0, 3), np.float32), *(part.lowest for part in parts)]),
+                self._engine.config.cell_m,
+            )
+            boxes, scores = self._ask(points, points[:, 2] - road_m, windows)
             kept = suppress(boxes, scores, iou=self._config.same_iou)
             boxes, scores = boxes[kept], scores[kept]
             boxes[:, 2] += self._roadway.height_at(boxes)
             boxes[:, 6] = _headed(boxes[:, 6], self._roadway.yaw_at(boxes))
             return Vehicles.from_lidar(boxes, scores)
 
-    def _ask(self, points: Floats32, height_m: Floats32) -> tuple[Floats, Floats]:
-        shape = self._engine.config
-        inside = (height_m >= shape.low_m) & (height_m < shape.high_m)
-        windows = cover(points[inside], shape.cell_m)
+    def _ask(
+        self, points: Floats32, height_m: Floats32, windows: list[Window]
+    ) -> tuple[Floats, Floats]:
         boxes, scores = [np.zeros((0, 7))], [np.zeros(0)]
-        for part in _alike(windows):
-            pillars = [pillars_of(points, height_m, window, shape) for window in part]
-            found, score, number = self._engine.ask(part, pillars, min_score=self._config.min_score)
-            well = _well_inside(found, [part[n] for n in number], shape.cell_m)
-            boxes.append(found[well])
-            scores.append(score[well])
+        if windows:
+            shape = self._engine.config
+            around = _around(windows, shape.cell_m)
+            pillars = pillars_of(points, height_m, around, shape)
+            known = self._engine.encode(pillars)
+            for part in _alike(windows):
+                seen = [_seen(pillars, around, window, shape.cell_m) for window in part]
+                found, score, number = self._engine.ask(
+                    known, part, seen, min_score=self._config.min_score
+                )
+                well = _well_inside(found, [part[n] for n in number], shape.cell_m)
+                boxes.append(found[well])
+                scores.append(score[well])
         return np.concatenate(boxes), np.concatenate(scores)
 
 
@@ -83,6 +94,24 @@ def computes_in_half(device: torch.device) -> bool:
     """Whether bfloat16 is a gain: on CPUs that have no instructions for it, it is slow."""
     known = torch.cpu.get_capabilities()
     return device.type != "cpu" or bool(known.get("avx512_bf16") or known.get("amx_bf16"))
+
+
+def _around(windows: list[Window], cell_m: float) -> Window:
+    """Returns a window that holds them all."""
+    low = np.min([window.low for window in windows], axis=0)
+    high = np.max([window.low + np.array(window.size[::-1]) * cell_m for window in windows], axis=0)
+    columns, rows = (int(n) for n in np.round((high - low) / cell_m))
+    return Window(low, columns, rows)
+
+
+def _seen(pillars: Pillars, around: Window, window: Window, cell_m: float) -> Seen:
+    """Returns which pillars of the window around others stand in one of them."""
+    first_column, first_row = np.round((window.low - around.low) / cell_m).astype(np.int64)
+    row, column = np.divmod(pillars.cell, around.columns)
+    row, column = row - first_row, column - first_column
+    inside = (row >= 0) & (row < window.rows) & (column >= 0) & (column < window.columns)
+    pillar = np.flatnonzero(inside)
+    return Seen(pillar, row[pillar] * window.columns + column[pillar])
 
 
 def _alike(windows: list[Window]) -> Iterator[list[Window]]:

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from perception.arrays import Floats, Ints
+from perception.arrays import Floats, Floats32, Ints
 from perception.pillars.anchors import boxes_of, middle_of
-from perception.pillars.batch import Batch
 from perception.pillars.config import ANCHOR_YAWS, STRIDE
 from perception.pillars.network import BOX_TERMS, PointPillars, lay_channels_last
-from perception.pillars.voxels import Pillars, Window
+from perception.pillars.voxels import Pillars, Window, encode
 
 _MOST = 500  # anchors of a window that are looked at
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """Which pillars stand in a window, and in which of its cells (K,), rows of y first."""
+
+    pillar: Ints
+    cell: Ints
 
 
 class Engine:
@@ -31,22 +39,33 @@ class Engine:
         for part in (*network.blocks, *network.ups):
             assert isinstance(part, nn.Sequential)
             _fuse(part)
-        self._weight, self._bias = self._weight.to(device), self._bias.to(device)
-        self._canvas = torch.zeros(
-            0, network.config.pillar_channels, dtype=self._type, device=device
-        )
-        self._network = network.to(device, self._type)
-        lay_channels_last(self._network)
+        network = network.to(device, self._type)
+        lay_channels_last(network)
+        weight = torch.cat([network.score.weight, network.box.weight]).flatten(1)
+        shares = weight.split(self.config.up_channels, 1)
+        self._blocks = network.blocks
+        self._ups = [
+            _Up(up[0], share.T.contiguous()) for up, share in zip(network.ups, shares, strict=True)
+        ]
+        self._bias_of_head = torch.cat([network.score.bias, network.box.bias])
+        self._canvas = torch.zeros(0, self.config.pillar_channels, dtype=self._type, device=device)
+
+    def encode(self, pillars: Pillars) -> Tensor:
+        """Returns what is known of each pillar (P, C)."""
+        known = torch.from_numpy(encode(pillars, self._weight, self._bias))
+        return known.to(self.device, self._type)
 
     @torch.inference_mode()
     def ask(
-        self, windows: Sequence[Window], pillars: Sequence[Pillars], *, min_score: float
+        self, known: Tensor, windows: Sequence[Window], seen: Sequence[Seen], *, min_score: float
     ) -> tuple[Floats, Floats, Ints]:
         """Returns boxes (K, 7), z over the road, scores (K,) and the window (K,) of each.
 
-        All windows are of one size.
+        All windows are of one size; `seen` says which of the pillars known stand in each, and
+        where.
         """
-        head = self._head(Batch.of(pillars, windows[0].size, self.device)).float().cpu()
+        rows, columns = windows[0].size
+        head = self.head(known, seen, (rows, columns)).float().cpu()
         found = [
             (*self._read(terms, window, min_score), number)
             for number, (terms, window) in enumerate(zip(head, windows, strict=True))
@@ -55,18 +74,22 @@ class Engine:
         boxes = np.concatenate([boxes for boxes, _, _ in found])
         return boxes, np.concatenate([scores for _, scores, _ in found]), number
 
-    def _head(self, batch: Batch) -> Tensor:
-        points = torch.addmm(self._bias, batch.features, self._weight).relu_()
-        empty = points.new_zeros(len(batch.cell), points.shape[1])
-        index = batch.pillar[:, None].expand_as(points)
-        known = empty.scatter_reduce_(0, index, points, "amax").to(self._type)
-        windows, rows, columns = (int(n) for n in batch.shape)
-        canvas = self._cleared(windows * rows * columns)
-        canvas[batch.cell] = known
-        image = canvas.view(windows, rows, columns, -1).permute(0, 3, 1, 2)
-        head: Tensor = self._network.head(image)
-        canvas[batch.cell] = 0
-        return head
+    @torch.inference_mode()
+    def head(self, known: Tensor, seen: Sequence[Seen], size: tuple[int, int]) -> Tensor:
+        """Returns what `PointPillars.forward` does, of windows with so many rows and columns."""
+        places = size[0] * size[1]
+        cell = np.concatenate([one.cell + n * places for n, one in enumerate(seen)])
+        standing = torch.from_numpy(cell).to(self.device)
+        pillar = torch.from_numpy(np.concatenate([one.pillar for one in seen])).to(self.device)
+        canvas = self._cleared(len(seen) * places)
+        canvas[standing] = known[pillar]
+        image = canvas.view(len(seen), *size, -1).permute(0, 3, 1, 2)
+        terms = self._bias_of_head.expand(len(seen), size[0] // STRIDE, size[1] // STRIDE, -1)
+        for block, up in zip(self._blocks, self._ups, strict=True):
+            image = block(image)
+            terms = terms + up(image)
+        canvas[standing] = 0
+        return terms.permute(0, 3, 1, 2)
 
     def _cleared(self, places: int) -> Tensor:
         """Returns an empty canvas (P, C); it is kept, for to clear all of it takes long."""
@@ -88,14 +111,43 @@ class Engine:
         return boxes_of(boxes.numpy(), middle, kind.numpy(), self.config), scores
 
 
-def _fold(network: PointPillars) -> tuple[Tensor, Tensor]:
+class _Up:
+    """A block's share of the head's output: two products of matrices for each pixel.
+
+    The head is linear in what the blocks say together, so that these need not be put side by side,
+    nor scaled up before the last product.
+    """
+
+    def __init__(self, up: nn.Conv2d | nn.ConvTranspose2d, share: Tensor) -> None:
+        self._factor = up.kernel_size[0]
+        weight = up.weight if isinstance(up, nn.ConvTranspose2d) else up.weight.transpose(0, 1)
+        # (in, out, y, x) as (in, y * x * out)
+        self._weight = weight.permute(0, 2, 3, 1).flatten(1).contiguous()
+        bias = up.bias
+        assert bias is not None
+        self._bias = bias.repeat(self._factor**2)
+        self._share = share
+
+    def __call__(self, image: Tensor) -> Tensor:
+        """Maps (B, C, H, W) to (B, H factor, W factor, terms)."""
+        batch, _, rows, columns = image.shape
+        pixels = image.permute(0, 2, 3, 1).reshape(batch * rows * columns, -1)
+        raised = torch.addmm(self._bias, pixels, self._weight).relu_()
+        terms = raised.view(-1, len(self._share)) @ self._share
+        factor = self._factor
+        terms = terms.view(batch, rows, columns, factor, factor, -1).transpose(2, 3)
+        return terms.reshape(batch, rows * factor, columns * factor, -1)
+
+
+def _fold(network: PointPillars) -> tuple[Floats32, Floats32]:
     """Returns the points' layer with its norm in it: weight (6, C) and bias (C,)."""
     norm = network.norm
     assert norm.running_var is not None
     assert norm.running_mean is not None
     scale = norm.weight / torch.sqrt(norm.running_var + norm.eps)
     weight = (network.encode.weight * scale[:, None]).T.detach().contiguous()
-    return weight, (norm.bias - norm.running_mean * scale).detach()
+    bias = (norm.bias - norm.running_mean * scale).detach()
+    return weight.numpy(), bias.numpy()
 
 
 def _fuse(steps: nn.Sequential) -> None:

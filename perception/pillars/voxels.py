@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
 
 from perception.arrays import Floats, Floats32, Ints, Ints32
+from perception.cells import grouped
+from perception.parallel import each, threads
 from perception.pillars.config import FEATURES, PillarsConfig
 
 
@@ -35,7 +38,7 @@ class Pillars:
     """
 
     features: Floats32
-    starts: Ints
+    starts: Ints32
     cell: Ints
 
     @property
@@ -49,37 +52,36 @@ def pillars_of(
 ) -> Pillars:
     """Sorts points (N, 3) with heights over the road (N,) into a window's pillars."""
     frame = np.array([*window.low, config.cell_m, config.low_m, config.high_m], np.float64)
-    kept = np.empty((len(points), 3), np.float32)
-    places = np.empty(len(points), np.int32)
-    counts = np.zeros(window.rows * window.columns, np.int32)
-    size = np.array(window.size)
-    count = _keep(points, height_m, frame, size, kept, places, counts)
-    features = np.empty((count, FEATURES), np.float32)
-    cell = np.flatnonzero(counts)
-    starts = np.concatenate([[0], np.cumsum(counts[cell], dtype=np.int64)])
-    grid = config.cell_m, window.columns
-    _describe(kept[:count], places[:count], counts, starts, *grid, features)
-    return Pillars(features, starts, cell)
+    kept, keys = _keep(points, height_m, frame, np.array(window.size))
+    ordered, _, cell, starts = grouped(kept, keys, False)
+    return Pillars(_describe(ordered, starts, cell, config.cell_m, window.columns), starts, cell)
+
+
+def encode(pillars: Pillars, weight: Floats32, bias: Floats32) -> Floats32:
+    """Returns what is known of each pillar (P, C): the most that any of its points says, from 0.
+
+    A point says its features (6,) times `weight` (6, C), and `bias` (C,).
+    """
+    known = np.empty((len(pillars.cell), len(bias)), np.float32)
+    cuts = np.linspace(0, len(known), threads() + 1).astype(np.int64).tolist()
+
+    def work(span: tuple[int, int]) -> None:
+        _encode(pillars.features, pillars.starts, *span, weight, bias, known)
+
+    each(work, list(pairwise(cuts)))
+    return known
 
 
 @njit(
-    "int64(float32[:,:], float32[:], float64[::1], int64[::1], float32[:,::1], int32[::1], "
-    "int32[::1])",
+    "Tuple((float32[:,::1], int64[::1]))(float32[:,::1], float32[::1], float64[::1], int64[::1])",
     cache=True,
     nogil=True,
 )
-def _keep(
-    points: Floats32,
-    height_m: Floats32,
-    frame: Floats,
-    size: Ints,
-    kept: Floats32,
-    places: Ints32,
-    counts: Ints32,
-) -> int:
-    """Copies the points inside the window, relative to its corner; counts them by cell."""
+def _keep(points: Floats32, height_m: Floats32, frame: Floats, size: Ints) -> tuple[Floats32, Ints]:
+    """Returns the points inside the window, relative to its corner, and their cells."""
     low_x, low_y, cell_m, low_m, high_m = frame
     rows, columns = size
+    kept, keys = np.empty((points.shape[0], 3), np.float32), np.empty(points.shape[0], np.int64)
     count = 0
     for index in range(points.shape[0]):
         if not low_m <= height_m[index] < high_m:
@@ -89,49 +91,63 @@ def _keep(
         if column < 0 or column >= columns or row < 0 or row >= rows:
             continue
         kept[count, 0], kept[count, 1], kept[count, 2] = x, y, height_m[index]
-        place = row * columns + column
-        places[count] = place
-        counts[place] += 1
+        keys[count] = row * columns + column
         count += 1
-    return count
+    return kept[:count], keys[:count]
 
 
 @njit(
-    "void(float32[:,::1], int32[::1], int32[::1], int64[::1], float64, int64, float32[:,::1])",
+    "float32[:,::1](float32[:,::1], int32[::1], int64[::1], float64, int64)",
     cache=True,
     nogil=True,
 )
 def _describe(
-    points: Floats32,
-    places: Ints32,
-    counts: Ints32,
-    starts: Ints,
-    cell_m: float,
-    columns: int,
+    points: Floats32, starts: Ints32, cells: Ints, cell_m: float, columns: int
+) -> Floats32:
+    features = np.empty((points.shape[0], FEATURES), np.float32)
+    for pillar in range(cells.size):
+        first, end = starts[pillar], starts[pillar + 1]
+        x, y, z = 0.0, 0.0, 0.0
+        for index in range(first, end):
+            x, y, z = x + points[index, 0], y + points[index, 1], z + points[index, 2]
+        x, y, z = x / (end - first), y / (end - first), z / (end - first)
+        middle_x = (cells[pillar] % columns + 0.5) * cell_m
+        middle_y = (cells[pillar] // columns + 0.5) * cell_m
+        for index in range(first, end):
+            features[index, 0] = points[index, 2]
+            features[index, 1] = points[index, 0] - x
+            features[index, 2] = points[index, 1] - y
+            features[index, 3] = points[index, 2] - z
+            features[index, 4] = points[index, 0] - middle_x
+            features[index, 5] = points[index, 1] - middle_y
+    return features
+
+
+@njit(
+    "void(float32[:,::1], int32[::1], int64, int64, float32[:,::1], float32[::1], float32[:,::1])",
+    cache=True,
+    nogil=True,
+    fastmath=True,
+)
+def _encode(
     features: Floats32,
+    starts: Ints32,
+    first: int,
+    end: int,
+    weight: Floats32,
+    bias: Floats32,
+    known: Floats32,
 ) -> None:
-    """Writes the features pillar by pillar; uses up the counts."""
-    pillars = starts.size - 1
-    sums = np.zeros((pillars, 3))
-    number = 0
-    for place in range(counts.size):
-        if counts[place] > 0:
-            counts[place] = number
-            number += 1
-    following = starts.copy()
-    slots = np.empty(points.shape[0], np.int64)
-    for index in range(points.shape[0]):
-        pillar = counts[places[index]]
-        slots[index] = following[pillar]
-        following[pillar] += 1
-        for axis in range(3):
-            sums[pillar, axis] += points[index, axis]
-    for index in range(points.shape[0]):
-        pillar, place = counts[places[index]], places[index]
-        size = starts[pillar + 1] - starts[pillar]
-        row = features[slots[index]]
-        row[0] = points[index, 2]
-        for axis in range(3):
-            row[1 + axis] = points[index, axis] - sums[pillar, axis] / size
-        row[4] = points[index, 0] - (place % columns + 0.5) * cell_m
-        row[5] = points[index, 1] - (place // columns + 0.5) * cell_m
+    """Fills the pillars from `first` to `end`."""
+    channels = bias.size
+    most = np.empty(channels, np.float32)
+    for pillar in range(first, end):
+        most[:] = np.float32(0)
+        for index in range(starts[pillar], starts[pillar + 1]):
+            f0, f1, f2 = features[index, 0], features[index, 1], features[index, 2]
+            f3, f4, f5 = features[index, 3], features[index, 4], features[index, 5]
+            for c in range(channels):
+                said = bias[c] + f0 * weight[0, c] + f1 * weight[1, c] + f2 * weight[2, c]
+                said += f3 * weight[3, c] + f4 * weight[4, c] + f5 * weight[5, c]
+                most[c] = max(most[c], said)
+        known[pillar] = most

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 
 from perception.roadway import Placed, Roadway, merge
@@ -56,3 +58,30 @@ def test_parts_follow_each_other() -> None:
     np.testing.assert_array_equal(merged, np.concatenate([points, points[:3]]))
     np.testing.assert_array_equal(merged_m, np.concatenate([road_m, road_m[:3]]))
     assert merge([])[0].shape == (0, 3)
+
+
+def test_votes_are_the_lowest_points_of_square_metres(road_map: RoadMap) -> None:
+    roadway = Roadway.of(road_map, margin_m=0.5)
+    rng = np.random.default_rng(4)
+    for _ in range(3):  # the table is clean again each time
+        points = rng.uniform([-60, -60, -3], [60, 60, 6], (20_000, 3)).astype(np.float32)
+        placed = roadway.place(points, SE3.identity(), below_m=2.0, above_m=5.0)
+        by_hand = Placed.of(placed.points, placed.road_m).lowest
+        assert len(placed.lowest) == len(by_hand) > 100
+        np.testing.assert_array_equal(
+            placed.lowest[np.lexsort(placed.lowest.T)], by_hand[np.lexsort(by_hand.T)]
+        )
+
+
+def test_threads_do_not_share_their_tables(road_map: RoadMap) -> None:
+    roadway = Roadway.of(road_map, margin_m=0.5)
+    points = np.random.default_rng(4).uniform(-60, 60, (40_000, 3)).astype(np.float32)
+    poses = [SE3.from_pose([0, 0, 0, 0, 0, yaw]) for yaw in (0.0, 0.5, 1.0, 1.5)]
+
+    def votes(pose: SE3) -> np.ndarray:
+        return roadway.place(points, pose, below_m=80, above_m=80).lowest
+
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(votes, poses * 5))
+    for pose, found in zip(poses * 5, together, strict=True):
+        np.testing.assert_array_equal(found, votes(pose))

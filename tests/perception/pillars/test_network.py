@@ -16,7 +16,7 @@ from perception.detector import Cloud  # noqa: E402
 from perception.pillars.batch import Batch  # noqa: E402
 from perception.pillars.config import SMALL, PillarsConfig  # noqa: E402
 from perception.pillars.detector import PillarsDetector, pillars_detector  # noqa: E402
-from perception.pillars.engine import Engine  # noqa: E402
+from perception.pillars.engine import Engine, Seen  # noqa: E402
 from perception.pillars.network import PointPillars  # noqa: E402
 from perception.pillars.voxels import Window, pillars_of  # noqa: E402
 from perception.pillars.weights import SHIPPED, load, save  # noqa: E402
@@ -64,7 +64,9 @@ def test_the_engine_says_what_the_network_says() -> None:
         said = made(batch.features, batch.pillar, batch.cell, batch.shape)
         engine = Engine(network(), CPU, half=False)
         for _ in range(2):  # nothing is left of what was asked before
-            torch.testing.assert_close(engine._head(batch), said, rtol=1e-4, atol=1e-4)
+            seen = [Seen(np.arange(len(pillars.cell)), pillars.cell)] * 2
+            again = engine.head(engine.encode(pillars), seen, (64, 64))
+            torch.testing.assert_close(again, said, rtol=1e-4, atol=1e-4)
 
 
 def test_a_batch_keeps_windows_apart() -> None:

@@ -52,7 +52,7 @@ def test_pillars_hold_the_points_inside_once_and_know_where_they_lie() -> None:
     inside &= (height_m >= SMALL.low_m) & (height_m < SMALL.high_m)
     assert len(pillars.features) == inside.sum() == pillars.starts[-1]
     assert (np.diff(pillars.starts) > 0).all()
-    assert (np.diff(pillars.cell) > 0).all()
+    assert len(set(pillars.cell)) == len(pillars.cell)
     np.testing.assert_allclose(np.sort(pillars.features[:, 0]), np.sort(height_m[inside]))
     assert np.abs(pillars.features[:, 4:6]).max() <= SMALL.cell_m / 2 + 1e-5
     means = np.add.reduceat(pillars.features[:, 1:4], pillars.starts[:-1])
