@@ -9,7 +9,6 @@ from numba import njit
 
 from perception.arrays import Floats32, Ints, Ints32
 
-_FIRST_SLOTS = 1 << 12
 _MIX = 0x9E3779B97F4A7C15  # of Fibonacci hashing: neighbouring keys go far apart
 
 
@@ -46,18 +45,13 @@ def _slot(slots: Ints32, keys: Ints, key: int) -> int:
     return int(slot)
 
 
-@njit("int32[::1](int64, int64[::1])", cache=True, nogil=True)
-def _more_slots(before: int, keys: Ints) -> Ints32:
-    slots = np.full(4 * before, -1, np.int32)
-    for cell in range(keys.size):
-        slots[_slot(slots, keys, keys[cell])] = cell
-    return slots
-
-
 @njit("Tuple((int32[::1], int64[::1]))(int64[::1], int32[::1])", cache=True, nogil=True)
 def _numbered(keys: Ints, first: Ints32) -> tuple[Ints32, Ints]:
     """Numbers cells as they are met: that of each run (R,), and their keys (C,)."""
-    slots = np.full(_FIRST_SLOTS, -1, np.int32)
+    room = 2
+    while room < 2 * first.size:
+        room *= 2
+    slots = np.full(room, -1, np.int32)
     found, cell_of = np.empty(first.size, np.int64), np.empty(first.size, np.int32)
     count = 0
     for run in range(first.size):
@@ -66,8 +60,6 @@ def _numbered(keys: Ints, first: Ints32) -> tuple[Ints32, Ints]:
             slots[slot], found[count] = count, keys[first[run]]
             count += 1
         cell_of[run] = slots[slot]
-        if 2 * count > slots.size:
-            slots = _more_slots(slots.size, found[:count])
     return cell_of, found[:count].copy()
 
 

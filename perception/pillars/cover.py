@@ -71,9 +71,11 @@ def _cores(places: Floats) -> list[Floats]:
 
 def _stretches(along: Floats) -> list[tuple[int, int]]:
     """Divides sorted places into stretches without a wide gap, none longer than a core."""
-    starts = [0]
-    for index in range(1, len(along)):
-        gap_m = along[index] - along[index - 1]
-        if gap_m > _GAP_M or along[index] - along[starts[-1]] > LONG_M - _COARSE_M:
-            starts.append(index)
-    return list(pairwise([*starts, len(along)]))
+    cuts = [0, *(np.flatnonzero(np.diff(along) > _GAP_M) + 1).tolist(), len(along)]
+    stretches = []
+    for first, end in pairwise(cuts):
+        while first < end:
+            longest = int(np.searchsorted(along, along[first] + LONG_M - _COARSE_M, "right"))
+            stretches.append((first, min(end, longest)))
+            first = min(end, longest)
+    return stretches

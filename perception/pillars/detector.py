@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from perception.arrays import Floats, Floats32
+from perception.arrays import Floats, Floats32, Ints32
 from perception.config import PillarsDetection
 from perception.detector import Cloud, Stage, untimed
 from perception.overlap import suppress
@@ -17,7 +17,7 @@ from perception.pillars.config import FULL
 from perception.pillars.cover import cover
 from perception.pillars.engine import Engine, Seen
 from perception.pillars.network import PointPillars
-from perception.pillars.voxels import Pillars, Window, pillars_of
+from perception.pillars.voxels import Window, pillars_of
 from perception.pillars.weights import SHIPPED, load
 from perception.roadway import Roadway, merge
 from perception.vehicles import Vehicles
@@ -59,8 +59,9 @@ class PillarsDetector:
             around = _around(windows, shape.cell_m)
             pillars = pillars_of(points, height_m, around, shape)
             known = self._engine.encode(pillars)
+            standing = np.divmod(pillars.cell.astype(np.int32), np.int32(around.columns))
             for part in _alike(windows):
-                seen = [_seen(pillars, around, window, shape.cell_m) for window in part]
+                seen = [_seen(*standing, around, window, shape.cell_m) for window in part]
                 found, score, number = self._engine.ask(
                     known, part, seen, min_score=self._config.min_score
                 )
@@ -104,14 +105,13 @@ def _around(windows: list[Window], cell_m: float) -> Window:
     return Window(low, columns, rows)
 
 
-def _seen(pillars: Pillars, around: Window, window: Window, cell_m: float) -> Seen:
+def _seen(row: Ints32, column: Ints32, around: Window, window: Window, cell_m: float) -> Seen:
     """Returns which pillars of the window around others stand in one of them."""
-    first_column, first_row = np.round((window.low - around.low) / cell_m).astype(np.int64)
-    row, column = np.divmod(pillars.cell, around.columns)
+    first_column, first_row = np.round((window.low - around.low) / cell_m).astype(np.int32)
     row, column = row - first_row, column - first_column
     inside = (row >= 0) & (row < window.rows) & (column >= 0) & (column < window.columns)
     pillar = np.flatnonzero(inside)
-    return Seen(pillar, row[pillar] * window.columns + column[pillar])
+    return Seen(pillar, row[pillar].astype(np.int64) * window.columns + column[pillar])
 
 
 def _alike(windows: list[Window]) -> Iterator[list[Window]]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import conv2d
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from perception.arrays import Floats, Floats32, Ints
@@ -65,7 +66,7 @@ class Engine:
         where.
         """
         rows, columns = windows[0].size
-        head = self.head(known, seen, (rows, columns)).float().cpu()
+        head = self.head(known, seen, (rows, columns)).cpu()
         found = [
             (*self._read(terms, window, min_score), number)
             for number, (terms, window) in enumerate(zip(head, windows, strict=True))
@@ -82,13 +83,13 @@ class Engine:
         standing = torch.from_numpy(cell).to(self.device)
         pillar = torch.from_numpy(np.concatenate([one.pillar for one in seen])).to(self.device)
         canvas = self._cleared(len(seen) * places)
-        canvas[standing] = known[pillar]
+        canvas.index_copy_(0, standing, known[pillar])
         image = canvas.view(len(seen), *size, -1).permute(0, 3, 1, 2)
         terms = self._bias_of_head.expand(len(seen), size[0] // STRIDE, size[1] // STRIDE, -1)
         for block, up in zip(self._blocks, self._ups, strict=True):
             image = block(image)
             terms = terms + up(image)
-        canvas[standing] = 0
+        canvas.index_fill_(0, standing, 0)
         return terms.permute(0, 3, 1, 2)
 
     def _cleared(self, places: int) -> Tensor:
@@ -99,13 +100,14 @@ class Engine:
 
     def _read(self, terms: Tensor, window: Window, min_score: float) -> tuple[Floats, Floats]:
         places = window.rows * window.columns // STRIDE**2
-        logits = terms[:ANCHOR_YAWS].reshape(-1)
+        logits = terms[:ANCHOR_YAWS].reshape(-1).float()
         least = float(np.log(min_score / (1 - min_score)))
         place = torch.nonzero(logits >= least).reshape(-1)
         if len(place) > _MOST:
             place = place[torch.topk(logits[place], _MOST).indices]
         kind, cell = place // places, place % places
-        boxes = terms[ANCHOR_YAWS:].reshape(ANCHOR_YAWS, BOX_TERMS, -1)[kind, :, cell]
+        said = terms.permute(1, 2, 0).reshape(places, -1)[cell, ANCHOR_YAWS:].float()
+        boxes = said.view(-1, ANCHOR_YAWS, BOX_TERMS)[torch.arange(len(cell)), kind]
         middle = middle_of(cell.numpy(), window, self.config)
         scores = torch.sigmoid(logits[place]).double().numpy()
         return boxes_of(boxes.numpy(), middle, kind.numpy(), self.config), scores
@@ -121,8 +123,9 @@ class _Up:
     def __init__(self, up: nn.Conv2d | nn.ConvTranspose2d, share: Tensor) -> None:
         self._factor = up.kernel_size[0]
         weight = up.weight if isinstance(up, nn.ConvTranspose2d) else up.weight.transpose(0, 1)
-        # (in, out, y, x) as (in, y * x * out)
-        self._weight = weight.permute(0, 2, 3, 1).flatten(1).contiguous()
+        # (in, out, y, x) as (y * x * out, in, 1, 1)
+        weight = weight.permute(0, 2, 3, 1).flatten(1).T[:, :, None, None]
+        self._weight = weight.contiguous(memory_format=torch.channels_last)
         bias = up.bias
         assert bias is not None
         self._bias = bias.repeat(self._factor**2)
@@ -131,9 +134,8 @@ class _Up:
     def __call__(self, image: Tensor) -> Tensor:
         """Maps (B, C, H, W) to (B, H factor, W factor, terms)."""
         batch, _, rows, columns = image.shape
-        pixels = image.permute(0, 2, 3, 1).reshape(batch * rows * columns, -1)
-        raised = torch.addmm(self._bias, pixels, self._weight).relu_()
-        terms = raised.view(-1, len(self._share)) @ self._share
+        raised = conv2d(image, self._weight, self._bias).relu_().permute(0, 2, 3, 1)
+        terms = raised.reshape(-1, len(self._share)) @ self._share
         factor = self._factor
         terms = terms.view(batch, rows, columns, factor, factor, -1).transpose(2, 3)
         return terms.reshape(batch, rows * factor, columns * factor, -1)

@@ -54,7 +54,13 @@ def pillars_of(
     frame = np.array([*window.low, config.cell_m, config.low_m, config.high_m], np.float64)
     kept, keys = _keep(points, height_m, frame, np.array(window.size))
     ordered, _, cell, starts = grouped(kept, keys, False)
-    return Pillars(_describe(ordered, starts, cell, config.cell_m, window.columns), starts, cell)
+    features = np.empty((len(ordered), FEATURES), np.float32)
+
+    def describe(span: tuple[int, int]) -> None:
+        _describe(ordered, starts, cell, *span, config.cell_m, window.columns, features)
+
+    each(describe, _spans(len(cell)))
+    return Pillars(features, starts, cell)
 
 
 def encode(pillars: Pillars, weight: Floats32, bias: Floats32) -> Floats32:
@@ -63,13 +69,17 @@ def encode(pillars: Pillars, weight: Floats32, bias: Floats32) -> Floats32:
     A point says its features (6,) times `weight` (6, C), and `bias` (C,).
     """
     known = np.empty((len(pillars.cell), len(bias)), np.float32)
-    cuts = np.linspace(0, len(known), threads() + 1).astype(np.int64).tolist()
 
-    def work(span: tuple[int, int]) -> None:
+    def ask(span: tuple[int, int]) -> None:
         _encode(pillars.features, pillars.starts, *span, weight, bias, known)
 
-    each(work, list(pairwise(cuts)))
+    each(ask, _spans(len(known)))
     return known
+
+
+def _spans(count: int) -> list[tuple[int, int]]:
+    """Divides so many pillars between the threads."""
+    return list(pairwise(np.linspace(0, count, threads() + 1).astype(np.int64).tolist()))
 
 
 @njit(
@@ -97,30 +107,36 @@ def _keep(points: Floats32, height_m: Floats32, frame: Floats, size: Ints) -> tu
 
 
 @njit(
-    "float32[:,::1](float32[:,::1], int32[::1], int64[::1], float64, int64)",
+    "void(float32[:,::1], int32[::1], int64[::1], int64, int64, float64, int64, float32[:,::1])",
     cache=True,
     nogil=True,
 )
 def _describe(
-    points: Floats32, starts: Ints32, cells: Ints, cell_m: float, columns: int
-) -> Floats32:
-    features = np.empty((points.shape[0], FEATURES), np.float32)
-    for pillar in range(cells.size):
-        first, end = starts[pillar], starts[pillar + 1]
+    points: Floats32,
+    starts: Ints32,
+    cells: Ints,
+    first: int,
+    end: int,
+    cell_m: float,
+    columns: int,
+    features: Floats32,
+) -> None:
+    """Fills the features of the pillars from `first` to `end`."""
+    for pillar in range(first, end):
+        begin, size = starts[pillar], starts[pillar + 1] - starts[pillar]
         x, y, z = 0.0, 0.0, 0.0
-        for index in range(first, end):
+        for index in range(begin, begin + size):
             x, y, z = x + points[index, 0], y + points[index, 1], z + points[index, 2]
-        x, y, z = x / (end - first), y / (end - first), z / (end - first)
+        x, y, z = x / size, y / size, z / size
         middle_x = (cells[pillar] % columns + 0.5) * cell_m
         middle_y = (cells[pillar] // columns + 0.5) * cell_m
-        for index in range(first, end):
+        for index in range(begin, begin + size):
             features[index, 0] = points[index, 2]
             features[index, 1] = points[index, 0] - x
             features[index, 2] = points[index, 1] - y
             features[index, 3] = points[index, 2] - z
             features[index, 4] = points[index, 0] - middle_x
             features[index, 5] = points[index, 1] - middle_y
-    return features
 
 
 @njit(
