@@ -32,11 +32,11 @@ def fuse(
     left = found.take(~_claimed(own, found, config))
     both = own + left
     gone = np.zeros(len(both), np.bool_)
+    same = _same(both.boxes, both.boxes, config)
     for index in range(len(both)):
         if not gone[index] and both.position_std_m[index] <= CERTAIN_STD_M:
-            same = _same(both.boxes[index], both.boxes, config)
-            same[: max(len(own), index + 1)] = False
-            gone |= same
+            later = max(len(own), index + 1)
+            gone[later:] |= same[index, later:]
     return both.take(~gone)
 
 
@@ -80,7 +80,7 @@ def _claimed(own: Vehicles, found: Vehicles, config: FusionConfig) -> Bools:
     for index in range(len(own)):
         std_m = float(own.position_std_m[index])
         if std_m > CERTAIN_STD_M:
-            near = _same(own.boxes[index], found.boxes, config, slack_m=std_m)
+            near = _same(own.boxes[index : index + 1], found.boxes, config, slack_m=std_m)[0]
             gaps_m = np.linalg.norm(found.boxes[:, :2] - own.boxes[index, :2], axis=1)
             pairs += [(float(gaps_m[box]), index, int(box)) for box in np.flatnonzero(near)]
     served: set[int] = set()
@@ -91,12 +91,11 @@ def _claimed(own: Vehicles, found: Vehicles, config: FusionConfig) -> Bools:
     return claimed
 
 
-def _same(box: Floats, others: Floats, config: FusionConfig, *, slack_m: float = 0.0) -> Bools:
-    """Whether each of the others (N, 7) is the same vehicle as this box (7,)."""
-    off = others[:, :2] - box[:2]
+def _same(boxes: Floats, others: Floats, config: FusionConfig, *, slack_m: float = 0.0) -> Bools:
+    """Whether each of the others (M, 7) is the same vehicle as each of these boxes (N, 7)."""
+    x, y = others[:, 0] - boxes[:, :1], others[:, 1] - boxes[:, 1:2]
     if config.rule == "radius":
-        return np.asarray(np.hypot(off[:, 0], off[:, 1]) < config.duplicate_m + slack_m)
-    cos, sin = np.cos(box[6]), np.sin(box[6])
-    along = np.abs(cos * off[:, 0] + sin * off[:, 1])
-    across = np.abs(cos * off[:, 1] - sin * off[:, 0])
+        return np.asarray(np.hypot(x, y) < config.duplicate_m + slack_m)
+    cos, sin = np.cos(boxes[:, 6:7]), np.sin(boxes[:, 6:7])
+    along, across = np.abs(cos * x + sin * y), np.abs(cos * y - sin * x)
     return np.asarray((along < config.duplicate_m + slack_m) & (across < config.across_m + slack_m))

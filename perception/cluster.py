@@ -16,6 +16,7 @@ from perception.cells import Cells
 from perception.config import ClusterConfig
 
 NOISE = -1
+_AROUND = np.array([(x, y) for x in range(-2, 3) for y in range(-2, 3)])
 _SHRINK = 0.9999  # keeps float32 rounding from making two points of a cell no neighbours
 
 
@@ -37,8 +38,7 @@ def _windows(stride: Ints) -> Ints:
 
     A column's cells lie side by side: there are 12 columns ahead, and the cells above one's own.
     """
-    steps = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3), indexing="ij"), -1)
-    columns = steps.reshape(-1, 2) @ stride[:2]
+    columns = _AROUND @ stride[:2]
     ahead = columns[columns > 0]
     return np.concatenate([[[1, 2]], np.stack([ahead - 2, ahead + 2], -1)])
 
@@ -136,11 +136,14 @@ def _bounds(points: Floats32, starts: Ints32) -> Floats32:
     """Returns the lowest and highest x, y and z in each cell (C, 6)."""
     bounds = np.empty((starts.size - 1, 6), np.float32)
     for cell in range(starts.size - 1):
-        for axis in range(3):
-            low = high = points[starts[cell], axis]
-            for i in range(starts[cell] + 1, starts[cell + 1]):
-                low, high = min(low, points[i, axis]), max(high, points[i, axis])
-            bounds[cell, axis], bounds[cell, 3 + axis] = low, high
+        low_x = low_y = low_z = np.float32(np.inf)
+        high_x = high_y = high_z = np.float32(-np.inf)
+        for i in range(starts[cell], starts[cell + 1]):
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            low_x, high_x = x if x < low_x else low_x, x if x > high_x else high_x
+            low_y, high_y = y if y < low_y else low_y, y if y > high_y else high_y
+            low_z, high_z = z if z < low_z else low_z, z if z > high_z else high_z
+        bounds[cell] = np.array([low_x, low_y, low_z, high_x, high_y, high_z], np.float32)
     return bounds
 
 

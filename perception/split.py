@@ -37,12 +37,22 @@ def _to_part(points: Floats32, labels: Ints32, longest_m: float, too_long: Bools
     """Marks the clusters (C,) that are too long, and returns the indices of their points."""
     low = np.full((too_long.size, 3), np.float32(np.inf))
     high = np.full((too_long.size, 3), np.float32(-np.inf))
-    for index in range(labels.size):
-        label = labels[index]
+    first = 0
+    while first < labels.size:  # in a scan, points of a cluster come in runs
+        label, end = labels[first], first
+        low_x, low_y, low_z = points[first, 0], points[first, 1], points[first, 2]
+        high_x, high_y, high_z = low_x, low_y, low_z
+        while end < labels.size and labels[end] == label:
+            x, y, z = points[end, 0], points[end, 1], points[end, 2]
+            low_x, high_x = x if x < low_x else low_x, x if x > high_x else high_x
+            low_y, high_y = y if y < low_y else low_y, y if y > high_y else high_y
+            low_z, high_z = z if z < low_z else low_z, z if z > high_z else high_z
+            end += 1
         if label != NOISE:
-            for axis in range(3):
-                low[label, axis] = min(low[label, axis], points[index, axis])
-                high[label, axis] = max(high[label, axis], points[index, axis])
+            low[label, 0], high[label, 0] = min(low[label, 0], low_x), max(high[label, 0], high_x)
+            low[label, 1], high[label, 1] = min(low[label, 1], low_y), max(high[label, 1], high_y)
+            low[label, 2], high[label, 2] = min(low[label, 2], low_z), max(high[label, 2], high_z)
+        first = end
     for label in range(too_long.size):
         sides_m = high[label] - low[label]
         is_long = sides_m[0] ** 2 + sides_m[1] ** 2 > longest_m**2
