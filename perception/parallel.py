@@ -16,9 +16,20 @@ Done = TypeVar("Done")
 
 def each(work: Callable[[Item], Done], items: Sequence[Item]) -> list[Done]:
     """Returns what `work` gives for each item, in their order."""
-    if len(items) < 2 or threads() == 1:
-        return [work(item) for item in items]
-    return list(_pool().map(work, items))
+    done: dict[int, Done] = {}
+    todo = iter(range(len(items)))  # who takes an index from it is the only one
+
+    def take() -> None:
+        for index in todo:
+            done[index] = work(items[index])
+
+    others = [_pool().submit(take) for _ in range(min(threads(), len(items)) - 1)]
+    try:
+        take()  # no thread need be woken for the caller's share
+    finally:
+        for other in others:
+            other.result()
+    return [done[index] for index in range(len(items))]
 
 
 def threads() -> int:
