@@ -6,12 +6,31 @@ Votes are few, and those of a part of a cloud can be taken before the other part
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 from numba import njit
 
-from perception.arrays import Floats, Floats32
+from perception.arrays import Floats, Floats32, Ints32
 
 CELL_M = 1.0
+MOST_SQUARES = 1 << 22  # of a table; points that lie farther apart have larger squares
+TABLE = "Tuple((float32[::1], int32[::1], int32[::1]))"
+
+
+def _table(size: int) -> tuple[Floats32, Ints32, Ints32]:
+    indices = np.empty(size, np.int32), np.empty(size + 1, np.int32)
+    return np.full(size, np.inf, np.float32), *indices
+
+
+class _Tables(threading.local):
+    """Each thread's table of squares, kept from one cloud to the next."""
+
+    def __init__(self) -> None:
+        self.arrays = _table(0)
+
+
+_tables = _Tables()
 
 
 def lowest(points: Floats32, base_m: Floats32) -> Floats32:
@@ -21,19 +40,20 @@ def lowest(points: Floats32, base_m: Floats32) -> Floats32:
     """
     if len(points) == 0:
         return np.zeros((0, 3), np.float32)
-    return np.asarray(_lowest(points, base_m, squares(span(points), CELL_M)))
+    grid = squares(span(points), CELL_M)
+    return np.asarray(_lowest(points, base_m, grid, table(int(grid[3] * grid[4]))))
 
 
-def squares(low_high: Floats, side_m: float) -> Floats:
-    """Returns a grid (5,) over a span (2, 2): origin x and y, squares per metre, columns, rows.
+def table(size: int) -> tuple[Floats32, Ints32, Ints32]:
+    """Returns this thread's table of at least so many squares (S,), clean; leave it so.
 
-    Its lines are fixed in the map. An infinite side gives one square.
+    Clean is that the first array, the height of the lowest point so far, is infinite all over. The
+    second has room for the points' indices, the third (S + 1,) for the squares that were touched:
+    one is written before it is known to be new.
     """
-    low, high = low_high
-    if np.isinf(side_m):
-        return np.array([*low, 0, 1, 1], np.float64)
-    first = np.floor(low / side_m)
-    return np.array([*(first * side_m), 1 / side_m, *(np.floor(high / side_m) - first + 1)])
+    if len(_tables.arrays[0]) < size:
+        _tables.arrays = _table(size)
+    return _tables.arrays
 
 
 @njit("float64[:,::1](float32[:,::1])", cache=True, nogil=True)
@@ -59,20 +79,43 @@ def square(x: float, y: float, grid: Floats) -> np.uint64:
     return np.uint64(row) * np.uint64(grid[3]) + np.uint64(column)
 
 
-@njit("float32[:,::1](float32[:,::1], float32[::1], float64[::1])", cache=True, nogil=True)
-def _lowest(points: Floats32, base_m: Floats32, cells: Floats) -> Floats32:
-    low_m = np.full(int(cells[3] * cells[4]), np.float32(np.inf))
-    who = np.full(low_m.size, -1, np.int32)
+@njit("float64[::1](float64[:,::1], float64)", cache=True, nogil=True)
+def squares(low_high: Floats, side_m: float) -> Floats:
+    """Returns a grid (5,) over a span (2, 2): origin x and y, squares per metre, columns, rows.
+
+    Its lines are fixed in the map. Where there were too many squares they are larger by a power of
+    two; an infinite side gives one.
+    """
+    if np.isinf(side_m):
+        return np.array([low_high[0, 0], low_high[0, 1], 0.0, 1.0, 1.0])
+    while True:
+        first_x, first_y = np.floor(low_high[0, 0] / side_m), np.floor(low_high[0, 1] / side_m)
+        columns = np.floor(low_high[1, 0] / side_m) - first_x + 1
+        rows = np.floor(low_high[1, 1] / side_m) - first_y + 1
+        if columns * rows <= MOST_SQUARES:
+            return np.array([first_x * side_m, first_y * side_m, 1 / side_m, columns, rows])
+        side_m *= 2
+
+
+@njit(
+    f"float32[:,::1](float32[:,::1], float32[::1], float64[::1], {TABLE})", cache=True, nogil=True
+)
+def _lowest(
+    points: Floats32, base_m: Floats32, cells: Floats, table: tuple[Floats32, Ints32, Ints32]
+) -> Floats32:
+    low_m, who, touched = table
+    found, nowhere = np.uint64(0), np.float32(np.inf)
     for index in range(points.shape[0]):
         cell = square(points[index, 0], points[index, 1], cells)
         over_m = points[index, 2] - base_m[index]
         if over_m < low_m[cell]:
+            touched[found] = cell
+            found += np.uint64(low_m[cell] == nowhere)
             low_m[cell], who[cell] = over_m, index
-    votes = np.empty((min(low_m.size, points.shape[0]), 3), np.float32)
-    count = 0
-    for cell in range(low_m.size):
-        if who[cell] >= 0:
-            votes[count, 0], votes[count, 1] = points[who[cell], 0], points[who[cell], 1]
-            votes[count, 2] = low_m[cell]
-            count += 1
-    return votes[:count].copy()
+    votes = np.empty((int(found), 3), np.float32)
+    for vote in range(found):
+        cell = np.uint64(touched[vote])
+        point = np.uint64(who[cell])
+        votes[vote, 0], votes[vote, 1] = points[point, 0], points[point, 1]
+        votes[vote, 2], low_m[cell] = low_m[cell], nowhere
+    return votes

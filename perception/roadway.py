@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,11 +9,11 @@ import numpy as np
 from numba import njit
 
 from perception.arrays import Bools, Floats, Floats32, Ints, Ints32
-from perception.lowest import lowest
+from perception.lowest import TABLE, lowest, table
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 
-CELL_M = 0.5  # two make a metre: see `Squares`
+CELL_M = 0.5  # two make a metre, the side of the squares that vote
 MAX_CELLS = 8_000_000  # 8 bytes each
 
 
@@ -42,20 +41,6 @@ def merge(parts: Sequence[Placed]) -> tuple[Floats32, Floats32]:
     return np.concatenate(points), np.concatenate(road_m)
 
 
-class Squares(threading.local):
-    """Each thread's table of squares, two cells wide: what lay lowest in them so far.
-
-    It is clean between two clouds: `low_m` (S,) is infinite. `index` (S,) are points, `touched`
-    (S + 1,) the squares that hold one.
-    """
-
-    def __init__(self, rows: int, columns: int) -> None:
-        size = ((rows + 1) // 2) * ((columns + 1) // 2)
-        self.low_m = np.full(size, np.inf, np.float32)
-        self.index = np.empty(size, np.int32)
-        self.touched = np.empty(size + 1, np.int32)  # one is written before it is known to be new
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Roadway:
     """Cells of the map's plane: the road's height, NaN off the road, and its direction.
@@ -68,7 +53,6 @@ class Roadway:
     cell_m: float
     height_m: Floats32
     yaw_rad: Floats32
-    squares: Squares
 
     @classmethod
     def of(cls, road_map: RoadMap, *, margin_m: float) -> Roadway:
@@ -85,8 +69,7 @@ class Roadway:
         _draw(segments, low, cell_m, margin_m, height_m, yaw_rad)
         for edge in (height_m[0], height_m[-1], height_m[:, 0], height_m[:, -1]):
             edge[:] = np.nan
-        squares = Squares(rows, columns)
-        return cls((float(low[0]), float(low[1])), cell_m, height_m, yaw_rad, squares)
+        return cls((float(low[0]), float(low[1])), cell_m, height_m, yaw_rad)
 
     def place(
         self,
@@ -105,7 +88,8 @@ class Roadway:
         kept, road_m = np.empty((room, 3), np.float32), np.empty(room, np.float32)
         motion = np.column_stack([map_SE3_sensor.rotation, map_SE3_sensor.translation])
         grid = np.array([*self.origin_m, 1 / self.cell_m, -below_m, above_m], np.float32)
-        squares = self.squares.low_m, self.squares.index, self.squares.touched
+        rows, columns = self.height_m.shape
+        squares = table(((rows + 1) // 2) * ((columns + 1) // 2))
         count, votes = _place(
             points, motion.astype(np.float32), grid, self.height_m, squares, kept, road_m
         )
@@ -183,7 +167,7 @@ def _draw(
 
 @njit(
     "Tuple((int64, float32[:,::1]))(float32[:,::1], float32[:,::1], float32[::1], float32[:,::1], "
-    "Tuple((float32[::1], int32[::1], int32[::1])), float32[:,::1], float32[::1])",
+    f"{TABLE}, float32[:,::1], float32[::1])",
     cache=True,
     nogil=True,
 )
