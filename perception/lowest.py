@@ -12,6 +12,7 @@ from numba import njit
 from perception.arrays import Floats, Floats32
 
 CELL_M = 1.0
+MAX_CELLS = 16_000_000  # 8 bytes each
 
 
 def lowest(points: Floats32, base_m: Floats32) -> Floats32:
@@ -21,7 +22,16 @@ def lowest(points: Floats32, base_m: Floats32) -> Floats32:
     """
     if len(points) == 0:
         return np.zeros((0, 3), np.float32)
-    return np.asarray(_lowest(points, base_m, squares(span(points), CELL_M)))
+    return np.asarray(_lowest(points, base_m, _grid(span(points))))
+
+
+def _grid(low_high: Floats) -> Floats:
+    """Returns a grid of square metres, or of larger squares if points lie too far apart."""
+    grid = squares(low_high, CELL_M)
+    if not grid[3] * grid[4] > MAX_CELLS:
+        return grid
+    side_m = float(np.sqrt(np.prod(low_high[1] - low_high[0] + 1.0) / MAX_CELLS))
+    return squares(low_high, max(side_m, np.max(low_high[1] - low_high[0]) / MAX_CELLS) * 2)
 
 
 def squares(low_high: Floats, side_m: float) -> Floats:
