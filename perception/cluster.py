@@ -14,11 +14,13 @@ from numba import njit
 from perception.arrays import Bytes, Floats, Floats32, Ints, Ints32
 from perception.cells import Cells
 from perception.config import ClusterConfig
-from perception.touch import apart, touch
+from perception.touch import FEW, near
 
 NOISE = -1
 _AROUND = np.array([(x, y) for x in range(-2, 3) for y in range(-2, 3)])
 _SHRINK = 0.9999  # keeps float32 rounding from making two points of a cell no neighbours
+
+_PATIENCE = 16  # comparisons a point, before cells are parted
 
 
 def cluster(points: Floats32, *, config: ClusterConfig) -> Ints32:
@@ -50,6 +52,15 @@ def _root(parents: Ints, cell: int) -> int:
         parents[cell] = parents[parents[cell]]
         cell = parents[cell]
     return cell
+
+
+@njit("float64(float32[:,::1], int64, int64)", cache=True, nogil=True)
+def _apart(points: Floats32, i: int, j: int) -> float:
+    """Returns the squared distance between two points."""
+    x = np.float64(points[i, 0]) - points[j, 0]
+    y = np.float64(points[i, 1]) - points[j, 1]
+    z = np.float64(points[i, 2]) - points[j, 2]
+    return float(x * x + y * y + z * z)
 
 
 def _pairs(cells: Ints, windows: Ints) -> Ints:
@@ -100,7 +111,7 @@ def _count(
         for j in range(starts[other], starts[other + 1]):
             if neighbours[i] >= enough:
                 break
-            if apart(points, i, j) <= square_m2:
+            if _apart(points, i, j) <= square_m2:
                 neighbours[i] += 1
 
 
@@ -140,6 +151,44 @@ def _bounds(points: Floats32, starts: Ints32) -> Floats32:
 
 
 @njit(
+    "boolean(float32[:,::1], uint8[::1], int32[::1], float32[:,::1], int64, int64, float64)",
+    cache=True,
+    nogil=True,
+)
+def _touch(
+    points: Floats32,
+    core: Bytes,
+    starts: Ints32,
+    bounds: Floats32,
+    cell: int,
+    other: int,
+    square_m2: float,
+) -> bool:
+    """Whether two cells have core points that are neighbours."""
+    first, end = starts[other], starts[other + 1]
+    patience = _PATIENCE * (starts[cell + 1] - starts[cell] + end - first) + FEW * FEW
+    for i in range(starts[cell], starts[cell + 1]):
+        if not core[i]:
+            continue
+        gap_m2 = 0.0
+        for axis in range(3):
+            at = np.float64(points[i, axis])
+            gap_m = max(max(bounds[other, axis] - at, at - bounds[other, 3 + axis]), 0.0)
+            gap_m2 += gap_m * gap_m
+        if gap_m2 > square_m2:
+            continue
+        for j in range(first, end):
+            if core[j] and _apart(points, i, j) <= square_m2:
+                return True
+        patience -= end - first
+        if patience < 0:
+            return bool(
+                near(points, core, (starts[cell], starts[cell + 1]), (first, end), square_m2)
+            )
+    return False
+
+
+@njit(
     "void(float32[:,::1], uint8[::1], int32[::1], int64, int64, int64, int32[::1], float64[::1])",
     cache=True,
     nogil=True,
@@ -159,7 +208,7 @@ def _adopt(
         if core[i]:
             continue
         for j in range(starts[other], starts[other + 1]):
-            apart_m2 = apart(points, i, j)
+            apart_m2 = _apart(points, i, j)
             nearer = apart_m2 < nearest_m2[i] or (labels[i] == NOISE and apart_m2 <= nearest_m2[i])
             if core[j] and nearer:
                 labels[i], nearest_m2[i] = root, apart_m2
@@ -180,7 +229,7 @@ def _label(
     for pair in range(pairs.shape[0]):
         a, b = pairs[pair, 0], pairs[pair, 1]
         root_a, root_b = _root(parents, a), _root(parents, b)
-        if root_a != root_b and touch(points, core, starts, bounds, a, b, square_m2):
+        if root_a != root_b and _touch(points, core, starts, bounds, a, b, square_m2):
             parents[max(root_a, root_b)] = min(root_a, root_b)
     labels, nearest_m2 = np.empty(points.shape[0], np.int32), np.empty(points.shape[0])
     for cell in range(bounds.shape[0]):

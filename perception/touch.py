@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from perception.arrays import Bytes, Floats32, Ints, Ints32
+from perception.arrays import Bytes, Floats32, Ints
 
 FEW = 32  # points of a set: fewer are compared, not parted
-PATIENCE = 16  # comparisons a point, before sets are parted
 LIMIT = 256  # looks at a point, all in all
 
 
@@ -117,37 +116,13 @@ def _by_parts(points: Floats32, a: Ints, b: Ints, square_m2: float) -> bool:
 
 
 @njit(
-    "boolean(float32[:,::1], uint8[::1], int32[::1], float32[:,::1], int64, int64, float64)",
+    "boolean(float32[:,::1], uint8[::1], UniTuple(int64, 2), UniTuple(int64, 2), float64)",
     cache=True,
     nogil=True,
 )
-def touch(
-    points: Floats32,
-    core: Bytes,
-    starts: Ints32,
-    bounds: Floats32,
-    cell: int,
-    other: int,
-    square_m2: float,
+def near(
+    points: Floats32, core: Bytes, one: tuple[int, int], other: tuple[int, int], square_m2: float
 ) -> bool:
-    """Whether two cells have core points that are neighbours."""
-    first, end = starts[other], starts[other + 1]
-    patience = PATIENCE * (starts[cell + 1] - starts[cell] + end - first) + FEW * FEW
-    for i in range(starts[cell], starts[cell + 1]):
-        if not core[i]:
-            continue
-        gap_m2 = 0.0
-        for axis in range(3):
-            at = np.float64(points[i, axis])
-            gap_m = max(max(bounds[other, axis] - at, at - bounds[other, 3 + axis]), 0.0)
-            gap_m2 += gap_m * gap_m
-        if gap_m2 > square_m2:
-            continue
-        for j in range(first, end):
-            if core[j] and apart(points, i, j) <= square_m2:
-                return True
-        patience -= end - first
-        if patience < 0:
-            some = _chosen(core, starts[cell], starts[cell + 1])
-            return bool(_by_parts(points, some, _chosen(core, first, end), square_m2))
-    return False
+    """Whether two ranges have core points that are neighbours."""
+    a, b = _chosen(core, one[0], one[1]), _chosen(core, other[0], other[1])
+    return bool(_by_parts(points, a, b, square_m2))
