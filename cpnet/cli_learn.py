@@ -19,6 +19,7 @@ from rich.progress import (
 from cpnet import scenario as scenarios
 from cpnet.cli_options import AsJson, assigned, console, errors, show
 from perception.config import DETECTORS
+from perception.registry import check
 from protocol.errors import ConfigError
 
 learn_app = typer.Typer()
@@ -103,6 +104,8 @@ def eval_command(
 
     names = detectors_of(detectors)
     config = scenarios.load("t_junction", assigned(set_)).edge
+    for name in names:
+        check(config.model_copy(update={"detector": name}))
     count, listed = Source(dataset, net, tls, split, moments).open(config)
     shown = track(listed, "measuring", count, console=errors, transient=True)
     rows = evaluate(shown, names)

@@ -22,12 +22,15 @@ from cpnet.endpoints import Endpoints, connecting, resolve
 from cpnet.processes import choose_roles, processes_of, relays_of
 from cpnet.supervisor import Death, Supervisor
 from cpnet.watch import Watch
+from perception.registry import check
 from protocol.bus import Endpoint, fetch
 from protocol.errors import BusError, ConfigError, MessageError
 from protocol.messages import Setup
 from protocol.topics import BusName
 from protocol.wire import encode
+from sensing.radio import AgentKind
 from sensing.source import check_recording
+from sensing.upload.registry import POLICIES
 
 POLL_S = 0.1
 OVERTAKEN_S = 2.0
@@ -71,6 +74,8 @@ def up(options: Options, console: Console) -> tuple[int, Path]:
         setup, scenario = _setup(asked, endpoints, run_dir)
         if PLAYERS.intersection(names):
             check_recording(setup.scenario)
+        if _detects(names, scenario):
+            check(scenario.edge)
         packed = encode(setup)
         relays = relays_of(roles, scenario)
         netns.prepare(scenario, relays, console)
@@ -124,6 +129,13 @@ def _setup(
     world = connecting(endpoints[BusName.WORLD])
     setup = fetch(BusName.WORLD, world, "setup", Setup)
     return setup, scenarios.validate(setup.scenario, "the scenario of the other side")
+
+
+def _detects(roles: list[str], scenario: scenarios.Scenario) -> bool:
+    """Whether vehicles are looked for here: by the edge, or by agents that send what they find."""
+    kinds: dict[str, AgentKind] = {"vehicle": "vehicle", "infra": "roadside"}
+    policies = [scenario.upload.of(kinds[role]).policy for role in roles if role in kinds]
+    return "edge" in roles or any(POLICIES[policy].sends == "objects" for policy in policies)
 
 
 def _make_run_dir(out: Path | None, name: str) -> Path:

@@ -14,11 +14,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from learning.dataset import Dataset
 from learning.sights import DatasetSights
 from learning.training import Recipe, Trainer
-from perception.pillars.config import FULL, SMALL
+from perception.pillars.config import NETWORKS
 from perception.pillars.weights import save
 from protocol.errors import ConfigError
+from protocol.files import is_file
 
-NETWORKS = {"pointpillars": SMALL, "pointpillars-full": FULL}
 KEPT_LOSSES = 200  # steps whose mean loss is shown
 SAVE_EVERY_S = 60.0
 
@@ -41,7 +41,7 @@ class Training:
             value = getattr(self.recipe, name)
             if value < low or (name == "cells" and value % 8):
                 raise ConfigError(f"--{name} {value}: must be at least {low}, cells in steps of 8")
-        if self.out.exists() and not self.out.is_dir():
+        if is_file(self.out):
             raise ConfigError(f"--out {self.out}: is a file, needs a folder")
 
 
@@ -49,14 +49,17 @@ def train(training: Training, console: Console) -> Path:
     """Trains, or goes on with what lies in the folder; returns the weights' file.
 
     Raises:
-        ConfigError: the data set cannot be read.
+        ConfigError: the data set or the folder's state cannot be read, or the folder be made.
     """
     training.check()
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     sights = DatasetSights(Dataset(training.dataset), "train")
     if not len(sights):
         raise ConfigError(f"dataset {training.dataset}: its training split is empty")
-    training.out.mkdir(parents=True, exist_ok=True)
+    try:
+        training.out.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"--out {training.out}: {error}") from None
     trainer = Trainer(NETWORKS[training.network], training.recipe, device)
     if trainer.resume(training.out):
         console.print(f"going on after step {trainer.step}")

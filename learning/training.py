@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from learning.examples import Example, Sight, example_of
@@ -19,6 +19,7 @@ from learning.loss import losses_of
 from perception.pillars.batch import Batch
 from perception.pillars.config import PillarsConfig
 from perception.pillars.network import PointPillars, lay_channels_last
+from protocol.errors import ConfigError
 
 _WARM_UP = 0.1  # share of the steps in which the rate rises
 _CLIP = 10.0
@@ -129,15 +130,29 @@ class Trainer:
         temporary.replace(folder / _STATE)
 
     def resume(self, folder: Path) -> bool:
-        """Takes up a state of the same recipe; False if there is none."""
+        """Takes up a state of the same recipe; False if there is none.
+
+        Raises:
+            ConfigError: the state is broken.
+        """
         path = folder / _STATE
         if not path.is_file():
             return False
+        try:
+            return self._take_up(path)
+        except (SafetensorError, OSError, LookupError, RuntimeError, ValueError) as error:
+            first = str(error).partition("\n")[0]
+            raise ConfigError(
+                f"state {path}: {first}; remove the file to train from the start"
+            ) from None
+
+    def _take_up(self, path: Path) -> bool:
         with safe_open(path, "pt") as file:
-            metadata = file.metadata()
+            metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no dict
         if metadata["recipe"] != self._recipe_text():
             return False
+        step = int(metadata["step"])
         weights = {k[8:]: v for k, v in tensors.items() if k.startswith("network.")}
         self.network.load_state_dict(weights)
         for number, parameter in enumerate(self.network.parameters()):
@@ -148,7 +163,7 @@ class Trainer:
                 for key in _MOMENTS
                 if f"optimiser.{number}.{key}" in tensors
             }
-        self.step = int(metadata["step"])
+        self.step = step
         return True
 
     def _recipe_text(self) -> str:

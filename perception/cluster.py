@@ -14,10 +14,13 @@ from numba import njit
 from perception.arrays import Bytes, Floats, Floats32, Ints, Ints32
 from perception.cells import Cells
 from perception.config import ClusterConfig
+from perception.touch import FEW, near
 
 NOISE = -1
 _AROUND = np.array([(x, y) for x in range(-2, 3) for y in range(-2, 3)])
 _SHRINK = 0.9999  # keeps float32 rounding from making two points of a cell no neighbours
+
+_PATIENCE = 16  # comparisons a point, before cells are parted
 
 
 def cluster(points: Floats32, *, config: ClusterConfig) -> Ints32:
@@ -162,6 +165,8 @@ def _touch(
     square_m2: float,
 ) -> bool:
     """Whether two cells have core points that are neighbours."""
+    first, end = starts[other], starts[other + 1]
+    patience = _PATIENCE * (starts[cell + 1] - starts[cell] + end - first) + FEW * FEW
     for i in range(starts[cell], starts[cell + 1]):
         if not core[i]:
             continue
@@ -172,9 +177,14 @@ def _touch(
             gap_m2 += gap_m * gap_m
         if gap_m2 > square_m2:
             continue
-        for j in range(starts[other], starts[other + 1]):
+        for j in range(first, end):
             if core[j] and _apart(points, i, j) <= square_m2:
                 return True
+        patience -= end - first
+        if patience < 0:
+            return bool(
+                near(points, core, (starts[cell], starts[cell + 1]), (first, end), square_m2)
+            )
     return False
 
 

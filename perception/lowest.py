@@ -86,8 +86,8 @@ def squares(low_high: Floats, side_m: float) -> Floats:
     Its lines are fixed in the map. Where there were too many squares they are larger by a power of
     two; an infinite side gives one.
     """
-    if np.isinf(side_m):
-        return np.array([low_high[0, 0], low_high[0, 1], 0.0, 1.0, 1.0])
+    if np.isinf(side_m) or not np.isfinite(low_high).all():
+        return np.array([0.0, 0.0, 0.0, 1.0, 1.0])
     while True:
         first_x, first_y = np.floor(low_high[0, 0] / side_m), np.floor(low_high[0, 1] / side_m)
         columns = np.floor(low_high[1, 0] / side_m) - first_x + 1

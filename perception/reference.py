@@ -2,6 +2,9 @@
 
 Planes go through the whole cloud, boxes hold a cluster's points and no more. Of the configuration
 only the paper's own parameters are read. Open3D comes with the extra `reference`.
+
+Its DBSCAN lists all neighbours of all points. Where that would not fit into memory, `fast`'s takes
+its place: the same clusters, but for border points of two, which are noise to neither.
 """
 
 from __future__ import annotations
@@ -16,6 +19,8 @@ import numpy as np
 
 from perception.arrays import Floats, Floats32, Ints32
 from perception.boxes import certainty, fits
+from perception.cells import Cells
+from perception.cluster import cluster
 from perception.config import DetectionConfig, GroundConfig
 from perception.detector import Cloud, Stage, untimed
 from perception.roadway import merge
@@ -23,6 +28,9 @@ from perception.vehicles import Vehicles
 from protocol.errors import ConfigError
 
 PACKAGES = ("libusb-1.0-0", "libgl1", "libgomp1")
+MOST_PAIRS = 200_000_000  # of neighbours: Open3D keeps a list of them all, 4 bytes each
+BALL = 4 / 3 * np.pi  # cubes in a ball with their side as its radius
+AT_ONCE = 1 << 16  # points that are turned; bounds the memory that a cluster takes
 TURNS_RAD = np.radians(np.arange(90.0))  # a rectangle comes back to itself after 90 degrees
 
 
@@ -91,6 +99,8 @@ class Reference:
         if len(points) == 0:
             return np.zeros(0, np.int32)
         config = self.config.cluster
+        if _pairs(points, config.eps_m) > MOST_PAIRS:
+            return cluster(points, config=config)
         found = self._cloud(points).cluster_dbscan(eps=config.eps_m, min_points=config.min_points)
         return np.asarray(found, np.int32)
 
@@ -106,11 +116,17 @@ class Reference:
         order = np.argsort(labels, kind="stable")
         ends = np.searchsorted(labels[order], np.arange(labels.max(initial=-1) + 2))
         clusters = [points[order[a:b]] for a, b in pairwise(ends)]
-        boxes = np.array([smallest_box(cluster) for cluster in clusters]).reshape(-1, 7)
-        scores = certainty(np.array([len(cluster) for cluster in clusters]))
+        boxes = np.array([smallest_box(members) for members in clusters]).reshape(-1, 7)
+        scores = certainty(np.array([len(members) for members in clusters]))
         found = Vehicles.from_lidar(boxes, scores)
         config = self.config.boxes.model_copy(update={"complete": False})
         return found.take(fits(boxes[:, 3:6], config))
+
+
+def _pairs(points: Floats32, eps_m: float) -> float:
+    """Returns about how many pairs of neighbours there are in points spread evenly over cells."""
+    together = np.diff(Cells.of(points, eps_m).starts).astype(np.float64)
+    return float((together**2).sum()) * BALL
 
 
 def smallest_box(points: Floats32) -> Floats:
@@ -118,10 +134,15 @@ def smallest_box(points: Floats32) -> Floats:
     middle = points.mean(axis=0, dtype=np.float64)
     local = points - middle
     cos, sin = np.cos(TURNS_RAD), np.sin(TURNS_RAD)
-    along = np.outer(local[:, 0], cos) + np.outer(local[:, 1], sin)
-    across = np.outer(local[:, 1], cos) - np.outer(local[:, 0], sin)
-    best = int(np.argmin(np.ptp(along, axis=0) * np.ptp(across, axis=0)))
-    extents = [(axis.min(), axis.max()) for axis in (along[:, best], across[:, best], local[:, 2])]
+    low, high = np.full((2, len(TURNS_RAD)), np.inf), np.full((2, len(TURNS_RAD)), -np.inf)
+    for first in range(0, len(local), AT_ONCE):
+        x, y = local[first : first + AT_ONCE, :2].T
+        along, across = np.outer(x, cos) + np.outer(y, sin), np.outer(y, cos) - np.outer(x, sin)
+        low = np.minimum(low, [along.min(axis=0), across.min(axis=0)])
+        high = np.maximum(high, [along.max(axis=0), across.max(axis=0)])
+    best = int(np.argmin(np.prod(high - low, axis=0)))
+    extents = [*zip(low[:, best], high[:, best], strict=True)]
+    extents.append((local[:, 2].min(), local[:, 2].max()))
     (u, v, z), sizes = np.mean(extents, axis=1), np.ptp(extents, axis=1)
     x, y = cos[best] * u - sin[best] * v, sin[best] * u + cos[best] * v
     yaw = TURNS_RAD[best]

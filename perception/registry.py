@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from perception.clustering import Clustering
-from perception.config import DetectionConfig
+from perception.config import LEARNED, DetectionConfig
 from perception.detector import Detector
 from perception.roadway import Roadway
 from protocol.errors import ConfigError
@@ -17,7 +17,7 @@ def detector_of(config: DetectionConfig, roadway: Roadway) -> Detector:
     """Builds the detector that a configuration names, for a road.
 
     Raises:
-        ConfigError: what it needs is not installed.
+        ConfigError: what it needs is not installed, or its weights cannot be used.
     """
     match config.detector:
         case "fast":
@@ -27,10 +27,24 @@ def detector_of(config: DetectionConfig, roadway: Roadway) -> Detector:
 
             return Reference.of(config)
         case name:
-            try:
-                from perception.pillars.detector import pillars_detector
-            except ImportError as error:
-                raise ConfigError(
-                    f"the detector {name} needs PyTorch (extra `learn`): {error}"
-                ) from None
+            check(config)
+            from perception.pillars.detector import pillars_detector
+
             return pillars_detector(name, config.pillars, roadway)
+
+
+def check(config: DetectionConfig) -> None:
+    """Finds before a start what would keep a learned detector from being built.
+
+    Raises:
+        ConfigError: PyTorch is not installed, or the weights cannot be used.
+    """
+    if config.detector not in LEARNED:
+        return
+    try:
+        from perception.pillars.weights import find
+    except ImportError as error:
+        raise ConfigError(
+            f"the detector {config.detector} needs PyTorch (extra `learn`): {error}"
+        ) from None
+    find(config.detector, config.pillars)

@@ -38,3 +38,4 @@ class PillarsConfig(Section):
 
 SMALL = PillarsConfig()
 FULL = PillarsConfig(pillar_channels=64, channels=(64, 128, 256), layers=(3, 5, 5), up_channels=128)
+NETWORKS = {"pointpillars": SMALL, "pointpillars-full": FULL}

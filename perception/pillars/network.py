@@ -35,7 +35,9 @@ class PointPillars(nn.Module):
         wide = config.up_channels * len(blocks)
         self.score = nn.Conv2d(wide, ANCHOR_YAWS, 1)
         self.box = nn.Conv2d(wide, ANCHOR_YAWS * BOX_TERMS, 1)
-        nn.init.constant_(_bias(self.score), -float(torch.log(torch.tensor(1 / _PRIOR - 1))))
+        nn.init.constant_(
+            _bias(self.score), -float(torch.log(torch.tensor(1 / _PRIOR - 1, device="cpu")))
+        )
 
     def forward(self, features: Tensor, pillar: Tensor, cell: Tensor, shape: Tensor) -> Tensor:
         """Returns the head's output (B, 2 + 14, H / 2, W / 2).

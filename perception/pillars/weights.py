@@ -11,10 +11,13 @@ import torch
 from pydantic import ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
+from torch import Tensor
 
-from perception.pillars.config import PillarsConfig
+from perception.config import PillarsDetection
+from perception.pillars.config import NETWORKS, PillarsConfig
 from perception.pillars.network import PointPillars
 from protocol.errors import ConfigError
+from protocol.files import is_file, is_folder
 
 SHIPPED = Path(__file__).parent / "weights"
 FORMAT = "cpnet-pillars-1"
@@ -45,35 +48,90 @@ def describe(path: Path, more: Mapping[str, Any]) -> None:
     save(network, path, {**about, **more})
 
 
+def find(name: str, config: PillarsDetection) -> Path:
+    """Returns the file of a network's weights: the user's, or the shipped one, if it can be used.
+
+    Raises:
+        ConfigError: see `load`; or the weights are those of the other network.
+    """
+    path = Path(config.weights) if config.weights else SHIPPED / f"{name}.safetensors"
+    if not config.weights and not is_file(path):
+        raise ConfigError(
+            f"weights {path}: there is no such file, for none of {name} come with the package; "
+            f"train them (cpnet train DATA --network {name} --out FOLDER) and give "
+            f"edge.pillars.weights=FOLDER/{name}.safetensors"
+        )
+    shape = load(path)[0].config
+    others = [other for other, known in NETWORKS.items() if known == shape and other != name]
+    if others:
+        raise ConfigError(f"weights {path}: they are of {others[0]}, not of {name}")
+    return path
+
+
 def load(path: Path) -> tuple[PointPillars, dict[str, Any]]:
     """Reads a network and what is known of it.
 
     Raises:
         ConfigError: the file is missing, broken, or of another network.
     """
-    if not path.is_file():
+    metadata, tensors = _read(path)
+    if metadata.get("format") != FORMAT:
+        raise ConfigError(f"weights {path}: format {metadata.get('format')!r}, needs {FORMAT!r}")
+    try:
+        config, about = _described(metadata)
+    except (ValueError, KeyError, RecursionError) as error:
+        said = _first_of(error) if isinstance(error, ValidationError) else str(error)
+        raise ConfigError(f"weights {path}: its description is not valid: {said}") from None
+    with torch.device("meta"):  # takes no room, however large it says it is
+        network = PointPillars(config)
+    if wrong := _mismatch(network.state_dict(), tensors):
+        raise ConfigError(f"weights {path}: not those of its network: {wrong}")
+    network.to_empty(device="cpu").load_state_dict(tensors)
+    for name, value in network.state_dict().items():
+        if not bool(torch.isfinite(value).all()):
+            raise ConfigError(f"weights {path}: {name} holds numbers that are not finite")
+        if name.endswith("running_var") and bool((value < 0).any()):
+            raise ConfigError(f"weights {path}: {name} is a variance, but holds negative numbers")
+    return network.eval(), about
+
+
+def _first_of(error: ValidationError) -> str:
+    """Returns the first mistake, on one line."""
+    first = error.errors()[0]
+    return ": ".join([".".join(str(part) for part in first["loc"]) or "config", first["msg"]])
+
+
+def _read(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
+    if is_folder(path):
+        raise ConfigError(f"weights {path}: is a folder, needs a file")
+    if not is_file(path):
         raise ConfigError(f"weights {path}: there is no such file")
     if path.stat().st_size > MAX_BYTES:
         raise ConfigError(f"weights {path}: {path.stat().st_size} bytes, limit {MAX_BYTES}")
     try:
         with safe_open(path, "pt") as file:
             metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no dict
+            return metadata, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no dict
     except (SafetensorError, OSError) as error:
-        raise ConfigError(f"weights {path}: {error}") from None
-    if metadata.get("format") != FORMAT:
-        raise ConfigError(f"weights {path}: format {metadata.get('format')!r}, needs {FORMAT!r}")
-    try:
-        network = PointPillars(PillarsConfig.model_validate_json(metadata["config"]))
-        about = json.loads(metadata["about"])
-    except (ValidationError, ValueError, KeyError) as error:
-        raise ConfigError(f"weights {path}: its description is not valid: {error}") from None
-    try:
-        network.load_state_dict(
-            {k: v.float() if v.is_floating_point() else v for k, v in tensors.items()}
-        )
-    except RuntimeError as error:
-        raise ConfigError(f"weights {path}: not those of its network: {error}") from None
-    if not all(bool(torch.isfinite(value).all()) for value in network.state_dict().values()):
-        raise ConfigError(f"weights {path}: they hold numbers that are not finite")
-    return network.eval(), about
+        raise ConfigError(f"weights {path}: is no whole safetensors file: {error}") from None
+
+
+def _described(metadata: Mapping[str, str]) -> tuple[PillarsConfig, dict[str, Any]]:
+    about = json.loads(metadata["about"])
+    if not isinstance(about, dict):
+        raise ValueError(f"about is a {type(about).__name__}, needs an object")
+    return PillarsConfig.model_validate_json(metadata["config"]), about
+
+
+def _mismatch(needed: Mapping[str, Tensor], given: Mapping[str, Tensor]) -> str:
+    """Says the first thing by which tensors are not those that are needed; empty if they are."""
+    if missing := [name for name in needed if name not in given]:
+        return f"{len(missing)} tensors are missing, the first is {missing[0]}"
+    if more := sorted(given.keys() - needed.keys()):
+        return f"{len(more)} tensors are of no use, the first is {more[0]:.80}"
+    for name, value in needed.items():
+        if given[name].shape != value.shape:
+            return f"{name} is {list(given[name].shape)}, needs {list(value.shape)}"
+        if given[name].is_floating_point() != value.is_floating_point():
+            return f"{name} is of {given[name].dtype}, needs {value.dtype} or of less precision"
+    return ""

@@ -161,3 +161,18 @@ def test_a_dataset_that_cannot_be_made(shell, tmp_path, arguments, message):
     assert message in refused(shell, "dataset", *arguments)
     assert (tmp_path / "full" / "precious").read_text() == "data"
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["up", "--set=edge.detector=pointpillars"],
+        ["eval", "--net=nowhere", "--detectors=pointpillars"],
+    ],
+)
+def test_weights_that_cannot_be_used_start_nothing(shell, tmp_path, arguments):
+    pytest.importorskip("torch", reason="needs the extra `learn`")
+    (tmp_path / "own").write_bytes(b"weights")
+    output = refused(shell, *arguments, "--set=edge.pillars.weights=own")
+    assert "weights own: is no whole safetensors file" in output
+    assert not list(tmp_path.glob("runs/*"))

@@ -9,9 +9,12 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs the extra `learn`")
 
-from learning.examples import Sight  # noqa: E402 - after the check for torch
+from safetensors.torch import load_file, save_file  # noqa: E402 - after the check for torch
+
+from learning.examples import Sight  # noqa: E402
 from learning.training import Recipe, Trainer  # noqa: E402
 from perception.pillars.config import PillarsConfig  # noqa: E402
+from protocol.errors import ConfigError  # noqa: E402
 
 TINY = PillarsConfig(pillar_channels=8, channels=(8, 8, 8), layers=(0, 0, 0), up_channels=8)
 RECIPE = Recipe(steps=4, windows=2, cells=64)
@@ -76,3 +79,24 @@ def test_losses_fall_on_what_is_shown_again_and_again() -> None:
         np.mean([s.score_loss + s.box_loss for s in part]) for part in (steps[:10], steps[-10:])
     )
     assert last < first / 2
+
+
+@pytest.mark.parametrize("how", ["cut", "empty", "no recipe", "another network"])
+def test_a_broken_state_is_named_and_not_trained_over(tmp_path: Path, how: str) -> None:
+    begun, path = Trainer(TINY, RECIPE, CPU), tmp_path / "training.safetensors"
+    next(iter(begun.run(SIGHTS)))
+    begun.save(tmp_path)
+    match how:
+        case "cut":
+            path.write_bytes(path.read_bytes()[:-10])
+        case "empty":
+            path.write_bytes(b"")
+        case "no recipe":
+            save_file(load_file(path), path)
+        case _:
+            metadata = {"step": "1", "recipe": begun._recipe_text()}
+            save_file({"network.x": torch.zeros(2)}, path, metadata)
+    before = path.read_bytes()
+    with pytest.raises(ConfigError, match=r"training\.safetensors: .*remove the file"):
+        Trainer(TINY, RECIPE, CPU).resume(tmp_path)
+    assert path.read_bytes() == before
