@@ -16,10 +16,11 @@ from protocol.messages import AgentPose, Objects, Scan
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Piece:
-    """One decoded chunk of a scan: points (N, 3) in the sensor frame.
+    """One decoded chunk of a scan: points (N, 3) in the sensor frame, until they are placed.
 
     `sensor_pose` (6,) is `map_SE3_sensor` as the agent believes it. For `plan_frame` and
-    `ground_free` see `protocol.messages.Scan`; `size_bytes` is that of the payload.
+    `ground_free` see `protocol.messages.Scan`; `size_bytes` is that of the payload, `returns` how
+    many points it had.
     """
 
     frame: int
@@ -38,10 +39,15 @@ class Piece:
     size_bytes: int = 0
     placed: Placed | None = None
     placed_ns: int = 0
+    returns: int = 0
 
     def with_placed(self, placed: Placed) -> Piece:
-        """Returns the piece with its points on the road, map frame, and when that was done."""
-        return replace(self, placed=placed, placed_ns=time.monotonic_ns())
+        """Returns the piece with its points on the road, map frame, and when that was done.
+
+        All others are let go: the next scan is decoded into memory that is still near.
+        """
+        nothing = np.zeros((0, 3), np.float32)
+        return replace(self, points=nothing, placed=placed, placed_ns=time.monotonic_ns())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,4 +123,5 @@ def _piece(scan: Scan, points: Floats32, received_ns: int, start_ns: int) -> Pie
         ground_free=scan.ground_free,
         arrival_sim_ns=scan.arrival_sim_ns,
         size_bytes=scan.payload.size,
+        returns=len(points),
     )

@@ -15,7 +15,7 @@ V = TypeVar("V")
 
 MAX_AGENTS = 512  # of a frame
 MAX_PIECES = 4 * MAX_AGENTS
-MAX_BYTES = 128 << 20  # of decoded points of a frame
+MAX_POINTS = 10_000_000  # of a frame; placed, they take 160 MB
 
 
 @dataclass(slots=True, eq=False)
@@ -127,8 +127,8 @@ class Gathering:
         return self._is_announced(agent) and not all(self._is_announced(a) for a, _ in self.pieces)
 
     def _fits(self, piece: Piece) -> bool:
-        held = sum(other.points.nbytes for other in self.pieces.values())
-        return len(self.pieces) < MAX_PIECES and held + piece.points.nbytes <= MAX_BYTES
+        returns = piece.returns + sum(other.returns for other in self.pieces.values())
+        return len(self.pieces) < MAX_PIECES and returns <= MAX_POINTS
 
     def _oust(self, held: dict[K, V], strangers: list[K]) -> None:
         if strangers:

@@ -76,7 +76,7 @@ class Pipeline:
         with spans.stage("count"):
             detections = self._detections(frame, vehicles, place)
             counts = self._counts(frame, place)
-        points = sum(len(piece.points) for piece in frame.pieces)
+        points = sum(piece.returns for piece in frame.pieces)
         return Result(detections, counts, spans.done, points)
 
     def open(self, scan: Scan, received_ns: int) -> Piece:

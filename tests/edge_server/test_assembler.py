@@ -45,7 +45,7 @@ def pose(agent: str, frame: int = 0) -> AgentPose:
 
 def piece(agent: str, chunk: int = 0, chunks: int = 1, frame: int = 0) -> Piece:
     points = np.zeros((10, 3), np.float32)
-    return Piece(frame, frame * 100, agent, chunk, chunks, np.zeros(6), points, 5, 5, 6)
+    return Piece(frame, frame * 100, agent, chunk, chunks, np.zeros(6), points, 5, 5, 6, returns=10)
 
 
 def give(to: Assembler, part: Roster | AgentPose | Piece, at_ns: int = 5) -> None:
@@ -189,7 +189,7 @@ def test_a_frame_without_agents_takes_its_time_from_the_signals_state() -> None:
 
 def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_AGENTS", 3)
-    monkeypatch.setattr(module, "MAX_BYTES", 300)
+    monkeypatch.setattr(module, "MAX_POINTS", 25)
     assembler = make()
     for number in range(10):
         give(assembler, pose("a", number))
@@ -236,7 +236,7 @@ def test_agents_that_were_not_announced_make_room_for_those_that_were(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(module, "MAX_AGENTS", 2)
-    monkeypatch.setattr(module, "MAX_BYTES", 240)
+    monkeypatch.setattr(module, "MAX_POINTS", 20)
     assembler = make()
     for agent in ("x", "y"):
         give(assembler, pose(agent))
