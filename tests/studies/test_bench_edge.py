@@ -19,8 +19,9 @@ def test_each_detector_and_number_of_agents_has_a_row_for_each_stage() -> None:
     assert [(row.agents, row.stage) for row in rows] == [(n, s) for n in (1, 2) for s in STAGES]
     for agents in (1, 2):
         ms = {row.stage: row.ms_p50 for row in rows if row.agents == agents}
-        assert sum(ms.values()) - ms["total"] == pytest.approx(ms["total"], rel=0.5)
-        assert ms["total"] > 0
+        assert all(ms[stage] > 0 for stage in ("decode", "place", "ground", "detect"))
+        # two frames: a median is their mean, so that what follows one another adds up
+        assert sum(ms[s] for s in ("merge", "ground", "detect", "fuse", "count")) < ms["total"]
     assert rows[-1].points > 1.5 * rows[0].points
     said = io.StringIO()
     print_edge(rows, Console(file=said, width=60))
