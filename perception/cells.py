@@ -46,7 +46,7 @@ def _slot(slots: Ints32, keys: Ints, key: int) -> int:
 
 
 @njit("Tuple((int32[::1], int64[::1]))(int64[::1], int32[::1])", cache=True, nogil=True)
-def _numbered(keys: Ints, first: Ints32) -> tuple[Ints32, Ints]:
+def numbered(keys: Ints, first: Ints32) -> tuple[Ints32, Ints]:
     """Numbers cells as they are met: that of each run (R,), and their keys (C,)."""
     room = 2
     while room < 2 * first.size:
@@ -90,7 +90,7 @@ def _keys(points: Floats32, side_m: float) -> tuple[Ints, Ints]:
 
 
 @njit("int32[::1](int64[::1])", cache=True, nogil=True)
-def _runs(keys: Ints) -> Ints32:
+def runs(keys: Ints) -> Ints32:
     """Returns where each run of points with one key begins: in a scan, cells come in runs."""
     first = np.empty(keys.size + 1, np.int32)
     count = 0
@@ -115,8 +115,8 @@ def grouped(points: Floats32, keys: Ints, ascending: bool) -> tuple[Floats32, In
         `ascending` or else as they were met; where the points of each begin, with N at the end
         (C + 1,).
     """
-    first = _runs(keys)
-    cell_of, found = _numbered(keys, first[:-1])
+    first = runs(keys)
+    cell_of, found = numbered(keys, first[:-1])
     rank = np.argsort(found) if ascending else np.arange(found.size)
     members = np.zeros(found.size, np.int32)
     for run in range(cell_of.size):

@@ -17,7 +17,7 @@ from perception.pillars.config import FULL
 from perception.pillars.cover import cover
 from perception.pillars.engine import Engine, Seen
 from perception.pillars.network import PointPillars
-from perception.pillars.voxels import Window, pillars_of
+from perception.pillars.voxels import Window
 from perception.pillars.weights import SHIPPED, load
 from perception.roadway import Roadway, merge
 from perception.vehicles import Vehicles
@@ -57,9 +57,8 @@ class PillarsDetector:
         if windows:
             shape = self._engine.config
             around = _around(windows, shape.cell_m)
-            pillars = pillars_of(points, height_m, around, shape)
-            known = self._engine.encode(pillars)
-            standing = np.divmod(pillars.cell.astype(np.int32), np.int32(around.columns))
+            known, cells = self._engine.encode(points, height_m, around)
+            standing = np.divmod(cells.astype(np.int32), np.int32(around.columns))
             for part in _alike(windows):
                 seen = [_seen(*standing, around, window, shape.cell_m) for window in part]
                 found, score, number = self._engine.ask(

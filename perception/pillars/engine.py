@@ -15,7 +15,7 @@ from perception.arrays import Floats, Floats32, Ints
 from perception.pillars.anchors import boxes_of, middle_of
 from perception.pillars.config import ANCHOR_YAWS, STRIDE
 from perception.pillars.network import BOX_TERMS, PointPillars, lay_channels_last
-from perception.pillars.voxels import Pillars, Window, encode
+from perception.pillars.voxels import Window, known_of
 
 _MOST = 500  # anchors of a window that are looked at
 
@@ -51,10 +51,10 @@ class Engine:
         self._bias_of_head = torch.cat([network.score.bias, network.box.bias])
         self._canvas = torch.zeros(0, self.config.pillar_channels, dtype=self._type, device=device)
 
-    def encode(self, pillars: Pillars) -> Tensor:
-        """Returns what is known of each pillar (P, C)."""
-        known = torch.from_numpy(encode(pillars, self._weight, self._bias))
-        return known.to(self.device, self._type)
+    def encode(self, points: Floats32, height_m: Floats32, window: Window) -> tuple[Tensor, Ints]:
+        """Returns what is known of each pillar (P, C) of a window, and their cells (P,)."""
+        known, cells = known_of(points, height_m, window, self.config, self._weight, self._bias)
+        return torch.from_numpy(known).to(self.device, self._type), cells
 
     @torch.inference_mode()
     def ask(

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from perception.arrays import Floats, Floats32, Ints, Ints32
-from perception.cells import grouped
+from perception.cells import grouped, numbered, runs
 from perception.parallel import each, threads
 from perception.pillars.config import FEATURES, PillarsConfig
 
@@ -51,8 +51,7 @@ def pillars_of(
     points: Floats32, height_m: Floats32, window: Window, config: PillarsConfig
 ) -> Pillars:
     """Sorts points (N, 3) with heights over the road (N,) into a window's pillars."""
-    frame = np.array([*window.low, config.cell_m, config.low_m, config.high_m], np.float64)
-    kept, keys = _keep(points, height_m, frame, np.array(window.size))
+    kept, keys = _keep(points, height_m, _frame(window, config), np.array(window.size))
     ordered, _, cell, starts = grouped(kept, keys, False)
     features = np.empty((len(ordered), FEATURES), np.float32)
 
@@ -63,22 +62,39 @@ def pillars_of(
     return Pillars(features, starts, cell)
 
 
-def encode(pillars: Pillars, weight: Floats32, bias: Floats32) -> Floats32:
-    """Returns what is known of each pillar (P, C): the most that any of its points says, from 0.
+def known_of(
+    points: Floats32,
+    height_m: Floats32,
+    window: Window,
+    config: PillarsConfig,
+    weight: Floats32,
+    bias: Floats32,
+) -> tuple[Floats32, Ints]:
+    """Says what is known of each pillar, as `pillars_of`, but without putting points in order.
 
-    A point says its features (6,) times `weight` (6, C), and `bias` (C,).
+    Returns:
+        The most that any of a pillar's points says (P, C), from 0, and the pillars' cells (P,). A
+        point says its features (6,) times `weight` (6, C), and `bias` (C,).
     """
-    known = np.empty((len(pillars.cell), len(bias)), np.float32)
+    kept, keys = _keep(points, height_m, _frame(window, config), np.array(window.size))
+    first = runs(keys)
+    pillar_of, cells = numbered(keys, first[:-1])
+    places = _places(kept, first, pillar_of, cells, config.cell_m, window.columns)
+    known = np.zeros((len(cells), len(bias)), np.float32)
 
     def ask(span: tuple[int, int]) -> None:
-        _encode(pillars.features, pillars.starts, *span, weight, bias, known)
+        _ask(kept, first, pillar_of, places, (weight, bias), span, known)
 
-    each(ask, _spans(len(known)))
-    return known
+    each(ask, _spans(len(bias)))
+    return known, cells
+
+
+def _frame(window: Window, config: PillarsConfig) -> Floats:
+    return np.array([*window.low, config.cell_m, config.low_m, config.high_m], np.float64)
 
 
 def _spans(count: int) -> list[tuple[int, int]]:
-    """Divides so many pillars between the threads."""
+    """Divides so many pillars, or channels, between the threads."""
     return list(pairwise(np.linspace(0, count, threads() + 1).astype(np.int64).tolist()))
 
 
@@ -140,30 +156,67 @@ def _describe(
 
 
 @njit(
-    "void(float32[:,::1], int32[::1], int64, int64, float32[:,::1], float32[::1], float32[:,::1])",
+    "float32[:,::1](float32[:,::1], int32[::1], int32[::1], int64[::1], float64, int64)",
+    cache=True,
+    nogil=True,
+)
+def _places(
+    points: Floats32,
+    first: Ints32,
+    pillar_of: Ints32,
+    cells: Ints,
+    cell_m: float,
+    columns: int,
+) -> Floats32:
+    """Returns the mean of each pillar's points, which come in runs, and its middle x, y (P, 5)."""
+    sums, sizes = np.zeros((cells.size, 3)), np.zeros(cells.size, np.int64)
+    for run in range(pillar_of.size):
+        pillar = pillar_of[run]
+        sizes[pillar] += first[run + 1] - first[run]
+        for index in range(first[run], first[run + 1]):
+            for axis in range(3):
+                sums[pillar, axis] += points[index, axis]
+    places = np.empty((cells.size, 5), np.float32)
+    for pillar in range(cells.size):
+        for axis in range(3):
+            places[pillar, axis] = sums[pillar, axis] / sizes[pillar]
+        places[pillar, 3] = (cells[pillar] % columns + 0.5) * cell_m
+        places[pillar, 4] = (cells[pillar] // columns + 0.5) * cell_m
+    return places
+
+
+@njit(
+    "void(float32[:,::1], int32[::1], int32[::1], float32[:,::1], "
+    "Tuple((float32[:,::1], float32[::1])), UniTuple(int64, 2), float32[:,::1])",
     cache=True,
     nogil=True,
     fastmath=True,
 )
-def _encode(
-    features: Floats32,
-    starts: Ints32,
-    first: int,
-    end: int,
-    weight: Floats32,
-    bias: Floats32,
+def _ask(
+    points: Floats32,
+    first: Ints32,
+    pillar_of: Ints32,
+    places: Floats32,
+    layer: tuple[Floats32, Floats32],
+    span: tuple[int, int],
     known: Floats32,
 ) -> None:
-    """Fills the pillars from `first` to `end`."""
-    channels = bias.size
-    most = np.empty(channels, np.float32)
-    for pillar in range(first, end):
-        most[:] = np.float32(0)
-        for index in range(starts[pillar], starts[pillar + 1]):
-            f0, f1, f2 = features[index, 0], features[index, 1], features[index, 2]
-            f3, f4, f5 = features[index, 3], features[index, 4], features[index, 5]
-            for c in range(channels):
-                said = bias[c] + f0 * weight[0, c] + f1 * weight[1, c] + f2 * weight[2, c]
+    """Fills a span of channels; points come in runs, each with its pillar."""
+    begin, end = span
+    weight, bias = layer[0][:, begin:end].copy(), layer[1][begin:end].copy()
+    most = np.empty(end - begin, np.float32)
+    for run in range(pillar_of.size):
+        pillar = pillar_of[run]
+        mean_x, mean_y, mean_z = places[pillar, 0], places[pillar, 1], places[pillar, 2]
+        middle_x, middle_y = places[pillar, 3], places[pillar, 4]
+        for c in range(most.size):
+            most[c] = known[pillar, begin + c]
+        for index in range(first[run], first[run + 1]):
+            x, y, z = points[index, 0], points[index, 1], points[index, 2]
+            f1, f2, f3, f4, f5 = x - mean_x, y - mean_y, z - mean_z, x - middle_x, y - middle_y
+            for c in range(most.size):
+                said = bias[c] + z * weight[0, c] + f1 * weight[1, c] + f2 * weight[2, c]
                 said += f3 * weight[3, c] + f4 * weight[4, c] + f5 * weight[5, c]
                 most[c] = max(most[c], said)
-        known[pillar] = most
+        for c in range(most.size):
+            known[pillar, begin + c] = most[c]

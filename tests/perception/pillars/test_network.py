@@ -64,8 +64,8 @@ def test_the_engine_says_what_the_network_says() -> None:
         said = made(batch.features, batch.pillar, batch.cell, batch.shape)
         engine = Engine(network(), CPU, half=False)
         for _ in range(2):  # nothing is left of what was asked before
-            seen = [Seen(np.arange(len(pillars.cell)), pillars.cell)] * 2
-            again = engine.head(engine.encode(pillars), seen, (64, 64))
+            known, cells = engine.encode(points, points[:, 2].copy(), window)
+            again = engine.head(known, [Seen(np.arange(len(cells)), cells)] * 2, (64, 64))
             torch.testing.assert_close(again, said, rtol=1e-4, atol=1e-4)
 
 
