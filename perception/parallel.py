@@ -28,7 +28,8 @@ def each(work: Callable[[Item], Done], items: Sequence[Item]) -> list[Done]:
         take()  # no thread need be woken for the caller's share
     finally:
         for other in others:
-            other.result()
+            if not other.cancel():  # one that has not begun finds nothing to do
+                other.result()
     return [done[index] for index in range(len(items))]
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from perception.clustering import Clustering
 from perception.config import LEARNED, DetectionConfig
@@ -27,9 +28,8 @@ def detector_of(config: DetectionConfig, roadway: Roadway) -> Detector:
 
             return Reference.of(config)
         case name:
-            check(config)
-            from perception.pillars.detector import pillars_detector
-
+            with _torch_needed(name):
+                from perception.pillars.detector import pillars_detector
             return pillars_detector(name, config.pillars, roadway)
 
 
@@ -41,10 +41,16 @@ def check(config: DetectionConfig) -> None:
     """
     if config.detector not in LEARNED:
         return
+    with _torch_needed(config.detector):
+        from perception.pillars.weights import network_of
+    network_of(config.detector, config.pillars)
+
+
+@contextmanager
+def _torch_needed(detector: str) -> Iterator[None]:
     try:
-        from perception.pillars.weights import find
+        yield
     except ImportError as error:
         raise ConfigError(
-            f"the detector {config.detector} needs PyTorch (extra `learn`): {error}"
+            f"the detector {detector} needs PyTorch (extra `learn`): {error}"
         ) from None
-    find(config.detector, config.pillars)

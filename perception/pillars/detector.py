@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import groupby
-from pathlib import Path
 
 import numpy as np
 import torch
 
-from perception.arrays import Floats, Floats32, Ints32
+from perception.arrays import Floats, Floats32, Ints
 from perception.config import PillarsDetection
 from perception.detector import Cloud, Stage, untimed
 from perception.overlap import suppress
@@ -18,7 +17,7 @@ from perception.pillars.cover import cover
 from perception.pillars.engine import Engine, Seen
 from perception.pillars.network import PointPillars
 from perception.pillars.voxels import Window
-from perception.pillars.weights import SHIPPED, load
+from perception.pillars.weights import network_of
 from perception.roadway import Roadway, merge
 from perception.vehicles import Vehicles
 
@@ -58,7 +57,7 @@ class PillarsDetector:
             shape = self._engine.config
             around = _around(windows, shape.cell_m)
             known, cells = self._engine.encode(points, height_m, around)
-            standing = np.divmod(cells.astype(np.int32), np.int32(around.columns))
+            standing = np.divmod(cells, around.columns)
             for part in _alike(windows):
                 seen = [_seen(*standing, around, window, shape.cell_m) for window in part]
                 found, score, number = self._engine.ask(
@@ -77,9 +76,8 @@ def pillars_detector(name: str, config: PillarsDetection, roadway: Roadway) -> P
         ConfigError: the weights cannot be used.
     """
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    path = Path(config.weights) if config.weights else SHIPPED / f"{name}.safetensors"
-    network, _ = load(path)
-    return PillarsDetector(Engine(network, device, half=computes_in_half(device)), roadway, config)
+    engine = Engine(network_of(name, config), device, half=computes_in_half(device))
+    return PillarsDetector(engine, roadway, config)
 
 
 def paper_detector(config: PillarsDetection, roadway: Roadway) -> PillarsDetector:
@@ -104,13 +102,13 @@ def _around(windows: list[Window], cell_m: float) -> Window:
     return Window(low, columns, rows)
 
 
-def _seen(row: Ints32, column: Ints32, around: Window, window: Window, cell_m: float) -> Seen:
+def _seen(row: Ints, column: Ints, around: Window, window: Window, cell_m: float) -> Seen:
     """Returns which pillars of the window around others stand in one of them."""
-    first_column, first_row = np.round((window.low - around.low) / cell_m).astype(np.int32)
+    first_column, first_row = np.round((window.low - around.low) / cell_m).astype(np.int64)
     row, column = row - first_row, column - first_column
     inside = (row >= 0) & (row < window.rows) & (column >= 0) & (column < window.columns)
     pillar = np.flatnonzero(inside)
-    return Seen(pillar, row[pillar].astype(np.int64) * window.columns + column[pillar])
+    return Seen(pillar, row[pillar] * window.columns + column[pillar])
 
 
 def _alike(windows: list[Window]) -> Iterator[list[Window]]:

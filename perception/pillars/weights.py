@@ -48,8 +48,8 @@ def describe(path: Path, more: Mapping[str, Any]) -> None:
     save(network, path, {**about, **more})
 
 
-def find(name: str, config: PillarsDetection) -> Path:
-    """Returns the file of a network's weights: the user's, or the shipped one, if it can be used.
+def network_of(name: str, config: PillarsDetection) -> PointPillars:
+    """Reads a network by its name, with the user's weights or the shipped ones.
 
     Raises:
         ConfigError: see `load`; or the weights are those of the other network.
@@ -61,11 +61,11 @@ def find(name: str, config: PillarsDetection) -> Path:
             f"train them (cpnet train DATA --network {name} --out FOLDER) and give "
             f"edge.pillars.weights=FOLDER/{name}.safetensors"
         )
-    shape = load(path)[0].config
-    others = [other for other, known in NETWORKS.items() if known == shape and other != name]
+    network, _ = load(path)
+    others = [n for n, known in NETWORKS.items() if known == network.config and n != name]
     if others:
         raise ConfigError(f"weights {path}: they are of {others[0]}, not of {name}")
-    return path
+    return network
 
 
 def load(path: Path) -> tuple[PointPillars, dict[str, Any]]:
