@@ -17,12 +17,12 @@ class PillarsConfig(Section):
     cell_m: float = Field(0.25, gt=0.05, le=1, description="side of a pillar")
     low_m: float = Field(-1.0, ge=-5, le=0, description="lowest point, over the road's height")
     high_m: float = Field(3.0, gt=0, le=10, description="highest point, over the road's height")
-    pillar_channels: int = Field(32, ge=8, le=128, description="features of a pillar")
+    pillar_channels: int = Field(16, ge=8, le=128, description="features of a pillar")
     channels: tuple[int, int, int] = Field((32, 64, 96), description="of the three blocks")
     layers: tuple[int, int, int] = Field(
         (1, 2, 2), description="convolutions of each block after its first, which halves the image"
     )
-    up_channels: int = Field(48, ge=8, le=256, description="each block's share of the head's input")
+    up_channels: int = Field(32, ge=8, le=256, description="each block's share of the head's input")
     anchor_m: tuple[float, float, float] = Field(
         (4.4, 1.7, 1.7), description="length, width and height of the anchor"
     )

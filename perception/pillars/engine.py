@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import torch
@@ -41,10 +42,9 @@ class Engine:
             assert isinstance(part, nn.Sequential)
             _fuse(part)
         network = network.to(device, self._type)
-        lay_channels_last(network)
         weight = torch.cat([network.score.weight, network.box.weight]).flatten(1)
         shares = weight.split(self.config.up_channels, 1)
-        self._blocks = network.blocks
+        self._blocks = [_layers(block) for block in network.blocks]
         self._ups = [
             _Up(up[0], share.T.contiguous()) for up, share in zip(network.ups, shares, strict=True)
         ]
@@ -85,10 +85,11 @@ class Engine:
         canvas = self._cleared(len(seen) * places)
         canvas.index_copy_(0, standing, known[pillar])
         image = canvas.view(len(seen), *size, -1).permute(0, 3, 1, 2)
-        terms = self._bias_of_head.expand(len(seen), size[0] // STRIDE, size[1] // STRIDE, -1)
+        terms = self._bias_of_head.repeat(len(seen), size[0] // STRIDE, size[1] // STRIDE, 1)
         for block, up in zip(self._blocks, self._ups, strict=True):
-            image = block(image)
-            terms = terms + up(image)
+            for layer in block:
+                image = layer(image)
+            up.add(image, terms)
         canvas.index_fill_(0, standing, 0)
         return terms.permute(0, 3, 1, 2)
 
@@ -113,6 +114,25 @@ class Engine:
         return boxes_of(boxes.numpy(), middle, kind.numpy(), self.config), scores
 
 
+class _Relu:
+    """A convolution and its ReLU, in one pass over the image where PyTorch has oneDNN."""
+
+    def __init__(self, weight: Tensor, bias: Tensor, stride: int = 1) -> None:
+        self._weight = weight.contiguous(memory_format=torch.channels_last)
+        self._bias = bias
+        self._stride = stride
+        self._margin = weight.shape[-1] // 2
+        self._joined = weight.device.type == "cpu" and torch.backends.mkldnn.is_available()
+
+    def __call__(self, image: Tensor) -> Tensor:
+        margin, stride = self._margin, self._stride
+        if not self._joined:
+            return conv2d(image, self._weight, self._bias, stride, margin).relu_()
+        both = torch.ops.mkldnn._convolution_pointwise  # noqa: SLF001 - what torch.compile calls
+        ways = [margin] * 2, [stride] * 2, [1, 1]
+        return cast("Tensor", both(image, self._weight, self._bias, *ways, 1, "relu", [], ""))
+
+
 class _Up:
     """A block's share of the head's output: two products of matrices for each pixel.
 
@@ -125,20 +145,27 @@ class _Up:
         weight = up.weight if isinstance(up, nn.ConvTranspose2d) else up.weight.transpose(0, 1)
         # (in, out, y, x) as (y * x * out, in, 1, 1)
         weight = weight.permute(0, 2, 3, 1).flatten(1).T[:, :, None, None]
-        self._weight = weight.contiguous(memory_format=torch.channels_last)
-        bias = up.bias
-        assert bias is not None
-        self._bias = bias.repeat(self._factor**2)
+        self._raise = _Relu(weight, _known(up.bias).repeat(self._factor**2))
         self._share = share
 
-    def __call__(self, image: Tensor) -> Tensor:
-        """Maps (B, C, H, W) to (B, H factor, W factor, terms)."""
+    def add(self, image: Tensor, terms: Tensor) -> None:
+        """Adds the share of (B, C, H, W) to terms (B, H factor, W factor, terms)."""
         batch, _, rows, columns = image.shape
-        raised = conv2d(image, self._weight, self._bias).relu_().permute(0, 2, 3, 1)
-        terms = raised.reshape(-1, len(self._share)) @ self._share
         factor = self._factor
-        terms = terms.view(batch, rows, columns, factor, factor, -1).transpose(2, 3)
-        return terms.reshape(batch, rows * factor, columns * factor, -1)
+        raised = self._raise(image).permute(0, 2, 3, 1)
+        share = raised.reshape(-1, len(self._share)) @ self._share
+        share = share.view(batch, rows, columns, factor, factor, -1).transpose(2, 3)
+        terms.view(share.shape).add_(share)
+
+
+def _layers(block: nn.Module) -> list[_Relu]:
+    layers = [layer for layer in block.children() if isinstance(layer, nn.Conv2d)]
+    return [_Relu(layer.weight, _known(layer.bias), layer.stride[0]) for layer in layers]
+
+
+def _known(bias: Tensor | None) -> Tensor:
+    assert bias is not None
+    return bias
 
 
 def _fold(network: PointPillars) -> tuple[Floats32, Floats32]:
