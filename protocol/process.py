@@ -143,13 +143,14 @@ def loop(role: Role, inbox: Inbox, stop: threading.Event) -> None:
         item = inbox.get(POLL_S)
         taken = 0
         while item is not None:
-            _hand_over(role, inbox, item)
+            hand_over(role, inbox, item)
             taken += 1
             item = inbox.get() if taken < MAX_BATCH else None
         role.poll()
 
 
-def _hand_over(role: Role, inbox: Inbox, item: Envelope | Presence) -> None:
+def hand_over(role: Role, inbox: Inbox, item: Envelope | Presence) -> None:
+    """Lets a role take an item; one that it cannot take is counted."""
     topic = item.topic if isinstance(item, Envelope) else "alive"
     try:
         role.on(item)
