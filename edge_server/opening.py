@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 from edge_server.frame import Piece
 from perception.parallel import threads
@@ -44,7 +45,8 @@ class Opener:
         self._open_scan = open_scan
         self._wake = wake
         self._most = PER_THREAD * threads()
-        self._pool = ThreadPoolExecutor(threads(), "opening")
+        alone = threads() == 1
+        self._pool = _AtOnce() if alone else ThreadPoolExecutor(threads(), "opening")
         self._under_way: deque[Opening] = deque()
 
     def __len__(self) -> int:
@@ -84,3 +86,16 @@ class Opener:
         opening = self._under_way.popleft()
         opening.future.exception()
         return opening
+
+
+class _AtOnce(Executor):
+    """Does what it is given there and then: with one core, a thread would only be in the way."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # noqa: ANN401 - as an Executor has it
+        """Returns a future that is done."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:  # noqa: BLE001 - whoever asks for the result is told
+            future.set_exception(error)
+        return future
