@@ -25,17 +25,37 @@ R = TypeVar("R", TruthRow, DetectionRow, CountRow)
 
 @dataclass(frozen=True, slots=True)
 class FrameScore:
-    """One frame: vehicles present, those of them that were detected, detections of nothing."""
+    """One frame: vehicles present, those of them that were detected, detections of nothing.
+
+    `visible` of those present could have been detected, as LiDAR points lay on them or they report
+    themselves; `in_range` were near enough to a LiDAR for that, or report themselves. None where
+    the run did not keep it.
+    """
 
     frame: int
     present: int
     true: int
     false: int
+    visible: int | None = None
+    in_range: int | None = None
 
     @property
     def e_cvpr(self) -> float | None:
         """The equivalent penetration rate, 0 to 1; None in an empty frame."""
-        return self.true / self.present if self.present else None
+        return self._share(self.true)
+
+    @property
+    def visible_share(self) -> float | None:
+        """The share that is visible: what no detector can exceed."""
+        return self._share(self.visible)
+
+    @property
+    def in_range_share(self) -> float | None:
+        """The share in range: what no occlusion would leave."""
+        return self._share(self.in_range)
+
+    def _share(self, vehicles: int | None) -> float | None:
+        return vehicles / self.present if self.present and vehicles is not None else None
 
 
 def score(run: Run, reach: Reach | None = None, margin_m: float = MARGIN_M) -> list[FrameScore]:

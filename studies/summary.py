@@ -46,7 +46,7 @@ def summarise(run_dir: Path) -> Summary:
             "latency_ms": latencies(run),
             "clock_error_ms": clock_error_ms(run),
             **_perception(run),
-            **_traffic(run),
+            **traffic_of(run),
             **_drops(run),
         }
 
@@ -87,7 +87,8 @@ def _perception(run: Run) -> Summary:
     }
 
 
-def _traffic(run: Run) -> Summary:
+def traffic_of(run: Run) -> Summary:
+    """Returns delay, vehicles and switches of phase."""
     at_start, seen, finished, teleported = run.query(_VEHICLES)[0]
     losses = run.query("SELECT time_loss_s FROM trips ORDER BY vehicle")
     waiting = run.meta.get("end_waiting")
