@@ -22,11 +22,11 @@ from protocol.inbox import Inbox
 from protocol.messages import Setup
 from protocol.process import MAX_BATCH, Context, Role, hand_over
 from protocol.topics import BusName
+from protocol.wire import encode
 from recorder.role import RecordRole
 from signal_controller.role import SignalRole
 from sim_host.role import SimRole
 from sim_host.setup import build_setup
-from protocol.wire import encode
 from vehicle_agent.role import VehicleRole
 
 IDLE_S = 0.001  # what waits for the clock alone, as the recorder's end does

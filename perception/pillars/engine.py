@@ -15,7 +15,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from perception.arrays import Floats, Floats32, Ints
 from perception.pillars.anchors import boxes_of, middle_of
 from perception.pillars.config import ANCHOR_YAWS, STRIDE
-from perception.pillars.network import BOX_TERMS, PointPillars, lay_channels_last
+from perception.pillars.network import BOX_TERMS, PointPillars
 from perception.pillars.voxels import Window, known_of
 
 _MOST = 500  # anchors of a window that are looked at
@@ -128,7 +128,7 @@ class _Relu:
         margin, stride = self._margin, self._stride
         if not self._joined:
             return conv2d(image, self._weight, self._bias, stride, margin).relu_()
-        both = torch.ops.mkldnn._convolution_pointwise  # noqa: SLF001 - what torch.compile calls
+        both = torch.ops.mkldnn._convolution_pointwise
         ways = [margin] * 2, [stride] * 2, [1, 1]
         return cast("Tensor", both(image, self._weight, self._bias, *ways, 1, "relu", [], ""))
 
