@@ -16,13 +16,11 @@ from perception.arrays import Floats, Floats32
 from protocol.geometry import SE3
 from protocol.messages import Equipment
 from protocol.roadmap import RoadMap
-from sensing.attribution import counts, owners
 from sensing.config import Mount, PoseErrorConfig
 from sensing.lidar import Lidar
 from sensing.mounting import above, mounted
 from sensing.noise import stream
 from sensing.pose import believed_pose
-from sensing.returns import returns
 from sensing.scene import scene_of
 from sensing.shapes import VehicleShapes
 from sim_host.filming import film
@@ -112,23 +110,19 @@ class Observatory:
         frame, agent, kind = who
         true, believed = poses
         own = bodies.ids.index(agent) if kind == "vehicle" else None
-        config = self.site.lidar
-        clean_m = self._lidar.distances(true, bodies.poses, bodies.types, own)
-        bare_m = self._lidar.distances(true, bodies.poses[:0], [], None)
         rng = stream(self.site.seed, "scan", agent, frame)
-        range_m, intensity = returns(clean_m, config, rng)
-        owner = owners(clean_m, bare_m, config.pattern, true, (bodies.poses, sizes_m))
-        hits = counts(owner, range_m, len(bodies.ids))
+        seen = self._lidar.scan(true, bodies.poses, bodies.types, own, rng)
+        range_m, intensity = seen.scan.range_m, seen.scan.intensity
         boxes = into_sensor(_boxes(bodies.poses, sizes_m), true)
         near = np.linalg.norm(boxes[:, :3], axis=1) <= REACH_M
         if own is not None:
             near[own] = False
         hit = range_m > 0
-        points = config.pattern.directions[hit] * range_m[hit][:, None]
+        points = self.site.lidar.pattern.directions[hit] * range_m[hit][:, None]
         return Observed(
             points=np.column_stack([points, intensity[hit]]).astype(np.float32),
             labels=[
-                Label(bodies.ids[n], tuple(boxes[n].tolist()), int(hits[n]))
+                Label(bodies.ids[n], tuple(boxes[n].tolist()), int(seen.points_on[n]))
                 for n in np.flatnonzero(near)
             ],
             row=ScanRow(

@@ -76,6 +76,7 @@ TOPICS = _table(
     Topic("setup", "world/setup", m.Setup, _W, _B),
     Topic("tick", "world/tick", m.Tick, _W, _P),
     Topic("truth", "world/truth", m.Truth, _W, _B),
+    Topic("sighting", "world/sighting/{agent}", m.Sighting, _W, _B),
     Topic("trips", "world/trips", m.Trips, _W, _B),
     Topic("end", "world/end", m.End, _W, _B),
     Topic("progress", "world/progress", m.Progress, _W, _T),

@@ -17,6 +17,6 @@ class RecordConfig(Section):
     )
     truth: bool = Field(
         True,
-        description="Keep where every vehicle truly was in each frame; E-CVPR needs it. About "
-        "100 bytes per vehicle and frame.",
+        description="Keep where every vehicle truly was in each frame, and whose points lay on "
+        "it; E-CVPR needs it. About 150 bytes per vehicle and frame.",
     )

@@ -104,6 +104,7 @@ class RecordRole:
         }
         if self._config.truth:
             routes["truth"] = self._on_truth
+            routes["sighting"] = self._on_sighting
         if self._config.snapshot_period_s:
             routes["scan"] = self._on_scan
         return routes
@@ -121,6 +122,10 @@ class RecordRole:
     def _on_truth(self, truth: m.Truth, _: int) -> None:
         self._ledger.check(truth.frame)
         self._database.add(tables.TruthRow, rows.truth_rows(truth))
+
+    def _on_sighting(self, sighting: m.Sighting, _: int) -> None:
+        self._ledger.check(sighting.frame)
+        self._database.add(tables.SightingRow, [rows.sighting_row(sighting)])
 
     def _on_trips(self, trips: m.Trips, _: int) -> None:
         self._database.add(tables.TripRow, rows.trip_rows(trips))

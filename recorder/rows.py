@@ -10,6 +10,7 @@ from protocol.messages import (
     LaneCounts,
     Metrics,
     Scan,
+    Sighting,
     SignalRequest,
     SignalState,
     Trips,
@@ -22,6 +23,7 @@ from recorder.tables import (
     DropRow,
     PhaseRow,
     RequestRow,
+    SightingRow,
     StageRow,
     TripRow,
     TruthRow,
@@ -71,6 +73,12 @@ def truth_rows(message: Truth) -> Iterator[TruthRow]:
         TruthRow._make((message.frame, vehicle, kind, carries, *pose, speed_mps, lane, position_m))
         for vehicle, kind, carries, pose, speed_mps, lane, position_m in zip(*columns, strict=True)
     )
+
+
+def sighting_row(message: Sighting) -> SightingRow:
+    """Returns what one agent's scan had of which vehicles."""
+    points = dict(zip(message.vehicles, message.points.tolist(), strict=True))
+    return SightingRow(message.frame, message.agent, json.dumps(points))
 
 
 def trip_rows(message: Trips) -> Iterator[TripRow]:

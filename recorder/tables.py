@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, get_args, get_type_hints
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 _SQL_TYPES = {int: "INTEGER", float: "REAL", str: "TEXT", bytes: "BLOB"}
 
 
@@ -162,6 +162,14 @@ class TruthRow(NamedTuple):
     lane_position_m: float
 
 
+class SightingRow(NamedTuple):
+    """Points of an agent's scan by the vehicle that they lay on, as JSON."""
+
+    frame: int
+    agent: str
+    points: str
+
+
 class TripRow(NamedTuple):
     """One vehicle's journey; `arrive_s` is NULL if the run ended before it did."""
 
@@ -271,6 +279,7 @@ TABLES: dict[type, Table] = {
         Table("phases", PhaseRow, 2, is_result=True),
         Table("requests", RequestRow, 2, is_result=True),
         Table("truth", TruthRow, 2, is_result=True),
+        Table("sightings", SightingRow, 2, is_result=True),
         Table("trips", TripRow, 1, is_result=True),
         Table("clocks", ClockRow, 1),
         Table("drops", DropRow, 2),

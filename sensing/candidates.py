@@ -143,7 +143,7 @@ def windows(
 @njit(
     "int64(Array(float32, 3, 'C', readonly=True), float32[:,::1], float64[:,:,::1], "
     "float64[:,::1], int64[:,::1], int64[::1], float32[:,::1], float32[:,::1], float32[::1], "
-    "int32[::1])",
+    "int32[::1], int32[::1])",
     cache=True,
 )
 def gather(  # noqa: PLR0913, PLR0917 - compiled code takes its arrays one by one
@@ -157,10 +157,11 @@ def gather(  # noqa: PLR0913, PLR0917 - compiled code takes its arrays one by on
     directions: Floats32,
     limits: Floats32,
     beams: Ints32,
+    owners: Ints32,
 ) -> int:
     """Writes the rays that pass through the members' boxes, in their mesh's frame.
 
-    A ray's limit is the range known so far. Returns how many rays were written.
+    A ray's limit is the range known so far, its owner the body. Returns how many were written.
     """
     columns = pattern.shape[1]
     count = 0
@@ -191,15 +192,20 @@ def gather(  # noqa: PLR0913, PLR0917 - compiled code takes its arrays one by on
                         origins[count, axis] = a[0, axis]
                     limits[count] = range_m[row, column]
                     beams[count] = row * columns + column
+                    owners[count] = n
                     count += 1
     return count
 
 
-@njit("void(float32[::1], int32[::1], float32[::1])", cache=True)
-def keep_nearest(range_m: Floats32, beams: Ints32, found_m: Floats32) -> None:
-    """Lowers the range of each beam to what was found on it."""
+@njit("void(float32[::1], int32[::1], int32[::1], int32[::1], float32[::1])", cache=True)
+def keep_nearest(
+    range_m: Floats32, hit: Ints32, beams: Ints32, owners: Ints32, found_m: Floats32
+) -> None:
+    """Lowers the range of each beam to what was found on it, and notes the body that is hit."""
     for k in range(len(beams)):
-        range_m[beams[k]] = min(range_m[beams[k]], found_m[k])
+        if found_m[k] < range_m[beams[k]]:
+            range_m[beams[k]] = found_m[k]
+            hit[beams[k]] = owners[k]
 
 
 @njit(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from perception.arrays import Floats32
+from perception.arrays import Floats32, Ints, Ints32
 from protocol.codec import RangeScan
 from protocol.geometry import SE3, Floats
 from sensing.candidates import gather, keep_nearest, place, windows
@@ -22,11 +22,34 @@ from sensing.static import StaticWorld
 _KEPT_VIEWS = 32  # of sensors that stand still: 0.5 MB each
 
 
-_Buffers = tuple[Floats32, Floats32, Floats32, npt.NDArray[np.int32]]
+_Buffers = tuple[Floats32, Floats32, Floats32, Ints32, Ints32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """Clean distances and what is hit, both (channels, columns).
+
+    The range's end where nothing is; the index of a body, -1 where none is.
+    """
+
+    distance_m: Floats32
+    body: Ints32
+
+    def points_on(self, range_m: Floats32, bodies: int) -> Ints:
+        """Counts by body (bodies,) the beams that end on it and return."""
+        return np.bincount(self.body[(self.body >= 0) & (range_m > 0)], minlength=bodies)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensed:
+    """A scan, and how many of its points lie on each body (N,); empty where nobody can know."""
+
+    scan: RangeScan
+    points_on: Ints
 
 
 class _Rays:
-    """Buffers for origins, directions, limits and beams, used again from scan to scan."""
+    """Buffers of rays: origins, directions, limits, beams, bodies; used again from scan to scan."""
 
     def __init__(self) -> None:
         self._buffers = self._made(0)
@@ -43,6 +66,7 @@ class _Rays:
             np.empty((count, 3), np.float32),
             np.empty((count, 3), np.float32),
             np.empty(count, np.float32),
+            np.empty(count, np.int32),
             np.empty(count, np.int32),
         )
 
@@ -74,7 +98,7 @@ class Lidar:
         types: Sequence[str],
         own: int | None,
         rng: np.random.Generator,
-    ) -> RangeScan:
+    ) -> Sensed:
         """Returns one revolution, cast at one instant.
 
         Args:
@@ -87,22 +111,24 @@ class Lidar:
         Raises:
             MessageError: a type that the set-up did not announce.
         """
-        distance_m = self.distances(map_SE3_sensor, poses, types, own)
-        range_m, intensity = returns(distance_m, self._config, rng)
-        return RangeScan(self._pattern, range_m, intensity)
+        view = self.view(map_SE3_sensor, poses, types, own)
+        range_m, intensity = returns(view.distance_m, self._config, rng)
+        points_on = view.points_on(range_m, len(poses))
+        return Sensed(RangeScan(self._pattern, range_m, intensity), points_on)
 
-    def distances(
+    def view(
         self,
         map_SE3_sensor: SE3,
         poses: Floats,
         types: Sequence[str],
         own: int | None,
-    ) -> Floats32:
-        """Returns the clean distances (channels, columns); the range's end where nothing is."""
+    ) -> View:
+        """Returns what is there, before any loss and noise; see `scan`."""
         distance_m = self._static_view(map_SE3_sensor).copy()
+        view = View(distance_m, np.full(distance_m.shape, -1, np.int32))
         if len(poses):
-            self._add_bodies(distance_m, map_SE3_sensor, poses, types, own)
-        return distance_m
+            self._add_bodies(view, map_SE3_sensor, poses, types, own)
+        return view
 
     def _static_view(self, map_SE3_sensor: SE3) -> Floats32:
         key = map_SE3_sensor.translation.tobytes() + map_SE3_sensor.rotation.tobytes()
@@ -117,7 +143,7 @@ class Lidar:
 
     def _add_bodies(
         self,
-        distance_m: Floats32,
+        view: View,
         map_SE3_sensor: SE3,
         poses: Floats,
         types: Sequence[str],
@@ -142,8 +168,9 @@ class Lidar:
             if len(members):
                 buffers = self._rays.reserved(int(sizes[members].sum()))
                 count = gather(
-                    pattern.directions, distance_m, placed, bounds, parts, members, *buffers
+                    pattern.directions, view.distance_m, placed, bounds, parts, members, *buffers
                 )
-                origins, directions, limits, beams = buffers
+                origins, directions, limits, beams, owners = buffers
                 caster.cast(origins[:count], directions[:count], limits[:count])
-                keep_nearest(distance_m.reshape(-1), beams[:count], limits[:count])
+                flat = view.distance_m.reshape(-1), view.body.reshape(-1)
+                keep_nearest(*flat, beams[:count], owners[:count], limits[:count])

@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Protocol
 
-from protocol.codec import RangeScan
+import numpy as np
+
 from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from protocol.messages import Setup, Tick
 from sensing.config import LidarConfig, SceneConfig
-from sensing.lidar import Lidar
+from sensing.lidar import Lidar, Sensed
 from sensing.noise import stream
 from sensing.recording import Recording
 from sensing.scene import scene_of
@@ -20,7 +21,7 @@ from sensing.shapes import VehicleShapes
 class ScanSource(Protocol):
     """Serves all agents of one kind of a process."""
 
-    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> RangeScan:
+    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> Sensed:
         """Returns what an agent's sensor there sees; `own` is the body that carries it."""
 
 
@@ -31,7 +32,7 @@ class Cast:
         self._lidar = lidar
         self._seed = seed
 
-    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> RangeScan:
+    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> Sensed:
         """See `ScanSource.scan`; noise follows from seed, agent and frame."""
         rng = stream(self._seed, "scan", agent, tick.frame)
         return self._lidar.scan(map_SE3_sensor, tick.poses, tick.types, own, rng)
@@ -43,9 +44,9 @@ class Played:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
 
-    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> RangeScan:  # noqa: ARG002 - what the sensor saw there is recorded
+    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> Sensed:  # noqa: ARG002 - what the sensor saw there is recorded
         """See `ScanSource.scan`; the sensor was where the recording's tick has it."""
-        return self._recording.scan(agent, tick.frame)
+        return Sensed(self._recording.scan(agent, tick.frame), np.zeros(0, np.int64))
 
 
 def check_recording(scenario: dict[str, Any]) -> None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import time
 from collections import Counter
 
+import numpy as np
+
 from perception.roadway import Roadway
 from protocol.bus import Bus
 from protocol.inbox import Envelope, Presence
-from protocol.messages import End, Metrics, Plan, Roster, Span, Tick, Upload, WireCount
+from protocol.messages import End, Metrics, Plan, Roster, Sighting, Span, Tick, Upload, WireCount
 from protocol.process import Context
 from sensing.config import LidarConfig, SceneConfig, UploadConfig
 from sensing.link.config import LinkConfig
@@ -43,6 +45,7 @@ class Station:
         self.terrain = Terrain(road_map, scene, self.seed)
         self._pattern = config.pattern
         self._standing = kind == "roadside"
+        self._keeps_truth: bool = scenario["record"]["truth"]
         upload = UploadConfig.model_validate(scenario["upload"])
         self._chosen = upload.of(kind)
         self._policy = POLICIES[self._chosen.policy]
@@ -153,6 +156,7 @@ class Station:
         for shipment in done:
             _, uploads, spans = frames.setdefault(shipment.frame, (shipment.tick, [], []))
             uploads += shipment.uploads
+            self._publish_sighting(shipment)
             spans += shipment.spans
         for _, (of, uploads, spans) in sorted(frames.items()):
             wire, self._settled = self._settled, []
@@ -170,6 +174,19 @@ class Station:
         self._drops["plan_missing"] += 1
         self._scanned = (-1, [])
         return False
+
+    def _publish_sighting(self, shipment: Shipment) -> None:
+        """Says what the model of the sensor knows, for the recorder alone."""
+        hit = np.flatnonzero(shipment.sensed.points_on)
+        if self._keeps_truth and len(hit):
+            agent = shipment.uplink.agent
+            sighting = Sighting(
+                frame=shipment.frame,
+                agent=agent,
+                vehicles=[shipment.tick.ids[n] for n in hit],
+                points=shipment.sensed.points_on[hit].astype(np.int32),
+            )
+            self.context.world.publish("sighting", sighting, agent=agent)
 
     def _publish_metrics(
         self, tick: Tick, uploads: list[Upload], spans: list[Span], wire: list[WireCount]

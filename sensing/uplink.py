@@ -12,6 +12,7 @@ from protocol.codec import RangeScan, encode_scan
 from protocol.geometry import SE3
 from protocol.messages import Objects, Plan, Scan, Span, Tick, Upload, WireCount
 from sensing.config import UploadConfig
+from sensing.lidar import Sensed
 from sensing.link.virtual import Passage
 from sensing.noise import stream
 from sensing.radio import ENVELOPE_BYTES, Radio
@@ -41,13 +42,18 @@ class Shipment:
 
     uplink: Uplink
     tick: Tick
-    scan: RangeScan
+    sensed: Sensed
     selection: Selection
     believed_SE3_sensor: SE3
     sense_start_ns: int
     sense_end_ns: int
     uploads: list[Upload] = field(default_factory=list)
     spans: list[Span] = field(default_factory=list)
+
+    @property
+    def scan(self) -> RangeScan:
+        """All that the sensor saw."""
+        return self.sensed.scan
 
     @property
     def frame(self) -> int:
@@ -126,12 +132,12 @@ class Uplink:
     ) -> None:
         """Senses once from the true pose and sends it, or its part, with the believed one."""
         sense_start_ns = time.monotonic_ns()
-        scan = self._kit.source.scan(self.agent, tick, map_SE3_sensor, own)
+        sensed = self._kit.source.scan(self.agent, tick, map_SE3_sensor, own)
         sense_end_ns = time.monotonic_ns()
         plan = self._plans.of(tick.frame, tick.sim_time_ns)
-        selection = self._selector.select(scan, believed_SE3_sensor, self.agent, plan)
+        selection = self._selector.select(sensed.scan, believed_SE3_sensor, self.agent, plan)
         shipment = Shipment(
-            self, tick, scan, selection, believed_SE3_sensor, sense_start_ns, sense_end_ns
+            self, tick, sensed, selection, believed_SE3_sensor, sense_start_ns, sense_end_ns
         )
         shipment.spans = [
             self._span("sense", sense_start_ns, sense_end_ns),

@@ -60,8 +60,8 @@ def cast_scans() -> list[BenchScan]:
     result = []
     for name, map_SE3_sensor, own in sensors:
         view = (map_SE3_sensor, bodies.poses, bodies.types, own)
-        scan = lidar.scan(*view, stream(SEED, "bench", name))
-        bits = loss_entropy_bits(lidar.distances(*view), config)
+        scan = lidar.scan(*view, stream(SEED, "bench", name)).scan
+        bits = loss_entropy_bits(lidar.view(*view).distance_m, config)
         result.append(BenchScan(name, scan, config.noise_stddev, bits))
     return result
 

@@ -18,14 +18,12 @@ from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from protocol.messages import Equipment, Truth
 from protocol.roadmap import RoadMap
-from sensing.attribution import counts, owners
 from sensing.config import LidarConfig, PoseErrorConfig, SceneConfig
 from sensing.lidar import Lidar
 from sensing.mounting import above
 from sensing.noise import stream
 from sensing.pose import believed_pose
 from sensing.recording import write_recording
-from sensing.returns import returns
 from sensing.scene import scene_of
 from sensing.shapes import VehicleShapes
 from sensing.terrain import Terrain
@@ -66,20 +64,15 @@ def record_traffic(folder: Path, agents: int, frames: int, seed: int = SEED) -> 
     visible = []
     for frame, bodies in enumerate(moments):
         hits = np.zeros(len(bodies.ids), np.int64)
-        boxes = bodies.poses, shapes.bodies(bodies.types).size_m
         for name in scans:
             own = bodies.ids.index(name) if name in bodies.ids else None
             sensor = post if own is None else above(bodies.poses[own], ROOF_HEIGHT_M)
-            view = (sensor, bodies.poses, bodies.types, own)
-            distance_m = lidar.distances(*view)
-            bare_m = lidar.distances(sensor, bodies.poses[:0], [], None)
-            drawn = returns(distance_m, config, stream(seed, "scan", name, frame))
-            scan = RangeScan(config.pattern, *drawn)
-            owner = owners(distance_m, bare_m, config.pattern, sensor, boxes)
-            hits += counts(owner, scan.range_m, len(hits))
-            scans[name].append(scan)
-        seen = [n for n, hit in zip(bodies.ids, hits, strict=True) if hit >= VISIBLE_POINTS]
-        visible.append(sorted(set(seen) - set(cavs)))
+            rng = stream(seed, "scan", name, frame)
+            seen = lidar.scan(sensor, bodies.poses, bodies.types, own, rng)
+            hits += seen.points_on
+            scans[name].append(seen.scan)
+        clear = [n for n, hit in zip(bodies.ids, hits, strict=True) if hit >= VISIBLE_POINTS]
+        visible.append(sorted(set(clear) - set(cavs)))
     truths = [
         truth_of(frame, round(frame * FRAME_PERIOD_S * 1e9), _equipped(bodies, cavs))
         for frame, bodies in enumerate(moments)

@@ -7,7 +7,7 @@ and 100 m downstream of the stop bar.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from operator import attrgetter
 from typing import TypeVar
@@ -17,6 +17,7 @@ import numpy as np
 from protocol.messages import VehicleType
 from recorder.run import Run
 from recorder.tables import CountRow, DetectionRow, TruthRow
+from studies.bounds import Bounds
 from studies.matching import MARGIN_M, match
 from studies.reach import Reach
 
@@ -28,16 +29,15 @@ class FrameScore:
     """One frame: vehicles present, those of them that were detected, detections of nothing.
 
     `visible` of those present could have been detected, as LiDAR points lay on them or they report
-    themselves; `in_range` were near enough to a LiDAR for that, or report themselves. None where
-    the run did not keep it.
+    themselves; `in_range` were near enough to a LiDAR for that, or report themselves.
     """
 
     frame: int
     present: int
     true: int
     false: int
-    visible: int | None = None
-    in_range: int | None = None
+    visible: int = 0
+    in_range: int = 0
 
     @property
     def e_cvpr(self) -> float | None:
@@ -54,8 +54,8 @@ class FrameScore:
         """The share in range: what no occlusion would leave."""
         return self._share(self.in_range)
 
-    def _share(self, vehicles: int | None) -> float | None:
-        return vehicles / self.present if self.present and vehicles is not None else None
+    def _share(self, vehicles: int) -> float | None:
+        return vehicles / self.present if self.present else None
 
 
 def score(run: Run, reach: Reach | None = None, margin_m: float = MARGIN_M) -> list[FrameScore]:
@@ -67,7 +67,7 @@ def score(run: Run, reach: Reach | None = None, margin_m: float = MARGIN_M) -> l
     reach = reach or Reach(run.setup.road_map)
     types = {kind.name: kind for kind in run.setup.vehicle_types}
     perceived = {n for (n,) in run.query("SELECT frame FROM frames WHERE detections IS NOT NULL")}
-    detections = by_frame(run.rows(DetectionRow))
+    detections, bounds = by_frame(run.rows(DetectionRow)), Bounds(run)
     waiting = next(detections, None)
     scores = []
     for frame, vehicles in by_frame(run.rows(TruthRow)):
@@ -75,7 +75,11 @@ def score(run: Run, reach: Reach | None = None, margin_m: float = MARGIN_M) -> l
             waiting = next(detections, None)
         found = waiting[1] if waiting is not None and waiting[0] == frame else []
         if frame in perceived:
-            scores.append(score_frame(frame, found, vehicles, types, reach, margin_m))
+            one = score_frame(frame, found, vehicles, types, reach, margin_m)
+            present = {v.vehicle for v in vehicles if reach.contains(v.lane, v.lane_position_m)}
+            visible = len(present & bounds.visible(frame, vehicles))
+            in_range = len(present & bounds.in_range(vehicles))
+            scores.append(replace(one, visible=visible, in_range=in_range))
     return scores
 
 

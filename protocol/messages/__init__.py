@@ -16,7 +16,17 @@ from protocol.messages.edge import Detections, LaneCounts, Plan
 from protocol.messages.fields import MAX_DELAY_NS, MAX_ITEMS, NEVER_NS, Equipment
 from protocol.messages.metrics import Arrival, Metrics, Progress, Span, Upload, WireCount
 from protocol.messages.signal import SignalRequest, SignalState
-from protocol.messages.world import End, MeshPart, Setup, Tick, Trip, Trips, Truth, VehicleType
+from protocol.messages.world import (
+    End,
+    MeshPart,
+    Setup,
+    Sighting,
+    Tick,
+    Trip,
+    Trips,
+    Truth,
+    VehicleType,
+)
 
 __all__ = [
     "MAX_DELAY_NS",
@@ -40,6 +50,7 @@ __all__ = [
     "Roster",
     "Scan",
     "Setup",
+    "Sighting",
     "SignalRequest",
     "SignalState",
     "Span",

@@ -114,6 +114,26 @@ class Truth(Message):
         return [vehicle for vehicle, kind in kinds if kind == Equipment.CAV]
 
 
+class Sighting(Message):
+    """How many points of an agent's scan lay on which vehicles; for the recorder alone.
+
+    Vehicles without a point are left out.
+    """
+
+    kind: ClassVar[int] = 19
+    frame: FrameNumber
+    agent: Id
+    vehicles: Ids
+    points: Indices
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        check_lengths(self, "vehicles", "points")
+        if (self.points < 1).any():
+            raise ValueError(f"{self.points.min()} points on a vehicle, allowed: 1 and more")
+        return self
+
+
 class Trip(Part):
     """One vehicle's journey over the signal.
 

@@ -179,6 +179,7 @@ EXAMPLES: list[m.Message] = [
     ),
     m.TimeReply(machine="here", heard_ns=5, told_ns=6),
     m.ClockReading(process="edge", offset_ns=-7, error_ns=8),
+    m.Sighting(frame=2, agent="a", vehicles=["b"], points=np.array([7], np.int32)),
 ]
 GOLDEN = Path(__file__).parent / "golden"
 

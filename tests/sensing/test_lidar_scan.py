@@ -67,12 +67,12 @@ def test_a_scan_equals_a_cast_into_everything_at_once(
     if place == "roadside":
         sensor, own = SE3.from_pose([0.0, 0.0, 3.1, 0.0, 0.0, 0.7]), None
     lidar = Lidar(CONFIG, scene, shapes)
-    found = lidar.distances(sensor, *traffic, own)
+    found = lidar.view(sensor, *traffic, own).distance_m
     expected = brute_force(sensor, scene, shapes, traffic, own)
     wrong = np.abs(found - expected) > 1e-3 + 1e-4 * expected
     # Rays that graze the very rim of a triangle may go either way in float32.
     assert np.count_nonzero(wrong) <= 3
-    assert np.count_nonzero(expected < lidar.distances(sensor, NOBODY, [], None) - 0.1) > 2000
+    assert np.count_nonzero(expected < lidar.view(sensor, NOBODY, [], None).distance_m - 0.1) > 2000
 
 
 def test_a_sensor_amid_a_body_that_is_not_its_own_sees_that_body_all_around(
@@ -81,16 +81,16 @@ def test_a_sensor_amid_a_body_that_is_not_its_own_sees_that_body_all_around(
     pose = scene.terrain.body_poses([-40.0], [-1.75], [0.0])
     sensor = SE3.from_pose([-40.0, -1.75, pose[0, 2] + 1.0, 0.0, 0.0, 0.0])
     lidar = Lidar(CONFIG, scene, shapes)
-    found = lidar.distances(sensor, pose, ["bus"], None)
+    found = lidar.view(sensor, pose, ["bus"], None).distance_m
     assert found.max() < 15
 
 
 def test_a_vehicle_does_not_see_itself(scene: Scene, shapes: VehicleShapes) -> None:
     pose = scene.terrain.body_poses([-40.0], [-1.75], [0.3])
     lidar = Lidar(CONFIG, scene, shapes)
-    alone = lidar.distances(on_roof(pose[0]), NOBODY, [], None)
-    assert np.array_equal(lidar.distances(on_roof(pose[0]), pose, ["bus"], 0), alone)
-    assert not np.array_equal(lidar.distances(on_roof(pose[0]), pose, ["bus"], None), alone)
+    alone = lidar.view(on_roof(pose[0]), NOBODY, [], None).distance_m
+    assert np.array_equal(lidar.view(on_roof(pose[0]), pose, ["bus"], 0).distance_m, alone)
+    assert not np.array_equal(lidar.view(on_roof(pose[0]), pose, ["bus"], None).distance_m, alone)
 
 
 def test_a_scan_does_not_depend_on_what_was_scanned_before(
@@ -101,8 +101,8 @@ def test_a_scan_does_not_depend_on_what_was_scanned_before(
     for k in range(40):
         used.scan(on_roof(traffic[0][k]), *traffic, k, stream(SEED, k))
     used.scan(sensor, *traffic, 0, stream(SEED, "again"))
-    one = used.scan(sensor, *traffic, 0, stream(SEED, "cav", 1))
-    other = fresh.scan(sensor, *traffic, 0, stream(SEED, "cav", 1))
+    one = used.scan(sensor, *traffic, 0, stream(SEED, "cav", 1)).scan
+    other = fresh.scan(sensor, *traffic, 0, stream(SEED, "cav", 1)).scan
     assert np.array_equal(one.range_m, other.range_m)
     assert np.array_equal(one.intensity, other.intensity)
 
@@ -114,14 +114,14 @@ def test_bodies_may_come_in_any_order(
     order = np.random.default_rng(1).permutation(len(poses))
     lidar = Lidar(CONFIG, scene, shapes)
     sensor = on_roof(poses[0])
-    one = lidar.distances(sensor, poses, types, None)
-    other = lidar.distances(sensor, poses[order], [types[k] for k in order], None)
+    one = lidar.view(sensor, poses, types, None).distance_m
+    other = lidar.view(sensor, poses[order], [types[k] for k in order], None).distance_m
     assert np.array_equal(one, other)
 
 
 def test_points_lie_where_the_ground_is(scene: Scene, shapes: VehicleShapes) -> None:
     sensor = on_roof(scene.terrain.body_poses([-60.0], [-1.75], [1.0])[0])
-    scan = Lidar(CLEAN, bare(scene), shapes).scan(sensor, NOBODY, [], None, stream(SEED))
+    scan = Lidar(CLEAN, bare(scene), shapes).scan(sensor, NOBODY, [], None, stream(SEED)).scan
     points = sensor.apply(scan.cloud().points)
     assert len(points) > 3000
     near = np.hypot(*(points[:, :2] - sensor.translation[:2]).T) < 25
@@ -132,7 +132,7 @@ def test_points_lie_where_the_ground_is(scene: Scene, shapes: VehicleShapes) -> 
 def test_beyond_the_world_nothing_returns(scene: Scene, shapes: VehicleShapes) -> None:
     lidar = Lidar(CLEAN, scene, shapes)
     far = SE3.from_pose([5000.0, 0.0, 3.0, 0.0, 0.0, 0.0])
-    scan = lidar.scan(far, NOBODY, [], None, stream(SEED))
+    scan = lidar.scan(far, NOBODY, [], None, stream(SEED)).scan
     assert not scan.range_m.any()
     assert not scan.intensity.any()
 

@@ -66,7 +66,7 @@ def selector(policy: PolicyName, roadway: Roadway, *, standing: bool = False) ->
 
 
 def scan(lidar: Lidar, pose: SE3, traffic: tuple[np.ndarray, list[str]], frame: int) -> RangeScan:
-    return lidar.scan(pose, *traffic, None, np.random.default_rng(frame))
+    return lidar.scan(pose, *traffic, None, np.random.default_rng(frame)).scan
 
 
 def sent(selection: Selection, of: RangeScan) -> np.ndarray:
@@ -113,8 +113,8 @@ def on_cars(
     lidar: Lidar, pose: SE3, traffic: tuple[np.ndarray, list[str]], roadway: Roadway, one: RangeScan
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns which beams came back from a vehicle, and which from one on the road."""
-    with_cars = lidar.distances(pose, *traffic, None)
-    without = lidar.distances(pose, np.zeros((0, 6)), [], None)
+    with_cars = lidar.view(pose, *traffic, None).distance_m
+    without = lidar.view(pose, np.zeros((0, 6)), [], None).distance_m
     met = (with_cars < without - 1e-3) & (one.range_m > 0)
     on_road = ~np.isnan(locate(one, pose, roadway).above_m).reshape(one.range_m.shape)
     return met, met & on_road

@@ -13,6 +13,7 @@ from protocol.geometry import SE3
 from protocol.messages import Scan, Tick
 from protocol.roadmap import RoadMap
 from sensing.config import UploadConfig
+from sensing.lidar import Sensed
 from sensing.radio import RealRadio
 from sensing.uplink import Kit, Uplink
 from sensing.upload.registry import POLICIES
@@ -40,11 +41,12 @@ class Wire:
 class Tunnel:
     """The same scan again and again: everything is 8 m away, a tenth of the beams is lost."""
 
-    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> RangeScan:
+    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> Sensed:
         shape = (PATTERN.channels, PATTERN.columns)
         range_m = np.full(shape, 8.0, np.float32)
         range_m[np.random.default_rng(1).random(shape) < 0.1] = 0
-        return RangeScan(PATTERN, range_m, np.zeros(shape, np.float32))
+        scan = RangeScan(PATTERN, range_m, np.zeros(shape, np.float32))
+        return Sensed(scan, np.zeros(0, np.int64))
 
 
 def sent(road_map: RoadMap, **config: Any) -> Scan:

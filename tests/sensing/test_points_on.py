@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from sensing.attribution import counts, owners
 from sensing.config import LidarConfig
-from sensing.lidar import Lidar
+from sensing.lidar import Lidar, View
 from sensing.mounting import above
 
 CONFIG = LidarConfig(channels=48, points_per_second=48 * 900 * 10)
@@ -26,20 +25,18 @@ def test_beams_end_on_the_vehicle_without_which_they_go_farther(scene, shapes, t
     lidar = Lidar(CONFIG, scene, shapes)
     sensor = above(poses[own], 2.4)
     seen = [index for index in range(len(types)) if index != own]
-    all_m = lidar.distances(sensor, poses, types, own)
-    bare_m = lidar.distances(sensor, poses[:0], [], None)
-    boxes = poses, shapes.bodies(types).size_m
-    owner = owners(all_m, bare_m, CONFIG.pattern, sensor, boxes)
+    view = lidar.view(sensor, poses, types, own)
+    bare_m = lidar.view(sensor, poses[:0], [], None).distance_m
     for index in seen:
         others = [n for n in seen if n != index]
-        without_m = lidar.distances(sensor, poses[others], [types[n] for n in others], None)
-        np.testing.assert_array_equal(owner == index, without_m > all_m)
-    assert (owner[all_m == bare_m] == -1).all()
-    assert (owner != own).all()
-    assert np.count_nonzero(owner >= 0) > 100
+        without_m = lidar.view(sensor, poses[others], [types[n] for n in others], None).distance_m
+        np.testing.assert_array_equal(view.body == index, without_m > view.distance_m)
+    assert (view.body[view.distance_m == bare_m] == -1).all()
+    assert (view.body != own).all()
+    assert np.count_nonzero(view.body >= 0) > 100
 
 
 def test_only_beams_that_return_are_counted():
-    owner = np.array([[0, 0, -1], [2, 2, 2]])
+    body = np.array([[0, 0, -1], [2, 2, 2]], np.int32)
     range_m = np.array([[5.0, 0.0, 5.0], [5.0, 5.0, 0.0]], np.float32)
-    assert counts(owner, range_m, 4).tolist() == [1, 0, 2, 0]
+    assert View(range_m, body).points_on(range_m, 4).tolist() == [1, 0, 2, 0]
