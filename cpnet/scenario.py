@@ -214,6 +214,11 @@ def _check_recording(scenario: Scenario, source: str) -> None:
     traffic = scenario.traffic
     if scenario.recording is None:
         return
+    if scenario.cabinet.control == "actuated":
+        raise ConfigError(
+            f"{source}: a recording has no loop detectors: cabinet.control is actuated, must be "
+            "requests"
+        )
     if traffic.step_s != scenario.frame_period_s or traffic.warmup_s != 0:
         raise ConfigError(
             f"{source}: a recording is played a frame a step, without warm-up: traffic.step_s is "

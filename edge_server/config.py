@@ -63,5 +63,8 @@ class EdgeConfig(DetectionConfig):
     )
     upstream_m: float = Field(200.0, gt=0, description="vehicles so far before the stop bar count")
     downstream_m: float = Field(100.0, gt=0, description="vehicles so far behind it count")
+    standing_mps: float = Field(
+        1.4, gt=0, le=10, description="ours: a slower vehicle counts as queued; 5 km/h"
+    )
     plan: PlanConfig = Field(PlanConfig(), description="who uploads which part of the scene")
     fusion: FusionConfig = Field(FusionConfig(), description="duplicates")

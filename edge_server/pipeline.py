@@ -13,6 +13,7 @@ from edge_server.fuse import fuse
 from edge_server.lanes import LaneIndex, Place
 from edge_server.merge import sensor_in_map
 from edge_server.spans import Spans
+from edge_server.standing import Standing
 from perception.arrays import Floats
 from perception.detector import Cloud
 from perception.registry import DetectorMaker, detector_of
@@ -33,7 +34,10 @@ class Result:
 
 
 class Pipeline:
-    """The stages and what they know about the road. No frame depends on another."""
+    """The stages and what they know about the road.
+
+    No frame depends on another, except for which of its vehicles stand still.
+    """
 
     def __init__(
         self,
@@ -49,6 +53,7 @@ class Pipeline:
         self._roadway = Roadway.of(road_map, margin_m=config.geofence.margin_m)
         self._detector = detector(config, self._roadway)
         self._lanes = LaneIndex(road_map)
+        self._standing = Standing(config.standing_mps)
         self._centre = np.array(road_map.centre)
 
     def run(self, frame: Frame) -> Result:
@@ -75,7 +80,8 @@ class Pipeline:
             vehicles, place = vehicles.take(on_road), place.take(on_road)
         with spans.stage("count"):
             detections = self._detections(frame, vehicles, place)
-            counts = self._counts(frame, place)
+            still = self._standing.mark(frame.sim_time_ns, vehicles.boxes[:, :2])
+            counts = self._counts(frame, place, place.take(still))
         points = sum(piece.returns for piece in frame.pieces)
         return Result(detections, counts, spans.done, points)
 
@@ -117,9 +123,11 @@ class Pipeline:
             sources=vehicles.sources,
         )
 
-    def _counts(self, frame: Frame, place: Place) -> LaneCounts:
-        upstream, downstream = self._lanes.count(
-            place, upstream_m=self._config.upstream_m, downstream_m=self._config.downstream_m
+    def _counts(self, frame: Frame, place: Place, queued: Place) -> LaneCounts:
+        reach = self._config.upstream_m, self._config.downstream_m
+        (upstream, downstream), (queued_upstream, queued_downstream) = (
+            self._lanes.count(part, upstream_m=reach[0], downstream_m=reach[1])
+            for part in (place, queued)
         )
         return LaneCounts(
             frame=frame.frame,
@@ -129,6 +137,8 @@ class Pipeline:
             complete=frame.complete,
             upstream=upstream,
             downstream=downstream,
+            queued_upstream=queued_upstream,
+            queued_downstream=queued_downstream,
             delay_sim_ns=frame.delay_sim_ns,
         )
 

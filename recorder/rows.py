@@ -43,10 +43,13 @@ def detection_rows(message: Detections) -> Iterator[DetectionRow]:
 
 def count_rows(message: LaneCounts) -> Iterator[CountRow]:
     """Returns a row per lane and side of the stop bar."""
-    sides = {"upstream": message.upstream, "downstream": message.downstream}
+    sides = {
+        "upstream": (message.upstream, message.queued_upstream),
+        "downstream": (message.downstream, message.queued_downstream),
+    }
     return (
-        CountRow(message.frame, lane, side, vehicles)
-        for side, lanes in sides.items()
+        CountRow(message.frame, lane, side, vehicles, queued.get(lane, 0))
+        for side, (lanes, queued) in sides.items()
         for lane, vehicles in lanes.items()
     )
 

@@ -110,12 +110,16 @@ class DetectionRow(NamedTuple):
 
 
 class CountRow(NamedTuple):
-    """Vehicles counted on a lane; `side` of the stop bar is "upstream" or "downstream"."""
+    """Vehicles counted on a lane; `side` of the stop bar is "upstream" or "downstream".
+
+    Those of them that stand still are `queued`.
+    """
 
     frame: int
     lane: str
     side: str
     vehicles: int
+    queued: int
 
 
 class PhaseRow(NamedTuple):

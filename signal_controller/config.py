@@ -17,3 +17,9 @@ class SignalConfig(Section):
         description="max_pressure: the phase with most vehicles before it and fewest behind it, "
         "as in Chen et al. 2022; fixed: the plan that the net brings",
     )
+    weight: Literal["vehicles", "queued"] = Field(
+        "vehicles",
+        description="what max_pressure counts: vehicles, as in Chen et al. 2022, or those that "
+        "stand still (edge.standing_mps); how far from the stop bar, edge.upstream_m and "
+        "edge.downstream_m say",
+    )

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 from protocol.messages import LaneCounts, SignalState
 from protocol.roadmap import Signal
+
+Weight = Literal["vehicles", "queued"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,14 +20,17 @@ class Decision:
     pressures: list[float]
 
 
-def max_pressure(signal: Signal, counts: LaneCounts, shown: SignalState | None) -> Decision:
+def max_pressure(
+    signal: Signal, counts: LaneCounts, shown: SignalState | None, weight: Weight = "vehicles"
+) -> Decision:
     """Chooses the phase of highest pressure (Varaiya 2013; Chen et al. 2022).
 
     A tie leaves the present green, else the plan's first phase wins. While a change is under way
     its goal stands: the counts that led to it are not weighed anew half-way.
     """
     greens = signal.greens
-    pressures = [pressure(signal, green, counts.upstream, counts.downstream) for green in greens]
+    before, behind = weighed(counts, weight)
+    pressures = [pressure(signal, green, before, behind) for green in greens]
     present = shown.green if shown is not None and shown.green in greens else None
     if shown is not None and present is not None and shown.stage != "green":
         return Decision(present, pressures)
@@ -37,6 +43,13 @@ def max_pressure(signal: Signal, counts: LaneCounts, shown: SignalState | None) 
 def fixed(signal: Signal, sim_time_ns: int) -> Decision:
     """Asks for what the net's own plan shows at this time."""
     return Decision(signal.planned_green(sim_time_ns / 1e9), [])
+
+
+def weighed(counts: LaneCounts, weight: Weight) -> tuple[Mapping[str, int], Mapping[str, int]]:
+    """Returns by lane what presses, before the stop bar and behind it."""
+    if weight == "queued":
+        return counts.queued_upstream, counts.queued_downstream
+    return counts.upstream, counts.downstream
 
 
 def pressure(

@@ -88,6 +88,14 @@ class CabinetConfig(Section):
     min_green_s: float = Field(5, description="a green lasts at least this long", ge=0, le=120)
     yellow_s: float = Field(4, description="yellow after a green", gt=0, le=20)
     all_red_s: float = Field(1, description="red before the next green", ge=0, le=20)
+    control: Literal["requests", "actuated"] = Field(
+        "requests",
+        description="requests: shows what is asked for, where it is safe; actuated: SUMO's own "
+        "control with loop detectors before the stop bars, which heeds no request",
+    )
+    max_green_s: float = Field(
+        50, description="actuated: a green lasts no longer while others wait", gt=0, le=600
+    )
     stale_after_s: float = Field(
         3,
         description="simulated time without a valid request until the fixed plan runs",
@@ -97,3 +105,11 @@ class CabinetConfig(Section):
     request_timeout_s: float = Field(
         60, description="lockstep: wall time to wait for a frame's request before giving up", gt=0
     )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.max_green_s < self.min_green_s:
+            raise ValueError(
+                f"max_green_s {self.max_green_s:g} is less than min_green_s {self.min_green_s:g}"
+            )
+        return self

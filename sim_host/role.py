@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import logging
 import time
+from collections import Counter
 from enum import Enum
 from pathlib import Path
+from typing import Protocol
 
 from protocol.errors import BusError, CpnetError
 from protocol.inbox import Envelope, Presence
-from protocol.messages import End, Metrics, SignalRequest, Span, Trips
+from protocol.messages import End, Metrics, Setup, SignalRequest, SignalState, Span, Trips
 from protocol.process import Context
 from protocol.topics import BusName
 from sensing.config import SceneConfig
 from sensing.recording import Recording
 from sensing.terrain import Terrain
+from sim_host.actuated import ActuatedCabinet, programme
 from sim_host.broadcast import tick_of, truth_of
 from sim_host.cabinet import SignalCabinet
 from sim_host.clock import Beat
@@ -31,6 +34,21 @@ _SLICE_NS = 50_000_000  # how long warm-up may keep the loop from hearing a stop
 _NAP_NS = 30_000_000  # more than the loop's own pause, so that no tick waits for that
 _LINGER_NS = 2_000_000_000  # for the recorder to take what was said last
 _log = logging.getLogger(__name__)
+
+
+class Cabinet(Protocol):
+    """What decides in the end; see `SignalCabinet`."""
+
+    refusals: Counter[str]
+
+    def request(self, request: SignalRequest, now_ns: int) -> str | None:
+        """Takes a wish; returns None, or why it was refused."""
+
+    def advance(self, now_ns: int) -> str:
+        """Returns the state to show from now until the next call."""
+
+    def spat(self, frame: int, now_ns: int) -> SignalState:
+        """Returns phase and timing."""
 
 
 class Stage(Enum):
@@ -51,14 +69,14 @@ class SimRole:
     The signal state of a tick is what was shown until then.
     """
 
-    def __init__(self, context: Context, world: Traffic) -> None:
+    def __init__(self, context: Context, world: Traffic, cabinet: Cabinet | None = None) -> None:
         scenario = context.setup.scenario
         self._context = context
         self._world = world
         self._signal = context.setup.road_map.signal
         self._traffic = traffic_config(scenario)
         self._cabinet_config = CabinetConfig.model_validate(scenario["cabinet"])
-        self._cabinet = SignalCabinet(self._signal, self._cabinet_config)
+        self._cabinet = cabinet or SignalCabinet(self._signal, self._cabinet_config)
         self._fleet = Fleet()
         self._roll_call = RollCall(expected_processes(scenario), self._traffic.start_timeout_s)
         self._lockstep = scenario["mode"] == "lockstep"
@@ -87,13 +105,15 @@ class SimRole:
         seed: int = setup.scenario["seed"]
         recording = setup.scenario.get("recording")
         world: Traffic
+        cabinet = None
         if recording:
             step_ns = round(traffic_config(setup.scenario).step_s * 1e9)
             world = RecordedWorld(Recording(Path(recording)), step_ns)
         else:
             world = World(setup, context.run_dir, Terrain(setup.road_map, scene, seed))
             world.start(seed)
-        role = cls(context, world)
+            cabinet = _own_control(setup, world)
+        role = cls(context, world, cabinet)
         context.v2x.subscribe("request", tls=setup.road_map.signal.tls)
         context.world.watch()
         context.v2x.watch()
@@ -283,3 +303,12 @@ class SimRole:
             self._world.counts,
         )
         self._context.stop.set()
+
+
+def _own_control(setup: Setup, world: World) -> Cabinet | None:
+    """Returns the control that SUMO itself runs, if the scenario wants that."""
+    config = CabinetConfig.model_validate(setup.scenario["cabinet"])
+    if config.control != "actuated":
+        return None
+    world.run_actuated(programme(setup.road_map.signal, config))
+    return ActuatedCabinet(setup.road_map.signal, world.shown)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
@@ -13,9 +14,13 @@ import numpy.typing as npt
 from protocol.errors import ConfigError
 from protocol.geometry import Floats
 from protocol.messages import Setup, Trip
+from sim_host.actuated import Interval
 from sim_host.journeys import Journeys
 from sim_host.setup import config_file, traffic_config
 from sim_host.sumo import load_libsumo
+
+ACTUATED = "actuated"
+_ACTUATED_TYPE = 3  # of SUMO's kinds of program
 
 
 class Ground(Protocol):
@@ -141,6 +146,18 @@ class World:
             ),
             equipment=np.array([journey.equipment for journey in journeys], np.uint8),
         )
+
+    def run_actuated(self, intervals: Sequence[Interval]) -> None:
+        """Leaves the signal to SUMO from now on: its own detectors choose how long greens last."""
+        lights = self._sumo.trafficlight
+        phases = [lights.Phase(i.least_s, i.state, i.least_s, i.most_s) for i in intervals]
+        lights.setProgramLogic(self._tls, lights.Logic(ACTUATED, _ACTUATED_TYPE, 0, phases))
+        lights.setProgram(self._tls, ACTUATED)
+
+    def shown(self) -> str:
+        """Returns what the signal shows; to set that again does not take it from SUMO's control."""
+        self._shown = str(self._sumo.trafficlight.getRedYellowGreenState(self._tls))
+        return self._shown
 
     def set_signal(self, state: str) -> None:
         """Shows a state at the signal, one character per link."""

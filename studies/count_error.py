@@ -7,6 +7,7 @@ import numpy as np
 from edge_server.config import EdgeConfig
 from edge_server.lanes import LaneIndex, Place
 from perception.arrays import Floats
+from protocol.roadmap import RoadMap
 from recorder.run import Run
 from recorder.tables import CountRow, TruthRow
 from studies.ecvpr import by_frame
@@ -20,9 +21,8 @@ def lane_errors(run: Run) -> Floats:
     Raises:
         ConfigError: the run folder lacks its setup.
     """
-    index = LaneIndex(run.setup.road_map)
     config = EdgeConfig.model_validate(run.scenario.get("edge", {}))
-    numbers = {lane.id: number for number, lane in enumerate(run.setup.road_map.lanes)}
+    counter = TrueCounts(run.setup.road_map, config.upstream_m, config.downstream_m)
     truths = by_frame(run.rows(TruthRow))
     frame, vehicles = next(truths, (-1, []))
     errors: list[float] = []
@@ -30,17 +30,25 @@ def lane_errors(run: Run) -> Floats:
         while 0 <= frame < counted:
             frame, vehicles = next(truths, (-1, []))
         if frame == counted:
-            truth = _true_counts(index, config, numbers, vehicles)
-            errors += [row.vehicles - truth[row.side][row.lane] for row in rows]
+            truth = counter.count(vehicles)
+            errors += [row.vehicles - truth[row.side].get(row.lane, 0) for row in rows]
     return np.array(errors, np.float64)
 
 
-def _true_counts(
-    index: LaneIndex, config: EdgeConfig, numbers: dict[str, int], vehicles: list[TruthRow]
-) -> dict[str, dict[str, int]]:
-    lanes = np.array([numbers.get(vehicle.lane, -1) for vehicle in vehicles], np.int64)
-    along_m = np.array([vehicle.lane_position_m for vehicle in vehicles], np.float64)
-    before, behind = index.count(
-        Place(lanes, along_m), upstream_m=config.upstream_m, downstream_m=config.downstream_m
-    )
-    return {"upstream": before, "downstream": behind}
+class TrueCounts:
+    """Counts as the edge would, were it told where everybody is."""
+
+    def __init__(self, road_map: RoadMap, upstream_m: float, downstream_m: float) -> None:
+        self._index = LaneIndex(road_map)
+        self._numbers = {lane.id: number for number, lane in enumerate(road_map.lanes)}
+        self._upstream_m, self._downstream_m = upstream_m, downstream_m
+
+    def count(self, vehicles: list[TruthRow]) -> dict[str, dict[str, int]]:
+        """Returns vehicles by side of the stop bar and lane."""
+        lanes = [self._numbers.get(vehicle.lane, -1) for vehicle in vehicles]
+        along_m = [vehicle.lane_position_m for vehicle in vehicles]
+        place = Place(np.array(lanes, np.int64), np.array(along_m, np.float64))
+        before, behind = self._index.count(
+            place, upstream_m=self._upstream_m, downstream_m=self._downstream_m
+        )
+        return {"upstream": before, "downstream": behind}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge_server.lanes import LaneIndex, Place
 from protocol.messages import Setup
 from recorder.tables import CountRow, DetectionRow, TruthRow
+from studies.count_error import TrueCounts
 from studies.ecvpr import matched_vehicles
 from studies.reach import DOWNSTREAM_M, UPSTREAM_M, Reach
 
@@ -16,8 +16,7 @@ class Tally:
 
     def __init__(self, setup: Setup) -> None:
         self._reach = Reach(setup.road_map)
-        self._lanes = LaneIndex(setup.road_map)
-        self._number = {lane.id: i for i, lane in enumerate(setup.road_map.lanes)}
+        self._counter = TrueCounts(setup.road_map, UPSTREAM_M, DOWNSTREAM_M)
         self._types = {kind.name: kind for kind in setup.vehicle_types}
         self._seen = self._found = self._false = self._frames = 0
         self._errors: list[int] = []
@@ -36,7 +35,7 @@ class Tally:
         self._found += len(visible & here & matched)
         self._false += wrong
         self._frames += 1
-        true = self._true_counts(vehicles)
+        true = self._counter.count(vehicles)
         self._errors += [abs(row.vehicles - true[row.side].get(row.lane, 0)) for row in counts]
 
     @property
@@ -53,12 +52,3 @@ class Tally:
     def count_error(self) -> float | None:
         """The mean absolute error of a lane's count, before and behind the stop bar, vehicles."""
         return float(np.mean(self._errors)) if self._errors else None
-
-    def _true_counts(self, vehicles: list[TruthRow]) -> dict[str, dict[str, int]]:
-        on_map = [v for v in vehicles if v.lane in self._number]
-        place = Place(
-            np.array([self._number[v.lane] for v in on_map], np.int64),
-            np.array([v.lane_position_m for v in on_map], np.float64),
-        )
-        before, behind = self._lanes.count(place, upstream_m=UPSTREAM_M, downstream_m=DOWNSTREAM_M)
-        return {"upstream": before, "downstream": behind}

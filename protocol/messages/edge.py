@@ -48,7 +48,10 @@ class Detections(Message):
 
 
 class LaneCounts(Message):
-    """Vehicles per lane: within the reach upstream of the stop bar and downstream behind it."""
+    """Vehicles per lane: within the reach upstream of the stop bar and downstream behind it.
+
+    Those of them that stand still are counted once more, as `queued`.
+    """
 
     kind: ClassVar[int] = 12
     frame: FrameNumber
@@ -58,6 +61,8 @@ class LaneCounts(Message):
     complete: bool
     upstream: dict[NetId, Count] = Field(max_length=MAX_ITEMS)
     downstream: dict[NetId, Count] = Field(max_length=MAX_ITEMS)
+    queued_upstream: dict[NetId, Count] = Field({}, max_length=MAX_ITEMS)
+    queued_downstream: dict[NetId, Count] = Field({}, max_length=MAX_ITEMS)
     delay_sim_ns: DelayNs | None = None
 
 

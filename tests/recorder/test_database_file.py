@@ -26,9 +26,9 @@ def record(run_dir: Path, counts: list[CountRow], clock_ns: int = 0) -> None:
 
 def _write_until_killed(run_dir: Path, ready: Connection) -> None:
     database = Database(run_dir)
-    database.add(CountRow, [(0, "a", "upstream", 1)])
+    database.add(CountRow, [(0, "a", "upstream", 1, 0)])
     database.commit()
-    database.add(CountRow, [(1, "a", "upstream", 1)])
+    database.add(CountRow, [(1, "a", "upstream", 1, 0)])
     ready.send(None)
     signal.pause()
 
@@ -47,12 +47,12 @@ def test_a_killed_writer_leaves_all_that_it_committed(tmp_path: Path) -> None:
     kill_a_writer(tmp_path)
     assert (tmp_path / f"{FILE_NAME}-wal").exists()
     with Run(tmp_path) as run:
-        assert list(run.rows(CountRow)) == [(0, "a", "upstream", 1)]
+        assert list(run.rows(CountRow)) == [(0, "a", "upstream", 1, 0)]
 
 
 def test_a_running_recording_can_be_read(tmp_path: Path) -> None:
     database = Database(tmp_path)
-    database.add(CountRow, [(0, "a", "upstream", 1)])
+    database.add(CountRow, [(0, "a", "upstream", 1, 0)])
     database.commit()
     with Run(tmp_path) as run:
         assert len(list(run.rows(CountRow))) == 1
@@ -83,15 +83,15 @@ def test_a_row_with_the_same_keys_is_replaced(tmp_path: Path) -> None:
 
 def test_a_row_that_does_not_fit_costs_itself_alone(tmp_path: Path) -> None:
     database = Database(tmp_path)
-    database.add(CountRow, [(0, "a", "upstream", 1 << 70), (1, "a", "upstream", 1)])
+    database.add(CountRow, [(0, "a", "upstream", 1 << 70, 0), (1, "a", "upstream", 1, 0)])
     database.close()
     assert database.refused_rows == 1
     with Run(tmp_path) as run:
-        assert list(run.rows(CountRow)) == [(1, "a", "upstream", 1)]
+        assert list(run.rows(CountRow)) == [(1, "a", "upstream", 1, 0)]
 
 
 def test_runs_that_differ_only_in_clocks_have_the_same_results(tmp_path: Path) -> None:
-    rows = [CountRow(frame, "a", "upstream", frame) for frame in range(5)]
+    rows = [CountRow(frame, "a", "upstream", frame, 0) for frame in range(5)]
     record(tmp_path / "a", rows, clock_ns=1)
     record(tmp_path / "b", rows[::-1], clock_ns=2)
     assert differences(tmp_path / "a", tmp_path / "b") == []
@@ -99,13 +99,13 @@ def test_runs_that_differ_only_in_clocks_have_the_same_results(tmp_path: Path) -
 
 
 def test_a_differing_row_is_named(tmp_path: Path) -> None:
-    rows = [CountRow(frame, "a", "upstream", frame) for frame in range(5)]
+    rows = [CountRow(frame, "a", "upstream", frame, 0) for frame in range(5)]
     record(tmp_path / "a", rows)
-    record(tmp_path / "b", [*rows[:3], CountRow(3, "a", "upstream", 9)])
+    record(tmp_path / "b", [*rows[:3], CountRow(3, "a", "upstream", 9, 0)])
     (difference,) = differences(tmp_path / "a", tmp_path / "b")
     assert (difference.table, difference.rows_a, difference.rows_b) == ("counts", 5, 4)
     assert difference.differing == 2
-    assert difference.first_b == (3, "a", "upstream", 9)
+    assert difference.first_b == (3, "a", "upstream", 9, 0)
     assert "counts: 2 rows differ" in str(difference)
     assert results_digest(tmp_path / "a") != results_digest(tmp_path / "b")
 

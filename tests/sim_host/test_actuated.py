@@ -1,0 +1,55 @@
+"""SUMO's own actuated control in the place of requests."""
+
+from __future__ import annotations
+
+import pytest
+
+from protocol.errors import ConfigError
+from protocol.messages import SignalRequest
+from protocol.roadmap import Link, PlanPhase, Signal
+from sim_host.actuated import ActuatedCabinet, programme
+from sim_host.config import CabinetConfig
+
+
+def signal(*greens: str) -> Signal:
+    links = [Link(index=i, from_lane=f"in_{i}", to_lane="out") for i in range(len(greens[0]))]
+    plan = [PlanPhase(duration_s=30, state=green) for green in greens]
+    return Signal(tls="J", links=links, conflicts=[], plan=plan)
+
+
+def test_between_greens_lie_yellow_and_all_red_with_the_cabinets_times():
+    config = CabinetConfig(min_green_s=6, max_green_s=40, yellow_s=3, all_red_s=2)
+    found = [(i.state, i.least_s, i.most_s) for i in programme(signal("GGr", "rGG"), config)]
+    assert found == [
+        ("GGr", 6, 40), ("yGr", 3, 3), ("rGr", 2, 2), ("rGG", 6, 40), ("rGy", 3, 3), ("rGr", 2, 2)
+    ]  # fmt: skip
+
+
+def test_no_interval_lasts_no_time():
+    assert len(programme(signal("Gr", "rG"), CabinetConfig(all_red_s=0))) == 4
+
+
+def test_one_green_leaves_nothing_to_decide():
+    with pytest.raises(ConfigError, match="one green only"):
+        programme(signal("GG"), CabinetConfig())
+
+
+def test_greens_cannot_end_before_they_may():
+    with pytest.raises(ValueError, match="max_green_s 4 is less than min_green_s 5"):
+        CabinetConfig(max_green_s=4)
+
+
+def test_it_tells_what_sumo_shows_and_what_a_change_leads_to():
+    shown = "Gr"
+    cabinet = ActuatedCabinet(signal("Gr", "rG"), lambda: shown)
+    wish = SignalRequest(frame=1, sim_time_ns=1, tls="J", state="rG", policy="max_pressure")
+    assert cabinet.request(wish, 2) is None
+    told = []
+    for state in ("Gr", "yr", "rr", "rG", "ry"):
+        shown = state
+        spat = cabinet.spat(1, 2)
+        told.append((spat.state, spat.stage, spat.green))
+    assert told == [
+        ("Gr", "green", "Gr"), ("yr", "yellow", "rG"), ("rr", "all_red", "rG"),
+        ("rG", "green", "rG"), ("ry", "yellow", "Gr"),
+    ]  # fmt: skip
