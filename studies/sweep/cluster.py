@@ -10,7 +10,8 @@ import logging
 import os
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
@@ -35,12 +36,11 @@ class Seated(WorkerPlugin):
         self._cores = cores
 
     def setup(self, worker: Worker) -> None:
-        """Pins all threads that are there; later ones inherit it. Ctrl-C is the parent's."""
+        """Pins all threads that are there; later ones inherit it."""
         core = self._cores[int(worker.name) % len(self._cores)]
         for thread in Path("/proc/self/task").iterdir():
             with suppress(ProcessLookupError):  # it has just ended
                 os.sched_setaffinity(int(thread.name), {core})
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def usable_cores() -> list[int]:
@@ -50,28 +50,54 @@ def usable_cores() -> list[int]:
 
 @contextmanager
 def local(jobs: int) -> Iterator[Client]:
-    """Starts worker processes here, one thread each, and ends them."""
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # a cell's failure says it all
-    with (
-        dask.config.set(_CONFIG),
-        LocalCluster(
-            n_workers=jobs,
-            threads_per_worker=1,
-            processes=True,
-            host=LOOPBACK,
-            dashboard_address=None,
-            scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"},
-            memory_limit=0,  # a worker that is paused for its memory would hold up the study
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster) as client,
-    ):
-        client.register_plugin(Seated(usable_cores()))
-        try:
-            yield client
-        except BaseException:
-            _kill(cluster)
-            raise
+    """Starts worker processes here, one thread each, and ends them; from the main thread only."""
+    _hush()
+    with dask.config.set(_CONFIG), ExitStack() as stack:
+        with _signals_held():
+            cluster = stack.enter_context(_cluster(jobs))
+            client = stack.enter_context(Client(cluster))
+            stack.push(lambda kind, *_: _kill(cluster) if kind is not None else None)
+            client.register_plugin(Seated(usable_cores()))
+        yield client
+
+
+def _hush() -> None:
+    """Silences Dask's log: what matters comes back as a cell's failure or a lost scheduler."""
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+
+
+def _cluster(jobs: int) -> LocalCluster:
+    return LocalCluster(
+        n_workers=jobs,
+        threads_per_worker=1,
+        processes=True,
+        host=LOOPBACK,
+        dashboard_address=None,
+        scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"},
+        memory_limit=0,  # a worker that is paused for its memory would hold up the study
+        silence_logs=logging.CRITICAL,
+    )
+
+
+@contextmanager
+def _signals_held() -> Iterator[None]:
+    """Heeds Ctrl-C and SIGTERM only once all is started; children inherit that both are blocked.
+
+    A terminal sends Ctrl-C to all processes, but to end the workers is their parent's.
+    """
+    came: list[int] = []
+    resource_tracker.ensure_running()  # if a later thread started it, this would unblock them there
+    held = (signal.SIGINT, signal.SIGTERM)
+    before = {which: signal.signal(which, lambda n, _: came.append(n)) for which in held}
+    signal.pthread_sigmask(signal.SIG_BLOCK, held)
+    try:
+        yield
+    finally:
+        for which, handler in before.items():
+            signal.signal(which, handler)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, held)
+    for number in came[:1]:
+        signal.raise_signal(number)
 
 
 @contextmanager
@@ -81,9 +107,9 @@ def remote(address: str) -> Iterator[Client]:
     Raises:
         ConfigError: it does not answer.
     """
-    logging.getLogger("distributed").setLevel(logging.WARNING)
+    _hush()
     try:
-        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+        client = Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
         raise ConfigError(
             f"--scheduler {address}: no answer ({error}); start one with `dask scheduler`"

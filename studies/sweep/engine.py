@@ -84,7 +84,7 @@ class Engine:
         try:
             return max(1, len(self._client.nthreads()))
         except (OSError, CancelledError) as error:
-            raise _lost(error) from None
+            raise _lost() from error
 
     def _send(self, cell: Cell) -> None:
         keep = str(self._store.run_dir(cell.id)) if self._keep_runs else None
@@ -100,7 +100,7 @@ class Engine:
             self._watcher.waits()
             return []
         except CancelledError as error:
-            raise _lost(error) from None
+            raise _lost() from error
         return list(done)
 
     def _take(self, future: Any, cell: Cell) -> Failure | None:  # noqa: ANN401 - Dask's is untyped
@@ -109,7 +109,7 @@ class Engine:
             self._watcher.finished(cell)
             return None
         if future.status != "error":
-            raise _lost(future.status)
+            raise _lost()
         error = future.exception()
         self._store.blame(cell, error)
         failure = Failure(cell, _reason(error))
@@ -125,5 +125,5 @@ def _reason(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"
 
 
-def _lost(why: object) -> BusError:
-    return BusError(f"the scheduler was lost ({why}); the same command goes on with the rest")
+def _lost() -> BusError:
+    return BusError("the scheduler was lost; the same command goes on with what is left")
