@@ -62,6 +62,8 @@ def study_command(
         failures = _run(cells, store, scheduler, jobs, keep_runs=keep_runs)
     frame = table(cells, store)
     path = write_table(frame, store)
+    if study.title is not None and not as_json:
+        console.print(study.title, style="bold", markup=False, highlight=False)
     _conclude(frame, cells, failures, path, as_json=as_json)
     raise typer.Exit(1 if failures else 0)
 
@@ -85,7 +87,7 @@ def _run(
             remote(scheduler) if scheduler else local(seats) as client,
         ):
             return Engine(client, store, display, keep_runs=keep_runs).run(todo)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
         done = kept + len(todo) - len(missing(cells, store))
         errors.print(
             f"stopped: {done} of {kept + len(todo)} cells are done and kept in {store.folder}; "
@@ -93,7 +95,7 @@ def _run(
             highlight=False,
             soft_wrap=True,
         )
-        sys.exit(130)
+        sys.exit(128 + stop.args[0])
 
 
 def _conclude(
@@ -156,14 +158,14 @@ def _needs_extra() -> Iterator[None]:
 def _stopped_by_signals() -> Iterator[None]:
     """Makes SIGTERM what Ctrl-C is; both are heeded once, also where a shell has them ignored."""
 
-    def stop(_: int, __: FrameType | None) -> None:
-        for number in before:
-            signal.signal(number, signal.SIG_IGN)  # the workers are ended at once anyway
-        raise KeyboardInterrupt
+    def stop(number: int, _: FrameType | None) -> None:
+        for which in before:
+            signal.signal(which, signal.SIG_IGN)  # the workers are ended at once anyway
+        raise KeyboardInterrupt(number)
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {which: signal.signal(which, stop) for which in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for which, handler in before.items():
+            signal.signal(which, handler)

@@ -39,8 +39,8 @@ class Watcher(Protocol):
     def failed(self, failure: Failure) -> None:
         """A cell went wrong."""
 
-    def waits(self) -> None:
-        """A moment passed; there may be no worker."""
+    def waits(self, workers: int) -> None:
+        """A moment passed without anything; tells how many workers there are."""
 
 
 def missing(cells: Iterable[Cell], store: Store) -> list[Cell]:
@@ -73,16 +73,16 @@ class Engine:
         todo = cells[::-1]
         failures = []
         while todo or self._flying:
-            while todo and len(self._flying) < self._seats():
+            while todo and len(self._flying) < max(1, self._workers()):
                 self._send(todo.pop())
             for future in self._landed():
                 failure = self._take(future, self._flying.pop(future))
                 failures += [failure] if failure else []
         return failures
 
-    def _seats(self) -> int:
+    def _workers(self) -> int:
         try:
-            return max(1, len(self._client.nthreads()))
+            return len(self._client.nthreads())
         except (OSError, CancelledError) as error:
             raise _lost() from error
 
@@ -97,7 +97,7 @@ class Engine:
         try:
             done = wait(list(self._flying), timeout=POLL_S, return_when="FIRST_COMPLETED").done
         except TimeoutError:
-            self._watcher.waits()
+            self._watcher.waits(self._workers())
             return []
         except CancelledError as error:
             raise _lost() from error

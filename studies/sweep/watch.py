@@ -7,8 +7,8 @@ from types import TracebackType
 from typing import Self
 
 from rich.console import Console
-from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Column
 
 from studies.sweep.cell import Cell
 from studies.sweep.engine import Failure
@@ -22,14 +22,20 @@ class Pace:
     def __init__(self, total: int) -> None:
         self.total = total
         self.done = 0
-        self._begun_ns = time.monotonic_ns()
+        self._begun_ns = self._last_ns = time.monotonic_ns()
+
+    def step(self) -> None:
+        """Counts a cell."""
+        self.done += 1
+        self._last_ns = time.monotonic_ns()
 
     def left(self) -> str:
         """Returns the time left as text; nothing is known before the first cell is done."""
         if not self.done:
             return ""
-        elapsed_s = (time.monotonic_ns() - self._begun_ns) / 1e9
-        return f"{duration(elapsed_s / self.done * (self.total - self.done))} left"
+        each_s = (self._last_ns - self._begun_ns) / 1e9 / self.done
+        since_s = (time.monotonic_ns() - self._last_ns) / 1e9
+        return f"{duration(max(0.0, each_s * (self.total - self.done) - since_s))} left"
 
 
 def duration(seconds: float) -> str:
@@ -49,14 +55,19 @@ class Display:
         self._pace = Pace(todo)
         self._kept = kept
         self._running: dict[str, Cell] = {}
+        self._is_alone = False
         self._bar = Progress(
-            BarColumn(bar_width=24),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[left]}"),
-            TextColumn("{task.description}"),
+            BarColumn(bar_width=12, table_column=Column(min_width=12)),
+            MofNCompleteColumn(table_column=Column(no_wrap=True)),
+            TextColumn("{task.fields[left]}", table_column=Column(no_wrap=True)),
+            TextColumn(
+                "{task.description}",
+                markup=False,
+                table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis"),
+            ),
             console=console,
             transient=True,
+            expand=True,
             disable=not console.is_terminal,
         )
         self._task = self._bar.add_task("starting", total=todo + kept, completed=kept, left="")
@@ -90,13 +101,16 @@ class Display:
         self._end(failure.cell)
         self._say(f"failed  {failure.cell.title}: {failure.reason}")
 
-    def waits(self) -> None:
-        """Keeps the time left up to date."""
+    def waits(self, workers: int) -> None:
+        """Keeps the time left up to date; says so once if nobody is there to work."""
         self._refresh()
+        if not workers and not self._is_alone:
+            self._say("no worker is connected; the study goes on once one is")
+        self._is_alone = not workers
 
     def _end(self, cell: Cell) -> None:
         self._running.pop(cell.id, None)
-        self._pace.done += 1
+        self._pace.step()
         self._refresh()
 
     def _refresh(self) -> None:
@@ -105,7 +119,7 @@ class Display:
         self._bar.update(
             self._task,
             completed=self._kept + self._pace.done,
-            description=escape("; ".join(named[:SHOWN]) + more),
+            description="; ".join(named[:SHOWN]) + more,
             left=self._pace.left(),
         )
 

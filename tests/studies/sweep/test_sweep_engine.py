@@ -33,7 +33,7 @@ class Told:
     def failed(self, failure):
         self.running.remove(failure.cell.id)
 
-    def waits(self):
+    def waits(self, workers):
         pass
 
 
