@@ -7,12 +7,14 @@ import os
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from protocol.errors import ConfigError
-from studies.measures import Row
 from studies.sweep.cell import Cell
-from studies.sweep.work import Outcome
+
+if TYPE_CHECKING:  # a study's file is read and refused without loading all roles
+    from studies.measures import Row
+    from studies.sweep.work import Outcome
 
 
 @dataclass(frozen=True, slots=True)

@@ -118,8 +118,8 @@ def test_runs_are_kept_where_asked_and_a_cell_that_fails_makes_the_status_1(shel
 
 
 @pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[str]:
-    """Yields the address of a scheduler with two worker processes."""
+def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """Yields the address of a scheduler with two worker processes, and the scheduler."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
@@ -134,7 +134,7 @@ def cluster(tmp_path: Path) -> Iterator[str]:
         )
         for command in commands
     ]
-    yield address
+    yield address, started[0]
     for process in reversed(started):
         process.terminate()
     for process in started:
@@ -144,12 +144,37 @@ def cluster(tmp_path: Path) -> Iterator[str]:
 
 @pytest.mark.slow
 def test_a_scheduler_with_two_workers_gives_the_table_of_this_machine(shell, folder, cluster):
-    finish(shell, "--out", "there", "--scheduler", cluster)
+    finish(shell, "--out", "there", "--scheduler", cluster[0])
     finish(shell, "--out", "here", "--jobs", "1")
     assert table(folder / "there").equals(table(folder / "here"))
     assert (folder / "there" / "results.parquet").read_bytes() == (
         folder / "here" / "results.parquet"
     ).read_bytes()
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_is_lost_ends_the_study_and_what_is_done_is_kept(shell, folder, cluster):
+    address, scheduler = cluster
+    command = shell.start("study", "small.yaml", "--out", "out", "--scheduler", address)
+    wait_until(lambda: kept(folder / "out"), 120, what="no cell was ever done")
+    scheduler.kill()
+    status, output = command.finish()
+    assert status == 2
+    assert "the scheduler was lost; the same command goes on with what is left" in output
+    assert "Traceback" not in output
+    assert 1 <= len(kept(folder / "out")) < CELLS
+
+
+def test_without_the_extra_it_is_named(folder):
+    code = "import sys; sys.modules['polars'] = None; from cpnet.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "study", "small.yaml"],
+        cwd=folder, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "studies need polars (extra `study`)" in done.stderr
+    assert "pip install 'cpnet-edge[study]'" in done.stderr
+    assert [path.name for path in folder.iterdir()] == ["small.yaml"]
 
 
 def refused(shell: Shell, *arguments: str) -> str:
