@@ -19,6 +19,7 @@ from cpnet import scenario as scenarios
 from cpnet.cli_bench import bench_app
 from cpnet.cli_learn import learn_app
 from cpnet.cli_options import AsJson, Override, assigned, console, errors
+from cpnet.cli_study import study_app
 from cpnet.up import Options, up
 from protocol.errors import CpnetError
 from recorder.compare import differences
@@ -31,6 +32,7 @@ app = typer.Typer(
     add_completion=False,
 )
 app.add_typer(learn_app)
+app.add_typer(study_app)
 app.add_typer(bench_app, name="bench")
 
 _ADDRESS = "HOST:PORT, v2x=HOST:PORT or world=HOST:PORT"

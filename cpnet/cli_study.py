@@ -1,0 +1,171 @@
+"""`cpnet study`: many runs from one file, side by side, one table."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cpnet import scenario as scenarios
+from cpnet.cli_options import AsJson, Override, assigned, console, errors
+from protocol.errors import ConfigError
+from studies.sweep.cell import Cell, cells_of
+from studies.sweep.spec import read_study
+from studies.sweep.store import Store
+
+if TYPE_CHECKING:
+    from studies.sweep.engine import Failure
+
+study_app = typer.Typer()
+
+
+@study_app.command("study")
+def study_command(
+    what: Annotated[str, typer.Argument(help="study file or built-in name")],
+    *,
+    out: Annotated[Path | None, typer.Option(help="results; default runs/study-NAME")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="of your own Dask cluster")
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, max=512, help="processes here; default one a core")
+    ] = None,
+    seeds: Annotated[
+        str | None, typer.Option(metavar="N,...", help="instead of the file's; 1-10 is a range")
+    ] = None,
+    set_: Override = None,
+    keep_runs: Annotated[
+        bool, typer.Option("--keep-runs", help="keep each run folder, in OUT/runs")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run every cell of a study that is not done yet; then write and print the table."""
+    if scheduler is not None and (jobs is not None or keep_runs):
+        raise ConfigError("--scheduler: goes with neither --jobs nor --keep-runs, its workers rule")
+    file = read_study(what)
+    study = file.study.changed(assigned(set_), _seeds(seeds))
+    try:
+        cells = cells_of(study, lambda keys: _resolved(file.scenario, keys))
+    except ConfigError as error:
+        raise ConfigError(f"{what}: {error}") from None
+    with _needs_extra():
+        from studies.sweep.table import table, write_table
+    store = Store.at(out or Path("runs") / f"study-{study.name}")
+    with _stopped_by_signals():
+        failures = _run(cells, store, scheduler, jobs, keep_runs=keep_runs)
+    frame = table(cells, store)
+    path = write_table(frame, store)
+    if study.title is not None and not as_json:
+        console.print(study.title, style="bold", markup=False, highlight=False)
+    _conclude(frame, cells, failures, path, as_json=as_json)
+    raise typer.Exit(1 if failures else 0)
+
+
+def _run(
+    cells: list[Cell], store: Store, scheduler: str | None, jobs: int | None, *, keep_runs: bool
+) -> list[Failure]:
+    """Runs what is missing; returns what failed."""
+    with _needs_extra():
+        from studies.sweep.cluster import local, remote, usable_cores
+        from studies.sweep.engine import Engine, missing
+        from studies.sweep.watch import Display
+    todo = missing(cells, store)
+    if not todo:
+        return []
+    kept = len({cell.id for cell in cells}) - len(todo)
+    seats = min(jobs or len(usable_cores()), len(todo))
+    try:
+        with (
+            Display(errors, len(todo), kept) as display,
+            remote(scheduler) if scheduler else local(seats) as client,
+        ):
+            return Engine(client, store, display, keep_runs=keep_runs).run(todo)
+    except KeyboardInterrupt as stop:
+        done = kept + len(todo) - len(missing(cells, store))
+        errors.print(
+            f"stopped: {done} of {kept + len(todo)} cells are done and kept in {store.folder}; "
+            "the same command goes on from there",
+            highlight=False,
+            soft_wrap=True,
+        )
+        sys.exit(128 + stop.args[0])
+
+
+def _conclude(
+    frame: Any,  # noqa: ANN401 - polars may not be installed
+    cells: list[Cell],
+    failures: list[Failure],
+    path: Path,
+    *,
+    as_json: bool,
+) -> None:
+    from studies.sweep.overview import overview, print_overview
+
+    axes = list(dict.fromkeys(name for cell in cells for name in cell.labels))
+    if as_json:
+        failed = [{"cell": one.cell.title, "reason": one.reason} for one in failures]
+        rows = overview(frame, axes).to_dicts()
+        said = {"results": str(path), "rows": len(frame), "failed": failed, "cells": rows}
+        typer.echo(json.dumps(said, indent=2))
+        return
+    print_overview(frame, axes, console)
+    if failures:
+        console.print(f"{len(failures)} cells failed; the same command tries them again")
+    console.print(f"wrote {path}", highlight=False, soft_wrap=True)
+
+
+def _resolved(name: str, settings: dict[str, Any]) -> dict[str, Any]:
+    return scenarios.load(name, settings).model_dump(mode="json")
+
+
+def _seeds(text: str | None) -> list[int]:
+    """Reads `1,2,5-8`.
+
+    Raises:
+        ConfigError: it is not that.
+    """
+    seeds: list[int] = []
+    for part in text.split(",") if text is not None else []:
+        first, dash, last = part.strip().partition("-")
+        if not first.isdecimal() or (dash and not last.isdecimal()):
+            raise ConfigError(f"--seeds {text}: must be numbers such as 1,2,5-8")
+        until = int(last) if dash else int(first)
+        if not int(first) <= until < int(first) + 10_000:
+            raise ConfigError(f"--seeds {text}: {part} must be a range of 1 to 10000 seeds")
+        seeds += range(int(first), until + 1)
+    return seeds
+
+
+@contextmanager
+def _needs_extra() -> Iterator[None]:
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"studies need {error.name} (extra `study`): "
+            f"{sys.executable} -m pip install 'cpnet-edge[study]'"
+        ) from None
+
+
+@contextmanager
+def _stopped_by_signals() -> Iterator[None]:
+    """Makes SIGTERM what Ctrl-C is; both are heeded once, also where a shell has them ignored."""
+
+    def stop(number: int, _: FrameType | None) -> None:
+        for which in before:
+            signal.signal(which, signal.SIG_IGN)  # the workers are ended at once anyway
+        raise KeyboardInterrupt(number)
+
+    before = {which: signal.signal(which, stop) for which in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for which, handler in before.items():
+            signal.signal(which, handler)

@@ -1,0 +1,127 @@
+"""Where cells run: processes of this machine, or a Dask cluster that is already there.
+
+Dask sends pickled Python both ways: whoever reaches a scheduler can run anything on its workers and
+clients. So a local one listens on loopback only, and others must be one's own.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from multiprocessing import resource_tracker
+from pathlib import Path
+from typing import Any
+
+import dask
+from distributed import Client, LocalCluster, Worker, WorkerPlugin
+
+from protocol.errors import ConfigError
+
+LOOPBACK = "127.0.0.1"
+CONNECT_S = 10.0
+_CONFIG = {
+    "distributed.scheduler.allowed-failures": 1,  # a cell that kills its worker twice is given up
+    "distributed.scheduler.worker-ttl": None,  # a long step of SUMO is no death
+    "distributed.admin.system-monitor.disk": False,
+}
+
+
+class Seated(WorkerPlugin):
+    """Gives each worker process a core of its own, by which its thread pools size themselves."""
+
+    def __init__(self, cores: list[int]) -> None:
+        self._cores = cores
+
+    def setup(self, worker: Worker) -> None:
+        """Pins all threads that are there; later ones inherit it."""
+        core = self._cores[int(worker.name) % len(self._cores)]
+        for thread in Path("/proc/self/task").iterdir():
+            with suppress(ProcessLookupError):  # it has just ended
+                os.sched_setaffinity(int(thread.name), {core})
+
+
+def usable_cores() -> list[int]:
+    """Returns the cores that this process may use."""
+    return sorted(os.sched_getaffinity(0))
+
+
+@contextmanager
+def local(jobs: int) -> Iterator[Client]:
+    """Starts worker processes here, one thread each, and ends them; from the main thread only."""
+    _hush()
+    with dask.config.set(_CONFIG), ExitStack() as stack:
+        with _signals_held():
+            cluster = stack.enter_context(_cluster(jobs))
+            client = stack.enter_context(Client(cluster))
+            stack.push(lambda kind, *_: _kill(cluster) if kind is not None else None)
+            client.register_plugin(Seated(usable_cores()))
+        yield client
+
+
+def _hush() -> None:
+    """Silences Dask's log: what matters comes back as a cell's failure or a lost scheduler."""
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+
+
+def _cluster(jobs: int) -> LocalCluster:
+    return LocalCluster(
+        n_workers=jobs,
+        threads_per_worker=1,
+        processes=True,
+        host=LOOPBACK,
+        dashboard_address=None,
+        scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"},
+        memory_limit=0,  # a worker that is paused for its memory would hold up the study
+        silence_logs=logging.CRITICAL,
+    )
+
+
+@contextmanager
+def _signals_held() -> Iterator[None]:
+    """Heeds Ctrl-C and SIGTERM only once all is started; children inherit that both are blocked.
+
+    A terminal sends Ctrl-C to all processes, but to end the workers is their parent's.
+    """
+    came: list[int] = []
+    resource_tracker.ensure_running()  # if a later thread started it, this would unblock them there
+    held = (signal.SIGINT, signal.SIGTERM)
+    before = {which: signal.signal(which, lambda n, _: came.append(n)) for which in held}
+    signal.pthread_sigmask(signal.SIG_BLOCK, held)
+    try:
+        yield
+    finally:
+        for which, handler in before.items():
+            signal.signal(which, handler)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, held)
+    for number in came[:1]:
+        signal.raise_signal(number)
+
+
+@contextmanager
+def remote(address: str) -> Iterator[Client]:
+    """Connects to a scheduler, such as tcp://host:8786.
+
+    Raises:
+        ConfigError: it does not answer.
+    """
+    _hush()
+    try:
+        client = Client(address, timeout=CONNECT_S)
+    except (OSError, ValueError) as error:
+        raise ConfigError(
+            f"--scheduler {address}: no answer ({error}); start one with `dask scheduler`"
+        ) from None
+    with client:
+        yield client
+
+
+def _kill(cluster: Any) -> None:  # noqa: ANN401 - Dask's classes are untyped
+    """Ends the workers at once: whatever they are in the midst of is not wanted any more."""
+    for nanny in cluster.workers.values():
+        nanny.auto_restart = False
+        if nanny.pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(nanny.pid, signal.SIGKILL)

@@ -1,0 +1,153 @@
+"""A study file: which scenario keys are varied, over which values and seeds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import yaml
+from pydantic import Field, ValidationError, model_validator
+
+from protocol.config import Section
+from protocol.errors import ConfigError
+from protocol.files import is_file
+from studies.sweep.axes import Axis, Settings, check_axes, settings_clash
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=80)]
+Seed = Annotated[int, Field(ge=0, lt=2**31)]
+
+_NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)
+
+
+class Grid(Section):
+    """A full product of axes."""
+
+    name: Name = Field(description="stands in the table's column `grid`")
+    settings: Settings = Field({}, alias="set", description="of its cells: dotted scenario keys")
+    axes: dict[str, Axis] = Field(
+        {}, description="a scenario key and its values, or a name and what each label sets"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        check_axes(self.axes)
+        return self
+
+
+class Study(Section):
+    """A whole study."""
+
+    name: Name = Field(description="names the folder of the results")
+    title: str | None = Field(None, description="a line for people")
+    scenario: str = Field("t_junction", description="built-in name, or a file beside this one")
+    settings: Settings = Field({}, alias="set", description="of all cells: dotted scenario keys")
+    seeds: list[Seed] = Field([1], min_length=1, description="each cell is run with each")
+    grids: list[Grid] = Field(min_length=1, description="or `axes` here, for a single one")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _single_grid(cls, data: Any) -> Any:  # noqa: ANN401 - whatever the file held
+        if not isinstance(data, dict) or "axes" not in data:
+            return data
+        if "grids" in data:
+            raise ValueError("give axes or grids, not both")
+        others = {key: value for key, value in data.items() if key != "axes"}
+        return others | {"grids": [{"name": "all", "axes": data["axes"]}]}
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        names = [grid.name for grid in self.grids]
+        if len(set(names)) < len(names):
+            raise ValueError(f"grids have the names {names}, each may stand once")
+        if len(set(self.seeds)) < len(self.seeds):
+            raise ValueError(f"seeds are {self.seeds}, each may stand once")
+        if "seed" in self.settings:
+            raise ValueError("set names seed: give seeds: [..] instead")
+        return self
+
+    def changed(self, settings: dict[str, Any], seeds: list[int]) -> Study:
+        """Returns the study with other settings, which win over the file's, and other seeds.
+
+        Raises:
+            ConfigError: an axis varies a key that is to be set, or a seed is out of range.
+        """
+        for grid in self.grids:
+            settings_clash(settings, grid.axes)
+        data = self.model_dump(by_alias=True)
+        data["set"] = self.settings | settings
+        data["seeds"] = seeds or self.seeds
+        for grid in data["grids"]:
+            grid["set"] = {k: v for k, v in grid["set"].items() if k not in settings}
+        return _validated(data, f"study {self.name}")
+
+
+@dataclass(frozen=True, slots=True)
+class StudyFile:
+    """A study, and where it was read."""
+
+    study: Study
+    source: str
+    folder: Path
+
+    @property
+    def scenario(self) -> str:
+        """The built-in scenario's name, or the path of its file."""
+        beside = self.folder / self.study.scenario
+        return str(beside) if is_file(beside) else self.study.scenario
+
+
+def builtin_studies() -> list[str]:
+    """Returns the names of the studies that come with the package."""
+    folder = resources.files("studies").joinpath("builtin")
+    return sorted(
+        f.name.removesuffix(".yaml") for f in folder.iterdir() if f.name.endswith(".yaml")
+    )
+
+
+def read_study(what: str) -> StudyFile:
+    """Reads a built-in study or a file.
+
+    Raises:
+        ConfigError: there is no such study, or it cannot be what it says.
+    """
+    built_in = what in builtin_studies()
+    path = (
+        Path(str(resources.files("studies"))) / f"builtin/{what}.yaml" if built_in else Path(what)
+    )
+    if not is_file(path):
+        known = ", ".join(builtin_studies())
+        raise ConfigError(
+            f"there is no study {what!r}: neither a file nor one of the built-in {known}"
+        )
+    try:
+        data = yaml.safe_load(path.read_text("utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{what}: cannot be read: {error}") from None
+    except _NOT_YAML as error:
+        raise ConfigError(f"{what}: not YAML: {error}") from None
+    if not isinstance(data, dict):
+        raise ConfigError(f"{what}: holds a {type(data).__name__}, needs keys and values")
+    return StudyFile(_validated(data, what), what, path.parent)
+
+
+def _validated(data: dict[str, Any], source: str) -> Study:
+    try:
+        return Study.model_validate(data)
+    except ValidationError as error:
+        lines = [_explain(dict(item)) for item in error.errors()[:8]]
+        raise ConfigError(f"{source}: " + "\n".join(lines)) from None
+
+
+def _explain(item: dict[str, Any]) -> str:
+    *path, key = item["loc"] or ("",)
+    where = ".".join(str(part) for part in item["loc"])
+    if item["type"] != "extra_forbidden":
+        text = item["msg"].removeprefix("Value error, ")
+        return f"{where}: {text} (got {item['input']!r:.80})" if where else text
+    model = Grid if path else Study
+    allowed = [field.alias or name for name, field in model.model_fields.items()]
+    allowed += [] if path else ["axes"]
+    kind = "a grid" if path else "a study"
+    return f"unknown key {key} in {where}; {kind} allows: {', '.join(allowed)}"

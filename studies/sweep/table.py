@@ -1,0 +1,100 @@
+"""The table of a study: a row for each cell and seed, in the order of the file."""
+
+from __future__ import annotations
+
+import io
+import math
+from pathlib import Path
+
+import polars as pl
+from scipy.special import stdtrit
+
+from protocol.errors import ConfigError
+from studies.measures import Row
+from studies.sweep.cell import Cell
+from studies.sweep.store import Store, write_whole
+
+FILE = "results.parquet"
+_CONFIDENCE = 0.95
+
+
+def table(cells: list[Cell], store: Store) -> pl.DataFrame:
+    """Returns `grid`, a column for each axis, `seed`, then the measures; unfinished cells lack.
+
+    An axis of numbers only is a column of numbers, any other of texts; it is null in grids that do
+    not have it.
+
+    Raises:
+        ConfigError: an axis is called like a measure.
+    """
+    found = [(cell, row) for cell in cells if (row := store.row(cell.id)) is not None]
+    axes = list(dict.fromkeys(name for cell in cells for name in cell.labels))
+    measures = list(dict.fromkeys(name for _, row in found for name in row))
+    both = sorted(set(axes) & set(measures))
+    if both:
+        raise ConfigError(f"the axis {both[0]} is called like a measure: give it another name")
+    columns = [pl.Series("grid", [cell.grid for cell, _ in found], pl.String)]
+    columns += [_axis(name, cells, [cell for cell, _ in found]) for name in axes]
+    columns.append(pl.Series("seed", [cell.seed for cell, _ in found], pl.Int64))
+    columns += [_measure(name, [row for _, row in found]) for name in measures]
+    return pl.DataFrame(columns)
+
+
+def write_table(frame: pl.DataFrame, store: Store) -> Path:
+    """Writes the table into the study's folder; returns its path."""
+    buffer = io.BytesIO()
+    frame.write_parquet(buffer)
+    path = store.folder / FILE
+    write_whole(path, buffer.getvalue())
+    return path
+
+
+def over_seeds(frame: pl.DataFrame, by: list[str], values: list[str]) -> pl.DataFrame:
+    """Returns a row for each combination of `by`, in the order of their first rows.
+
+    For each value V: V_mean, V_sd (of a sample) and V_ci95, the half width of the mean's 95 %
+    confidence interval by Student's t; null where there are too few. n counts rows, so seeds; a
+    value that some of them lack is taken over the others.
+    """
+    grouped = frame.group_by(by, maintain_order=True)
+    parts = [pl.len().alias("n")]
+    for value in values:
+        column = pl.col(value).drop_nulls()
+        parts += [
+            column.mean().alias(f"{value}_mean"),
+            column.std().alias(f"{value}_sd"),
+            column.len().alias(f"_{value}_n"),
+        ]
+    result = grouped.agg(parts)
+    for value in values:
+        counts, spreads = result[f"_{value}_n"], result[f"{value}_sd"]
+        half = [_half_width(n, sd) for n, sd in zip(counts, spreads, strict=True)]
+        result = result.with_columns(pl.Series(f"{value}_ci95", half, pl.Float64))
+    kept = [f"{value}_{part}" for value in values for part in ("mean", "sd", "ci95")]
+    return result.select(*by, "n", *kept)
+
+
+def _half_width(n: int, sd: float | None) -> float | None:
+    if sd is None or n < 2:
+        return None
+    return float(stdtrit(n - 1, (1 + _CONFIDENCE) / 2)) * sd / math.sqrt(n)
+
+
+def _axis(name: str, cells: list[Cell], rows: list[Cell]) -> pl.Series:
+    """Returns an axis's column; its type follows from the file, not from what is done already."""
+    kinds = {type(cell.labels[name]) for cell in cells if name in cell.labels}
+    labels = [cell.labels.get(name) for cell in rows]
+    if str in kinds:
+        texts = [None if label is None else str(label) for label in labels]
+        return pl.Series(name, texts, pl.String)
+    return pl.Series(name, labels, pl.Float64 if float in kinds else pl.Int64, strict=False)
+
+
+def _measure(name: str, rows: list[Row]) -> pl.Series:
+    values = [row.get(name) for row in rows]
+    kinds = {type(value) for value in values}
+    if list in kinds:
+        return pl.Series(name, values, pl.List(pl.Int64))
+    if str in kinds:
+        return pl.Series(name, values, pl.String)
+    return pl.Series(name, values, pl.Int64 if kinds == {int} else pl.Float64, strict=False)

@@ -1,0 +1,18 @@
+"""A small study, and cells that need no world."""
+
+from pathlib import Path
+
+import pytest
+
+from studies.sweep.cell import Cell, identify
+from studies.sweep.store import Store
+
+
+def cell(seed: int, grid: str = "all", **labels: str | float) -> Cell:
+    scenario = {"mode": "lockstep", "seed": seed, **labels}
+    return Cell(grid, dict(labels), seed, scenario, identify(scenario))
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store.at(tmp_path / "out")
