@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from edge_server.config import EdgeConfig
@@ -20,19 +22,27 @@ def lane_errors(run: Run) -> Floats:
     Raises:
         ConfigError: the run folder lacks its setup.
     """
+    errors = [row.vehicles - present for row, present in compared(run)]
+    return np.array(errors, np.float64)
+
+
+def compared(run: Run) -> Iterator[tuple[CountRow, int]]:
+    """Yields each count of a frame that has truth, with how many vehicles truly were there.
+
+    Raises:
+        ConfigError: the run folder lacks its setup.
+    """
     index = LaneIndex(run.setup.road_map)
     config = EdgeConfig.model_validate(run.scenario.get("edge", {}))
     numbers = {lane.id: number for number, lane in enumerate(run.setup.road_map.lanes)}
     truths = by_frame(run.rows(TruthRow))
     frame, vehicles = next(truths, (-1, []))
-    errors: list[float] = []
     for counted, rows in by_frame(run.rows(CountRow)):
         while 0 <= frame < counted:
             frame, vehicles = next(truths, (-1, []))
         if frame == counted:
             truth = _true_counts(index, config, numbers, vehicles)
-            errors += [row.vehicles - truth[row.side][row.lane] for row in rows]
-    return np.array(errors, np.float64)
+            yield from ((row, truth[row.side][row.lane]) for row in rows)
 
 
 def _true_counts(
