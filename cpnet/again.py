@@ -33,7 +33,9 @@ def command_of(recorded: dict[str, Any]) -> str:
     words = ["cpnet", "up", base]
     for key, value in changed.items():
         words += (
-            [_OPTIONS[key], str(value)] if key in _OPTIONS else ["--set", _assignment(key, value)]
+            [_OPTIONS[key], _plain(value)]
+            if key in _OPTIONS
+            else ["--set", _assignment(key, value)]
         )
     return shlex.join(words)
 

@@ -9,7 +9,7 @@ from studies import palette
 from studies.bandwidth import by_agent
 from studies.of_run.clock import TIME, Clock
 from studies.page.charts import Chart, Series
-from studies.page.model import Beside, Cell, Column, Section, Table, Text
+from studies.page.model import Cell, Column, Section, Table, Text
 from studies.thin import line
 
 MOST_AGENTS = 8
@@ -35,7 +35,7 @@ def uplink_section(run: Run, clock: Clock) -> Section:
         sent[agent][frame] = payload
     if not sent:
         return Section("Uplink", (Text("No agent sent anything, or nothing of it was recorded."),))
-    return Section("Uplink", (_charts(sent, clock), _table(run, clock)))
+    return Section("Uplink", (*_charts(sent, clock), _table(run, clock)))
 
 
 def most_active(agents: dict[str, int]) -> list[str]:
@@ -43,7 +43,7 @@ def most_active(agents: dict[str, int]) -> list[str]:
     return sorted(agents, key=lambda agent: (-agents[agent], agent))[:MOST_AGENTS]
 
 
-def _charts(sent: dict[str, dict[int, int]], clock: Clock) -> Beside:
+def _charts(sent: dict[str, dict[int, int]], clock: Clock) -> tuple[Chart, Chart]:
     named = most_active({agent: len(frames) for agent, frames in sent.items()})
     totals: dict[int, int] = defaultdict(int)
     for frames in sent.values():
@@ -54,11 +54,9 @@ def _charts(sent: dict[str, dict[int, int]], clock: Clock) -> Beside:
     series = tuple(_line(agent, sent[agent], order, clock) for agent in named)
     notes = f"The {len(named)} agents that sent most often, of {len(sent)}."
     left = len(sent) > len(named)
-    return Beside(
-        (
-            Chart("Sent per frame, all agents together", TIME, "kB", (total,)),
-            Chart("Sent per frame, by agent", TIME, "kB", series, notes=notes if left else ""),
-        )
+    return (
+        Chart("Sent per frame, all agents together", TIME, "kB", (total,)),
+        Chart("Sent per frame, by agent", TIME, "kB", series, notes=notes if left else ""),
     )
 
 

@@ -96,6 +96,12 @@ class MapChart:
     window: tuple[float, float, float, float] | None = None
     notes: str = ""
 
+    @property
+    def aspect(self) -> float:
+        """How high the window is, over its width."""
+        left, low, right, high = self.window or (0.0, 0.0, 1.0, 0.6)
+        return (high - low) / max(right - left, 1e-9)
+
 
 @dataclass(frozen=True, slots=True)
 class Span:

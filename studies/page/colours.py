@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import count
 
 from studies import palette
 from studies.page.charts import Chart, MapChart, Timeline
@@ -13,15 +14,26 @@ DASHES = ("solid", "dash", "dot", "dashdot")
 
 @dataclass(frozen=True, slots=True)
 class Colours:
-    """Colours by name; after eight they repeat, and lines are dashed in another way."""
+    """Colours by name; after eight in one chart they repeat, and lines are dashed differently."""
 
     numbers: dict[str, int]
 
     @classmethod
     def of(cls, page: Page) -> Colours:
-        """Gives each name without a colour of its own the next one, in reading order."""
-        names = [name for figure in page.figures() for name in _names(figure)]
-        return cls({name: i for i, name in enumerate(dict.fromkeys(names))})
+        """Gives each name, in reading order, the first colour that no neighbour has.
+
+        Neighbours stand in a chart together. Who has a colour of its own takes part in nothing.
+        """
+        neighbours: dict[str, set[str]] = {}
+        for figure in page.figures():
+            names = _names(figure)
+            for name in names:
+                neighbours.setdefault(name, set()).update(names)
+        numbers: dict[str, int] = {}
+        for name, others in neighbours.items():
+            taken = {numbers[other] for other in others if other in numbers}
+            numbers[name] = next(number for number in count() if number not in taken)
+        return cls(numbers)
 
     def __getitem__(self, name: str) -> str:
         """Returns the colour as "#rrggbb"."""

@@ -11,7 +11,7 @@ from studies.page.traces import BASE, Json, axis, safe, short
 
 _MARKS = {"disc": "circle", "cross": "x-thin", "diamond": "diamond", "star": "star"}
 _WIDTH_PX = 1000
-_FRAME_PX = 110  # what stands around the map
+FRAME_PX = 110  # what stands around the map
 
 
 def map_figure(chart: MapChart, colours: Colours) -> Json:
@@ -27,20 +27,19 @@ def map_figure(chart: MapChart, colours: Colours) -> Json:
     y_axis |= {"scaleanchor": "x", "scaleratio": 1}
     for one in (x_axis, y_axis):
         one |= {"constrain": "domain", "showgrid": False}
-    height = 620
     if chart.window is not None:
         left, low, right, high = chart.window
         x_axis["range"], y_axis["range"] = short((left, right)), short((low, high))
-        height = round(_WIDTH_PX * (high - low) / max(right - left, 1.0)) + _FRAME_PX
     layout = BASE | {
-        "height": min(max(height, 360), 760),
+        "height": min(max(round(_WIDTH_PX * chart.aspect) + FRAME_PX, 360), 760),
         "hovermode": "closest",
         "dragmode": "pan",
         "showlegend": True,
+        "legend": BASE["legend"] | {"itemsizing": "constant"},
         "xaxis": x_axis,
         "yaxis": y_axis,
     }
-    return {"data": data, "layout": layout}
+    return {"data": data, "layout": layout, "aspect": chart.aspect, "frame": FRAME_PX}
 
 
 def _points(points: Points, colour: str) -> Json:

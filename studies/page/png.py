@@ -18,7 +18,7 @@ from studies.page.strokes import draw_chart, draw_timeline
 from studies.page.strokes_map import draw_map
 
 _DPI = 120
-_LEGEND_COLUMNS = 4
+_LEGEND_LETTERS = 110  # that fit beside each other
 _STYLE = {
     "text.parse_math": False,  # names are shown as they are, dollars too
     "font.family": "DejaVu Sans",
@@ -64,7 +64,7 @@ def _draw(figure: Figure, axes: Axes, colours: Colours) -> list[str]:
 
 def _size(figure: Figure) -> tuple[float, float]:
     if isinstance(figure, MapChart):
-        return 8.0, 7.6
+        return 8.0, min(max(2.4, 1.3 + 7.2 * figure.aspect), 9.0)
     if isinstance(figure, Timeline):
         return 8.0, 1.6 + 0.45 * len(figure.rows)
     return 8.0, 4.2
@@ -74,9 +74,9 @@ def _legend(canvas: Canvas, axes: Axes, names: list[str]) -> None:
     handles = axes.get_legend_handles_labels()[0]
     if not handles:
         return
-    columns = min(len(handles), _LEGEND_COLUMNS)
+    columns = max(1, min(len(handles), _LEGEND_LETTERS // (max(map(len, names)) + 6)))
     legend: Legend = canvas.legend(
-        handles, [" "] * len(handles), loc="outside upper left", ncols=columns, fontsize=9
+        handles, [" "] * len(handles), loc="outside lower center", ncols=columns, fontsize=9, markerscale=1.5
     )
     for text, name in zip(legend.get_texts(), names, strict=True):  # an underscore is no secret
         text.set_text(name)

@@ -12,6 +12,7 @@ from studies.page.charts import Chart, Numbers, Series, Timeline
 from studies.page.colours import Colours
 
 Json = dict[str, Any]
+_LEGEND_PX = 9  # of height for a series beyond the fourth: legends of many take rows
 _BAND = "33"  # a fifth of the colour
 _MOST_FLAT = 70  # letters
 BASE: Json = {
@@ -40,7 +41,7 @@ def chart_figure(chart: Chart, colours: Colours) -> Json:
         for trace in made(series, series.colour or colours[series.name], chart, colours)
     ]
     layout = BASE | {
-        "height": 360,
+        "height": 360 + _LEGEND_PX * max(0, len(chart.series) - 4),
         "showlegend": len(chart.series) > 1,
         "xaxis": axis(chart.x_label, is_log=chart.x_log) | _categories(chart),
         "yaxis": axis(chart.y_label, is_log=chart.y_log),
