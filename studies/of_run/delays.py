@@ -6,7 +6,7 @@ from recorder.run import Run
 from studies import palette
 from studies.latency import latencies
 from studies.of_run.clock import TIME, Clock
-from studies.of_run.uplink import most_active
+from studies.of_run.uplink import MOST_ROWS, left_out, most_active
 from studies.page.charts import Chart, Series
 from studies.page.model import Block, Cell, Column, Section, Table, Text
 from studies.thin import line
@@ -26,7 +26,6 @@ _PERCENTILES = (("p50", palette.PLAIN), ("p95", "#56b4e9"))
 _END_TO_END = """
     SELECT frame, end_to_end_ns FROM frames WHERE end_to_end_ns IS NOT NULL ORDER BY frame
 """
-_MOST_ROWS = 25
 
 
 def latency_section(run: Run, clock: Clock) -> Section:
@@ -85,5 +84,6 @@ def _by_agent(run: Run) -> list[Block]:
     chart = Chart("Mean by agent", "", "ms", series, "bar", x_categories=tuple(named), stacked=True)
     names = ("agent", "frames", *GROUPS, "end to end")
     columns = tuple(Column(name, "" if name in ("agent", "frames") else ".1f") for name in names)
-    order = sorted(rows, key=lambda row: (-row[1], row[0]))[:_MOST_ROWS]
-    return [chart, Table(columns, tuple(map(tuple, order)), "Mean by agent, ms")]
+    order = sorted(rows, key=lambda row: (-row[1], row[0]))[:MOST_ROWS]
+    caption = f"Mean by agent, ms{left_out(len(rows))}"
+    return [chart, Table(columns, tuple(map(tuple, order)), caption)]

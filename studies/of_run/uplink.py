@@ -13,7 +13,7 @@ from studies.page.model import Cell, Column, Section, Table, Text
 from studies.thin import line
 
 MOST_AGENTS = 8
-MOST_ROWS = 25
+MOST_ROWS = 15
 _COLUMNS = (
     Column("agent"),
     Column("frames", "d"),
@@ -71,9 +71,14 @@ def _table(run: Run, clock: Clock) -> Table:
     found = by_agent(run, clock.period_s)
     order = sorted(found, key=lambda agent: (-(found[agent]["frames"] or 0), agent))
     rows = tuple(_row(agent, found[agent]) for agent in order[:MOST_ROWS])
-    left = len(order) - len(rows)
-    more = f"; {left} more that sent less often are left out" if left else ""
-    return Table(_COLUMNS, rows, f"By agent, over the frames in which it sent{more}")
+    caption = "By agent, over the frames in which it sent"
+    return Table(_COLUMNS, rows, caption + left_out(len(order)))
+
+
+def left_out(agents: int) -> str:
+    """Returns what a caption says of agents beyond `MOST_ROWS`."""
+    left = agents - MOST_ROWS
+    return f"; {left} more that sent less often are left out" if left > 0 else ""
 
 
 def _row(agent: str, figures: dict[str, float | None]) -> tuple[Cell, ...]:

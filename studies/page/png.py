@@ -76,7 +76,12 @@ def _legend(canvas: Canvas, axes: Axes, names: list[str]) -> None:
         return
     columns = max(1, min(len(handles), _LEGEND_LETTERS // (max(map(len, names)) + 6)))
     legend: Legend = canvas.legend(
-        handles, [" "] * len(handles), loc="outside lower center", ncols=columns, fontsize=9, markerscale=1.5
+        handles,
+        [" "] * len(handles),
+        loc="outside lower center",
+        ncols=columns,
+        fontsize=9,
+        markerscale=1.5,
     )
     for text, name in zip(legend.get_texts(), names, strict=True):  # an underscore is no secret
         text.set_text(name)

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from protocol.errors import ConfigError
+from protocol.files import is_folder
 from studies.page.model import Page
 
 
@@ -35,7 +36,7 @@ def check_target(path: Path) -> None:
     Raises:
         ConfigError: it is a folder, or its own folder is missing.
     """
-    if path.is_dir():
+    if is_folder(path):
         raise ConfigError(f"--html {path}: is a folder; name a file, such as {path / 'run.html'}")
-    if not path.parent.is_dir():
+    if not is_folder(path.parent):
         raise ConfigError(f"--html {path}: there is no folder {path.parent}; make it first")
