@@ -34,12 +34,16 @@ def run_page(run_dir: Path, command: str = "") -> Page:
         clock = Clock.of(run)
         sections = (
             Section(
-                "Results", (Beside((result_table(summary), latency_table(run))), _drops(summary))
+                "Results",
+                (
+                    Beside((result_table(summary), latency_table(summary["latency_ms"]))),
+                    _drops(summary),
+                ),
             ),
             vehicles_section(run, clock, _scores(run)),
             phases_section(run, clock),
             uplink_section(run, clock),
-            latency_section(run, clock),
+            latency_section(run, clock, summary["latency_ms"]),
             places_section(run, clock),
             origin_section(run, command),
         )

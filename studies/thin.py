@@ -1,8 +1,10 @@
-"""Long series with fewer points that look the same."""
+"""Long series with fewer points: the mean of each stretch, and how far it goes down and up."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -10,33 +12,37 @@ from perception.arrays import Floats
 from studies.page.charts import Numbers, Series
 
 MOST_POINTS = 1500
+STRETCHES = 300
+NOTE = "Lines are means over short stretches of time; the surfaces reach from least to greatest."
 
 
 def line(
     name: str, x: Sequence[float], y: Sequence[float | None], colour: str | None = None
 ) -> Series:
-    """Returns a series of at most about `MOST_POINTS`; x ascends, None is a gap."""
-    values = np.array([np.nan if one is None else one for one in y], np.float64)
-    kept = kept_points(values, MOST_POINTS)
-    shown: Numbers = tuple(None if np.isnan(values[i]) else float(values[i]) for i in kept)
-    return Series(name, tuple(float(x[i]) for i in kept), shown, colour=colour)
+    """Returns a series as it is, or of `STRETCHES` points if it has more than `MOST_POINTS`.
 
-
-def kept_points(values: Floats, most: int) -> list[int]:
-    """Returns which of (N,) values to keep: of each stretch the least, the greatest and a gap.
-
-    A gap is NaN. No extreme is lost, and a stretch without values stays one.
+    Of a stretch there are the mean, the least and the greatest, so that no extreme is lost; its x
+    is that of its middle. None is a gap; one that is shorter than a stretch is bridged.
     """
-    if len(values) <= most:
-        return list(range(len(values)))
-    per_stretch = 3 if np.isnan(values).any() else 2
-    edges = np.linspace(0, len(values), max(1, (most - 2) // per_stretch) + 1).astype(np.int64)
-    kept = {0, len(values) - 1}
-    for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        part = values[begin:end]
-        gaps = np.isnan(part)
-        if not gaps.all():
-            kept |= {begin + int(np.nanargmin(part)), begin + int(np.nanargmax(part))}
-        if gaps.any():
-            kept.add(begin + int(np.argmax(gaps)))
-    return sorted(kept)
+    values = np.array([np.nan if one is None else one for one in y], np.float64)
+    if len(values) <= MOST_POINTS:
+        return Series(name, tuple(x), _numbers(values), colour=colour)
+    edges = np.linspace(0, len(values), STRETCHES + 1).astype(np.int64)
+    parts = [values[begin:end] for begin, end in pairwise(edges.tolist())]
+    with warnings.catch_warnings():  # a stretch without values has no mean, as it should be
+        warnings.simplefilter("ignore", RuntimeWarning)
+        mean, low, high = (
+            _numbers(np.array([of(part) for part in parts]))
+            for of in (np.nanmean, np.nanmin, np.nanmax)
+        )
+    middles = tuple(x[int(at)] for at in (edges[:-1] + edges[1:]) // 2)
+    return Series(name, middles, mean, low, high, colour=colour)
+
+
+def note_on(series: tuple[Series, ...]) -> str:
+    """Returns what must be said of a chart if its series are thinned."""
+    return NOTE if any(one.low is not None for one in series) else ""
+
+
+def _numbers(values: Floats) -> Numbers:
+    return tuple(None if np.isnan(value) else value for value in values.tolist())

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from recorder.run import Run
+from studies.page.charts import Chart, ChartKind, Series
+from studies.thin import note_on
 
 TIME = "simulated time, s"
 
@@ -29,3 +31,11 @@ class Clock:
     def __getitem__(self, frame: int) -> float:
         """Returns the simulated time of a frame, s."""
         return self.times_s.get(frame, self.start_s + frame * self.period_s)
+
+
+def over_time(
+    title: str, y_label: str, series: tuple[Series, ...], kind: ChartKind = "line", notes: str = ""
+) -> Chart:
+    """Returns a chart over simulated time; thinned series are explained under it."""
+    said = " ".join(filter(None, (notes, note_on(series))))
+    return Chart(title, TIME, y_label, series, kind, notes=said)

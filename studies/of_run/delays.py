@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 from recorder.run import Run
 from studies import palette
-from studies.latency import latencies
-from studies.of_run.clock import TIME, Clock
+from studies.of_run.clock import Clock, over_time
 from studies.of_run.uplink import MOST_ROWS, left_out, most_active
 from studies.page.charts import Chart, Series
 from studies.page.model import Block, Cell, Column, Section, Table, Text
 from studies.thin import line
 
+Latencies: TypeAlias = dict[str, dict[str, float | None]]
 GROUPS = {
     "on the agent": ("sense", "select", "encode"),
     "on the way": ("send", "link"),
@@ -28,34 +30,33 @@ _END_TO_END = """
 """
 
 
-def latency_section(run: Run, clock: Clock) -> Section:
+def latency_section(run: Run, clock: Clock, found: Latencies) -> Section:
     """Returns latencies by stage, over time and by agent."""
-    found = latencies(run)
     blocks: list[Block] = [_stages(found)] if _measured(found) else []
-    over_time = run.query(_END_TO_END)
-    if over_time:
-        x, y = [clock[frame] for frame, _ in over_time], [ns / 1e6 for _, ns in over_time]
+    took = run.query(_END_TO_END)
+    if took:
+        x, y = [clock[frame] for frame, _ in took], [ns / 1e6 for _, ns in took]
         one = (line("end to end", x, y, palette.PLAIN),)
-        blocks.append(Chart("From sensing to the signal", TIME, "ms", one))
+        blocks.append(over_time("From sensing to the signal", "ms", one))
     blocks += _by_agent(run)
     return Section("Latency", tuple(blocks) or (Text("No latency was measured."),))
 
 
-def latency_table(run: Run) -> Table:
+def latency_table(found: Latencies) -> Table:
     """Returns p50, p95 and p99 of every stage that was measured."""
     columns = (Column("latency, ms"), *(Column(p, ".2f") for p in ("p50", "p95", "p99")))
     rows: tuple[tuple[Cell, ...], ...] = tuple(
         (stage.replace("_", " "), figures["p50"], figures["p95"], figures["p99"])
-        for stage, figures in latencies(run).items()
+        for stage, figures in found.items()
     )
     return Table(columns, rows)
 
 
-def _measured(found: dict[str, dict[str, float | None]]) -> list[str]:
+def _measured(found: Latencies) -> list[str]:
     return [s for s, figures in found.items() if s != "end_to_end" and figures["p50"] is not None]
 
 
-def _stages(found: dict[str, dict[str, float | None]]) -> Chart:
+def _stages(found: Latencies) -> Chart:
     stages = _measured(found)
     series = tuple(
         Series(p, tuple(range(len(stages))), tuple(found[s][p] for s in stages), colour=colour)

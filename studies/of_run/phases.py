@@ -11,7 +11,7 @@ from protocol.roadmap import Signal
 from recorder.run import Run
 from recorder.tables import PhaseRow, RequestRow
 from studies import palette
-from studies.of_run.clock import TIME, Clock
+from studies.of_run.clock import TIME, Clock, over_time
 from studies.page.charts import Chart, Span, Timeline
 from studies.page.model import Block, Section, Text
 from studies.thin import line
@@ -103,7 +103,7 @@ def _pressures(run: Run, names: PhaseNames, clock: Clock) -> Chart | None:
         line(names[green], x, [values[i] for values in table])
         for i, green in enumerate(names.greens)
     )
-    return Chart("Pressure of each phase", TIME, "vehicles", series, kind="steps")
+    return over_time("Pressure of each phase", "vehicles", series, kind="steps")
 
 
 def _parsed(text: str) -> list[float]:

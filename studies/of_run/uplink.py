@@ -7,7 +7,7 @@ from collections import defaultdict
 from recorder.run import Run
 from studies import palette
 from studies.bandwidth import by_agent
-from studies.of_run.clock import TIME, Clock
+from studies.of_run.clock import Clock, over_time
 from studies.page.charts import Chart, Series
 from studies.page.model import Cell, Column, Section, Table, Text
 from studies.thin import line
@@ -55,8 +55,8 @@ def _charts(sent: dict[str, dict[int, int]], clock: Clock) -> tuple[Chart, Chart
     notes = f"The {len(named)} agents that sent most often, of {len(sent)}."
     left = len(sent) > len(named)
     return (
-        Chart("Sent per frame, all agents together", TIME, "kB", (total,)),
-        Chart("Sent per frame, by agent", TIME, "kB", series, notes=notes if left else ""),
+        over_time("Sent per frame, all agents together", "kB", (total,)),
+        over_time("Sent per frame, by agent", "kB", series, notes=notes if left else ""),
     )
 
 

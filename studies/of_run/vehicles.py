@@ -12,7 +12,7 @@ from recorder.tables import CountRow
 from studies import palette
 from studies.count_error import compared
 from studies.ecvpr import FrameScore
-from studies.of_run.clock import TIME, Clock
+from studies.of_run.clock import Clock, over_time
 from studies.page.charts import Chart
 from studies.page.model import Beside, Block, Column, Section, Table, Text
 from studies.thin import line
@@ -63,7 +63,7 @@ def _over_time(counted: Counted, clock: Clock) -> Chart:
     there = [sums[1] for sums in frames.values()]
     if not np.isnan(there).all():
         series.insert(0, line("present", x, there, palette.QUIET))
-    return Chart("Vehicles on the counted lanes", TIME, "vehicles", tuple(series))
+    return over_time("Vehicles on the counted lanes", "vehicles", tuple(series))
 
 
 def _rate(scores: list[FrameScore], clock: Clock) -> Chart:
@@ -78,7 +78,7 @@ def _rate(scores: list[FrameScore], clock: Clock) -> Chart:
         for name, values in shares.items()
         if any(share is not None for share in values)
     )
-    return Chart("Vehicles within reach that were detected (E-CVPR)", TIME, "%", series)
+    return over_time("Vehicles within reach that were detected (E-CVPR)", "%", series)
 
 
 def _by_lane(counted: Counted) -> Table:
