@@ -15,9 +15,11 @@ from plotly.offline import get_plotlyjs
 from studies.page.cells import numeric, rows_of
 from studies.page.charts import Chart, MapChart, Timeline
 from studies.page.colours import Colours
+from studies.page.layout import Json
 from studies.page.map_traces import map_figure
 from studies.page.model import Beside, Block, Code, Figure, Page, Picture, Table, Text
-from studies.page.traces import Json, chart_figure, timeline_figure
+from studies.page.timeline_traces import timeline_figure
+from studies.page.traces import chart_figure
 
 _LISTED_FROM = 4  # sections, for a table of contents
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from studies import palette
 from studies.page.charts import MapChart, Outlines, Points, Ring
 from studies.page.colours import Colours
-from studies.page.traces import BASE, Json, axis, safe, short
+from studies.page.layout import BASE, Json, axis, safe, short
 
 _MARKS = {"disc": "circle", "cross": "x-thin", "diamond": "diamond", "star": "star"}
 _WIDTH_PX = 1000

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from perception.arrays import Floats
 from studies.page.charts import Chart, Numbers, Series, Timeline
 from studies.page.colours import Colours
-from studies.page.traces import is_tight
+from studies.page.layout import is_tight
 
 _WIDTH = 0.8  # of all bars of a category
 _DASHES = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}

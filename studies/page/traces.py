@@ -2,34 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from html import escape
 from itertools import groupby, pairwise
-from typing import Any
 
 from studies import palette
-from studies.page.charts import Chart, Numbers, Series, Timeline
+from studies.page.charts import Chart, Numbers, Series
 from studies.page.colours import Colours
+from studies.page.layout import BASE, Json, axis, is_tight, safe, short
 
-Json = dict[str, Any]
 _LEGEND_PX = 9  # of height for a series beyond the fourth: legends of many take rows
 _BAND = "33"  # a fifth of the colour
-_MOST_FLAT = 70  # letters
-BASE: Json = {
-    "font": {"family": "system-ui, sans-serif", "size": 13, "color": palette.INK},
-    "paper_bgcolor": "white",
-    "plot_bgcolor": "white",
-    "margin": {"l": 60, "r": 34, "t": 12, "b": 50},
-    "modebar": {"orientation": "v", "bgcolor": "rgba(0,0,0,0)"},  # in the margin on the right
-    "legend": {
-        "orientation": "h",
-        "x": 0,
-        "y": 1.02,
-        "yanchor": "bottom",
-        "traceorder": "normal",
-    },
-    "hoverlabel": {"namelength": -1},
-}
 
 
 def chart_figure(chart: Chart, colours: Colours) -> Json:
@@ -52,78 +33,6 @@ def chart_figure(chart: Chart, colours: Colours) -> Json:
     if chart.kind == "histogram":
         layout["barmode"] = "overlay"
     return {"data": data, "layout": layout}
-
-
-def timeline_figure(timeline: Timeline, colours: Colours) -> Json:
-    """Returns data and layout of a timeline; the first row is on top."""
-    known, place = dict(timeline.colours), {row: i for i, row in enumerate(timeline.rows)}
-    data = []
-    for name in dict.fromkeys(span.name for span in timeline.spans):
-        spans = [span for span in timeline.spans if span.name == name]
-        data.append(
-            {
-                "type": "bar",
-                "orientation": "h",
-                "name": safe(name),
-                "base": short(span.start for span in spans),
-                "x": short(span.end - span.start for span in spans),
-                "y": [place[span.row] for span in spans],
-                "customdata": short(span.end for span in spans),
-                "width": 0.6,
-                "marker": {"color": known.get(name) or colours[name], "line": {"width": 0}},
-                "hovertemplate": "%{base:.1f} to %{customdata:.1f}",
-            }
-        )
-    ticks = {"tickvals": list(place.values()), "ticktext": [safe(row) for row in place]}
-    layout = BASE | {
-        "height": 110 + 44 * len(place),
-        "barmode": "overlay",
-        "hovermode": "closest",
-        "showlegend": True,
-        "xaxis": axis(timeline.x_label) | {"range": _extent(timeline)},
-        "yaxis": axis("") | ticks | {"autorange": "reversed", "showgrid": False},
-    }
-    return {"data": data, "layout": layout}
-
-
-def _extent(timeline: Timeline) -> list[float | int | None] | None:
-    if not timeline.spans:
-        return None
-    starts, ends = zip(*((span.start, span.end) for span in timeline.spans), strict=True)
-    return short((min(starts), max(ends)))
-
-
-def axis(label: str, *, is_log: bool = False) -> Json:
-    """Returns an axis; its labels always find room."""
-    return {
-        "title": {"text": safe(label), "standoff": 8},
-        "type": "log" if is_log else "linear",
-        "automargin": True,
-        "gridcolor": palette.GRID,
-        "linecolor": palette.GRID,
-        "zeroline": False,
-    }
-
-
-def safe(text: str) -> str:
-    """Returns text that shows as it is: Plotly reads a kind of HTML."""
-    return escape(text, quote=False)
-
-
-def is_tight(names: tuple[str, ...]) -> bool:
-    """Tells whether the names of categories would run into each other."""
-    return len(names) * (max(map(len, names), default=0) + 2) > _MOST_FLAT
-
-
-def short(values: Iterable[float | int | None]) -> list[float | int | None]:
-    """Returns numbers with as many digits as can be seen; what is not finite is a gap."""
-    return [_short(value) for value in values]
-
-
-def _short(value: float | int | None) -> float | int | None:
-    if value is None or not abs(value) < float("inf"):
-        return None
-    return value if isinstance(value, int) else float(f"{value:.7g}")
 
 
 def _categories(chart: Chart) -> Json:
