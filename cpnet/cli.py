@@ -20,6 +20,7 @@ from cpnet.cli_bench import bench_app
 from cpnet.cli_learn import learn_app
 from cpnet.cli_options import AsJson, Override, assigned, console, errors
 from cpnet.cli_study import study_app
+from cpnet.run_report import write_page
 from cpnet.up import Options, up
 from protocol.errors import CpnetError
 from recorder.compare import differences
@@ -136,8 +137,14 @@ def report_command(
     against: Annotated[
         Path | None, typer.Option(help="another run: say which results differ")
     ] = None,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="write a page with charts; works offline")
+    ] = None,
 ) -> None:
-    """Print the summary of a run, or compare its results with another run's."""
+    """Print the summary of a run, write it as a page, or compare its results with another run's."""
+    if html is not None:
+        console.print(f"wrote {write_page(run, html)}", highlight=False, soft_wrap=True)
+        return
     if against is not None:
         found = differences(run, against)
         lines = [str(one) for one in found] or ["the results are the same, row for row"]

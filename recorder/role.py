@@ -7,7 +7,6 @@ import sqlite3
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from protocol import messages as m
@@ -21,6 +20,7 @@ from recorder.database import Database
 from recorder.ending import Ending
 from recorder.glance import Glance
 from recorder.ledger import Ledger
+from recorder.versions import versions
 
 COMMIT_NS = 1_000_000_000
 COMMIT_ROWS = 5_000
@@ -182,9 +182,11 @@ class RecordRole:
             self._database.add(tables.CloudRow, [rows.cloud_row(scan)])
 
     def _begin(self, scenario: dict[str, Any]) -> None:
+        used = versions()
         facts = {
             "scenario": json.dumps(scenario),
-            "version": _version(),
+            "version": used.get("cpnet-edge", "unknown"),  # a checkout that was never installed
+            "versions": json.dumps(used),
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
         }
         self._database.add(tables.MetaRow, facts.items())
@@ -215,10 +217,3 @@ class RecordRole:
         if self._database.refused_rows:
             own["refused_row"] = self._database.refused_rows
         return {**self._drops, self._context.id: own}
-
-
-def _version() -> str:
-    try:
-        return version("cpnet-edge")
-    except PackageNotFoundError:  # run from a checkout that was never installed
-        return "unknown"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from edge_server.config import EdgeConfig
@@ -21,18 +23,26 @@ def lane_errors(run: Run) -> Floats:
     Raises:
         ConfigError: the run folder lacks its setup.
     """
+    errors = [row.vehicles - present for row, present in compared(run)]
+    return np.array(errors, np.float64)
+
+
+def compared(run: Run) -> Iterator[tuple[CountRow, int]]:
+    """Yields each count of a frame that has truth, with how many vehicles truly were there.
+
+    Raises:
+        ConfigError: the run folder lacks its setup.
+    """
     config = EdgeConfig.model_validate(run.scenario.get("edge", {}))
     counter = TrueCounts(run.setup.road_map, config.upstream_m, config.downstream_m)
     truths = by_frame(run.rows(TruthRow))
     frame, vehicles = next(truths, (-1, []))
-    errors: list[float] = []
     for counted, rows in by_frame(run.rows(CountRow)):
         while 0 <= frame < counted:
             frame, vehicles = next(truths, (-1, []))
         if frame == counted:
             truth = counter.count(vehicles)
-            errors += [row.vehicles - truth[row.side].get(row.lane, 0) for row in rows]
-    return np.array(errors, np.float64)
+            yield from ((row, truth[row.side].get(row.lane, 0)) for row in rows)
 
 
 class TrueCounts:

@@ -126,12 +126,22 @@ def matched_vehicles(
     detections: list[DetectionRow], vehicles: list[TruthRow], types: dict[str, VehicleType]
 ) -> tuple[set[str], int]:
     """Returns which vehicles that do not report themselves were detected, and false detections."""
+    matched, false = matches(detections, vehicles, types)
+    return matched, len(false)
+
+
+def matches(
+    detections: list[DetectionRow], vehicles: list[TruthRow], types: dict[str, VehicleType]
+) -> tuple[set[str], list[DetectionRow]]:
+    """Returns which vehicles that do not report themselves were detected, and what was nothing."""
     reporting = {detection.source for detection in detections}
     others = [vehicle for vehicle in vehicles if vehicle.vehicle not in reporting]
     names = {vehicle.vehicle for vehicle in vehicles}
     seen = [detection for detection in detections if detection.source not in names]
     pairs = _pairs(seen, others, types, MARGIN_M)
-    return {others[vehicle].vehicle for _, vehicle in pairs}, len(seen) - len(pairs)
+    true = {detection for detection, _ in pairs}
+    false = [detection for i, detection in enumerate(seen) if i not in true]
+    return {others[vehicle].vehicle for _, vehicle in pairs}, false
 
 
 def by_frame(rows: Iterator[R]) -> Iterator[tuple[int, list[R]]]:

@@ -1,4 +1,4 @@
-"""Colours of pictures: on dark, told apart by the colour-blind as far as may be."""
+"""Colours of pictures, on dark, and of charts, on white; told apart by the colour-blind."""
 
 from __future__ import annotations
 
@@ -16,3 +16,19 @@ SIGNAL = {"G": "#2ee66b", "g": "#2ee66b", "y": "#ffd166", "r": "#ff4d4d"}
 def agent_colours(agents: list[str]) -> dict[str, str]:
     """Gives each agent a colour, in order; they repeat after eight."""
     return {agent: AGENTS[i % len(AGENTS)] for i, agent in enumerate(agents)}
+
+
+# On white, for charts: Okabe and Ito 2008, the yellow left out.
+SERIES = (
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c564b", "#4d4d4d",
+)  # fmt: skip
+GOOD = "#009e73"
+BAD = "#d55e00"
+PLAIN = "#0072b2"
+QUIET = "#9aa4b1"
+INK = "#1c2733"
+INK_FAINT = "#5d6b7a"
+GRID = "#e3e8ee"
+ROAD = "#e9edf2"
+ROAD_EDGE = "#c5cdd7"
+LAMPS = (("green", "#2a9d5c"), ("yellow", "#f0b429"), ("all red", "#c8553d"))

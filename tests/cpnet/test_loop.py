@@ -202,6 +202,16 @@ def test_emulated_links_delay_scans_and_nothing_else(shell):
     check_account(shell.folder / "run", exactly=False)
 
 
+def test_the_page_of_a_run_names_the_command_that_makes_it(shell, first_run):
+    pytest.importorskip("plotly", reason="extra study")
+    status, output = shell.run("report", str(first_run), "--html", "run.html")
+    page = (shell.folder / "run.html").read_text("utf-8")
+    assert (status, output) == (0, "wrote run.html\n")
+    assert "cpnet up t_junction --" in page
+    assert "traffic.warmup_s=30.0" in page
+    assert len(page) < 6_000_000
+
+
 def test_the_report_has_its_stable_keys(shell, first_run):
     status, output = shell.run("report", str(first_run), "--json")
     summary = json.loads(output)

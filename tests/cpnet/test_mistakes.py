@@ -137,6 +137,15 @@ def test_a_folder_without_a_run(shell, tmp_path):
     assert str(tmp_path) in refused(shell, "report", str(tmp_path)).replace("\n", "")
 
 
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [("folder", "is a folder; name a file"), ("none/run.html", "there is no folder none")],
+)
+def test_a_page_that_cannot_be_written(shell, tmp_path, file, message):
+    (tmp_path / "folder").mkdir()
+    assert message in refused(shell, "report", "nothing", "--html", file)
+
+
 def test_a_refused_start_leaves_no_folder_behind(shell, tmp_path):
     refused(shell, "up", "--tls", "K", "--out", "run")
     assert not (tmp_path / "run").exists()

@@ -1,0 +1,1 @@
+"""The sections of one run's page. Each says what is missing when the run does not yield it."""

@@ -1,0 +1,75 @@
+"""A page with one of everything, some of it hostile."""
+
+from studies.page.charts import (
+    Chart,
+    MapChart,
+    Outlines,
+    Points,
+    Series,
+    Span,
+    Timeline,
+)  # fmt: skip
+from studies.page.model import (
+    Beside,
+    Code,
+    Column,
+    Fact,
+    Page,
+    Picture,
+    Section,
+    Table,
+    Text,
+)  # fmt: skip
+
+HOSTILE = '</script><script>alert("$x^$")</script>'
+PNG = bytes.fromhex(
+    "89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c489"
+    "0000000d49444154789c6360000002000001e221bc330000000049454e44ae426082"
+)
+SQUARE = ((0.0, 0.0), (4.0, 0.0), (4.0, 2.0), (0.0, 2.0))
+
+
+def charts() -> tuple[Chart, ...]:
+    """Returns a chart of every kind."""
+    x = (1.0, 2.0, 3.0, 4.0)
+    banded = Series("_a", x, (1.0, None, 3.0, 10.0), (0.5, None, 2.0, 9.0), (2.0, None, 4.0, 11.0))
+    bars = Series("b", (0, 1), (1.0, 2.0), (0.5, 1.5), (1.5, None))
+    names = ("one", HOSTILE)
+    return (
+        Chart("Line", "x", "y", (banded, Series(HOSTILE, x, x, style="points")), y_log=True),
+        Chart("Log", "x", "y", (Series("b", x, x, style="dashed"),), x_log=True),
+        Chart("Bars", "", "y", (bars, Series("_a", (0,), (1.0,))), "bar", x_categories=names),
+        Chart("Stack", "", "y", (bars, bars), "bar", x_categories=names, stacked=True),
+        Chart("Histogram", "x", "", (Series("b", (0, 1, 2, 5), (3, 1, 4)),), "histogram"),
+        Chart("Steps", "x", "y", (Series("_a", (0, 1, 2), (3, None)),), "steps", notes=HOSTILE),
+        Chart("Nothing", "x", "y", ()),
+    )
+
+
+def whole_page() -> Page:
+    """Returns a page with every kind of block in it."""
+    spans = (Span("A", 0, 5, "green"), Span(HOSTILE, 5, 9, "other"))
+    lamps = Timeline("Lamps", "s", ("A", HOSTILE), spans, (("green", "#00ff00"),))
+    places = MapChart(
+        "Map",
+        surfaces=(SQUARE, SQUARE[::-1]),
+        lines=(SQUARE[:2],),
+        points=(Points(HOSTILE, (1.0, 2.0), (1.0, 1.0), (HOSTILE, "b"), mark="cross"),),
+        outlines=(Outlines("box", (SQUARE,)),),
+        window=(-1, -1, 5, 3),
+    )
+    columns = (Column("name"), Column("n", ".2f"), Column("count", ",d"))
+    rows = ((HOSTILE, 1.234, 1000), (None, None, None), ("nan", float("nan"), 2))
+    return Page(
+        HOSTILE,
+        HOSTILE,
+        (
+            Section(
+                "Text | one", (Text(HOSTILE), Code("a\n```\n<b>", HOSTILE), Code("x", "y", True))
+            ),
+            Section(HOSTILE, (Table(columns, rows, HOSTILE), Picture(PNG, HOSTILE))),
+            Section("Charts", (Beside(charts()[:2]), *charts()[2:])),
+            Section("Places", (lamps, places)),
+        ),
+        (Fact("speed", "3 m/s", "mean"), Fact(HOSTILE, HOSTILE)),
+    )

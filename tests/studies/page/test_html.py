@@ -1,0 +1,106 @@
+"""Pages as HTML: alone in the world, safe, the same each time, and drawn by a browser."""
+
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from tests.studies.page.pages import HOSTILE, whole_page
+
+pytest.importorskip("jinja2", reason="extra study")
+graph_objects = pytest.importorskip("plotly.graph_objects", reason="extra study")
+
+from studies.page.html import to_html  # noqa: E402
+from studies.page.model import Page, Section, Text  # noqa: E402
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+DRAWN = 9
+
+
+class Elements(HTMLParser):
+    """The elements of a page with their attributes, and the text outside of scripts."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        if self.found and self.found[-1][0] not in ("script", "style"):
+            self.text += data
+
+
+def figures(text: str) -> list[dict]:
+    found = re.search(r'<script type="application/json" id="figures">(.*?)</script>', text, re.S)
+    return json.loads(found[1])
+
+
+@pytest.fixture(scope="module")
+def html() -> str:
+    return to_html(whole_page())
+
+
+def test_a_page_needs_no_network(html: str) -> None:
+    links = [a.get(k) for _, a in Elements(html).found for k in ("src", "href") if a.get(k)]
+    assert links
+    assert all(link.startswith(("#", "data:image/png;base64,")) for link in links)
+    assert "default-src 'none'" in html  # and the browser holds it to that
+
+
+def test_the_same_page_gives_the_same_text(html: str) -> None:
+    assert to_html(whole_page()) == html
+
+
+def test_plotly_comes_once_and_only_with_charts(html: str) -> None:
+    assert html.count("plotly.js v") == 1
+    assert len(to_html(Page("t", "", (Section("s", (Text("x"),)),)))) < 10_000
+
+
+def test_names_cannot_become_markup(html: str) -> None:
+    elements = Elements(html)
+    assert len([tag for tag, _ in elements.found if tag == "script"]) == 3
+    assert HOSTILE not in html
+    assert elements.text.count(HOSTILE) >= 8
+    names = [trace.get("name", "") for one in figures(html) for trace in one["data"]]
+    assert any("&lt;script" in name for name in names)  # Plotly reads a kind of HTML itself
+    assert not any("<" in name for name in names)
+
+
+def test_plotly_knows_every_property_that_it_is_given(html: str) -> None:
+    assert len(figures(html)) == DRAWN
+    for one in figures(html):
+        graph_objects.Figure(data=one["data"], layout=one["layout"])
+
+
+def test_a_missing_cell_is_a_dash(html: str) -> None:
+    assert '<td>–</td><td class="n">–</td><td class="n">–</td>' in html
+    assert '<td class="n">1.23</td><td class="n">1,000</td>' in html
+
+
+def test_contents_are_listed_from_four_sections_on(html: str) -> None:
+    assert '<a href="#s4">Places</a>' in html
+    assert "<nav" not in to_html(Page("t", "", (Section("s", ()),) * 3))
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium")
+def test_a_browser_draws_every_chart(html: str, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    counted = (
+        '<script>document.title = "drawn " + '
+        'document.querySelectorAll(".js-plotly-plot .main-svg:first-child").length</script>'
+    )
+    page.write_text(html.replace("</body>", f"{counted}</body>"))
+    options = ["--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'own'}"]
+    done = subprocess.run(
+        [str(CHROMIUM), *options, "--virtual-time-budget=5000", "--dump-dom", page.as_uri()],
+        capture_output=True, text=True, timeout=60, check=True,
+    )  # fmt: skip
+    assert f"<title>drawn {DRAWN}</title>" in done.stdout

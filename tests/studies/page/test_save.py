@@ -1,0 +1,47 @@
+"""Pages on the disk."""
+
+import builtins
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from protocol.errors import ConfigError
+from studies.page.model import Page
+from studies.page.save import check_target, save_html
+
+PAGE = Page("t", "", ())
+
+
+def test_missing_plotly_names_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real_import = builtins.__import__
+
+    def refuse(name: str, *rest: Any) -> object:
+        if name.startswith("plotly"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name="plotly")
+        return real_import(name, *rest)
+
+    monkeypatch.delitem(sys.modules, "studies.page.html", raising=False)
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    with pytest.raises(ConfigError, match=r"needs plotly \(extra `study`\).*'cpnet-edge\[study\]'"):
+        save_html(PAGE, tmp_path / "page.html")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_is_replaced_and_a_folder_is_not(tmp_path: Path) -> None:
+    pytest.importorskip("plotly", reason="extra study")
+    path = tmp_path / "page.html"
+    path.write_text("old")
+    save_html(PAGE, path)
+    assert "<h1>t</h1>" in path.read_text("utf-8")
+    with pytest.raises(ConfigError, match="is a folder; name a file, such as"):
+        save_html(PAGE, tmp_path)
+
+
+@pytest.mark.parametrize("name", ["none/page.html", "x" * 5000 + "/page.html"])
+def test_a_folder_that_is_not_there_is_named(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ConfigError, match="make it first"):
+        check_target(tmp_path / name)
