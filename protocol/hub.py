@@ -64,6 +64,7 @@ class HubBus:
         self._inbox = inbox
         self._own: list[tuple[str, _Subscription]] = []
         self._announced: list[Presence] = []
+        self._watches = False
 
     def publish(self, topic_name: str, message: Message, **parts: str) -> int:
         """See `Bus.publish`."""
@@ -91,6 +92,7 @@ class HubBus:
 
     def watch(self) -> None:
         """See `Bus.watch`."""
+        self._watches = True
         self._hub.watching.append(self._inbox)
         for presence in self._hub.present:
             self._inbox.put(presence)
@@ -107,12 +109,12 @@ class HubBus:
         """See `Bus.close`."""
         for topic_name, subscription in self._own:
             self._hub.subscriptions[topic_name].remove(subscription)
-        if self._inbox in self._hub.watching and self._announced:
+        if self._watches:
             self._hub.watching.remove(self._inbox)
         for presence in self._announced:
             self._hub.present.remove(presence)
             self._hub.tell(Presence(presence.role, presence.id, False, self._hub.name))
-        self._own, self._announced = [], []
+        self._own, self._announced, self._watches = [], [], False
 
 
 _: type[Bus] = HubBus  # types are checked: it is all that a role needs

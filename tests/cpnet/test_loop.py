@@ -18,6 +18,7 @@ from recorder.account import stage_sum_ns
 from recorder.compare import differences
 from recorder.run import Run
 from recorder.tables import AccountRow, FrameRow
+from studies.solo import play
 from tests.cpnet.conftest import Shell, children_of
 from tests.waiting import wait_until
 
@@ -85,6 +86,14 @@ def test_another_number_of_vehicle_processes_gives_the_same_rows(shell, first_ru
     status, output = shell.up(*more).finish()
     assert status == 0, output
     assert differences(first_run, shell.folder / "second") == []
+
+
+def test_one_process_without_a_network_gives_the_same_rows(shell, first_run):
+    alone = shell.folder / "alone"
+    alone.mkdir()
+    play(json.loads((first_run / "scenario.json").read_text()), alone)
+    assert differences(first_run, alone) == []
+    assert rows(alone, "sightings") > 0
 
 
 def test_planned_uploads_are_the_same_row_for_row_whatever_the_processes(shell):

@@ -1,0 +1,84 @@
+"""Both buses within one process give what Zenoh would."""
+
+from __future__ import annotations
+
+import pytest
+
+from protocol.errors import BusError
+from protocol.hub import Hub, HubBus
+from protocol.inbox import Inbox, Presence
+from protocol.messages import Plan, Roster
+from protocol.topics import BusName
+from tests.protocol.test_wire import EXAMPLES
+
+ROSTER = Roster(frame=1, process="vehicle-0", agents=["a"], scanning=[])
+[PLAN] = [example for example in EXAMPLES if isinstance(example, Plan)]
+
+
+def access(hub: Hub) -> tuple[HubBus, Inbox]:
+    inbox = Inbox()
+    return hub.open(inbox), inbox
+
+
+def test_a_message_reaches_all_who_asked_for_its_topic_and_nobody_else():
+    hub = Hub(BusName.V2X)
+    (one, first), (two, second), (_, third) = access(hub), access(hub), access(hub)
+    one.subscribe("roster")
+    two.subscribe("roster", region="r0")
+    size = one.publish("roster", ROSTER, region="r0", process="vehicle-0")
+    for inbox in (first, second):
+        item = inbox.get()
+        assert item.message == ROSTER
+        assert item.parts == {"region": "r0", "process": "vehicle-0"}
+        assert item.size_bytes == size
+    assert third.get() is None
+
+
+def test_parts_that_are_given_must_be_the_same():
+    hub = Hub(BusName.V2X)
+    bus, inbox = access(hub)
+    bus.subscribe("plan", region="r0", agent="a")
+    bus.publish("plan", PLAN, region="r0", agent="b")
+    assert inbox.get() is None
+    bus.publish("plan", PLAN, region="r0", agent="a")
+    assert inbox.get() is not None
+
+
+def test_messages_keep_their_order():
+    hub = Hub(BusName.V2X)
+    bus, inbox = access(hub)
+    bus.subscribe("roster")
+    for frame in range(20):
+        roster = ROSTER.model_copy(update={"frame": frame})
+        bus.publish("roster", roster, region="r0", process="vehicle-0")
+    assert [inbox.get().message.frame for _ in range(20)] == list(range(20))
+
+
+def test_presence_comes_and_goes_and_those_already_there_are_told():
+    hub = Hub(BusName.WORLD)
+    (early, heard), (late, heard_late), (comer, _) = access(hub), access(hub), access(hub)
+    early.watch()
+    comer.announce("vehicle", "vehicle-0")
+    late.watch()
+    comer.close()
+    here = Presence("vehicle", "vehicle-0", True, BusName.WORLD)
+    gone = Presence("vehicle", "vehicle-0", False, BusName.WORLD)
+    assert [heard.get(), heard.get()] == [here, gone]
+    assert [heard_late.get(), heard_late.get()] == [here, gone]
+
+
+def test_a_closed_bus_hears_no_more():
+    hub = Hub(BusName.V2X)
+    (gone, inbox), (other, _) = access(hub), access(hub)
+    gone.subscribe("roster")
+    gone.close()
+    other.publish("roster", ROSTER, region="r0", process="vehicle-0")
+    assert inbox.get() is None
+
+
+def test_a_topic_of_the_other_bus_is_refused():
+    bus, _ = access(Hub(BusName.WORLD))
+    with pytest.raises(BusError, match="roster belongs to the v2x bus"):
+        bus.publish("roster", ROSTER, region="r0", process="vehicle-0")
+    with pytest.raises(BusError, match="roster belongs to the v2x bus"):
+        bus.subscribe("roster")
