@@ -16,6 +16,7 @@ import typer
 from cpnet import scenario as scenarios
 from cpnet.cli_options import AsJson, Override, assigned, console, errors
 from protocol.errors import ConfigError
+from studies.page.save import check_target
 from studies.sweep.cell import Cell, cells_of
 from studies.sweep.spec import read_study
 from studies.sweep.store import Store
@@ -27,7 +28,7 @@ study_app = typer.Typer()
 
 
 @study_app.command("study")
-def study_command(
+def study_command(  # noqa: PLR0913 - one parameter per option of the command
     what: Annotated[str, typer.Argument(help="study file or built-in name")],
     *,
     out: Annotated[Path | None, typer.Option(help="results; default runs/study-NAME")] = None,
@@ -40,22 +41,32 @@ def study_command(
     seeds: Annotated[
         str | None, typer.Option(metavar="N,...", help="instead of the file's; 1-10 is a range")
     ] = None,
+    net: Annotated[Path | None, typer.Option(help="your own .net.xml")] = None,
+    tls: Annotated[str | None, typer.Option(help="id of the signal in that net")] = None,
     set_: Override = None,
+    markdown: Annotated[
+        Path | None, typer.Option(help="the report as Markdown too, figures beside it")
+    ] = None,
     keep_runs: Annotated[
         bool, typer.Option("--keep-runs", help="keep each run folder, in OUT/runs")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Run every cell of a study that is not done yet; then write and print the table."""
+    """Run every cell of a study that is not done yet; then write table and report."""
     if scheduler is not None and (jobs is not None or keep_runs):
         raise ConfigError("--scheduler: goes with neither --jobs nor --keep-runs, its workers rule")
     file = read_study(what)
-    study = file.study.changed(assigned(set_), _seeds(seeds))
+    own = {"traffic.net": net and str(net.resolve()), "traffic.tls": tls}
+    settings = {key: value for key, value in own.items() if value is not None} | assigned(set_)
+    study = file.study.changed(settings, _seeds(seeds))
+    if markdown is not None:
+        check_target(markdown, "--markdown")
     try:
         cells = cells_of(study, lambda keys: _resolved(file.scenario, keys))
     except ConfigError as error:
         raise ConfigError(f"{what}: {error}") from None
     with _needs_extra():
+        from cpnet.study_report import write_reports
         from studies.sweep.table import table, write_table
     store = Store.at(out or Path("runs") / f"study-{study.name}")
     with _stopped_by_signals():
@@ -65,6 +76,9 @@ def study_command(
     if study.title is not None and not as_json:
         console.print(study.title, style="bold", markup=False, highlight=False)
     _conclude(frame, cells, failures, path, as_json=as_json)
+    for report in write_reports(study, frame, store.folder, markdown):
+        if not as_json:
+            console.print(f"wrote {report}", highlight=False, soft_wrap=True)
     raise typer.Exit(1 if failures else 0)
 
 

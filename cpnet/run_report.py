@@ -16,7 +16,7 @@ def write_page(run_dir: Path, path: Path) -> Path:
     Raises:
         ConfigError: there is no such run, or the file cannot be written.
     """
-    check_target(path)
+    check_target(path, "--html")
     with Run(run_dir) as run:
         command = command_of(run.scenario)
     save_html(run_page(run_dir, command), path)

@@ -16,7 +16,7 @@ def save_html(page: Page, path: Path) -> None:
     Raises:
         ConfigError: the file cannot be, a library is missing, or a picture cannot be read.
     """
-    check_target(path)
+    check_target(path, "--html")
     try:
         from studies.page.html import to_html
     except ModuleNotFoundError as error:
@@ -30,13 +30,33 @@ def save_html(page: Page, path: Path) -> None:
         raise ConfigError(f"{path} cannot be written: {error}") from None
 
 
-def check_target(path: Path) -> None:
+def save_markdown(page: Page, path: Path) -> None:
+    """Writes a page as Markdown, its figures into the folder that is named like the file.
+
+    Raises:
+        ConfigError: the file cannot be, a library is missing, or a picture cannot be read.
+    """
+    check_target(path, "--markdown")
+    try:
+        from studies.page.markdown import to_markdown
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"figures need {error.name} (extra `plot`): "
+            f"{sys.executable} -m pip install 'cpnet-edge[plot]'"
+        ) from None
+    try:
+        path.write_text(to_markdown(page, path.parent / path.stem, path.stem), "utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be written: {error}") from None
+
+
+def check_target(path: Path, option: str) -> None:
     """Refuses a file that could not be written, before the work of filling it.
 
     Raises:
         ConfigError: it is a folder, or its own folder is missing.
     """
     if is_folder(path):
-        raise ConfigError(f"--html {path}: is a folder; name a file, such as {path / 'run.html'}")
+        raise ConfigError(f"{option} {path}: is a folder; name a file in it")
     if not is_folder(path.parent):
-        raise ConfigError(f"--html {path}: there is no folder {path.parent}; make it first")
+        raise ConfigError(f"{option} {path}: there is no folder {path.parent}; make it first")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import yaml
 from pydantic import Field, ValidationError, model_validator
@@ -45,6 +45,9 @@ class Study(Section):
     settings: Settings = Field({}, alias="set", description="of all cells: dotted scenario keys")
     seeds: list[Seed] = Field([1], min_length=1, description="each cell is run with each")
     grids: list[Grid] = Field(min_length=1, description="or `axes` here, for a single one")
+    page: Literal["plain", "paper"] = Field(
+        "plain", description="plain: a section for each grid; paper: as Chen et al. 2022 has them"
+    )
 
     @model_validator(mode="before")
     @classmethod

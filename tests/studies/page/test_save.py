@@ -37,7 +37,7 @@ def test_a_file_is_replaced_and_a_folder_is_not(tmp_path: Path) -> None:
     path.write_text("old")
     save_html(PAGE, path)
     assert "<h1>t</h1>" in path.read_text("utf-8")
-    with pytest.raises(ConfigError, match="is a folder; name a file, such as"):
+    with pytest.raises(ConfigError, match="is a folder; name a file in it"):
         save_html(PAGE, tmp_path)
 
 

@@ -1,0 +1,1 @@
+"""Pages about studies: what came of all cells, as tables and charts."""

@@ -1,0 +1,65 @@
+"""What a page about a study is made from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import polars as pl
+
+from studies.sweep.spec import Study
+from studies.sweep.table import over_seeds
+
+VALUES = (
+    "delay_s",
+    "e_cvpr",
+    "e_cvpr_std",
+    "visible_share",
+    "in_range_share",
+    "count_error",
+    "uplink_mbps",
+    "false_detections",
+    "vehicles_inserted",
+    "vehicles_finished",
+    "vehicles_teleported",
+    "vehicles_waiting",
+)
+"""Measures that pages speak of."""
+
+Known = dict[str, float | int | str | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """A study, its table, and the command that makes both again."""
+
+    study: Study
+    frame: pl.DataFrame
+    command: str
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+    def axes(self, grid: str) -> list[str]:
+        """Returns the names of a grid's axes."""
+        return [name for one in self.study.grids if one.name == grid for name in one.axes]
+
+    def rows(self, grid: str) -> list[Known]:
+        """Returns a row for each cell of a grid, over its seeds: see `over_seeds`."""
+        part = self.frame.filter(pl.col("grid") == grid)
+        present = [value for value in VALUES if value in part.columns]
+        return over_seeds(part, self.axes(grid), present).to_dicts() if len(part) else []
+
+    def seeds_of(self, grid: str, **where: float | str) -> pl.DataFrame:
+        """Returns the rows of single seeds that have these labels."""
+        chosen = [pl.col(name.replace("__", ".")) == value for name, value in where.items()]
+        return self.frame.filter(pl.col("grid") == grid, *chosen)
+
+
+def number(row: Known, name: str) -> float | None:
+    """Returns a row's figure, None where it has none."""
+    value = row.get(name)
+    return None if value is None or isinstance(value, str) else float(value)
+
+
+def label_of(value: float | str | None) -> str:
+    """Returns an axis's label as people write it."""
+    return value if isinstance(value, str) else "–" if value is None else f"{value:g}"
