@@ -10,6 +10,7 @@ from pathlib import Path
 import polars as pl
 
 from recorder.versions import versions
+from studies.of_study.bandwidth import bandwidth_page
 from studies.of_study.findings import Findings
 from studies.of_study.paper import paper_page
 from studies.of_study.plain import plain_page
@@ -40,4 +41,5 @@ def write_reports(
 def _page(study: Study, frame: pl.DataFrame) -> Page:
     command = shlex.join(["cpnet", *sys.argv[1:]])
     findings = Findings(study, frame, command, versions())
-    return paper_page(findings) if study.page == "paper" else plain_page(findings)
+    pages = {"plain": plain_page, "paper": paper_page, "bandwidth": bandwidth_page}
+    return pages[study.page](findings)

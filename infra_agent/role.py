@@ -45,6 +45,7 @@ class InfraRole:
         scans = self._station.uploads and self._station.admits(self._uplink.radio, tick)
         self._station.publish_roster(tick, [agent], [agent] if scans else [])
         if scans:
-            self._uplink.sense_and_send(
+            sensed = self._uplink.sense_and_send(
                 tick, map_SE3_sensor=pose, believed_SE3_sensor=pose, own=None
             )
+            self._station.publish_sighting(tick, agent, sensed)

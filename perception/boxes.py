@@ -44,7 +44,10 @@ def fit_boxes(
     members, starts, middles, floor_m = _middles(points, ground_m, labels, int(labels.max()) + 1)
     yaws = roadway.yaw_at(middles)
     extents = _fit(points, labels, starts, middles, yaws)
-    kept = fits(extents[:, 1] - extents[:, 0], config)
+    sizes_m = extents[:, 1] - extents[:, 0]
+    if config.complete:
+        sizes_m[_lines(sizes_m, extents[:, 1, 2] - floor_m, config), 2] = config.min_height_m
+    kept = fits(sizes_m, config)
     if config.complete:
         _complete(extents, middles, yaws, sensors, config)
         kept &= extents[:, 1, 2] - floor_m <= config.max_height_m + HANGING_M
@@ -69,6 +72,15 @@ def fits(sizes_m: Floats, config: BoxConfig) -> Bools:
     result &= (width_m >= min_width_m) & (width_m <= config.max_width_m)
     result &= (sizes_m[:, 2] >= config.min_height_m) & (sizes_m[:, 2] <= config.max_height_m)
     return result
+
+
+def _lines(sizes_m: Floats, top_m: Floats, config: BoxConfig) -> Bools:
+    """Marks clusters (C,) that one ring alone has hit, far away, as it would hit a vehicle.
+
+    Such a cluster has no height of its own; that of its points over the ground is `top_m` (C,).
+    """
+    line = (sizes_m[:, 2] < config.min_height_m) & (sizes_m[:, :2].max(axis=1) >= config.line_m)
+    return np.asarray(line & (top_m >= config.line_top_m) & (top_m <= config.max_height_m))
 
 
 def _complete(

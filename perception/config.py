@@ -84,6 +84,13 @@ class BoxConfig(Section):
         description="ours: a vehicle seen from one side is completed to the usual size, away from "
         "the sensor, before the filter; false for the bare box, as in the paper",
     )
+    line_m: float = Field(
+        1.0,
+        ge=0,
+        description="ours: a box without height, which one ring alone has hit, is a vehicle's "
+        "side if it is at least so long",
+    )
+    line_top_m: float = Field(0.4, ge=0, description="ours: and at least so high above the ground")
     usual_length_m: float = Field(4.5, gt=0, description="ours: length to complete to")
     usual_width_m: float = Field(1.8, gt=0, description="ours: width to complete to")
     usual_height_m: float = Field(1.5, gt=0, description="ours: height to complete to")

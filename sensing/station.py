@@ -13,6 +13,7 @@ from protocol.inbox import Envelope, Presence
 from protocol.messages import End, Metrics, Plan, Roster, Sighting, Span, Tick, Upload, WireCount
 from protocol.process import Context
 from sensing.config import LidarConfig, SceneConfig, UploadConfig
+from sensing.lidar import Sensed
 from sensing.link.config import LinkConfig
 from sensing.radio import AgentKind, Radio, radio_of
 from sensing.source import source_of
@@ -145,6 +146,18 @@ class Station:
         self.context.v2x.publish("roster", roster, region=self.region, process=process)
         self._scanned = (tick.frame, scanning)
 
+    def publish_sighting(self, tick: Tick, agent: str, sensed: Sensed) -> None:
+        """Says what the model of the sensor knows of its scan, for the recorder alone."""
+        hit = np.flatnonzero(sensed.points_on)
+        if self._keeps_truth and len(hit):
+            sighting = Sighting(
+                frame=tick.frame,
+                agent=agent,
+                vehicles=[tick.ids[n] for n in hit],
+                points=sensed.points_on[hit].astype(np.int32),
+            )
+            self.context.world.publish("sighting", sighting, agent=agent)
+
     def report(self, tick: Tick | None = None) -> None:
         """Accounts for the frames that are done with, and for that of a tick in any case."""
         frames: dict[int, tuple[Tick, list[Upload], list[Span]]] = {}
@@ -156,7 +169,6 @@ class Station:
         for shipment in done:
             _, uploads, spans = frames.setdefault(shipment.frame, (shipment.tick, [], []))
             uploads += shipment.uploads
-            self._publish_sighting(shipment)
             spans += shipment.spans
         for _, (of, uploads, spans) in sorted(frames.items()):
             wire, self._settled = self._settled, []
@@ -174,19 +186,6 @@ class Station:
         self._drops["plan_missing"] += 1
         self._scanned = (-1, [])
         return False
-
-    def _publish_sighting(self, shipment: Shipment) -> None:
-        """Says what the model of the sensor knows, for the recorder alone."""
-        hit = np.flatnonzero(shipment.sensed.points_on)
-        if self._keeps_truth and len(hit):
-            agent = shipment.uplink.agent
-            sighting = Sighting(
-                frame=shipment.frame,
-                agent=agent,
-                vehicles=[shipment.tick.ids[n] for n in hit],
-                points=shipment.sensed.points_on[hit].astype(np.int32),
-            )
-            self.context.world.publish("sighting", sighting, agent=agent)
 
     def _publish_metrics(
         self, tick: Tick, uploads: list[Upload], spans: list[Span], wire: list[WireCount]

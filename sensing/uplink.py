@@ -42,18 +42,13 @@ class Shipment:
 
     uplink: Uplink
     tick: Tick
-    sensed: Sensed
+    scan: RangeScan
     selection: Selection
     believed_SE3_sensor: SE3
     sense_start_ns: int
     sense_end_ns: int
     uploads: list[Upload] = field(default_factory=list)
     spans: list[Span] = field(default_factory=list)
-
-    @property
-    def scan(self) -> RangeScan:
-        """All that the sensor saw."""
-        return self.sensed.scan
 
     @property
     def frame(self) -> int:
@@ -129,7 +124,7 @@ class Uplink:
         map_SE3_sensor: SE3,
         believed_SE3_sensor: SE3,
         own: int | None,
-    ) -> None:
+    ) -> Sensed:
         """Senses once from the true pose and sends it, or its part, with the believed one."""
         sense_start_ns = time.monotonic_ns()
         sensed = self._kit.source.scan(self.agent, tick, map_SE3_sensor, own)
@@ -137,7 +132,7 @@ class Uplink:
         plan = self._plans.of(tick.frame, tick.sim_time_ns)
         selection = self._selector.select(sensed.scan, believed_SE3_sensor, self.agent, plan)
         shipment = Shipment(
-            self, tick, sensed, selection, believed_SE3_sensor, sense_start_ns, sense_end_ns
+            self, tick, sensed.scan, selection, believed_SE3_sensor, sense_start_ns, sense_end_ns
         )
         shipment.spans = [
             self._span("sense", sense_start_ns, sense_end_ns),
@@ -147,7 +142,7 @@ class Uplink:
             self._send_objects(shipment, self._kit.detector)
         elif self._outbox is not None:
             self._outbox.put(shipment)
-            return
+            return sensed
         else:
             for chunk in range(shipment.chunks):
                 shipment.send(chunk)
@@ -155,6 +150,7 @@ class Uplink:
             self._under_way = shipment
         else:
             self._done.append(shipment)
+        return sensed
 
     def take_done(self) -> list[Shipment]:
         """Returns the frames of which nothing more will be sent, once."""

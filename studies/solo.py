@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -33,22 +32,36 @@ IDLE_S = 0.001  # what waits for the clock alone, as the recorder's end does
 STUCK_NS = 120_000_000_000
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class _Seat:
     """One role's place in the round."""
 
-    role: Role
-    inbox: Inbox
-    stop: threading.Event
+    def __init__(self, name: str, context: Context, build: Callable[[Context], Role]) -> None:
+        self.name = name
+        self._context = context
+        self._role = build(context)
+        self.has_left = False
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the role wants to leave."""
+        return self._context.stop.is_set()
 
     def turn(self) -> bool:
         """Hands over all that came in and lets the role act; tells whether anything had come."""
-        taken = 0
-        while taken < MAX_BATCH and (item := self.inbox.get()) is not None:
-            hand_over(self.role, self.inbox, item)
+        taken, inbox = 0, self._context.inbox
+        while taken < MAX_BATCH and (item := inbox.get()) is not None:
+            hand_over(self._role, inbox, item)
             taken += 1
-        self.role.poll()
+        self._role.poll()
         return taken > 0
+
+    def leave(self) -> None:
+        """Ends the role and hangs up, once."""
+        if not self.has_left:
+            self.has_left = True
+            self._role.close()
+            self._context.v2x.close()
+            self._context.world.close()
 
 
 def play(scenario: dict[str, Any], run_dir: Path) -> None:
@@ -73,10 +86,14 @@ def play(scenario: dict[str, Any], run_dir: Path) -> None:
         *((f"vehicle-{n}", VehicleRole) for n in range(scenario["processes"]["vehicle"])),
     ]
     with ExitStack() as stack:
-        # The world ends last: with it goes what others may still ask.
-        sim = stack.enter_context(table.seat("sim", SimRole.build))
-        others = [stack.enter_context(table.seat(name, build)) for name, build in builders]
-        _go_round([sim, *others])
+
+        def seat(name: str, build: Callable[[Context], Role]) -> _Seat:
+            taken = _Seat(name, table.context(name), build)
+            stack.callback(taken.leave)
+            return taken
+
+        sim = seat("sim", SimRole.build)  # leaves last: with the world goes what others may ask
+        _go_round(sim, [seat(name, build) for name, build in builders])
 
 
 class _Table:
@@ -87,32 +104,40 @@ class _Table:
         self._run_dir = run_dir
         self._hubs = {name: Hub(name) for name in BusName}
 
-    @contextmanager
-    def seat(self, name: str, build: Callable[[Context], Role]) -> Iterator[_Seat]:
-        """Builds a role and gives it its seat until the end."""
-        inbox, stop = Inbox(), threading.Event()
-        world, v2x = (self._hubs[bus].open(inbox) for bus in (BusName.WORLD, BusName.V2X))
-        context = Context(
-            name, self._setup, self._run_dir, world, v2x, inbox, stop,
-            lambda: self._hubs[BusName.V2X].open(inbox),
-        )  # fmt: skip
-        role = build(context)
-        try:
-            yield _Seat(role, inbox, stop)
-        finally:
-            role.close()
-            v2x.close()
-            world.close()
+    def context(self, name: str) -> Context:
+        """Returns what a role of this name is handed."""
+        inbox = Inbox()
+        v2x = self._hubs[BusName.V2X]
+        return Context(
+            name,
+            self._setup,
+            self._run_dir,
+            self._hubs[BusName.WORLD].open(inbox),
+            v2x.open(inbox),
+            inbox,
+            threading.Event(),
+            lambda: v2x.open(inbox),
+        )
 
 
-def _go_round(seats: list[_Seat]) -> None:
-    """Gives everybody a turn, again and again, until the world and the recorder are done."""
+def _go_round(sim: _Seat, others: list[_Seat]) -> None:
+    """Gives everybody a turn, again and again, until the world is done and the recorder has left.
+
+    Agents leave when they hear of the end; edge and signal stay as long as they are asked.
+    """
+    record = next(seat for seat in others if seat.name == "record")
     busy_ns = time.monotonic_ns()
-    while not all(seat.stop.is_set() for seat in seats[:2]):
-        moved = [seat.turn() for seat in seats]
-        if any(moved):
+    while not (sim.is_done and record.has_left):
+        moved = False
+        for seat in [sim, *others]:
+            if seat.has_left or (seat is sim and sim.is_done):
+                continue
+            moved |= seat.turn()
+            if seat is not sim and seat.is_done:
+                seat.leave()
+        if moved:
             busy_ns = time.monotonic_ns()
-            continue
-        if time.monotonic_ns() - busy_ns > STUCK_NS:
+        elif time.monotonic_ns() - busy_ns > STUCK_NS:
             raise BusError("nobody has said anything for two minutes: the roles wait for another")
-        time.sleep(IDLE_S)
+        else:
+            time.sleep(IDLE_S)

@@ -120,12 +120,14 @@ class VehicleRole:
         return True
 
     def _publish_scan(self, tick: Tick, index: int, believed: Floats) -> None:
-        self._uplinks[tick.ids[index]].sense_and_send(
+        agent = tick.ids[index]
+        sensed = self._uplinks[agent].sense_and_send(
             tick,
             map_SE3_sensor=SE3.from_pose(tick.poses[index]) @ self._body_SE3_sensor,
             believed_SE3_sensor=SE3.from_pose(believed) @ self._body_SE3_sensor,
             own=index,
         )
+        self._station.publish_sighting(tick, agent, sensed)
 
     def _forget_all_but(self, present: set[str]) -> None:
         for agent in sorted(self._uplinks.keys() - present):

@@ -45,8 +45,10 @@ class Study(Section):
     settings: Settings = Field({}, alias="set", description="of all cells: dotted scenario keys")
     seeds: list[Seed] = Field([1], min_length=1, description="each cell is run with each")
     grids: list[Grid] = Field(min_length=1, description="or `axes` here, for a single one")
-    page: Literal["plain", "paper"] = Field(
-        "plain", description="plain: a section for each grid; paper: as Chen et al. 2022 has them"
+    page: Literal["plain", "paper", "bandwidth"] = Field(
+        "plain",
+        description="plain: a section for each grid; paper: as Chen et al. 2022 has them; "
+        "bandwidth: what an uplink must carry",
     )
 
     @model_validator(mode="before")

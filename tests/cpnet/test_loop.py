@@ -187,6 +187,11 @@ def test_virtual_links_give_the_same_rows_whatever_the_number_of_processes(shell
         status, output = shell.up(*slow, "--out", out, "--set", spread).finish()
         assert status == 0, output
     assert differences(shell.folder / "first", shell.folder / "second") == []
+    alone = shell.folder / "alone"
+    alone.mkdir()
+    play(json.loads((shell.folder / "first" / "scenario.json").read_text()), alone)
+    assert differences(shell.folder / "first", alone) == []
+    assert rows(shell.folder / "first", "uploads") == rows(alone, "uploads")
     drops = json.loads(shell.run("report", "first", "--json")[1])["drops_by_reason"]
     assert drops["edge"]["late"] > 0
     with sqlite3.connect(f"file:{shell.folder}/first/run.sqlite?mode=ro", uri=True) as database:

@@ -1,0 +1,71 @@
+"""The page of the study `bandwidth`: the curve that says what an uplink must carry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from studies.of_study.blocks import COUNT_ERROR, DELAY, E_CVPR, bare_mean, curves, grid_table
+from studies.of_study.findings import Findings, Known, label_of, number
+from studies.of_study.origin import origin_section
+from studies.page.model import Block, Cell, Column, Page, Section, Table, Text
+
+UPLOAD, RATE = "upload", "uplink in Mbit/s"
+ENOUGH = 0.99  # of the E-CVPR that the fastest uplink gives
+_TITLES = {
+    "every-second": "Perception once a second",
+    "ten-a-second": "Perception ten times a second",
+    "latency": "Latency",
+}
+
+
+def bandwidth_page(findings: Findings) -> Page:
+    """Returns the curve first, then each grid."""
+    study = findings.study
+    lead = (
+        "Every agent, vehicles and the roadside LiDAR alike, is on an uplink of its own. What does "
+        "not arrive before the edge's deadline is left out of its frame. Links are virtual: bytes "
+        f"are real, arrival is in simulated time. {len(findings.frame)} runs, "
+        f"{len(study.seeds)} seeds a cell."
+    )
+    grids = (_grid_section(findings, grid.name) for grid in study.grids)
+    sections = (_answer_section(findings), *grids, origin_section(findings))
+    return Page(study.title or study.name, lead, sections)
+
+
+def _answer_section(findings: Findings) -> Section:
+    names = [grid.name for grid in findings.study.grids if RATE in grid.axes]
+    rows = tuple(row for name in names for row in _answers(findings, name))
+    columns = (
+        Column("perception"), Column("upload"), Column("enough, Mbit/s an agent"),
+        Column("E-CVPR there, %", ".1f"), Column("mean delay there, s", ".1f"),
+        Column("sent by all, Mbit/s", ".2f"),
+    )  # fmt: skip
+    text = (
+        f"Enough is the slowest uplink studied with which E-CVPR is at least {100 * ENOUGH:g} % of "
+        "what the fastest gives with the same upload."
+    )
+    return Section("How much is enough", (Text(text), Table(columns, rows)))
+
+
+def _answers(findings: Findings, grid: str) -> Iterator[tuple[Cell, ...]]:
+    groups: dict[str, list[Known]] = {}
+    for row in findings.rows(grid):
+        groups.setdefault(label_of(row[UPLOAD]), []).append(row)
+    for upload, rows in groups.items():
+        rows.sort(key=lambda row: number(row, RATE) or 0.0)
+        goal = ENOUGH * (number(rows[-1], "e_cvpr_mean") or 0.0)
+        first = next(row for row in rows if (number(row, "e_cvpr_mean") or 0.0) >= goal)
+        figures = (bare_mean(first, shown) for shown in (E_CVPR, DELAY))
+        sent = number(first, "uplink_mbps_mean")
+        yield (_TITLES.get(grid, grid), upload, label_of(first[RATE]), *figures, sent)
+
+
+def _grid_section(findings: Findings, grid: str) -> Section:
+    axes, rows = findings.axes(grid), findings.rows(grid)
+    axis = axes[-1]
+    blocks: list[Block] = [
+        curves(rows, axis, [other for other in axes if other != axis], shown)
+        for shown in (E_CVPR, COUNT_ERROR, DELAY)
+    ]
+    caption = "Means over seeds ± half the width of the 95 % confidence interval."
+    return Section(_TITLES.get(grid, grid), (*blocks, grid_table(rows, axes, caption)))
