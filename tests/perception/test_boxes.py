@@ -79,3 +79,26 @@ def test_noise_is_left_out(roadway: Roadway) -> None:
         config=BoxConfig(),
     )
     assert len(found) == 0
+
+
+def line(length_m: float, height_m: float) -> Any:
+    """What one ring hits of a vehicle's rear, far away: five points of one height."""
+    across = np.linspace(-length_m / 2, length_m / 2, 5)
+    return np.column_stack([np.full(5, -95.0), 1.75 + across, np.full(5, height_m)])
+
+
+def test_what_one_ring_hits_of_a_vehicle_is_a_vehicle(roadway: Roadway) -> None:
+    found = fit(roadway, line(1.7, 0.8))
+    assert len(found) == 1
+    np.testing.assert_allclose(found.boxes[0, 2:6], [0.75, 4.5, 1.8, 1.5], atol=0.1)
+
+
+@pytest.mark.parametrize(("length_m", "height_m"), [(0.6, 0.8), (1.7, 0.25), (1.7, 2.4)])
+def test_what_is_too_short_low_or_high_for_that_is_none(
+    roadway: Roadway, length_m: float, height_m: float
+) -> None:
+    assert len(fit(roadway, line(length_m, height_m))) == 0
+
+
+def test_the_papers_boxes_have_a_height_of_their_own(roadway: Roadway) -> None:
+    assert len(fit(roadway, line(1.7, 0.8), complete=False)) == 0

@@ -1,0 +1,168 @@
+"""Pages about studies: tables and charts of all cells, and what they say of expectations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+pl = pytest.importorskip("polars", reason="needs the extra `study`")
+
+from studies.measures import HISTOGRAM_BINS  # noqa: E402 - needs polars
+from studies.of_study.bandwidth import RATE, bandwidth_page  # noqa: E402
+from studies.of_study.claims import claims  # noqa: E402
+from studies.of_study.findings import Findings  # noqa: E402
+from studies.of_study.paper import PERFECT, paper_page  # noqa: E402
+from studies.of_study.plain import plain_page  # noqa: E402
+from studies.page.charts import Chart  # noqa: E402
+from studies.page.html import to_html  # noqa: E402
+from studies.page.markdown import to_markdown  # noqa: E402
+from studies.page.model import Page, Table  # noqa: E402
+from studies.sweep.spec import Study, read_study  # noqa: E402
+
+ROW = {
+    "frames": 10, "e_cvpr": 0.6, "e_cvpr_std": 0.1, "e_cvpr_hist": [1] * HISTOGRAM_BINS,
+    "visible_share": 0.65, "in_range_share": 0.7, "count_error": 0.5, "delay_s": 12.0,
+    "uplink_mbps": 2.0, "false_detections": 0.2, "vehicles_inserted": 100,
+    "vehicles_finished": 90, "vehicles_teleported": 0, "vehicles_waiting": 0,
+}  # fmt: skip
+
+
+def findings(study: Study, **changes: Any) -> Findings:
+    """Returns a study whose cells all have one row's figures; `changes` maps labels to figures."""
+    rows = []
+    for grid in study.grids:
+        points: list[dict[str, Any]] = [{}]
+        for name, axis in grid.axes.items():
+            points = [point | {name: label} for point in points for label in axis]
+        for point in points:
+            for seed in study.seeds:
+                row = {"grid": grid.name, **point, "seed": seed, **ROW}
+                row["delay_s"] += 0.1 * seed
+                rows.append(row | changes.get("change", lambda _: {})(row))
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    frame = pl.DataFrame([{name: row.get(name) for name in names} for row in rows], strict=False)
+    return Findings(study, frame, "cpnet study mine", {"python": "3.11"})
+
+
+def tables(page: Page) -> list[Table]:
+    return [block for part in page.sections for block in part.blocks if isinstance(block, Table)]
+
+
+def plain_study() -> Study:
+    return Study.model_validate(
+        {
+            "name": "mine",
+            "seeds": [1, 2],
+            "grids": [
+                {
+                    "name": "rates",
+                    "axes": {"traffic.cav_rate": [0, 0.1], "edge.detector": ["fast"]},
+                },
+                {"name": "words", "axes": {"controller": {"a": {}, "b": {"mode": "lockstep"}}}},
+            ],
+        }
+    )
+
+
+def test_every_grid_has_its_table_with_whom_a_delay_is_the_mean_of():
+    page = plain_page(findings(plain_study()))
+    rates, words, versions = tables(page)
+    names = [column.name for column in rates.columns]
+    assert names[:3] == ["traffic.cav_rate", "edge.detector", "mean delay, s"]
+    assert {"inserted", "finished", "teleported", "kept outside", "seeds"} <= set(names)
+    assert rates.rows[0][:3] == (
+        "0",
+        "fast",
+        "12.1 ± 0.6",
+    )  # 12.15, as floats have it; t of one degree: 12.7
+    assert [row[0] for row in words.rows] == ["a", "b"]
+    assert versions.rows == (("python", "3.11"),)
+
+
+def test_an_axis_of_numbers_is_a_curve_and_one_of_words_are_bars():
+    charts = [figure for figure in plain_page(findings(plain_study())).figures()]
+    assert all(isinstance(chart, Chart) for chart in charts)
+    assert [chart.kind for chart in charts] == ["line"] * 3 + ["bar"] * 3
+    assert charts[0].series[0].x == (0, 0.1)
+
+
+def test_a_measure_without_values_is_neither_column_nor_chart():
+    page = plain_page(findings(plain_study(), change=lambda _: {"e_cvpr": None}))
+    assert "E-CVPR, %" not in [column.name for column in tables(page)[0].columns]
+    assert len(page.figures()) == 4
+
+
+def test_the_papers_figures_stand_beside_ours():
+    page = paper_page(findings(read_study("paper").study))
+    table = next(t for t in tables(page) if t.caption.startswith("Table 2"))
+    theirs = {(row[0], row[1]): row[-1] for row in table.rows}
+    assert theirs["pointpillars", "5"] == 46.6
+    assert theirs["fast", "1"] == 35.4
+    assert theirs["fast", "5"] is None  # they do not give it
+    assert table.rows[0][2] == "60.0 ± 0.0"
+
+
+def good(row: dict[str, Any]) -> dict[str, Any]:
+    """Figures as they are expected."""
+    share = row.get("traffic.cav_rate")
+    reports = row.get("traffic.cv_rate")
+    if share is not None:
+        return {"e_cvpr": 0.6 + share, "visible_share": 0.65 + share}
+    if reports is not None:
+        return {"delay_s": 12.0 + max(0, 0.3 - reports) * 20}
+    return {"delay_s": 11.5} if row["controller"] == PERFECT else {}
+
+
+def test_what_is_as_expected_holds():
+    found = claims(findings(read_study("paper").study, change=good))
+    assert len(found) == 8
+    assert all(claim.holds for claim in found), [c for c in found if not c.holds]
+
+
+@pytest.mark.parametrize(
+    ("broken", "text"),
+    [
+        (lambda row: {"e_cvpr": 0.6 - (row.get("traffic.cav_rate") or 0)}, "rises"),
+        (lambda row: {"visible_share": 0.9}, "of the visible share"),
+        (lambda row: {"delay_s": 14.0} if row.get("edge.detector") else {}, "perfect counts"),
+        (lambda row: {"delay_s": 9.0} if row.get("traffic.cv_rate") == 0.02 else {}, "falls"),
+        (lambda row: {"delay_s": 15.0} if row.get("traffic.cv_rate") == 0.6 else {}, "flat"),
+    ],
+)
+def test_what_is_not_as_expected_is_said(broken, text):
+    study = read_study("paper").study
+    found = claims(findings(study, change=lambda row: good(row) | broken(row)))
+    assert not all(claim.holds for claim in found if text in claim.text)
+
+
+def test_enough_is_the_slowest_uplink_that_sees_nearly_all():
+    def seen(row: dict[str, Any]) -> dict[str, Any]:
+        return {"e_cvpr": 0.1 if row.get(RATE, 1) < 0.3 else 0.699 if row[RATE] < 1 else 0.7}
+
+    def change(row: dict[str, Any]) -> dict[str, Any]:
+        return seen(row) if row.get(RATE) is not None else {}
+
+    page = bandwidth_page(findings(read_study("bandwidth").study, change=change))
+    answers = tables(page)[0]
+    assert len(answers.rows) == 8
+    assert {row[2] for row in answers.rows} == {"0.3"}
+
+
+def test_pages_can_be_drawn_both_ways(tmp_path):
+    pytest.importorskip("jinja2", reason="needs the extra `study`")
+    for page in (
+        plain_page(findings(plain_study())),
+        paper_page(findings(read_study("paper").study)),
+        bandwidth_page(findings(read_study("bandwidth").study)),
+    ):
+        assert page.title in to_html(page)
+        text = to_markdown(page, tmp_path / "figures", "figures")
+        pictures = sorted((tmp_path / "figures").glob("*.png"))
+        assert text.count("![") <= len(pictures)
+
+
+def test_a_study_without_a_finished_cell_has_a_page():
+    study = plain_study()
+    empty = findings(study).frame.clear()
+    assert to_html(plain_page(Findings(study, empty, "cpnet study mine")))
