@@ -44,7 +44,12 @@ def make_run(
     )  # fmt: skip
     (run_dir / SETUP_NAME).write_bytes(encode(setup))
     database = Database(run_dir)
-    scenario = {"name": name, "seed": 3, "frame_period_s": 0.1, "roadside_mounts": [{"id": "rsu"}]}
+    scenario = {
+        "name": name,
+        "seed": 3,
+        "frame_period_s": 0.1,
+        "roadside_mounts": [{"id": "rsu", "x_m": 0, "y_m": 0}],
+    }
     facts = {
         "scenario": json.dumps(scenario),
         "end_reason": "finished",
