@@ -50,7 +50,7 @@ def observatory_of(scenario: dict[str, Any], moments: int) -> Observatory:
     """Returns the junction of a scenario whose every key has its value, with its sensors.
 
     Traffic runs on the fixed plan. Posts, LiDARs, pose errors and seed are the scenario's; who
-    carries a LiDAR is drawn anew at every moment, one to five vehicles near the junction.
+    carries a LiDAR is drawn anew at every moment, up to five vehicles near the junction.
 
     Raises:
         ConfigError: its files cannot be read, or it plays a recording.
