@@ -11,18 +11,20 @@ import numpy as np
 
 from learning.kitti import Label, into_sensor
 from learning.layout import REACH_M, Kind, ScanRow, SensorPoses
+from learning.sensors import Sensors
 from learning.sites import Site, draw_mounts
 from perception.arrays import Floats, Floats32
 from protocol.geometry import SE3
 from protocol.messages import Equipment
 from protocol.roadmap import RoadMap
-from sensing.config import Mount, PoseErrorConfig
+from sensing.config import Mount
 from sensing.lidar import Lidar
 from sensing.mounting import above, mounted
 from sensing.noise import stream
 from sensing.pose import believed_pose
 from sensing.scene import scene_of
 from sensing.shapes import VehicleShapes
+from sim_host.config import TrafficConfig
 from sim_host.filming import film
 from sim_host.junctions import write_junction
 from sim_host.setup import build_setup
@@ -44,27 +46,33 @@ class Observed:
 
 
 class Observatory:
-    """A network with its scene and sensors; `net` is the text of its net file.
+    """A network with its scene and sensors; `net` is the text of a generated one's net file.
 
-    A site whose traffic names a net has that one in the place of its junction.
+    A site without a junction has its traffic's own net, or the built-in one.
     """
 
-    def __init__(self, site: Site, moments: int) -> None:
+    def __init__(self, site: Site, moments: int, sensors: Sensors | None = None) -> None:
         self.site = site
+        self.net = ""
         with tempfile.TemporaryDirectory(prefix="cpnet-") as scratch:
             folder = Path(scratch)
-            own = site.traffic.net
-            path = Path(own) if own else write_junction(folder, site.name, site.junction)
-            self.net = path.read_text("utf-8")
-            traffic = site.traffic.model_copy(update={"net": str(path)})
-            setup = build_setup({"traffic": traffic.model_dump()}, folder)
+            scenario = {
+                "traffic": self._traffic(folder).model_dump(),
+                "scene": site.scene.model_dump(),
+            }
+            setup = build_setup(scenario, folder)
             scene = scene_of(setup, site.scene, site.seed)
             self._filmed = film(setup, folder, scene.terrain, site.seed, self._steps(moments))
         self.road_map: RoadMap = setup.road_map
-        self.mounts: list[Mount] = draw_mounts(site, setup.road_map)
+        self._sensors = sensors or Sensors.drawn(site)
+        given = self._sensors.mounts
+        self.mounts: list[Mount] = draw_mounts(site, setup.road_map) if given is None else [*given]
         self._terrain = scene.terrain
         self._shapes = VehicleShapes.from_setup(setup)
-        self._lidar = Lidar(site.lidar, scene, self._shapes)
+        self._lidars = {
+            config: Lidar(config, scene, self._shapes)
+            for config in {self._sensors.roadside, self._sensors.vehicle}
+        }
 
     def scans(self) -> Iterator[Observed]:
         """Yields every moment's scans: posts first, then CAVs."""
@@ -77,6 +85,14 @@ class Observatory:
                 name = bodies.ids[own]
                 poses = self._on_roof(frame, name, bodies.poses[own], float(sizes_m[own, 2]))
                 yield self._scan((frame, name, "vehicle"), poses, bodies, sizes_m)
+
+    def _traffic(self, folder: Path) -> TrafficConfig:
+        """Returns the traffic, on the site's own junction if it has one."""
+        if self.site.junction is None:
+            return self.site.traffic
+        path = write_junction(folder, self.site.name, self.site.junction)
+        self.net = path.read_text("utf-8")
+        return self.site.traffic.model_copy(update={"net": str(path)})
 
     def _steps(self, moments: int) -> list[int]:
         pauses_s = stream(self.site.seed, "pauses").uniform(*_PAUSE_S, size=moments)
@@ -94,10 +110,10 @@ class Observatory:
 
     def _on_roof(self, frame: int, name: str, pose: Floats, roof_m: float) -> tuple[SE3, SE3]:
         """Returns where the sensor of a CAV is and where it is believed to be."""
-        height_m = stream(self.site.seed, "roof", name).uniform(*self.site.roof_m)
+        height_m = stream(self.site.seed, "roof", name).uniform(*self._sensors.roof_m)
         height_m = max(height_m, roof_m + _OVER_ROOF_M)
         rng = stream(self.site.seed, "pose", name, frame)
-        believed = believed_pose(pose, PoseErrorConfig(), Equipment.CAV, rng)
+        believed = believed_pose(pose, self._sensors.pose, Equipment.CAV, rng)
         return above(pose, height_m), above(believed, height_m)
 
     def _scan(
@@ -111,14 +127,15 @@ class Observatory:
         true, believed = poses
         own = bodies.ids.index(agent) if kind == "vehicle" else None
         rng = stream(self.site.seed, "scan", agent, frame)
-        seen = self._lidar.scan(true, bodies.poses, bodies.types, own, rng)
+        lidar = self._sensors.lidar(kind)
+        seen = self._lidars[lidar].scan(true, bodies.poses, bodies.types, own, rng)
         range_m, intensity = seen.scan.range_m, seen.scan.intensity
         boxes = into_sensor(_boxes(bodies.poses, sizes_m), true)
         near = np.linalg.norm(boxes[:, :3], axis=1) <= REACH_M
         if own is not None:
             near[own] = False
         hit = range_m > 0
-        points = self.site.lidar.pattern.directions[hit] * range_m[hit][:, None]
+        points = lidar.pattern.directions[hit] * range_m[hit][:, None]
         return Observed(
             points=np.column_stack([points, intensity[hit]]).astype(np.float32),
             labels=[

@@ -31,7 +31,7 @@ class Site(Section):
 
     number: int
     seed: int
-    junction: Junction
+    junction: Junction | None = Field(description="none: that of the traffic")
     traffic: TrafficConfig
     scene: SceneConfig
     lidar: LidarConfig = Field(description="of all sensors at this junction")

@@ -31,6 +31,7 @@ from studies.average_precision import Scene, View, average_precision, outcomes
 
 Truth = Literal["all", "visible"]
 Kind = tuple[Literal["single", "merged"], Literal["none", "early", "late"]]
+Timed = tuple[Vehicles, float]  # what was found, and in how many ms
 
 RANGE_M = 80.0  # of x and y, as the paper's PointPillars
 CUT_M = 90.0  # points are given so far, so that a vehicle at the border is whole
@@ -124,11 +125,26 @@ class Judged:
         return fair
 
 
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What a detector finds at a moment.
+
+    In each scan alone, in the order of the shots; in all points together (early fusion); and in
+    each scan alone, duplicates removed (late fusion). But for the last, boxes are listed whose
+    score is too low to be taken for vehicles.
+    """
+
+    singles: list[Timed]
+    merged: Timed
+    late: Timed
+
+
 class Site:
     """A junction's road, twice: as the geofence has it, and with the whole plane around it."""
 
     def __init__(self, road_map: RoadMap, config: EdgeConfig) -> None:
         self.road_map = road_map
+        self.centre = SE3(np.eye(3), np.array(road_map.centre))
         self._config = config
         self._lanes = LaneIndex(road_map)
         self._detectors: dict[tuple[DetectorName, bool], Detector] = {}
@@ -175,8 +191,7 @@ class Site:
 
     def without_doubles(self, found: Vehicles) -> Vehicles:
         """Removes duplicates as the edge does."""
-        centre = np.array(self.road_map.centre)
-        return fuse(found, [], centre=centre, config=self._config.fusion)
+        return fuse(found, [], centre=self.centre.translation, config=self._config.fusion)
 
 
 def evaluate(
@@ -198,23 +213,36 @@ def evaluate(
     return [row for key, scenes in judged.items() for row in rows_of(*key, scenes, least[key[0]])]
 
 
-def judge(
-    site: Site, moment: Moment, name: DetectorName, *, geofence: bool
-) -> list[tuple[Kind, Judged]]:
-    """Detects in a moment's scans, alone and together, and compares with the truth."""
+def find(site: Site, moment: Moment, name: DetectorName, *, geofence: bool) -> Found:
+    """Detects in a moment's scans, alone and together."""
     detector = site.detector(name, geofence=geofence)
     placed = [site.place(moment, n, geofence=geofence) for n in range(len(moment.shots))]
     sensors = np.array([shot.map_SE3_sensor.translation for shot in moment.shots])
-    on_road = site.on_road(moment.boxes) if geofence else np.ones(len(moment.boxes), np.bool_)
-    centre = SE3(np.eye(3), np.array(site.road_map.centre))
+    cut = [_cut(part, site.centre) for part in placed]
 
-    def detected(near: Sequence[Placed], seen_from: Floats, number: int) -> tuple[Vehicles, float]:
+    def timed(near: Sequence[Placed], seen_from: Floats, number: int) -> Timed:
         rng = np.random.default_rng([moment.frame, number])
         start = time.perf_counter()
         found = detector.detect(Cloud(near, [], seen_from), rng)
         return found, 1e3 * (time.perf_counter() - start)
 
-    def judged(found: Vehicles, map_SE3_scene: SE3, seen: tuple[Ints, Bools], ms: float) -> Judged:
+    singles = [timed([one], sensors[n : n + 1], n) for n, one in enumerate(placed)]
+    together = Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
+    for found, _ in singles:
+        together = together + found
+    together = together.take(together.scores >= site.least_score(name))
+    late = site.without_doubles(together), sum(took_ms for _, took_ms in singles)
+    return Found(singles, timed(cut, sensors, len(placed)), late)
+
+
+def judge(
+    site: Site, moment: Moment, name: DetectorName, *, geofence: bool
+) -> list[tuple[Kind, Judged]]:
+    """Detects in a moment's scans, alone and together, and compares with the truth."""
+    on_road = site.on_road(moment.boxes) if geofence else np.ones(len(moment.boxes), np.bool_)
+
+    def judged(result: Timed, map_SE3_scene: SE3, seen: tuple[Ints, Bools]) -> Judged:
+        found, took_ms = result
         if geofence:
             found = found.take(site.on_road(found.boxes))
         points, counts = seen
@@ -223,22 +251,18 @@ def judge(
             _away_m(found.boxes, map_SE3_scene),
             np.where(counts, _away_m(moment.boxes, map_SE3_scene), np.inf),
             points,
-            ms,
+            took_ms,
         )
 
     result: list[tuple[Kind, Judged]] = []
-    singles, total_ms = Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0)), 0.0
-    for number, shot in enumerate(moment.shots):
-        found, ms = detected([placed[number]], sensors[number : number + 1], number)
+    found = find(site, moment, name, geofence=geofence)
+    for number, (shot, single) in enumerate(zip(moment.shots, found.singles, strict=True)):
         others = on_road & (np.arange(len(moment.boxes)) != (-1 if shot.own is None else shot.own))
         seen = moment.points_on[number], others
-        result.append((KINDS[0], judged(found, shot.map_SE3_sensor, seen, ms)))
-        singles, total_ms = singles + found, total_ms + ms
+        result.append((KINDS[0], judged(single, shot.map_SE3_sensor, seen)))
     together = moment.points_on.sum(axis=0), on_road
-    found, ms = detected([_cut(part, centre) for part in placed], sensors, len(placed))
-    result.append((KINDS[1], judged(found, centre, together, ms)))
-    late = site.without_doubles(singles.take(singles.scores >= site.least_score(name)))
-    result.append((KINDS[2], judged(late, centre, together, total_ms)))
+    result.append((KINDS[1], judged(found.merged, site.centre, together)))
+    result.append((KINDS[2], judged(found.late, site.centre, together)))
     return result
 
 

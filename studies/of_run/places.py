@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from math import ceil
 
@@ -14,10 +13,10 @@ from recorder.tables import DetectionRow, TruthRow
 from studies import palette
 from studies.ecvpr import matches
 from studies.of_run.clock import Clock
-from studies.outlines import borders
-from studies.page.charts import MapChart, Mark, Points, Ring
+from studies.page.charts import MapChart, Mark, Points
 from studies.page.model import Section, Text
 from studies.reach import Reach
+from studies.road_rings import road_rings
 
 MOST_POINTS = 4000
 _MARGIN_M = 8.0
@@ -101,19 +100,8 @@ def _sensors(run: Run) -> list[Points]:
 
 
 def _map(road_map: RoadMap, points: list[Points], notes: str) -> MapChart:
-    sides = [(lane, *borders(lane)) for lane in road_map.lanes]
-    surfaces = [_ring([*left, *right[::-1]]) for _, left, right in sides]
-    if len(road_map.junction) > 2:
-        surfaces.append(_ring(road_map.junction))
-    lines = [
-        _ring(side) for lane, left, right in sides if not lane.internal for side in (left, right)
-    ]
-    window = _window(points)
-    return MapChart("From above", tuple(surfaces), tuple(lines), tuple(points), (), window, notes)
-
-
-def _ring(points: Iterable[Sequence[float]]) -> Ring:
-    return tuple((round(float(p[0]), 2), round(float(p[1]), 2)) for p in points)
+    surfaces, lines = road_rings(road_map)
+    return MapChart("From above", surfaces, lines, tuple(points), (), _window(points), notes)
 
 
 def _window(points: list[Points]) -> tuple[float, float, float, float] | None:

@@ -44,7 +44,12 @@ def make_run(
     )  # fmt: skip
     (run_dir / SETUP_NAME).write_bytes(encode(setup))
     database = Database(run_dir)
-    scenario = {"name": name, "seed": 3, "frame_period_s": 0.1, "roadside_mounts": [{"id": "rsu"}]}
+    scenario = {
+        "name": name,
+        "seed": 3,
+        "frame_period_s": 0.1,
+        "roadside_mounts": [{"id": "rsu", "x_m": 0, "y_m": 0}],
+    }
     facts = {
         "scenario": json.dumps(scenario),
         "end_reason": "finished",
@@ -67,7 +72,7 @@ def make_run(
         if seen:
             box = (at, 0, 0.7, 4.4, 1.8, 1.5, 0, 1.0, "west", 20, "rsu")
             database.add(DetectionRow, [DetectionRow(n, 0, *box)])
-        database.add(CountRow, [(n, "west", "upstream", seen), (n, "east", "downstream", 0)])
+        database.add(CountRow, [(n, "west", "upstream", seen, 0), (n, "east", "downstream", 0, 0)])
         stage = "green" if n % 20 < 15 else "yellow"
         database.add(PhaseRow, [PhaseRow(n, "t", ns, "G", stage, "G", "max_pressure")])
         database.add(RequestRow, [RequestRow(n, "t", "G", "max_pressure", "[1.0]", None)])

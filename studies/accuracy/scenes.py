@@ -1,0 +1,40 @@
+"""Figures 3, 5 and 7 of Chen et al. 2022, all of one moment."""
+
+from __future__ import annotations
+
+from perception.config import DetectorName
+from studies.accuracy.maps import cloud_maps, fusion_maps, truth_map
+from studies.accuracy.measure import Scenario, junction_of
+from studies.accuracy.view import best_of, view_of
+from studies.page.model import Beside, Section, Text
+
+LOOKED_AT = 12  # moments, of which one is shown
+
+
+def scenes_section(scenario: Scenario, detector: DetectorName, moments: int = LOOKED_AT) -> Section:
+    """Returns clouds, detections and truth at the moment that shows most.
+
+    Raises:
+        ConfigError: the junction cannot be had, or the detector.
+    """
+    title = "Figures 3, 5 and 7: clouds, detections, truth"
+    site, listed = junction_of(scenario, moments)
+    moment = best_of(listed)
+    if moment is None:
+        return Section(title, (Text("No moment had a scan, so that there is nothing to show."),))
+    view = view_of(site, moment, detector)
+    return Section(
+        title,
+        (
+            Text(
+                f"One moment of {moments}, the one with the most scans, as the detector {detector} "
+                f"sees it inside the geofence; all figures are of the part that is shown."
+            ),
+            Text("Figure 3: clouds before and after merging."),
+            Beside(cloud_maps(view)),
+            Text("Figure 5: detections before and after fusion."),
+            Beside(fusion_maps(view)),
+            Text("Figure 7: detected boxes over true boxes."),
+            truth_map(view),
+        ),
+    )
