@@ -15,10 +15,12 @@ import typer
 
 from cpnet import scenario as scenarios
 from cpnet.cli_options import AsJson, Override, assigned, console, errors
+from edge_server.config import EdgeConfig
+from perception.registry import check
 from protocol.errors import ConfigError
 from studies.page.save import check_target
 from studies.sweep.cell import Cell, cells_of
-from studies.sweep.spec import read_study
+from studies.sweep.spec import Study, read_study
 from studies.sweep.store import Store
 
 if TYPE_CHECKING:
@@ -65,6 +67,7 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
         cells = cells_of(study, lambda keys: _resolved(file.scenario, keys))
     except ConfigError as error:
         raise ConfigError(f"{what}: {error}") from None
+    _check_detectors(study, cells)
     with _needs_extra():
         from cpnet.study_report import write_reports
         from studies.sweep.table import table, write_table
@@ -76,10 +79,25 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
     if study.title is not None and not as_json:
         console.print(study.title, style="bold", markup=False, highlight=False)
     _conclude(frame, cells, failures, path, as_json=as_json)
-    for report in write_reports(study, frame, store.folder, markdown):
+    scenario = _resolved(file.scenario, study.settings | {"seed": study.seeds[0]})
+    for report in write_reports(study, scenario, frame, store.folder, markdown):
         if not as_json:
             console.print(f"wrote {report}", highlight=False, soft_wrap=True)
     raise typer.Exit(1 if failures else 0)
+
+
+def _check_detectors(study: Study, cells: list[Cell]) -> None:
+    """Finds out before the first hour is spent what a detector would lack.
+
+    Raises:
+        ConfigError: a detector of a cell, or of the accuracy part, cannot be had here.
+    """
+    asked = {json.dumps(cell.scenario["edge"], sort_keys=True) for cell in cells}
+    configs = [EdgeConfig.model_validate_json(text) for text in sorted(asked)]
+    more = study.accuracy.detectors if study.accuracy else []
+    configs += [configs[0].model_copy(update={"detector": name}) for name in more]
+    for config in {config.detector: config for config in configs}.values():
+        check(config)
 
 
 def _run(

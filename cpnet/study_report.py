@@ -6,30 +6,47 @@ import shlex
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 
 from recorder.versions import versions
+from studies.accuracy.kept import accuracy_of
+from studies.accuracy.scenes import scenes_section
+from studies.accuracy.table import accuracy_section
 from studies.of_study.bandwidth import bandwidth_page
 from studies.of_study.findings import Findings
 from studies.of_study.paper import paper_page
 from studies.of_study.plain import plain_page
-from studies.page.model import Page
+from studies.page.model import Section
 from studies.page.save import save_html, save_markdown
-from studies.sweep.spec import Study
+from studies.sweep.spec import Accuracy, Study
 
 NAME = "report.html"
+PAGES = {"plain": plain_page, "paper": paper_page, "bandwidth": bandwidth_page}
 
 
 def write_reports(
-    study: Study, frame: pl.DataFrame, folder: Path, markdown: Path | None
+    study: Study,
+    scenario: dict[str, Any],
+    frame: pl.DataFrame,
+    folder: Path,
+    markdown: Path | None,
 ) -> Iterator[Path]:
     """Writes the HTML page into the study's folder, and Markdown where it is wanted; yields paths.
 
+    Args:
+        study: with what was set on the command line.
+        scenario: what its cells have in common, with every key.
+        frame: the study's table.
+        folder: of its results.
+        markdown: a file; its figures go beside it.
+
     Raises:
-        ConfigError: a file cannot be written.
+        ConfigError: a file cannot be written, or a detector cannot be had here.
     """
-    page = _page(study, frame)
+    findings = Findings(study, frame, shlex.join(["cpnet", *sys.argv[1:]]), versions())
+    page = PAGES[study.page](findings, _accuracy(study.accuracy, scenario, folder))
     path = folder / NAME
     save_html(page, path)
     yield path
@@ -38,8 +55,11 @@ def write_reports(
         yield markdown
 
 
-def _page(study: Study, frame: pl.DataFrame) -> Page:
-    command = shlex.join(["cpnet", *sys.argv[1:]])
-    findings = Findings(study, frame, command, versions())
-    pages = {"plain": plain_page, "paper": paper_page, "bandwidth": bandwidth_page}
-    return pages[study.page](findings)
+def _accuracy(
+    asked: Accuracy | None, scenario: dict[str, Any], folder: Path
+) -> tuple[Section, ...]:
+    if asked is None:
+        return ()
+    rows = accuracy_of(scenario, asked.detectors, asked.moments, folder)
+    best = asked.detectors[-1]
+    return accuracy_section(rows), scenes_section(scenario, best)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from studies.of_study.blocks import COUNT_ERROR, DELAY, E_CVPR, bare_mean, curves, grid_table
 from studies.of_study.findings import Findings, Known, label_of, number
@@ -18,8 +18,8 @@ _TITLES = {
 }
 
 
-def bandwidth_page(findings: Findings) -> Page:
-    """Returns the curve first, then each grid."""
+def bandwidth_page(findings: Findings, sections: Sequence[Section] = ()) -> Page:
+    """Returns what is enough first, then further sections, then each grid."""
     study = findings.study
     lead = (
         "Every agent, vehicles and the roadside LiDAR alike, is on an uplink of its own. What does "
@@ -28,8 +28,11 @@ def bandwidth_page(findings: Findings) -> Page:
         f"{len(study.seeds)} seeds a cell."
     )
     grids = (_grid_section(findings, grid.name) for grid in study.grids)
-    sections = (_answer_section(findings), *grids, origin_section(findings))
-    return Page(study.title or study.name, lead, sections)
+    return Page(
+        study.title or study.name,
+        lead,
+        (_answer_section(findings), *sections, *grids, origin_section(findings)),
+    )
 
 
 def _answer_section(findings: Findings) -> Section:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from studies.of_study.blocks import COUNT_ERROR, DELAY, E_CVPR, Shown, bars, curves, grid_table
 from studies.of_study.findings import Findings, Known, number
 from studies.of_study.origin import origin_section
@@ -10,12 +12,12 @@ from studies.page.model import Block, Page, Section
 _DRAWN = (DELAY, E_CVPR, COUNT_ERROR)
 
 
-def plain_page(findings: Findings) -> Page:
-    """Returns tables and charts of all grids."""
+def plain_page(findings: Findings, sections: Sequence[Section] = ()) -> Page:
+    """Returns further sections, then tables and charts of all grids."""
     study = findings.study
     grids = (_grid_section(findings, grid.name) for grid in study.grids)
     lead = f"Study {study.name}: {len(findings.frame)} runs, seeds {_listed(study.seeds)}."
-    return Page(study.title or study.name, lead, (*grids, origin_section(findings)))
+    return Page(study.title or study.name, lead, (*sections, *grids, origin_section(findings)))
 
 
 def _grid_section(findings: Findings, grid: str) -> Section:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Self
 import yaml
 from pydantic import Field, ValidationError, model_validator
 
+from perception.config import DetectorName
 from protocol.config import Section
 from protocol.errors import ConfigError
 from protocol.files import is_file
@@ -36,6 +37,13 @@ class Grid(Section):
         return self
 
 
+class Accuracy(Section):
+    """Detectors judged scan by scan, on moments of the study's junction."""
+
+    detectors: list[DetectorName] = Field(min_length=1, description="side by side")
+    moments: int = Field(40, ge=1, le=500, description="some seconds apart")
+
+
 class Study(Section):
     """A whole study."""
 
@@ -45,6 +53,9 @@ class Study(Section):
     settings: Settings = Field({}, alias="set", description="of all cells: dotted scenario keys")
     seeds: list[Seed] = Field([1], min_length=1, description="each cell is run with each")
     grids: list[Grid] = Field(min_length=1, description="or `axes` here, for a single one")
+    accuracy: Accuracy | None = Field(
+        None, description="AP40 on the junction of `scenario` and `set`, for the page `paper`"
+    )
     page: Literal["plain", "paper", "bandwidth"] = Field(
         "plain",
         description="plain: a section for each grid; paper: as Chen et al. 2022 has them; "

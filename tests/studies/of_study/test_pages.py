@@ -41,7 +41,8 @@ def findings(study: Study, **changes: Any) -> Findings:
                 row["delay_s"] += 0.1 * seed
                 rows.append(row | changes.get("change", lambda _: {})(row))
     names = list(dict.fromkeys(name for row in rows for name in row))
-    frame = pl.DataFrame([{name: row.get(name) for name in names} for row in rows], strict=False)
+    whole = [{name: row.get(name) for name in names} for row in rows]
+    frame = pl.DataFrame(whole, strict=False, infer_schema_length=None)
     return Findings(study, frame, "cpnet study mine", {"python": "3.11"})
 
 
@@ -81,7 +82,7 @@ def test_every_grid_has_its_table_with_whom_a_delay_is_the_mean_of():
 
 
 def test_an_axis_of_numbers_is_a_curve_and_one_of_words_are_bars():
-    charts = [figure for figure in plain_page(findings(plain_study())).figures()]
+    charts = plain_page(findings(plain_study())).figures()
     assert all(isinstance(chart, Chart) for chart in charts)
     assert [chart.kind for chart in charts] == ["line"] * 3 + ["bar"] * 3
     assert charts[0].series[0].x == (0, 0.1)

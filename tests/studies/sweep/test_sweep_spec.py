@@ -42,7 +42,7 @@ def test_axes_at_the_top_are_one_grid_named_all(tmp_path):
 def test_an_unknown_key_is_named_with_those_allowed(tmp_path):
     said = refused(tmp_path, GOOD + "sedes: [1]")
     assert "unknown key sedes" in said
-    assert "a study allows: name, title, scenario, set, seeds, grids, axes" in said
+    assert "a study allows: name, title, scenario, set, seeds, grids, accuracy, page, axes" in said
 
 
 def test_an_unknown_key_of_a_grid_is_named_with_its_place(tmp_path):
