@@ -62,8 +62,10 @@ def local(jobs: int) -> Iterator[Client]:
 
 
 def _hush() -> None:
-    """Silences Dask's log: what matters comes back as a cell's failure or a lost scheduler."""
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    """Silences Dask's logs: what matters comes back as a cell's failure or a lost scheduler."""
+    for name in sorted(logging.root.manager.loggerDict):  # Dask gives some a level of their own
+        if name.split(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 def _cluster(jobs: int) -> LocalCluster:

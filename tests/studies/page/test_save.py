@@ -44,4 +44,4 @@ def test_a_file_is_replaced_and_a_folder_is_not(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["none/page.html", "x" * 5000 + "/page.html"])
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path, name: str) -> None:
     with pytest.raises(ConfigError, match="make it first"):
-        check_target(tmp_path / name)
+        check_target(tmp_path / name, "--html")
