@@ -63,6 +63,13 @@ class EdgeConfig(DetectionConfig):
     )
     upstream_m: float = Field(200.0, gt=0, description="vehicles so far before the stop bar count")
     downstream_m: float = Field(100.0, gt=0, description="vehicles so far behind it count")
+    sight_m: float = Field(
+        100.0,
+        gt=0,
+        le=500,
+        description="ours: how far a LiDAR is trusted to see vehicles; what of a lane is farther "
+        "from all LiDARs is told to the controller as unseen",
+    )
     standing_mps: float = Field(
         1.4, gt=0, le=10, description="ours: a slower vehicle counts as queued; 5 km/h"
     )

@@ -12,6 +12,7 @@ from edge_server.frame import Frame, Piece, open_scan
 from edge_server.fuse import fuse
 from edge_server.lanes import LaneIndex, Place
 from edge_server.merge import sensor_in_map
+from edge_server.sight import Shares, Sight
 from edge_server.spans import Spans
 from edge_server.standing import Standing
 from perception.arrays import Floats
@@ -53,6 +54,9 @@ class Pipeline:
         self._roadway = Roadway.of(road_map, margin_m=config.geofence.margin_m)
         self._detector = detector(config, self._roadway)
         self._lanes = LaneIndex(road_map)
+        self._sight = Sight(
+            road_map, self._lanes, upstream_m=config.upstream_m, downstream_m=config.downstream_m
+        )
         self._standing = Standing(config.standing_mps)
         self._centre = np.array(road_map.centre)
 
@@ -129,6 +133,7 @@ class Pipeline:
             self._lanes.count(part, upstream_m=reach[0], downstream_m=reach[1])
             for part in (place, queued)
         )
+        seen_upstream, seen_downstream = self._seen(frame)
         return LaneCounts(
             frame=frame.frame,
             sim_time_ns=frame.sim_time_ns,
@@ -139,8 +144,16 @@ class Pipeline:
             downstream=downstream,
             queued_upstream=queued_upstream,
             queued_downstream=queued_downstream,
+            seen_upstream=seen_upstream,
+            seen_downstream=seen_downstream,
             delay_sim_ns=frame.delay_sim_ns,
         )
+
+    def _seen(self, frame: Frame) -> tuple[Shares, Shares]:
+        """Returns what of each lane was within sight; of those who send boxes nobody knows."""
+        if frame.found:
+            return {}, {}
+        return self._sight.shares(_sensors(frame)[:, :2], self._config.sight_m)
 
 
 def _sensors(frame: Frame) -> Floats:

@@ -17,6 +17,12 @@ class SignalConfig(Section):
         description="max_pressure: the phase with most vehicles before it and fewest behind it, "
         "as in Chen et al. 2022; fixed: the plan that the net brings",
     )
+    unseen: Literal["alike", "empty"] = Field(
+        "alike",
+        description="ours: what max_pressure makes of the part of a lane that no LiDAR has within "
+        "sight (edge.sight_m): alike, it is as full as the rest of the lane; empty, as in Chen et "
+        "al. 2022",
+    )
     weight: Literal["vehicles", "queued"] = Field(
         "vehicles",
         description="what max_pressure counts: vehicles, as in Chen et al. 2022, or those that "

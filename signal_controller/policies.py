@@ -10,6 +10,10 @@ from protocol.messages import LaneCounts, SignalState
 from protocol.roadmap import Signal
 
 Weight = Literal["vehicles", "queued"]
+Unseen = Literal["alike", "empty"]
+Lanes = Mapping[str, float]
+
+LEAST_SEEN = 0.25  # of a lane's reach: less tells too little of the rest
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +25,11 @@ class Decision:
 
 
 def max_pressure(
-    signal: Signal, counts: LaneCounts, shown: SignalState | None, weight: Weight = "vehicles"
+    signal: Signal,
+    counts: LaneCounts,
+    shown: SignalState | None,
+    weight: Weight = "vehicles",
+    unseen: Unseen = "empty",
 ) -> Decision:
     """Chooses the phase of highest pressure (Varaiya 2013; Chen et al. 2022).
 
@@ -30,6 +38,9 @@ def max_pressure(
     """
     greens = signal.greens
     before, behind = weighed(counts, weight)
+    if unseen == "alike":
+        before = completed(before, counts.seen_upstream)
+        behind = completed(behind, counts.seen_downstream)
     pressures = [pressure(signal, green, before, behind) for green in greens]
     present = shown.green if shown is not None and shown.green in greens else None
     if shown is not None and present is not None and shown.stage != "green":
@@ -45,15 +56,27 @@ def fixed(signal: Signal, sim_time_ns: int) -> Decision:
     return Decision(signal.planned_green(sim_time_ns / 1e9), [])
 
 
-def weighed(counts: LaneCounts, weight: Weight) -> tuple[Mapping[str, int], Mapping[str, int]]:
+def weighed(counts: LaneCounts, weight: Weight) -> tuple[Lanes, Lanes]:
     """Returns by lane what presses, before the stop bar and behind it."""
     if weight == "queued":
         return counts.queued_upstream, counts.queued_downstream
     return counts.upstream, counts.downstream
 
 
+def completed(counts: Lanes, seen: Mapping[str, float]) -> Lanes:
+    """Returns the vehicles to be expected on all of each lane, were it as full as what is seen.
+
+    Of a lane of which less than `LEAST_SEEN` is seen, or of which nobody knows how much, the count
+    stands as it is.
+    """
+    return {
+        lane: count / share if (share := seen.get(lane, 1.0)) >= LEAST_SEEN else count
+        for lane, count in counts.items()
+    }
+
+
 def pressure(
-    signal: Signal, green: str, upstream: Mapping[str, int], downstream: Mapping[str, int]
+    signal: Signal, green: str, upstream: Mapping[str, float], downstream: Mapping[str, float]
 ) -> float:
     """Returns vehicles before minus vehicles behind, over the lanes that a phase lets go.
 

@@ -106,7 +106,9 @@ class SignalRole:
     def _decide(self, counts: LaneCounts) -> Decision:
         if self._config.policy == "fixed":
             return fixed(self._signal, counts.sim_time_ns)
-        return max_pressure(self._signal, counts, self._shown_at(counts.frame), self._config.weight)
+        shown = self._shown_at(counts.frame)
+        config = self._config
+        return max_pressure(self._signal, counts, shown, config.weight, config.unseen)
 
     def _publish(self, counts: LaneCounts, decision: Decision, start_ns: int) -> None:
         request = SignalRequest(

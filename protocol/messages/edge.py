@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
@@ -47,10 +47,14 @@ class Detections(Message):
         return self
 
 
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
 class LaneCounts(Message):
     """Vehicles per lane: within the reach upstream of the stop bar and downstream behind it.
 
-    Those of them that stand still are counted once more, as `queued`.
+    Those of them that stand still are counted once more, as `queued`. `seen` is the share of a
+    lane's reach that lay within sight of a LiDAR whose scan was used; empty where nobody can know.
     """
 
     kind: ClassVar[int] = 12
@@ -63,6 +67,8 @@ class LaneCounts(Message):
     downstream: dict[NetId, Count] = Field(max_length=MAX_ITEMS)
     queued_upstream: dict[NetId, Count] = Field({}, max_length=MAX_ITEMS)
     queued_downstream: dict[NetId, Count] = Field({}, max_length=MAX_ITEMS)
+    seen_upstream: dict[NetId, Share] = Field({}, max_length=MAX_ITEMS)
+    seen_downstream: dict[NetId, Share] = Field({}, max_length=MAX_ITEMS)
     delay_sim_ns: DelayNs | None = None
 
 

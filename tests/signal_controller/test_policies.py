@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.messages import LaneCounts, SignalState
 from protocol.roadmap import Link, PlanPhase, Signal
-from signal_controller.policies import fixed, max_pressure, pressure
+from signal_controller.policies import (
+    LEAST_SEEN,
+    completed,
+    fixed,
+    max_pressure,
+    pressure,
+)
 
 MAIN, SIDE = "GGr", "rrG"
 SIGNAL = Signal(
@@ -85,3 +92,29 @@ def test_the_fixed_policy_asks_for_the_plan() -> None:
 def test_the_wish_is_always_a_green_of_the_plan(a: int, b: int, c: int, d: int) -> None:
     for state in (None, shown(MAIN), shown(SIDE, "yellow"), shown("yyr", "yellow")):
         assert max_pressure(SIGNAL, counts(a, b, c, d), state).state in SIGNAL.greens
+
+
+def test_what_nobody_sees_of_a_lane_is_as_full_as_the_rest():
+    assert completed({"a": 4, "b": 4, "c": 4}, {"a": 0.5, "b": 1.0}) == {"a": 8, "b": 4, "c": 4}
+
+
+@pytest.mark.parametrize("share", [0.0, LEAST_SEEN - 0.01])
+def test_of_a_lane_that_hardly_anybody_sees_the_count_stands(share):
+    assert completed({"a": 3}, {"a": share}) == {"a": 3}
+
+
+@given(st.integers(0, 50), st.floats(0, 1))
+def test_completing_never_takes_vehicles_away(cars: int, share: float) -> None:
+    assert cars <= completed({"a": cars}, {"a": share})["a"] <= cars / LEAST_SEEN
+
+
+def test_unseen_parts_may_turn_the_decision():
+    given_counts = counts(4, 5).model_copy(update={"seen_upstream": {"main": 0.5, "side": 1.0}})
+    assert max_pressure(SIGNAL, given_counts, None, unseen="empty").state == SIDE
+    assert max_pressure(SIGNAL, given_counts, None, unseen="alike").state == MAIN
+
+
+def test_queued_vehicles_press_alone_where_that_is_asked_for():
+    given_counts = counts(9, 2).model_copy(update={"queued_upstream": {"main": 1, "side": 2}})
+    assert max_pressure(SIGNAL, given_counts, None).state == MAIN
+    assert max_pressure(SIGNAL, given_counts, None, "queued").state == SIDE

@@ -1,0 +1,44 @@
+"""How much of each lane lies within sight of a LiDAR."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge_server.lanes import LaneIndex
+from edge_server.sight import Sight
+from tests.studies.test_matching_and_ecvpr import straight_road
+
+NOBODY = np.zeros((0, 2))
+
+
+@pytest.fixture
+def sight() -> Sight:
+    road = straight_road()
+    return Sight(road, LaneIndex(road), upstream_m=100, downstream_m=100)
+
+
+def test_a_sensor_at_the_stop_bar_sees_as_far_as_it_is_trusted(sight):
+    upstream, downstream = sight.shares(np.zeros((1, 2)), 50.0)
+    assert upstream == {"in": pytest.approx(0.45, abs=0.03)}  # the stop bar lies at -5 m
+    assert downstream == {"out": pytest.approx(0.5, abs=0.06)}
+
+
+def test_nobody_sees_nothing(sight):
+    assert sight.shares(NOBODY, 50.0) == ({"in": 0.0}, {"out": 0.0})
+
+
+def test_two_who_see_the_same_see_no_more(sight):
+    one = sight.shares(np.zeros((1, 2)), 50.0)
+    assert sight.shares(np.zeros((2, 2)), 50.0) == one
+
+
+def test_each_adds_what_the_others_do_not_see(sight):
+    upstream, _ = sight.shares(np.array([[0.0, 0.0], [-100.0, 0.0]]), 50.0)
+    assert upstream == {"in": 1.0}
+
+
+def test_more_trust_never_sees_less(sight):
+    found = [sight.shares(np.array([[-30.0, 5.0]]), m)[0]["in"] for m in (1, 10, 30, 60, 200)]
+    assert found == sorted(found)
+    assert found[-1] == 1.0
