@@ -122,8 +122,8 @@ def _delay_section(findings: Findings) -> Section:
     empty = findings.rows("unseen-empty")
     if empty:
         note = (
-            "The same with signal.unseen: empty, as in the paper. A roadside LiDAR sees 100 m of the "
-            "200 m that count before the stop bar, but all that counts behind it; the controller "
+            "The same with signal.unseen: empty, as in the paper. A roadside LiDAR sees 100 m of "
+            "the 200 m that count before the stop bar, but all that counts behind it; the controller "
             "takes a lane's unseen part for as full as the rest, above, or for empty, here."
         )
         blocks.append(grid_table(empty, [DETECTOR, CAV], note))
