@@ -123,8 +123,8 @@ def _delay_section(findings: Findings) -> Section:
     if empty:
         note = (
             "The same with signal.unseen: empty, as in the paper. A roadside LiDAR sees 100 m of "
-            "the 200 m that count before the stop bar, but all that counts behind it; the controller "
-            "takes a lane's unseen part for as full as the rest, above, or for empty, here."
+            "the 200 m that count before the stop bar, but all that counts behind it. Above, the "
+            "controller takes a lane's unseen part for as full as the rest; here, for empty."
         )
         blocks.append(grid_table(empty, [DETECTOR, CAV], note))
     return Section("Delay with cooperative perception (Table 3)", tuple(blocks))
