@@ -72,15 +72,18 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
         from cpnet.study_report import write_reports
         from studies.sweep.table import table, write_table
     store = Store.at(out or Path("runs") / f"study-{study.name}")
-    with _stopped_by_signals():
-        failures = _run(cells, store, scheduler, jobs, keep_runs=keep_runs)
+    with _stopped_by_signals() as stop:
+        failures = _run(cells, store, scheduler, jobs, stop, keep_runs=keep_runs)
     frame = table(cells, store)
+    if not len(frame):
+        raise ConfigError(f"{what}: no cell was done: {failures[0].reason}")
     path = write_table(frame, store)
     if study.title is not None and not as_json:
         console.print(study.title, style="bold", markup=False, highlight=False)
     _conclude(frame, cells, failures, path, as_json=as_json)
     scenario = _resolved(file.scenario, study.settings | {"seed": study.seeds[0]})
-    for report in write_reports(study, scenario, frame, store.folder, markdown):
+    gaps = tuple(cell.title for cell in cells if store.row(cell.id) is None)
+    for report in write_reports(study, scenario, frame, gaps, store.folder, markdown):
         if not as_json:
             console.print(f"wrote {report}", highlight=False, soft_wrap=True)
     raise typer.Exit(1 if failures else 0)
@@ -101,7 +104,13 @@ def _check_detectors(study: Study, cells: list[Cell]) -> None:
 
 
 def _run(
-    cells: list[Cell], store: Store, scheduler: str | None, jobs: int | None, *, keep_runs: bool
+    cells: list[Cell],
+    store: Store,
+    scheduler: str | None,
+    jobs: int | None,
+    stop: Stop,
+    *,
+    keep_runs: bool,
 ) -> list[Failure]:
     """Runs what is missing; returns what failed."""
     with _needs_extra():
@@ -118,8 +127,10 @@ def _run(
             Display(errors, len(todo), kept) as display,
             remote(scheduler) if scheduler else local(seats) as client,
         ):
-            return Engine(client, store, display, keep_runs=keep_runs).run(todo)
-    except KeyboardInterrupt as stop:
+            engine = Engine(client, store, display, keep_runs=keep_runs, check=stop.check)
+            with stop.deferred():
+                return engine.run(todo)
+    except KeyboardInterrupt as interrupt:
         done = kept + len(todo) - len(missing(cells, store))
         errors.print(
             f"stopped: {done} of {kept + len(todo)} cells are done and kept in {store.folder}; "
@@ -127,7 +138,7 @@ def _run(
             highlight=False,
             soft_wrap=True,
         )
-        sys.exit(128 + stop.args[0])
+        sys.exit(128 + interrupt.args[0])
 
 
 def _conclude(
@@ -186,18 +197,46 @@ def _needs_extra() -> Iterator[None]:
         ) from None
 
 
+class Stop:
+    """What a signal asks for: at once, or as soon as `check` is called."""
+
+    def __init__(self) -> None:
+        self._is_deferred = False
+        self._number: int | None = None
+
+    def take(self, number: int, _: FrameType | None) -> None:
+        """Heeds the first signal; the workers are ended at once anyway."""
+        for which in _STOPS:
+            signal.signal(which, signal.SIG_IGN)
+        self._number = number
+        if not self._is_deferred:
+            self.check()
+
+    def check(self) -> None:
+        """Raises KeyboardInterrupt with the signal's number, if there was one."""
+        if self._number is not None:
+            raise KeyboardInterrupt(self._number)
+
+    @contextmanager
+    def deferred(self) -> Iterator[None]:
+        """Leaves it to `check` for a while: interrupted imports leave traces."""
+        self._is_deferred = True
+        try:
+            yield
+        finally:
+            self._is_deferred = False
+
+
+_STOPS = (signal.SIGINT, signal.SIGTERM)
+
+
 @contextmanager
-def _stopped_by_signals() -> Iterator[None]:
+def _stopped_by_signals() -> Iterator[Stop]:
     """Makes SIGTERM what Ctrl-C is; both are heeded once, also where a shell has them ignored."""
-
-    def stop(number: int, _: FrameType | None) -> None:
-        for which in before:
-            signal.signal(which, signal.SIG_IGN)  # the workers are ended at once anyway
-        raise KeyboardInterrupt(number)
-
-    before = {which: signal.signal(which, stop) for which in (signal.SIGINT, signal.SIGTERM)}
+    stop = Stop()
+    before = {which: signal.signal(which, stop.take) for which in _STOPS}
     try:
-        yield
+        yield stop
     finally:
         for which, handler in before.items():
             signal.signal(which, handler)

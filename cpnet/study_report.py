@@ -30,6 +30,7 @@ def write_reports(
     study: Study,
     scenario: dict[str, Any],
     frame: pl.DataFrame,
+    missing: tuple[str, ...],
     folder: Path,
     markdown: Path | None,
 ) -> Iterator[Path]:
@@ -39,13 +40,15 @@ def write_reports(
         study: with what was set on the command line.
         scenario: what its cells have in common, with every key.
         frame: the study's table.
+        missing: titles of cells that it lacks.
         folder: of its results.
         markdown: a file; its figures go beside it.
 
     Raises:
         ConfigError: a file cannot be written, or a detector cannot be had here.
     """
-    findings = Findings(study, frame, shlex.join(["cpnet", *sys.argv[1:]]), versions())
+    command = shlex.join(["cpnet", *sys.argv[1:]])
+    findings = Findings(study, frame, command, versions(), scenario, missing)
     page = PAGES[study.page](findings, _accuracy(study.accuracy, scenario, folder))
     path = folder / NAME
     save_html(page, path)

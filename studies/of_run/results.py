@@ -12,11 +12,15 @@ def facts(summary: Summary) -> tuple[Fact, ...]:
     e_cvpr, delay, uplink = summary["e_cvpr"], summary["delay_s"], summary["uplink_mbps"]
     latency, frames = summary["latency_ms"]["end_to_end"], summary["frames"]
     return (
-        Fact("E-CVPR", _number(e_cvpr["mean"], 100, 1, " %"), _note("±", e_cvpr["std"], 100, " %")),
+        Fact(
+            "E-CVPR",
+            _number(e_cvpr["mean"], 100, 1, " %"),
+            _note("s.d. of frames", e_cvpr["std"], 100, " %"),
+        ),
         Fact(
             "delay per vehicle",
             _number(delay["mean"], 1, 1, " s"),
-            _note("±", delay["std"], 1, " s"),
+            _note("s.d. of vehicles", delay["std"], 1, " s"),
         ),
         Fact(
             "uplink, all agents",

@@ -25,7 +25,7 @@ def bandwidth_page(findings: Findings, sections: Sequence[Section] = ()) -> Page
         "Every agent, vehicles and the roadside LiDAR alike, is on an uplink of its own. What does "
         "not arrive before the edge's deadline is left out of its frame. Links are virtual: bytes "
         f"are real, arrival is in simulated time. {len(findings.frame)} runs, "
-        f"{len(study.seeds)} seeds a cell."
+        f"{len(study.seeds)} seeds a cell." + findings.gaps()
     )
     grids = (_grid_section(findings, grid.name) for grid in study.grids)
     return Page(

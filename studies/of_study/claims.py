@@ -53,8 +53,9 @@ def _perfect(findings: Findings) -> float | None:
 
 
 def _of_detector(name: str, rows: list[Known], perfect_s: float | None) -> Iterator[Claim]:
+    rows = [row for row in rows if number(row, "e_cvpr_mean") is not None]
     shares = [number(row, "e_cvpr_mean") or 0.0 for row in rows]
-    rising = all(a <= b for a, b in pairwise(shares))
+    rising = all(a <= b for a, b in pairwise(shares)) and shares[:1] < shares[-1:]
     listed = ", ".join(f"{100 * share:.1f}" for share in shares)
     yield Claim(f"{name}: E-CVPR rises with the share of CAVs", f"{listed} %", rising)
     of_visible = [

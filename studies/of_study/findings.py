@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import polars as pl
 
@@ -31,12 +32,27 @@ Known = dict[str, float | int | str | None]
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """A study, its table, and the command that makes both again."""
+    """A study, its table, and the command that makes both again.
+
+    `scenario` is what all cells have in common, with every key; `missing` has no figures.
+    """
 
     study: Study
     frame: pl.DataFrame
     command: str
     versions: Mapping[str, str] = field(default_factory=dict)
+    scenario: Mapping[str, Any] = field(default_factory=dict)
+    missing: tuple[str, ...] = ()
+
+    def gaps(self) -> str:
+        """Returns a sentence on cells that failed or were not run; empty if there are none."""
+        if not self.missing:
+            return ""
+        some = "; ".join(self.missing[:5]) + (" …" if len(self.missing) > 5 else "")
+        whole = len(self.frame) + len(self.missing)
+        return (
+            f" {len(self.missing)} of {whole} cells are MISSING, means are over the rest: {some}."
+        )
 
     def axes(self, grid: str) -> list[str]:
         """Returns the names of a grid's axes."""

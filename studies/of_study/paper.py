@@ -23,8 +23,7 @@ def paper_page(findings: Findings, sections: Sequence[Section] = ()) -> Page:
     """Returns the page; further sections, such as those of accuracy, stand before the tables."""
     study = findings.study
     duration_s, period_s = (
-        float(study.settings.get(key, default))
-        for key, default in (("duration_s", 60), ("frame_period_s", 0.1))
+        float(findings.scenario.get(key, 0)) for key in ("duration_s", "frame_period_s")
     )
     lead = (
         "Chen et al. 2022, A Cooperative Perception Environment for Traffic Operations and "
@@ -32,7 +31,7 @@ def paper_page(findings: Findings, sections: Sequence[Section] = ()) -> Page:
         f"{duration_s:g} s with perception every {period_s:g} s, {len(study.seeds)} seeds a cell. "
         "Theirs come from CARLA's Town04, ours from "
         " another simulator and, where nothing else is said, a generated junction of the same "
-        "shape and demand: they tell the order of magnitude, not a ranking."
+        "shape and demand: they tell the order of magnitude, not a ranking." + findings.gaps()
     )
     return Page(
         study.title or study.name,

@@ -17,6 +17,7 @@ def plain_page(findings: Findings, sections: Sequence[Section] = ()) -> Page:
     study = findings.study
     grids = (_grid_section(findings, grid.name) for grid in study.grids)
     lead = f"Study {study.name}: {len(findings.frame)} runs, seeds {_listed(study.seeds)}."
+    lead += findings.gaps()
     return Page(study.title or study.name, lead, (*sections, *grids, origin_section(findings)))
 
 

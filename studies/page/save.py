@@ -9,6 +9,8 @@ from protocol.errors import ConfigError
 from protocol.files import is_folder
 from studies.page.model import Page
 
+_ENDS = {"--html": (".html", ".htm"), "--markdown": (".md",)}
+
 
 def save_html(page: Page, path: Path) -> None:
     """Writes a page as one HTML file.
@@ -53,10 +55,15 @@ def save_markdown(page: Page, path: Path) -> None:
 def check_target(path: Path, option: str) -> None:
     """Refuses a file that could not be written, before the work of filling it.
 
+    The end of its name must be the option's, lest a run or a table be overwritten by its report.
+
     Raises:
-        ConfigError: it is a folder, or its own folder is missing.
+        ConfigError: its name ends otherwise, it is a folder, or its own folder is missing.
     """
+    ends = _ENDS[option]
     if is_folder(path):
         raise ConfigError(f"{option} {path}: is a folder; name a file in it")
+    if path.suffix.lower() not in ends:
+        raise ConfigError(f"{option} {path}: its name must end with {' or '.join(ends)}")
     if not is_folder(path.parent):
         raise ConfigError(f"{option} {path}: there is no folder {path.parent}; make it first")

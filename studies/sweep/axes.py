@@ -11,13 +11,11 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator
 
 from protocol.errors import ConfigError
+from studies.columns import is_taken
 
 Label = str | int | float
 Settings = dict[str, Any]
 """Values by dotted scenario keys."""
-
-RESERVED = ("grid", "seed")
-"""Columns of the table that no axis may be called by."""
 
 
 def _shape(axis: object) -> object:
@@ -65,16 +63,22 @@ def check_axes(axes: dict[str, Axis]) -> None:
     """
     setter: dict[str, str] = {}
     for name, axis in axes.items():
-        if name in RESERVED:
+        if is_taken(name):
             raise ValueError(f"an axis is called {name}: this is a column of its own in the table")
         choices = _choices(name, axis)
         _check_labels(name, [choice.label for choice in choices])
         for key in {key for choice in choices for key in choice.settings}:
             if key == "seed":
                 raise ValueError(f"the axis {name} sets seed: give seeds: [..] instead")
-            if key in setter:
-                raise ValueError(f"the axes {setter[key]} and {name} both set {key}")
+            other = next((own for own in setter if setter[own] != name and touch(key, own)), None)
+            if other is not None:
+                raise ValueError(f"the axes {setter[other]} and {name} both set {key}")
             setter[key] = name
+
+
+def touch(key: str, other: str) -> bool:
+    """Whether two dotted keys name the same value, or one a part of the other."""
+    return f"{key}.".startswith(f"{other}.") or f"{other}.".startswith(f"{key}.")
 
 
 def settings_clash(settings: Settings, axes: dict[str, Axis]) -> None:
@@ -85,9 +89,9 @@ def settings_clash(settings: Settings, axes: dict[str, Axis]) -> None:
     """
     for name, axis in axes.items():
         for choice in _choices(name, axis):
-            both = settings.keys() & choice.settings.keys()
+            both = sorted(key for key in settings for own in choice.settings if touch(key, own))
             if both:
-                raise ConfigError(f"--set {min(both)}: the axis {name} varies it")
+                raise ConfigError(f"--set {both[0]}: the axis {name} varies it")
 
 
 def _choices(name: str, axis: Axis) -> list[Choice]:
@@ -106,5 +110,9 @@ def _check_labels(name: str, labels: list[Label]) -> None:
     for label in labels:
         if isinstance(label, bool) or not isinstance(label, (str, int, float)):
             raise ValueError(f"the axis {name} has the label {label!r}: put it into quotes")
-    if len(set(labels)) < len(labels):
+    for label in labels:
+        if isinstance(label, int) and abs(label) >= 1 << 63:
+            raise ValueError(f"the axis {name} has the label {label}: put it into quotes")
+    shown = [str(label) for label in labels] if str in map(type, labels) else labels
+    if len(set(shown)) < len(shown):  # as the table writes them
         raise ValueError(f"the axis {name} has the values {labels}, each may stand once")

@@ -15,7 +15,7 @@ from studies.sweep.cell import Cell
 from studies.sweep.store import Store
 from studies.sweep.work import Outcome, Task, do
 
-POLL_S = 1.0  # how soon workers that came later are noticed
+POLL_S = 0.5  # how soon a stop is heeded, and how soon workers that came later are noticed
 Work = Callable[[Task], Outcome]
 
 
@@ -55,13 +55,21 @@ class Engine:
     """Keeps as many cells in flight as there are workers, so that a death hits no other cell."""
 
     def __init__(
-        self, client: Client, store: Store, watcher: Watcher, *, keep_runs: bool, work: Work = do
+        self,
+        client: Client,
+        store: Store,
+        watcher: Watcher,
+        *,
+        keep_runs: bool,
+        work: Work = do,
+        check: Callable[[], None] = lambda: None,
     ) -> None:
         self._client = client
         self._store = store
         self._watcher = watcher
         self._keep_runs = keep_runs
         self._work = work
+        self._check = check
         self._flying: dict[Any, Cell] = {}
 
     def run(self, cells: list[Cell]) -> list[Failure]:
@@ -69,10 +77,12 @@ class Engine:
 
         Raises:
             BusError: the scheduler was lost.
+            KeyboardInterrupt: `check` says so.
         """
         todo = cells[::-1]
         failures = []
         while todo or self._flying:
+            self._check()
             while todo and len(self._flying) < max(1, self._workers()):
                 self._send(todo.pop())
             for future in self._landed():

@@ -37,6 +37,21 @@ class Grid(Section):
         return self
 
 
+_PAGES: dict[str, dict[str, tuple[str, ...]]] = {
+    "paper": {
+        "perception": ("edge.detector", "traffic.cav_rate"),
+        "reports": ("traffic.cv_rate",),
+        "control": ("controller",),
+    },
+    "bandwidth": {
+        "every-second": ("upload", "uplink in Mbit/s"),
+        "ten-a-second": ("upload", "uplink in Mbit/s"),
+        "latency": ("upload", "latency in ms"),
+    },
+}
+"""By page the grids that it speaks of, with their axes."""
+
+
 class Accuracy(Section):
     """Detectors judged scan by scan, on moments of the study's junction."""
 
@@ -81,6 +96,7 @@ class Study(Section):
             raise ValueError(f"seeds are {self.seeds}, each may stand once")
         if "seed" in self.settings:
             raise ValueError("set names seed: give seeds: [..] instead")
+        _check_page(self.page, self.grids)
         return self
 
     def changed(self, settings: dict[str, Any], seeds: list[int]) -> Study:
@@ -92,11 +108,27 @@ class Study(Section):
         for grid in self.grids:
             settings_clash(settings, grid.axes)
         data = self.model_dump(by_alias=True)
-        data["set"] = self.settings | settings
+        data["set"] = _without(self.settings, settings) | settings
         data["seeds"] = seeds or self.seeds
         for grid in data["grids"]:
-            grid["set"] = {k: v for k, v in grid["set"].items() if k not in settings}
+            for own in _parted(grid["set"], settings):
+                raise ConfigError(f"--set {own}: grid {grid['name']} sets a whole that holds it")
+            grid["set"] = _without(grid["set"], settings)
         return _validated(data, f"study {self.name}")
+
+
+def _without(settings: Settings, stronger: Settings) -> Settings:
+    """Returns settings without those that stronger ones replace, as a whole or wholly."""
+    return {
+        key: value
+        for key, value in settings.items()
+        if not any(f"{key}.".startswith(f"{one}.") for one in stronger)
+    }
+
+
+def _parted(settings: Settings, stronger: Settings) -> list[str]:
+    """Returns the stronger keys that name a part of what one of the settings gives as a whole."""
+    return [one for one in stronger for key in settings if one.startswith(f"{key}.")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +170,7 @@ def read_study(what: str) -> StudyFile:
             f"there is no study {what!r}: neither a file nor one of the built-in {known}"
         )
     try:
-        data = yaml.safe_load(path.read_text("utf-8"))
+        data = yaml.load(path.read_text("utf-8"), _Strict)
     except OSError as error:
         raise ConfigError(f"{what}: cannot be read: {error}") from None
     except _NOT_YAML as error:
@@ -167,3 +199,31 @@ def _explain(item: dict[str, Any]) -> str:
     allowed += [] if path else ["axes"]
     kind = "a grid" if path else "a study"
     return f"unknown key {key} in {where}; {kind} allows: {', '.join(allowed)}"
+
+
+def _check_page(page: str, grids: list[Grid]) -> None:
+    axes = {grid.name: tuple(grid.axes) for grid in grids}
+    for name, needed in _PAGES.get(page, {}).items():
+        if axes.get(name) != needed:
+            raise ValueError(
+                f"page: {page} needs a grid {name} with the axes {', '.join(needed)}; "
+                "page: plain takes any grids"
+            )
+
+
+_MERGE = "tag:yaml.org,2002:merge"
+
+
+class _Strict(yaml.SafeLoader):
+    """Refuses a key that stands twice: of two equal labels, one would vanish."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """See `yaml.SafeLoader`; what is merged in (<<) may be overridden, as YAML has it."""
+        own = [key for key, _ in node.value if key.tag != _MERGE]
+        keys = [self.construct_object(key, deep=True) for key in own]
+        for key in keys:
+            if keys.count(key) > 1:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the key {key!r} stands twice", node.start_mark
+                )
+        return super().construct_mapping(node, deep)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import traceback
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from protocol.errors import ConfigError
+from studies.columns import LISTS, MEASURES
 from studies.sweep.cell import Cell
 
 if TYPE_CHECKING:  # a study's file is read and refused without loading all roles
@@ -44,8 +46,8 @@ class Store:
             return None
         if not isinstance(data, dict) or data.get("id") != cell_id:
             return None
-        row: Row | None = data.get("row")
-        return row
+        row: Any = data.get("row")
+        return row if _is_row(row) else None
 
     def keep(self, cell: Cell, outcome: Outcome) -> None:
         """Writes a finished cell; from then on it is never run again."""
@@ -74,6 +76,22 @@ class Store:
 
     def _path(self, cell_id: str) -> Path:
         return self.folder / "cells" / f"{cell_id}.json"
+
+
+def _is_row(row: object) -> bool:
+    """Whether figures are what `studies.measures` gives; others are measured anew."""
+    if not isinstance(row, dict) or not row:
+        return False
+    return all(_is_figure(name, value) for name, value in row.items())
+
+
+def _is_figure(name: str, value: object) -> bool:
+    if isinstance(value, list):
+        return all(type(one) is int for one in value) and name not in MEASURES - LISTS
+    if isinstance(value, float) and not math.isfinite(value):
+        return False
+    kinds = (int, float) if name in MEASURES else (int, float, str)
+    return name not in LISTS and (value is None or type(value) in kinds)
 
 
 def write_whole(path: Path, data: bytes) -> None:

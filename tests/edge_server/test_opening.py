@@ -150,6 +150,7 @@ def test_whoever_waits_for_messages_is_woken(make: Callable[..., Opener]) -> Non
 
 def test_what_nobody_has_begun_with_is_given_up_at_the_end(make: Callable[..., Opener]) -> None:
     gate, begun = threading.Event(), []
+    others = set(threading.enumerate())
 
     def slow(scan: Scan, received_ns: int) -> Piece:
         begun.append(scan.agent)
@@ -160,7 +161,7 @@ def test_what_nobody_has_begun_with_is_given_up_at_the_end(make: Callable[..., O
     for agent in "abcd":
         opener.put(scan_of(agent), 3)
     wait_until(lambda: len(begun) == THREADS)
-    threads = {t for t in threading.enumerate() if t.name.startswith("opening")}
+    threads = {t for t in threading.enumerate() if t.name.startswith("opening")} - others
     threading.Timer(0.02, gate.set).start()
     opener.close()
     assert sorted(begun) == ["a", "b"]

@@ -12,6 +12,7 @@ from protocol.errors import ConfigError
 from recorder.compare import differences
 from recorder.run import Run
 from recorder.tables import CountRow, PhaseRow, TripRow
+from studies.columns import MEASURES
 from studies.measures import HISTOGRAM_BINS, measure
 from studies.solo import play
 
@@ -54,6 +55,7 @@ def test_planned_uploads_over_virtual_links_end_well(tmp_path):
 
 def test_exact_reports_of_all_are_perfect_counts(tmp_path):
     row = measure(played(tmp_path / "a", **BLIND, **EXACT))
+    assert row.keys() == MEASURES
     assert row["e_cvpr"] == 1
     assert row["count_error"] < 0.15  # where a vehicle changes lanes, its middle decides
     assert row["uplink_mbps"] is None or row["uplink_mbps"] == 0

@@ -45,3 +45,9 @@ def test_a_file_is_replaced_and_a_folder_is_not(tmp_path: Path) -> None:
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path, name: str) -> None:
     with pytest.raises(ConfigError, match="make it first"):
         check_target(tmp_path / name, "--html")
+
+
+@pytest.mark.parametrize(("option", "name"), [("--html", "run.sqlite"), ("--markdown", "x.html")])
+def test_a_report_cannot_be_written_over_what_it_is_made_from(tmp_path: Path, option, name) -> None:
+    with pytest.raises(ConfigError, match="its name must end with"):
+        check_target(tmp_path / name, option)

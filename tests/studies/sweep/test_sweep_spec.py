@@ -112,3 +112,42 @@ def test_built_in_studies_can_be_read():
     assert "demo" in builtin_studies()
     for name in builtin_studies():
         assert read_study(name).study.name == name
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("axes: {c: {1: {traffic.cv_rate: 1}, '1': {traffic.cv_rate: 0}}}", "may stand once"),
+        ("axes: {n: {a: {}, b: {}}}", "a column of its own"),
+        ("axes: {delay_s: {a: {}}}", "a column of its own"),
+        ("axes: {delay_s_mean: {a: {}}}", "a column of its own"),
+        ("axes: {big: {99999999999999999999: {}}}", "put it into quotes"),
+        ("axes: {traffic.cv_rate: [1], x: {a: {traffic: {cv_rate: 0}}}}", "both set traffic"),
+        ("axes: {traffic.cv_rate: [1]}\nseeds: [1]\nseeds: [2]", "'seeds' stands twice"),
+        ("axes: {x: {a: {}, a: {mode: lockstep}}}", "'a' stands twice"),
+        ("axes: {x: {a: {}}}\npage: paper", "page: paper needs a grid perception with the axes"),
+        ("axes: {x: {a: {}}}\npage: bandwidth", "page: bandwidth needs a grid every-second"),
+    ],
+)
+def test_what_would_mix_up_or_lose_cells_is_refused(tmp_path, change, message):
+    path = tmp_path / "own.yaml"
+    path.write_text(f"name: own\n{change}\n")
+    with pytest.raises(ConfigError, match=message):
+        read_study(str(path))
+
+
+def test_what_is_set_on_the_command_line_wins_over_wholes_and_parts(tmp_path):
+    path = tmp_path / "own.yaml"
+    path.write_text("name: own\nset: {traffic.cv_rate: 1}\naxes: {x: {a: {}}}\n")
+    study = read_study(str(path)).study.changed({"traffic": {"cv_rate": 0.5}}, [])
+    assert study.settings == {"traffic": {"cv_rate": 0.5}}
+    path.write_text(
+        "name: own\ngrids: [{name: g, set: {link.profile: 5mbit}, axes: {x: {a: {}}}}]\n"
+    )
+    with pytest.raises(ConfigError, match="grid g sets a whole that holds it"):
+        read_study(str(path)).study.changed({"link.profile.rate.mean_mbps": 1}, [])
+
+
+@pytest.mark.parametrize("name", builtin_studies())
+def test_the_built_in_studies_can_be_read(name):
+    assert read_study(name).study.name == name

@@ -53,3 +53,13 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="--out"):
         Store.at(tmp_path / "file" / "out")
+
+
+@pytest.mark.parametrize(
+    "row", ["x", 5, [], {}, {"delay_s": "abc"}, {"delay_s": [1]}, {"e_cvpr_hist": ["x"]}]
+)
+def test_figures_that_cannot_be_are_measured_anew(store, row):
+    store.keep(cell(1), Outcome({"delay_s": 1.0}, 1.0))
+    path = store.folder / "cells" / f"{cell(1).id}.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"row": row}))
+    assert store.row(cell(1).id) is None
