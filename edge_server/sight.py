@@ -47,8 +47,9 @@ class _Side:
         self._total = np.bincount(self._owner, minlength=len(names))
 
     def shares(self, sensors_m: Floats, sight_m: float) -> Shares:
-        apart_m = np.linalg.norm(self._places_m[:, None] - sensors_m, axis=2)
-        near: Bools = (apart_m <= sight_m).any(axis=1)
+        x_m, y_m = self._places_m.T[:, :, None]
+        apart_m2 = (x_m - sensors_m[:, 0]) ** 2 + (y_m - sensors_m[:, 1]) ** 2
+        near: Bools = (apart_m2 <= sight_m**2).any(axis=1)
         seen = np.bincount(self._owner[near], minlength=len(self._names))
         known = zip(self._names, seen.tolist(), self._total.tolist(), strict=True)
         return {name: round(one / all_of, 3) for name, one, all_of in known if all_of}

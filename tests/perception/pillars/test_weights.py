@@ -78,7 +78,7 @@ SPOILT: dict[str, tuple[Callable[[Path], object], str]] = {
     "about is a list": (tensors(about="[1]"), "about is a list, needs an object"),
     "another width": (
         tensors(config=SMALL.model_copy(update={"up_channels": 64}).model_dump_json()),
-        "is [48, 32, 1, 1], needs [64, 32, 1, 1]",
+        "is [32, 32, 1, 1], needs [64, 32, 1, 1]",
     ),
     "other layers": (tensors(config=FULL.model_dump_json()), "48 tensors are missing"),
     "gigabytes, it says": (tensors(config=vast()), "tensors are missing"),
