@@ -64,11 +64,6 @@ class Findings:
         present = [value for value in VALUES if value in part.columns]
         return over_seeds(part, self.axes(grid), present).to_dicts() if len(part) else []
 
-    def seeds_of(self, grid: str, **where: float | str) -> pl.DataFrame:
-        """Returns the rows of single seeds that have these labels."""
-        chosen = [pl.col(name.replace("__", ".")) == value for name, value in where.items()]
-        return self.frame.filter(pl.col("grid") == grid, *chosen)
-
 
 def number(row: Known, name: str) -> float | None:
     """Returns a row's figure, None where it has none."""
