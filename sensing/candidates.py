@@ -180,7 +180,7 @@ def gather(  # noqa: PLR0913, PLR0917 - compiled code takes its arrays one by on
                 enter, leave = 0.0, float(range_m[row, column])
                 for axis in range(3):
                     step = a[1, axis] * dx + a[2, axis] * dy + a[3, axis] * dz
-                    directions[count, axis] = step
+                    directions[axis, count] = step
                     if step == 0.0:
                         step = 1e-30
                     one = (low[axis] - a[0, axis]) / step
@@ -189,7 +189,7 @@ def gather(  # noqa: PLR0913, PLR0917 - compiled code takes its arrays one by on
                     leave = min(leave, max(one, other))
                 if enter <= leave:
                     for axis in range(3):
-                        origins[count, axis] = a[0, axis]
+                        origins[axis, count] = a[0, axis]
                     limits[count] = range_m[row, column]
                     beams[count] = row * columns + column
                     owners[count] = n
@@ -208,13 +208,10 @@ def keep_nearest(
             hit[beams[k]] = owners[k]
 
 
-@njit(
-    "void(Array(float32, 2, 'C', readonly=True), float64[:,::1], float32[:,::1])",
-    cache=True,
-)
-def turn(directions: Floats32, rotation: Floats, result: Floats32) -> None:
-    """Turns directions (N, 3), the same way on every machine."""
-    for n in range(len(directions)):
-        x, y, z = directions[n, 0], directions[n, 1], directions[n, 2]
-        for axis in range(3):
-            result[n, axis] = rotation[axis, 0] * x + rotation[axis, 1] * y + rotation[axis, 2] * z
+@njit("void(float32[:,::1], float32[:,::1], float32[:,::1])", cache=True)
+def turn(directions: Floats32, rotation: Floats32, result: Floats32) -> None:
+    """Turns directions (3, N), alike on every machine."""
+    for axis in range(3):
+        a, b, c = rotation[axis]
+        for n in range(directions.shape[1]):
+            result[axis, n] = a * directions[0, n] + b * directions[1, n] + c * directions[2, n]

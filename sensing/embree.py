@@ -1,24 +1,50 @@
-"""Embree behind one call: how far along each ray the first triangle lies."""
+"""Embree in packets of sixteen rays: how far along each the first triangle lies.
+
+The package embreex ships Embree, but hands over one ray at a time. This calls the library that it
+ships: sixteen neighbours at once take less than a third of the time.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import weakref
+from functools import cache
+from importlib.metadata import files, version
+
 import numpy as np
-from embreex.mesh_construction import TriangleMesh as EmbreeMesh
-from embreex.rtcore_scene import EmbreeScene
+import numpy.typing as npt
 
 from perception.arrays import Floats32
+from protocol.errors import ConfigError
 from sensing.mesh import TriangleMesh
+from sensing.packets import PACKET, cast_packets
+
+_TRIANGLES, _INDICES, _VERTICES = 0, 0, 1
+_UINT3, _FLOAT3 = 0x5003, 0x9003
+_COHERENT, _ALL_FEATURES = 1 << 16, 0xFFFFFFFF
+_RAY_ROWS = 32  # RTCRayHit16 has 21 of them
+_LINE_BYTES = 64
+
+_Bytes = npt.NDArray[np.uint8]
 
 
 class Caster:
     """A mesh in Embree, whose search tree is built once, here."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
-        self._scene = EmbreeScene() if len(mesh.triangles) else None
-        if self._scene is not None:
-            EmbreeMesh(self._scene, mesh.vertices.copy(), mesh.triangles.copy())
-            nowhere = np.zeros((1, 3), np.float32)
-            self.cast(nowhere, nowhere + 1, np.ones(1, np.float32))
+        self._scene = None
+        if len(mesh.triangles) == 0:
+            return
+        self._cast_at = ctypes.cast(_library().rtcIntersect16, ctypes.c_void_p).value
+        self._vertices = np.zeros((len(mesh.vertices) + 1, 3), np.float32)  # Embree reads 16 bytes
+        self._vertices[:-1] = mesh.vertices
+        self._triangles = mesh.triangles.copy()
+        self._scene = _built(self._vertices, self._triangles)
+        weakref.finalize(self, _library().rtcReleaseScene, self._scene)
+        self._packet = _aligned(_RAY_ROWS * PACKET * 4).view(np.float32).reshape(-1, PACKET)
+        self._active = _aligned(PACKET * 4).view(np.int32)
+        self._arguments = _aligned(_LINE_BYTES)
+        self._arguments.view(np.uint32)[:2] = _COHERENT, _ALL_FEATURES
 
     def cast(self, origins: Floats32, directions: Floats32, limits: Floats32) -> None:
         """Lowers each limit to where its ray first hits; a ray that misses keeps its own.
@@ -27,11 +53,93 @@ class Caster:
         same under any affine map of the ray.
 
         Args:
-            origins: (N, 3), contiguous.
-            directions: (N, 3), contiguous.
+            origins: (3, N or more), or (3, 1) for rays that all start in one place; contiguous.
+            directions: (3, N or more), contiguous.
             limits: (N,), contiguous; overwritten.
         """
         if self._scene is not None and len(limits):
-            found = self._scene.run(origins, directions, limits, query="DISTANCE")
-            if found is not limits:
-                limits[:] = found
+            where = np.array(
+                [
+                    self._cast_at,
+                    self._active.ctypes.data,
+                    self._scene,
+                    self._packet.ctypes.data,
+                    self._arguments.ctypes.data,
+                ]
+            )
+            cast_packets(where, self._active, self._packet, origins, directions, limits)
+
+
+@cache
+def _library() -> ctypes.CDLL:
+    """Opens Embree and says what its calls take.
+
+    Raises:
+        ConfigError: the installed embreex does not ship it.
+    """
+    shipped = files("embreex") or []
+    paths = [path.locate() for path in shipped if "embree4" in path.name]
+    if not paths:
+        raise ConfigError(
+            f"embreex {version('embreex')} holds no Embree library; "
+            "reinstall it: pip install --force-reinstall embreex"
+        )
+    library = ctypes.CDLL(str(paths[0]))
+    handle, whole, size = ctypes.c_void_p, ctypes.c_int, ctypes.c_size_t
+    for name, result, arguments in (
+        ("rtcNewDevice", handle, [ctypes.c_char_p]),
+        ("rtcGetDeviceError", whole, [handle]),
+        ("rtcNewScene", handle, [handle]),
+        ("rtcReleaseScene", None, [handle]),
+        ("rtcNewGeometry", handle, [handle, whole]),
+        ("rtcReleaseGeometry", None, [handle]),
+        (
+            "rtcSetSharedGeometryBuffer",
+            None,
+            [handle, whole, whole, whole, handle, size, size, size],
+        ),
+        ("rtcCommitGeometry", None, [handle]),
+        ("rtcAttachGeometry", whole, [handle, handle]),
+        ("rtcCommitScene", None, [handle]),
+    ):
+        call = getattr(library, name)
+        call.restype, call.argtypes = result, arguments
+    return library
+
+
+@cache
+def _device() -> int:
+    """Makes this process's device; it builds with one thread, as processes are many."""
+    return int(_library().rtcNewDevice(b"threads=1"))
+
+
+def _built(vertices: Floats32, triangles: npt.NDArray[np.int32]) -> int:
+    """Returns a scene of these triangles, which must outlive it.
+
+    Raises:
+        MemoryError: Embree could not build it.
+    """
+    embree, device = _library(), _device()
+    scene, geometry = embree.rtcNewScene(device), embree.rtcNewGeometry(device, _TRIANGLES)
+    for kind, form, array, count in (
+        (_VERTICES, _FLOAT3, vertices, len(vertices) - 1),
+        (_INDICES, _UINT3, triangles, len(triangles)),
+    ):
+        embree.rtcSetSharedGeometryBuffer(
+            geometry, kind, 0, form, array.ctypes.data, 0, array.strides[0], count
+        )
+    embree.rtcCommitGeometry(geometry)
+    embree.rtcAttachGeometry(scene, geometry)
+    embree.rtcReleaseGeometry(geometry)  # the scene holds it
+    embree.rtcCommitScene(scene)
+    error = embree.rtcGetDeviceError(device)
+    if error:
+        raise MemoryError(f"Embree: error {error} while building {len(triangles)} triangles")
+    return int(scene)
+
+
+def _aligned(size: int) -> _Bytes:
+    """Returns zeros that begin at a multiple of what Embree's packets need."""
+    block = np.zeros(size + _LINE_BYTES, np.uint8)
+    start = -block.ctypes.data % _LINE_BYTES
+    return block[start : start + size]

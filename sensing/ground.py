@@ -6,13 +6,12 @@ import numpy as np
 import numpy.typing as npt
 
 from protocol.geometry import Floats
-from sensing.landing import REACH_M
 from sensing.mesh import TriangleMesh
 from sensing.road import RoadArea
 from sensing.terrain import MARGIN_M, Terrain
 
 _BLOCK = 4  # cells along a block's side
-_FINE_WITHIN_M = REACH_M  # rays that do without this mesh land on the same triangles
+_FINE_WITHIN_M = 60.0  # of the road
 
 Blocks = npt.NDArray[np.int8]
 _NONE, _COARSE, _FINE = 0, 1, 2

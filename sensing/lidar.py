@@ -63,8 +63,8 @@ class _Rays:
     @staticmethod
     def _made(count: int) -> _Buffers:
         return (
-            np.empty((count, 3), np.float32),
-            np.empty((count, 3), np.float32),
+            np.empty((3, count), np.float32),
+            np.empty((3, count), np.float32),
             np.empty(count, np.float32),
             np.empty(count, np.int32),
             np.empty(count, np.int32),
@@ -171,6 +171,6 @@ class Lidar:
                     pattern.directions, view.distance_m, placed, bounds, parts, members, *buffers
                 )
                 origins, directions, limits, beams, owners = buffers
-                caster.cast(origins[:count], directions[:count], limits[:count])
+                caster.cast(origins, directions, limits[:count])
                 flat = view.distance_m.reshape(-1), view.body.reshape(-1)
                 keep_nearest(*flat, beams[:count], owners[:count], limits[:count])

@@ -31,7 +31,8 @@ def returns(
     """
     lot = rng.random(distance_m.shape, np.float32)
     noise = rng.standard_normal(distance_m.shape, np.float32)
-    intensity = np.exp(distance_m * np.float32(-config.atmosphere_attenuation_rate))
+    intensity = distance_m * np.float32(-config.atmosphere_attenuation_rate)
+    np.exp(intensity, out=intensity)
     range_m = np.empty_like(distance_m)
     rates = np.array(
         [

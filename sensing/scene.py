@@ -29,14 +29,9 @@ class Scene:
     trees: TriangleMesh
 
     @property
-    def objects(self) -> TriangleMesh:
-        """All parts but the ground as one mesh."""
-        return merge([self.kerbs, self.buildings, self.poles, self.trees])
-
-    @property
     def mesh(self) -> TriangleMesh:
         """All parts as one mesh."""
-        return merge([self.ground, self.objects])
+        return merge([self.ground, self.kerbs, self.buildings, self.poles, self.trees])
 
 
 Outlines = list[list[tuple[float, float]]]

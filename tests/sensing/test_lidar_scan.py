@@ -50,10 +50,10 @@ def brute_force(
             placed = SE3.from_pose(pose).apply(unit.vertices * looks.size_m[k])
             meshes.append(TriangleMesh(placed, unit.triangles))
     directions = CONFIG.pattern.directions.reshape(-1, 3) @ sensor.rotation.T
-    rays = np.ascontiguousarray(directions, np.float32)
-    origins = np.repeat(sensor.translation[None].astype(np.float32), len(rays), axis=0)
-    limits = np.full(len(rays), CONFIG.range, np.float32)
-    Caster(merge(meshes)).cast(origins, rays, limits)
+    rays = np.ascontiguousarray(directions.T, np.float32)
+    origin = sensor.translation.astype(np.float32).reshape(3, 1)
+    limits = np.full(rays.shape[1], CONFIG.range, np.float32)
+    Caster(merge(meshes)).cast(origin, rays, limits)
     return limits.reshape(CONFIG.channels, CONFIG.columns)
 
 
