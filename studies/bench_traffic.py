@@ -31,10 +31,10 @@ from sim_host.broadcast import truth_of
 from sim_host.filming import film
 from sim_host.setup import build_setup
 from sim_host.world import Bodies
+from studies.bounds import VISIBLE_POINTS
 
 SEED = 1
 FRAME_PERIOD_S = 0.1
-VISIBLE_POINTS = 5  # in the clouds of all agents together, as in Chen et al. 2022
 POST = "rsu-0"
 VISIBLE_NAME = "visible.json"
 _WARM_UP_STEPS = 600

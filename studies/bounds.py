@@ -16,7 +16,7 @@ from protocol.messages import Equipment
 from recorder.run import Run
 from recorder.tables import SightingRow, TruthRow
 
-VISIBLE_POINTS = 5  # in the scans of all agents together
+VISIBLE_POINTS = 5  # in the scans of all agents together, as in Chen et al. 2022
 
 
 class Bounds:

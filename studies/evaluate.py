@@ -28,6 +28,7 @@ from perception.vehicles import Vehicles
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 from studies.average_precision import Scene, View, average_precision, outcomes
+from studies.bounds import VISIBLE_POINTS
 
 Truth = Literal["all", "visible"]
 Kind = tuple[Literal["single", "merged"], Literal["none", "early", "late"]]
@@ -35,7 +36,6 @@ Timed = tuple[Vehicles, float]  # what was found, and in how many ms
 
 RANGE_M = 80.0  # of x and y, as the paper's PointPillars
 CUT_M = 90.0  # points are given so far, so that a vehicle at the border is whole
-VISIBLE_POINTS = 5
 IOUS = (0.01, 0.1, 0.3, 0.5, 0.7)
 VIEWS: tuple[View, ...] = ("bev", "3d")
 TRUTHS: tuple[Truth, ...] = ("all", "visible")

@@ -9,21 +9,20 @@ import numpy as np
 from numba import njit
 
 from protocol.codec.cloud import Floats, Floats32
-from protocol.codec.fill import Filling
-from protocol.codec.filters import BANDS, SIZE_CLASSES, WEIGHT_BITS, WEIGHTS
-from protocol.codec.filters import CONTEXTS as FINE_CONTEXTS
-from protocol.codec.fine import describe_fine, restore_fine
-from protocol.codec.image import (
+from protocol.codec.expect import (
     CONTEXT_OF,
     CONTEXTS,
     COUNTS,
     MAX_UNITS,
     NEXT_KIND,
-    describe,
     landmarks,
-    restore,
     symbol_room,
 )
+from protocol.codec.fill import Filling
+from protocol.codec.filters import BANDS, SIZE_CLASSES, WEIGHT_BITS, WEIGHTS
+from protocol.codec.filters import CONTEXTS as FINE_CONTEXTS
+from protocol.codec.fine import describe_fine, restore_fine
+from protocol.codec.image import describe, restore
 from protocol.codec.payload import Form, Head, Reader
 from protocol.codec.symbols import open_symbols, pack_symbols, read_raw
 from protocol.codec.tokens import I4, I8, U2, U4, i64

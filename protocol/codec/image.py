@@ -19,11 +19,20 @@ import numpy as np
 from numba import njit
 
 from protocol.codec.cloud import Floats, Floats32
+from protocol.codec.expect import (
+    LOST_TOKEN,
+    SECTORS,
+    TAIL,
+    TOKENS,
+    classify,
+    expect,
+    look_around,
+    look_below,
+)
 from protocol.codec.fill import LOST, SIDES, find_holes
 from protocol.codec.rans import SHARES, STATES, TURN_SHIFT, advance, is_short, refill
 from protocol.codec.tokens import (
     ESCAPE,
-    I2,
     I4,
     I8,
     U1,
@@ -38,140 +47,6 @@ from protocol.codec.tokens import (
     unfold,
 )
 from protocol.codec.walk import GONE, STRIDE, UNITS, are_done, open_states, place_ring
-
-SECTORS = 8
-MAX_UNITS = 1 << 30
-CONTEXTS = 84
-COUNTS = 1 << 13  # of symbols
-_TAIL = 80
-_LOST = 0  # the token of a lost beam
-_TOKENS = ESCAPE + 2  # the last of them is the escape
-_FAR_M = (56.0, 75.0, 95.0)  # beyond these, returns are lost more and more often
-_START_M = 10.0
-
-
-def landmarks(units_per_m: float) -> I8:
-    """Returns the distances in units that the model looks at, and last the one it starts at."""
-    return np.array([min(int(m * units_per_m), MAX_UNITS) for m in (*_FAR_M, _START_M)], np.int64)
-
-
-def symbol_room(channels: int, columns: int) -> int:
-    """Returns how many symbols an image can have at most."""
-    return 2 * channels * (columns + SECTORS)
-
-
-def _contexts() -> U1:
-    """Returns the context of each base (as in `_look_below`) and kind of the beam to the left."""
-    result = np.zeros((384, 16), np.uint8)
-    for base in range(384):
-        level, beside, gone, far = base % 8, base // 8 % 4, base // 32 % 3, base // 96
-        for kind in range(16):
-            activity, losses = min(kind % 4 + beside, 5), min(kind // 4, 2) + gone
-            if losses >= 3:
-                context = 72 + 4 * (losses > 3) + min(activity, 3)
-            elif far:
-                context = 40 + 8 * far + 4 * (activity > 0) + level // 2
-            else:
-                context = 8 * activity + level
-            result[base, kind] = context
-    return result.ravel()
-
-
-def _next_kinds() -> U1:
-    """Returns the kind of a beam, by its size class (4: lost), that below and the kind before."""
-    result = np.zeros((5, 4, 16), np.uint8)
-    for below in range(4):
-        for kind in range(16):
-            result[:4, below, kind] = np.arange(4)
-            result[4, below, kind] = min(kind % 4, below) | min(kind // 4 + 1, 3) << 2
-    return result.ravel()
-
-
-CONTEXT_OF, NEXT_KIND = _contexts(), _next_kinds()
-
-
-@njit("void(int64, int64, uint16[::1])", cache=True, nogil=True)
-def _classify(shift: int, low: int, classes: U2) -> None:
-    """Fills the size class of each token, as an offset into `NEXT_KIND`."""
-    classes[:] = 0
-    classes[_LOST] = 4 << 6
-    for number in range(ESCAPE + 1):
-        size = (number + 1) >> 1 if low == 0 else number >> 1
-        classes[number + 1] = min(3, size >> (shift - low)) << 6
-
-
-@njit(
-    "void(int32[::1], uint8[::1], int32[::1], int16[::1], int64, int64, int64[::1])",
-    cache=True,
-    nogil=True,
-)
-def _look_below(
-    below: I4, kinds: U1, slopes: I4, bases: I2, wide: int, shift: int, marks: I8
-) -> None:
-    """Fills how the ring below runs at each beam.
-
-    Args:
-        below: its ranges.
-        kinds: its kinds.
-        slopes: filled with how much farther each beam reaches than that to its left.
-        bases: filled with `how uneven + 8 * size class + 32 * losses + 96 * distance`.
-        wide: beams of a sector.
-        shift: of activities.
-        marks: of `landmarks`.
-    """
-    end = wide * SECTORS
-    for sector in range(SECTORS):  # what sectors see beyond their ends
-        below[sector] = below[end + (sector + 7) % 8]
-        below[end + SECTORS + sector] = below[SECTORS + (sector + 1) % 8]
-        kinds[sector] = kinds[end + (sector + 7) % 8]
-        kinds[end + SECTORS + sector] = kinds[SECTORS + (sector + 1) % 8]
-    near, far, farther = np.int32(marks[0]), np.int32(marks[1]), np.int32(marks[2])
-    bits = np.int32(5 + shift)
-    for at in range(SECTORS, end + SECTORS):
-        here = below[at]
-        slope = np.int32(here - below[at - SECTORS])
-        slopes[at] = slope
-        ahead = np.int32(below[at + SECTORS] - here)
-        uneven = np.int32(max(np.int32(abs(slope)), np.int32(abs(ahead))) >> bits)
-        level = np.int16(uneven > 0) + np.int16(uneven > 1) + np.int16(uneven > 3)
-        level += np.int16(uneven > 7) + np.int16(uneven > 15) + np.int16(uneven > 31)
-        level += np.int16(uneven > 63)
-        gone = np.int16(kinds[at] >= GONE)
-        before, behind = kinds[at - SECTORS] >= GONE, kinds[at + SECTORS] >= GONE
-        losses = np.int16(gone | before | behind) + np.int16(gone & before & behind)
-        distance = np.int16(here > near) + np.int16(here > far) + np.int16(here > farther)
-        bases[at] = np.int16(level + 8 * np.int16(kinds[at] & 3) + 32 * losses + 96 * distance)
-    for at in range(SECTORS, 2 * SECTORS):
-        slopes[at] = 0
-
-
-@njit("int64(int64, int64, int64)", cache=True, nogil=True)
-def _expect(last: int, under: int, slope: int) -> int:
-    """Returns what a beam is expected to return, by its neighbours to the left and below."""
-    expected: int = max(min(last, under), min(max(last, under), last + slope))
-    return expected
-
-
-@njit("void(int32[::1], int64, int64)", cache=True)
-def _look_around(around: I4, wide: int, columns: int) -> None:
-    """Fills what sectors see of each other beyond their ends, `SIDES` beams of each.
-
-    Args:
-        around: ((wide + 2 * SIDES) * SECTORS,), ranges as in `find_holes`.
-        wide: beams of a sector.
-        columns: of a ring. The last beams of sectors may be no beams: what lies behind them is
-            `LOST`, so that they are never filled.
-    """
-    first, end = SIDES * SECTORS, (wide + SIDES) * SECTORS
-    whole = wide * SECTORS == columns and wide >= SIDES
-    for n in range(SIDES * SECTORS):
-        place, sector = n // SECTORS, n % SECTORS
-        before, behind = np.int32(LOST), np.int32(LOST)
-        if sector > 0 or whole:
-            before = around[end - first + place * SECTORS + (sector + 7) % 8]
-        if sector < SECTORS - 1 or whole:
-            behind = around[first + place * SECTORS + (sector + 1) % 8]
-        around[n], around[end + n] = before, behind
 
 
 @njit(
@@ -227,7 +102,7 @@ def describe(
     reach = reach_m * units_per_m - 1.0
     fills = reach > 0 and wide >= SIDES
     seen, classes = np.zeros(SECTORS, np.int64), np.empty(STRIDE, np.uint16)
-    _classify(shift, low, classes)
+    classify(shift, low, classes)
     gains = np.empty(16, np.int64)
     for n in range(16):
         gains[n] = max(UNITS * 2 // (2 * n + 3), floor)
@@ -236,7 +111,7 @@ def describe(
     for row in range(channels - 1, -1, -1):
         here, below = lines[row & 1], lines[1 - (row & 1)]
         kind, kind_below = kinds[row & 1], kinds[1 - (row & 1)]
-        _look_below(below, kind_below, slopes, bases, wide, shift, marks)
+        look_below(below, kind_below, slopes, bases, wide, shift, marks)
         for column in range(columns):
             metres = range_m[row, column]
             units[column] = np.int32(metres * units_per_m + 0.5) if metres > 0 else np.int32(LOST)
@@ -246,13 +121,13 @@ def describe(
             for n in range(SECTORS):
                 beams[start + u64(n)] = units[u64(n * wide + column)]
         if fills:
-            _look_around(around, wide, columns)
+            look_around(around, wide, columns)
             find_holes(around, SECTORS, reach, chords[row], least[SECTORS:end], most[SECTORS:end])
         change = rise
         for at in range(SECTORS, 2 * SECTORS):
             under = i64(below[at])
             here[at - SECTORS] = under + change
-            expected = _expect(i64(here[at - SECTORS]), under, i64(slopes[at]))
+            expected = expect(i64(here[at - SECTORS]), under, i64(slopes[at]))
             there = i64(beams[at] >= 0)
             k = ((i64(beams[at]) - expected + UNITS // 2) >> 8) * there
             there |= i64(expected >= i64(least[at])) & i64(expected <= i64(most[at]))
@@ -268,7 +143,7 @@ def describe(
             for n in range(SECTORS):
                 sector, at = u64(n), start + u64(n)
                 under, last = i64(below[at]), i64(here[at - u64(SECTORS)])
-                expected = _expect(last, under, i64(slopes[at]))
+                expected = expect(last, under, i64(slopes[at]))
                 there, calm = i64(beams[at] >= 0), seen[sector]
                 k = ((i64(beams[at]) - expected + UNITS // 2) >> 8) * there
                 there |= i64(expected >= i64(least[at])) & i64(expected <= i64(most[at]))
@@ -299,7 +174,7 @@ def describe(
             if number == ESCAPE:
                 over = (whole >> low) - ESCAPE
                 token = tail_token(over)
-                symbol = (_TAIL + (before & 3)) * STRIDE + token
+                symbol = (TAIL + (before & 3)) * STRIDE + token
                 symbols[count] = (at & 7) << TURN_SHIFT | symbol
                 counts[at & 1, symbol] += 1
                 count += 1
@@ -317,8 +192,9 @@ def describe(
         raw[words] = np.uint32(bits & u64(0xFFFFFFFF))
         words += 1
     points = channels * wide * SECTORS
-    for context in range(_TAIL):
-        points -= counts[0, context * STRIDE + _LOST] + counts[1, context * STRIDE + _LOST]
+    for context in range(TAIL):
+        lost = context * STRIDE + LOST_TOKEN
+        points -= counts[0, lost] + counts[1, lost]
     sizes[0], sizes[1], sizes[2] = count, words, points
 
 
@@ -372,7 +248,7 @@ def restore(
     slopes, bases = np.zeros(room, np.int32), np.zeros(room, np.int16)
     steps, beams = np.zeros(room, np.int32), np.zeros(room, np.int32)
     seen, classes = np.zeros(SECTORS, np.int64), np.empty(STRIDE, np.uint16)
-    _classify(shift, low, classes)
+    classify(shift, low, classes)
     gains = np.empty(16, np.int64)
     for n in range(16):
         gains[n] = max(UNITS * 2 // (2 * n + 3), floor)
@@ -390,7 +266,7 @@ def restore(
             return -1
         here, below = lines[row & 1], lines[1 - (row & 1)]
         kind, kind_below = kinds[row & 1], kinds[1 - (row & 1)]
-        _look_below(below, kind_below, slopes, bases, wide, shift, marks)
+        look_below(below, kind_below, slopes, bases, wide, shift, marks)
         for sector in range(SECTORS):
             seen[sector] = 0
             kind[sector] = kind_below[SECTORS + sector]
@@ -405,12 +281,12 @@ def restore(
             at_word += is_short(state)
             kind[at] = next_kind[u64(classes[token]) | ((base & u64(24)) << u64(1)) | before]
             steps[at] = step_of[token]
-            there = i64(token != u64(_LOST))
+            there = i64(token != u64(LOST_TOKEN))
             returns += there
-            if token != u64(_TOKENS - 1) and plain:
+            if token != u64(TOKENS - 1) and plain:
                 continue
             length = low * there
-            if token == u64(_TOKENS - 1):
+            if token == u64(TOKENS - 1):
                 table = u64(table_of[tails + i64(before & u64(3))])
                 state = states[at & 7]
                 token = u64(slots[(table << u64(12)) | (state & u64(SHARES - 1))])
@@ -444,7 +320,7 @@ def restore(
             sector, at = u64(n), u64(n + SECTORS)
             here[n] = below[at] + change
             under, last = i64(below[at]), i64(here[at - u64(SECTORS)])
-            expected = _expect(last, under, i64(slopes[at]))
+            expected = expect(last, under, i64(slopes[at]))
             k, calm = i64(steps[at]), seen[sector]
             jumps = abs(k) >= jump
             beams[at] = expected + UNITS * k
@@ -458,7 +334,7 @@ def restore(
             for n in range(SECTORS):
                 sector, at = u64(n), start + u64(n)
                 under, last = i64(below[at]), i64(here[at - u64(SECTORS)])
-                expected = _expect(last, under, i64(slopes[at]))
+                expected = expect(last, under, i64(slopes[at]))
                 k, calm = i64(steps[at]), seen[sector]
                 jumps = abs(k) >= jump
                 beams[at] = expected + UNITS * k

@@ -12,7 +12,8 @@ from perception.arrays import Bools, Floats, Floats32
 from perception.config import DetectorName
 from perception.vehicles import Vehicles
 from protocol.roadmap import RoadMap
-from studies.evaluate import VISIBLE_POINTS, Site, find
+from studies.bounds import VISIBLE_POINTS
+from studies.evaluate import Site, find
 from studies.matching import match
 from studies.outlines import borders, resampled
 

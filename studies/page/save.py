@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from protocol.errors import ConfigError
@@ -18,18 +19,13 @@ def save_html(page: Page, path: Path) -> None:
     Raises:
         ConfigError: the file cannot be, a library is missing, or a picture cannot be read.
     """
-    check_target(path, "--html")
-    try:
+
+    def rendered() -> str:
         from studies.page.html import to_html
-    except ModuleNotFoundError as error:
-        raise ConfigError(
-            f"HTML needs {error.name} (extra `study`): "
-            f"{sys.executable} -m pip install 'cpnet-edge[study]'"
-        ) from None
-    try:
-        path.write_text(to_html(page), "utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be written: {error}") from None
+
+        return to_html(page)
+
+    _save(path, "--html", "study", rendered)
 
 
 def save_markdown(page: Page, path: Path) -> None:
@@ -38,16 +34,26 @@ def save_markdown(page: Page, path: Path) -> None:
     Raises:
         ConfigError: the file cannot be, a library is missing, or a picture cannot be read.
     """
-    check_target(path, "--markdown")
-    try:
+
+    def rendered() -> str:
         from studies.page.markdown import to_markdown
+
+        return to_markdown(page, path.parent / path.stem, path.stem)
+
+    _save(path, "--markdown", "plot", rendered)
+
+
+def _save(path: Path, option: str, extra: str, rendered: Callable[[], str]) -> None:
+    check_target(path, option)
+    try:
+        text = rendered()
     except ModuleNotFoundError as error:
         raise ConfigError(
-            f"figures need {error.name} (extra `plot`): "
-            f"{sys.executable} -m pip install 'cpnet-edge[plot]'"
+            f"{option} needs {error.name} (extra `{extra}`): "
+            f"{sys.executable} -m pip install 'cpnet-edge[{extra}]'"
         ) from None
     try:
-        path.write_text(to_markdown(page, path.parent / path.stem, path.stem), "utf-8")
+        path.write_text(text, "utf-8")
     except OSError as error:
         raise ConfigError(f"{path} cannot be written: {error}") from None
 

@@ -6,6 +6,7 @@ clients. So a local one listens on loopback only, and others must be one's own.
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import signal
@@ -17,6 +18,8 @@ from typing import Any
 
 import dask
 from distributed import Client, LocalCluster, Worker, WorkerPlugin
+from distributed.comm import connect
+from distributed.security import Security
 
 from protocol.errors import ConfigError
 
@@ -111,6 +114,7 @@ def remote(address: str) -> Iterator[Client]:
     """
     _hush()
     try:
+        asyncio.run(asyncio.wait_for(_greet(address), CONNECT_S))
         client = Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
         raise ConfigError(
@@ -118,6 +122,13 @@ def remote(address: str) -> Iterator[Client]:
         ) from None
     with client:
         yield client
+
+
+async def _greet(address: str) -> None:
+    """Connects and leaves; whoever listens but is no scheduler would keep a client for ever."""
+    secured = Security().get_connection_args("client")
+    comm = await connect(address, timeout=CONNECT_S, **secured)
+    await comm.close()
 
 
 def _kill(cluster: Any) -> None:  # noqa: ANN401 - Dask's classes are untyped

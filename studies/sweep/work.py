@@ -11,6 +11,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from distributed import get_worker
+
 from protocol.errors import ConfigError
 from studies.measures import Row, measure
 from studies.solo import play
@@ -45,7 +47,7 @@ def do(task: Task) -> Outcome:
     here = version("cpnet-edge")
     if here != task.version:
         raise ConfigError(f"this worker has cpnet {here}, the study is of {task.version}")
-    with _ONE_AT_A_TIME, tempfile.TemporaryDirectory(prefix="cpnet-cell-") as folder:
+    with _ONE_AT_A_TIME, in_own_folder() as folder:
         begun_ns = time.monotonic_ns()
         run_dir = Path(folder) / "run"
         run_dir.mkdir()
@@ -55,3 +57,12 @@ def do(task: Task) -> Outcome:
         if task.keep is not None:
             shutil.copytree(run_dir, task.keep, dirs_exist_ok=True)
     return Outcome(row, took_s)
+
+
+def in_own_folder() -> tempfile.TemporaryDirectory[str]:
+    """Returns a folder for one run, in the worker's own: Dask deletes that of a killed one too."""
+    try:
+        within = get_worker().local_directory
+    except ValueError:  # no worker does this
+        within = None
+    return tempfile.TemporaryDirectory(prefix="cell-", dir=within)

@@ -66,8 +66,10 @@ def wait_for_frames(run_dir: Path) -> None:
     wait_until(lambda: rows(run_dir, "frames"), 30, what="no frame was ever recorded")
 
 
-@pytest.fixture
-def first_run(shell: Shell) -> Path:
+@pytest.fixture(scope="session")
+def first_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Returns a finished run, which tests only read."""
+    shell = Shell(tmp_path_factory.mktemp("first"))
     status, output = shell.up("--duration", "8", "--out", "first").finish()
     assert status == 0, output
     return shell.folder / "first"

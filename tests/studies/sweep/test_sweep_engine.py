@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import os
+import socket
+from pathlib import Path
 
 import pytest
 
 from protocol.errors import ConfigError
-from studies.sweep.work import Outcome
 from tests.studies.sweep.conftest import cell
 
 pytest.importorskip("distributed", reason="needs the extra `study`")
 
+from distributed import get_worker
+
 from studies.sweep.cluster import local, remote, usable_cores
 from studies.sweep.engine import Engine, missing
+from studies.sweep.work import Outcome, in_own_folder
 
 
 class Told:
@@ -104,3 +108,24 @@ def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch):
         remote("tcp://127.0.0.1:1"),
     ):
         pass
+
+
+def test_a_port_behind_which_is_no_scheduler_is_given_up(monkeypatch):
+    monkeypatch.setattr("studies.sweep.cluster.CONNECT_S", 0.3)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        with pytest.raises(ConfigError, match="no answer"), remote(address):
+            pass
+
+
+def where():
+    with in_own_folder() as folder:
+        return folder, get_worker().local_directory
+
+
+def test_a_run_is_written_where_dask_tidies_up_after_a_killed_worker(client):
+    folder, own = client.submit(where, pure=False).result(timeout=30)
+    assert folder.startswith(f"{own}/")
+    assert not Path(folder).exists()
+    with in_own_folder() as elsewhere:
+        assert Path(elsewhere).is_dir()

@@ -8,12 +8,12 @@ import pytest
 
 from protocol.errors import ConfigError
 from studies.sweep.store import Store
-from studies.sweep.work import Outcome
 from tests.studies.sweep.conftest import cell
 
 pytest.importorskip("distributed", reason="needs the extra `study`")
 
 from studies.sweep.engine import missing
+from studies.sweep.work import Outcome
 
 ROW = {"frames": 3, "delay_s": 0.1 + 0.2, "e_cvpr": None, "e_cvpr_hist": [1, 2]}
 

@@ -1,0 +1,144 @@
+"""What the model of a range image expects of a beam, and the context in which it is coded."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from protocol.codec.fill import LOST, SIDES
+from protocol.codec.tokens import ESCAPE, I2, I4, I8, U1, U2
+from protocol.codec.walk import GONE
+
+SECTORS = 8
+MAX_UNITS = 1 << 30
+CONTEXTS = 84
+COUNTS = 1 << 13  # of symbols
+TAIL = 80
+LOST_TOKEN = 0  # the token of a lost beam
+TOKENS = ESCAPE + 2  # the last of them is the escape
+_FAR_M = (56.0, 75.0, 95.0)  # beyond these, returns are lost more and more often
+_START_M = 10.0
+
+
+def landmarks(units_per_m: float) -> I8:
+    """Returns the distances in units that the model looks at, and last the one it starts at."""
+    return np.array([min(int(m * units_per_m), MAX_UNITS) for m in (*_FAR_M, _START_M)], np.int64)
+
+
+def symbol_room(channels: int, columns: int) -> int:
+    """Returns how many symbols an image can have at most."""
+    return 2 * channels * (columns + SECTORS)
+
+
+def _contexts() -> U1:
+    """Returns the context of each base (as in `look_below`) and kind of the beam to the left."""
+    result = np.zeros((384, 16), np.uint8)
+    for base in range(384):
+        level, beside, gone, far = base % 8, base // 8 % 4, base // 32 % 3, base // 96
+        for kind in range(16):
+            activity, losses = min(kind % 4 + beside, 5), min(kind // 4, 2) + gone
+            if losses >= 3:
+                context = 72 + 4 * (losses > 3) + min(activity, 3)
+            elif far:
+                context = 40 + 8 * far + 4 * (activity > 0) + level // 2
+            else:
+                context = 8 * activity + level
+            result[base, kind] = context
+    return result.ravel()
+
+
+def _next_kinds() -> U1:
+    """Returns the kind of a beam, by its size class (4: lost), that below and the kind before."""
+    result = np.zeros((5, 4, 16), np.uint8)
+    for below in range(4):
+        for kind in range(16):
+            result[:4, below, kind] = np.arange(4)
+            result[4, below, kind] = min(kind % 4, below) | min(kind // 4 + 1, 3) << 2
+    return result.ravel()
+
+
+CONTEXT_OF, NEXT_KIND = _contexts(), _next_kinds()
+
+
+@njit("void(int64, int64, uint16[::1])", cache=True, nogil=True)
+def classify(shift: int, low: int, classes: U2) -> None:
+    """Fills the size class of each token, as an offset into `NEXT_KIND`."""
+    classes[:] = 0
+    classes[LOST_TOKEN] = 4 << 6
+    for number in range(ESCAPE + 1):
+        size = (number + 1) >> 1 if low == 0 else number >> 1
+        classes[number + 1] = min(3, size >> (shift - low)) << 6
+
+
+@njit(
+    "void(int32[::1], uint8[::1], int32[::1], int16[::1], int64, int64, int64[::1])",
+    cache=True,
+    nogil=True,
+)
+def look_below(
+    below: I4, kinds: U1, slopes: I4, bases: I2, wide: int, shift: int, marks: I8
+) -> None:
+    """Fills how the ring below runs at each beam.
+
+    Args:
+        below: its ranges.
+        kinds: its kinds.
+        slopes: filled with how much farther each beam reaches than that to its left.
+        bases: filled with `how uneven + 8 * size class + 32 * losses + 96 * distance`.
+        wide: beams of a sector.
+        shift: of activities.
+        marks: of `landmarks`.
+    """
+    end = wide * SECTORS
+    for sector in range(SECTORS):  # what sectors see beyond their ends
+        below[sector] = below[end + (sector + 7) % 8]
+        below[end + SECTORS + sector] = below[SECTORS + (sector + 1) % 8]
+        kinds[sector] = kinds[end + (sector + 7) % 8]
+        kinds[end + SECTORS + sector] = kinds[SECTORS + (sector + 1) % 8]
+    near, far, farther = np.int32(marks[0]), np.int32(marks[1]), np.int32(marks[2])
+    bits = np.int32(5 + shift)
+    for at in range(SECTORS, end + SECTORS):
+        here = below[at]
+        slope = np.int32(here - below[at - SECTORS])
+        slopes[at] = slope
+        ahead = np.int32(below[at + SECTORS] - here)
+        uneven = np.int32(max(np.int32(abs(slope)), np.int32(abs(ahead))) >> bits)
+        level = np.int16(uneven > 0) + np.int16(uneven > 1) + np.int16(uneven > 3)
+        level += np.int16(uneven > 7) + np.int16(uneven > 15) + np.int16(uneven > 31)
+        level += np.int16(uneven > 63)
+        gone = np.int16(kinds[at] >= GONE)
+        before, behind = kinds[at - SECTORS] >= GONE, kinds[at + SECTORS] >= GONE
+        losses = np.int16(gone | before | behind) + np.int16(gone & before & behind)
+        distance = np.int16(here > near) + np.int16(here > far) + np.int16(here > farther)
+        bases[at] = np.int16(level + 8 * np.int16(kinds[at] & 3) + 32 * losses + 96 * distance)
+    for at in range(SECTORS, 2 * SECTORS):
+        slopes[at] = 0
+
+
+@njit("int64(int64, int64, int64)", cache=True, nogil=True)
+def expect(last: int, under: int, slope: int) -> int:
+    """Returns what a beam is expected to return, by its neighbours to the left and below."""
+    expected: int = max(min(last, under), min(max(last, under), last + slope))
+    return expected
+
+
+@njit("void(int32[::1], int64, int64)", cache=True)
+def look_around(around: I4, wide: int, columns: int) -> None:
+    """Fills what sectors see of each other beyond their ends, `SIDES` beams of each.
+
+    Args:
+        around: ((wide + 2 * SIDES) * SECTORS,), ranges as in `find_holes`.
+        wide: beams of a sector.
+        columns: of a ring. The last beams of sectors may be no beams: what lies behind them is
+            `LOST`, so that they are never filled.
+    """
+    first, end = SIDES * SECTORS, (wide + SIDES) * SECTORS
+    whole = wide * SECTORS == columns and wide >= SIDES
+    for n in range(SIDES * SECTORS):
+        place, sector = n // SECTORS, n % SECTORS
+        before, behind = np.int32(LOST), np.int32(LOST)
+        if sector > 0 or whole:
+            before = around[end - first + place * SECTORS + (sector + 7) % 8]
+        if sector < SECTORS - 1 or whole:
+            behind = around[first + place * SECTORS + (sector + 1) % 8]
+        around[n], around[end + n] = before, behind
