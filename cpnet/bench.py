@@ -20,16 +20,17 @@ from recorder.run import Run
 from sensing.link.named import NONE, profile_named
 from sensing.recording import Recording
 from sensing.upload.registry import POLICIES, Filter
-from studies.bench_sharing import POLICY as SHARING
+from studies.bench_choices import (
+    FRAME_PERIOD_S,
+    LEARNING_FRAMES,
+    LINK_CHOICES,
+    POLICY_CHOICES,
+    SHARING,
+)
 from studies.bench_sharing import measure_sharing
-from studies.bench_traffic import FRAME_PERIOD_S, record_traffic, visible_vehicles
-from studies.bench_uplink import LEARNING_FRAMES, RateRow, UplinkRow, row_of
+from studies.bench_traffic import record_traffic, visible_vehicles
+from studies.bench_uplink import RateRow, UplinkRow, row_of
 
-POLICY_CHOICES = (
-    "full", "roi", "foreground", "voronoi", "power", "reap", "reap+roi", "reap+foreground",
-    "objects", SHARING,
-)  # fmt: skip
-LINK_CHOICES = ("5mbit", "lte", "5g-urban")
 RATES_HZ = (10.0, 15.0, 20.0, 24.0, 30.0, 36.0, 42.0, 50.0, 60.0, 75.0, 100.0)
 _SCENARIO = "t_junction"
 _PATIENT_MS = 5_000.0  # nothing is left out for being late: latency shows it instead

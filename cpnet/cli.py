@@ -14,18 +14,12 @@ import typer
 import yaml
 from rich.markup import escape
 
-from cpnet import doctor as checks
 from cpnet import scenario as scenarios
 from cpnet.cli_bench import bench_app
 from cpnet.cli_learn import learn_app
 from cpnet.cli_options import AsJson, Override, assigned, console, errors
 from cpnet.cli_study import study_app
-from cpnet.run_report import write_page
-from cpnet.up import Options, up
 from protocol.errors import CpnetError
-from recorder.compare import differences
-from studies.report import print_report
-from studies.summary import summarise, to_json
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -83,6 +77,8 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     ] = None,
 ) -> None:
     """Run the loop: world, sensors, edge, signal, record; then print the summary."""
+    from cpnet.up import Options, up
+
     named = {
         "mode": mode,
         "duration_s": duration,
@@ -115,6 +111,9 @@ def _conclude(run_dir: Path) -> None:
     if not (run_dir / "run.sqlite").is_file():
         console.print("the results are where the role record runs")
         return
+    from studies.report import print_report
+    from studies.summary import summarise
+
     summary = summarise(run_dir)
     if not summary["frames"]:
         console.print("no frame was recorded")
@@ -142,6 +141,11 @@ def report_command(
     ] = None,
 ) -> None:
     """Print the summary of a run, write it as a page, or compare its results with another run's."""
+    from cpnet.run_report import write_page
+    from recorder.compare import differences
+    from studies.report import print_report
+    from studies.summary import summarise, to_json
+
     if html is not None:
         console.print(f"wrote {write_page(run, html)}", highlight=False, soft_wrap=True)
         return
@@ -188,6 +192,8 @@ def doctor_command(
     ] = False,
 ) -> None:
     """Check this machine: system libraries, packages, bus, disk."""
+    from cpnet import doctor as checks
+
     if packages:
         typer.echo(" ".join(checks.missing_packages()))
         return

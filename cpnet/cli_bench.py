@@ -7,12 +7,9 @@ from typing import Annotated
 
 import typer
 
-from cpnet.bench import LINK_CHOICES, POLICY_CHOICES, UplinkBench, measure, measure_rates
 from cpnet.cli_options import AsJson, show, show_measured
 from perception.config import DETECTORS
-from studies.bench_traffic import FRAME_PERIOD_S
-from studies.bench_uplink import LEARNING_FRAMES
-from studies.uplink_table import print_rates, print_uplink
+from studies.bench_choices import FRAME_PERIOD_S, LEARNING_FRAMES, LINK_CHOICES, POLICY_CHOICES
 
 bench_app = typer.Typer(help="Measure parts of the system.", no_args_is_help=True)
 
@@ -63,6 +60,9 @@ def bench_uplink_command(
     as_json: AsJson = False,
 ) -> None:
     """Measure upload policies on links: bytes, latency, what is still detected and counted."""
+    from cpnet.bench import UplinkBench, measure
+    from studies.uplink_table import print_uplink
+
     bench = UplinkBench(
         policies=tuple(policies.split(",")),
         links=tuple(link or LINK_CHOICES),
@@ -84,6 +84,9 @@ def bench_rate_command(
     as_json: AsJson = False,
 ) -> None:
     """Find the highest frame rate in realtime, with detection, on recorded scans."""
+    from cpnet.bench import UplinkBench, measure_rates
+    from studies.uplink_table import print_rates
+
     bench = UplinkBench(policies=tuple(policies.split(",")), agents=agents, frames=frames)
     show_measured(measure_rates(bench), None, print_rates, as_json=as_json)
 

@@ -10,8 +10,9 @@ from typing import Any
 
 from edge_server.frame import Piece
 from perception.parallel import threads
-from protocol.codec import MAX_POINTS, claimed_points
+from protocol.codec import claimed_points
 from protocol.messages import Scan
+from protocol.scans import MAX_POINTS
 
 PER_THREAD = 2  # scans: one that it opens, one that is next
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Protocol
@@ -10,7 +10,8 @@ from typing import Protocol
 import numpy as np
 
 from perception.arrays import Floats
-from perception.roadway import Placed
+from perception.config import DetectionConfig
+from perception.roadway import Placed, Roadway
 from perception.vehicles import Vehicles
 
 
@@ -44,3 +45,6 @@ class Detector(Protocol):
 
     def detect(self, cloud: Cloud, rng: np.random.Generator, stage: Stage = untimed) -> Vehicles:
         """Returns the vehicles in a cloud, map frame; the same for the same cloud and state."""
+
+
+DetectorMaker = Callable[[DetectionConfig, Roadway], Detector]

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-from perception.clustering import Clustering
 from perception.config import LEARNED, DetectionConfig
-from perception.detector import Detector
-from perception.roadway import Roadway
 from protocol.errors import ConfigError
 
-DetectorMaker = Callable[[DetectionConfig, Roadway], Detector]
+if TYPE_CHECKING:
+    from perception.detector import Detector
+    from perception.roadway import Roadway
 
 
 def detector_of(config: DetectionConfig, roadway: Roadway) -> Detector:
@@ -22,6 +22,8 @@ def detector_of(config: DetectionConfig, roadway: Roadway) -> Detector:
     """
     match config.detector:
         case "fast":
+            from perception.clustering import Clustering
+
             return Clustering(config, roadway)
         case "reference":
             from perception.reference import Reference

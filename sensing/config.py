@@ -8,8 +8,9 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from protocol.codec import Profile, ScanPattern
 from protocol.config import Section
+from protocol.profiles import Profile
+from protocol.scans import ScanPattern
 from sensing.upload.registry import POLICIES, Filter, PolicyName
 
 MAX_COLUMNS = 8192

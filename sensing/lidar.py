@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from perception.arrays import Floats32, Ints, Ints32
-from protocol.codec import RangeScan
 from protocol.geometry import SE3, Floats
+from protocol.scans import RangeScan
 from sensing.candidates import gather, keep_nearest, place, windows
 from sensing.config import LidarConfig
 from sensing.embree import Caster

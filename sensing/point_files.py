@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from protocol.codec import PointCloud
 from protocol.errors import ConfigError
 from protocol.files import is_file, is_folder
+from protocol.scans import PointCloud
 from sensing.lzf import decompress
 
 MAX_FILE_BYTES = 1 << 30

@@ -17,11 +17,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError, field_validator
 
-from protocol.codec import RangeScan, ScanPattern
 from protocol.config import Section
 from protocol.errors import ConfigError, ProtocolError
 from protocol.messages import Truth
 from protocol.messages.fields import Id
+from protocol.scans import RangeScan, ScanPattern
 from protocol.wire import decode, encode
 
 STEP_M = 0.002

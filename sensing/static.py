@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from perception.arrays import Floats32
-from protocol.codec import ScanPattern
 from protocol.geometry import SE3
+from protocol.scans import ScanPattern
 from sensing.candidates import turn
 from sensing.embree import Caster
 from sensing.scene import Scene

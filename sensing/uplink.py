@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from protocol.bus import Bus
-from protocol.codec import RangeScan, encode_scan
+from protocol.codec import encode_scan
 from protocol.geometry import SE3
 from protocol.messages import Objects, Plan, Scan, Span, Tick, Upload, WireCount
+from protocol.scans import RangeScan
 from sensing.config import UploadConfig
 from sensing.lidar import Sensed
 from sensing.link.virtual import Passage

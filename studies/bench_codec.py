@@ -20,11 +20,12 @@ import numpy as np
 import numpy.typing as npt
 import zstandard
 
-from protocol.codec import PointCloud, Profile, RangeScan, decode, encode_cloud, encode_scan
-from protocol.codec.cloud import Floats32
+from protocol.codec import decode, encode_cloud, encode_scan
 from protocol.codec.draco import LEVEL, load_draco
 from protocol.codec.step import MIN_BOUND_M
 from protocol.errors import CodecError, ConfigError
+from protocol.profiles import Profile
+from protocol.scans import Floats32, PointCloud, RangeScan
 from sensing.point_files import read_points
 from studies.bench_scans import BenchScan
 from studies.scan_error import ScanError

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from protocol.codec import RangeScan
-from protocol.codec.cloud import Floats32
 from protocol.geometry import SE3
+from protocol.scans import Floats32, RangeScan
 from sensing.config import LidarConfig, SceneConfig
 from sensing.lidar import Lidar
 from sensing.mounting import above

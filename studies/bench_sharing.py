@@ -29,12 +29,11 @@ from sensing.radio import ENVELOPE_BYTES
 from sensing.recording import Recording
 from sensing.terrain import Terrain
 from sim_host.setup import build_setup
+from studies.bench_choices import LEARNING_FRAMES, SHARING
 from studies.bench_traffic import POST, SEED, believed_sensor, post_pose, visible_vehicles
-from studies.bench_uplink import LEARNING_FRAMES, UplinkRow
+from studies.bench_uplink import UplinkRow
 from studies.latency import distribution_ms
 from studies.tally import Tally
-
-POLICY = "sharing"
 
 
 def measure_sharing(traffic: Path, link: str, frames: int) -> UplinkRow:
@@ -69,7 +68,7 @@ class _Sharing:
         receivers = len(self._recording.agents) - 1
         fps = len(self._latencies_ns) / receivers / (frames - LEARNING_FRAMES) / period_s
         return UplinkRow(
-            policy=POLICY,
+            policy=SHARING,
             link=self._link,
             agents=len(self._recording.agents),
             bytes_per_frame=mean_bytes,

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from protocol.codec import RangeScan
 from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from protocol.messages import Equipment, Truth
 from protocol.roadmap import RoadMap
+from protocol.scans import RangeScan
 from sensing.config import LidarConfig, PoseErrorConfig, SceneConfig
 from sensing.lidar import Lidar
 from sensing.mounting import above
@@ -31,10 +31,10 @@ from sim_host.broadcast import truth_of
 from sim_host.filming import film
 from sim_host.setup import build_setup
 from sim_host.world import Bodies
+from studies.bench_choices import FRAME_PERIOD_S
 from studies.bounds import VISIBLE_POINTS
 
 SEED = 1
-FRAME_PERIOD_S = 0.1
 POST = "rsu-0"
 VISIBLE_NAME = "visible.json"
 _WARM_UP_STEPS = 600

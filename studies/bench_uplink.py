@@ -9,13 +9,13 @@ from typing import Any
 from recorder.run import Run
 from recorder.tables import CountRow, DetectionRow, TruthRow
 from studies.bandwidth import by_agent
+from studies.bench_choices import LEARNING_FRAMES
 from studies.ecvpr import by_frame
 from studies.latency import end_to_end_ms
 from studies.tally import Tally
 
 EMP_LATENCY_MS, EMP_RATE_HZ = 93.0, 24.0  # published: mean end to end, frames a second
 SUSTAINED_SHARE = 0.98  # of all frames
-LEARNING_FRAMES = 10  # of standing sensors' backgrounds and of rates: not scored
 
 Visible = Callable[[int], set[str]]
 

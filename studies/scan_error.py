@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from protocol.codec import RangeScan, ScanPattern
-from protocol.codec.cloud import Floats, Floats32
 from protocol.errors import CodecError
+from protocol.scans import Floats, Floats32, RangeScan, ScanPattern
 
 _AROUND = [(rows, columns) for rows in (-1, 0, 1) for columns in (-2, -1, 0, 1, 2)]
 

@@ -5,18 +5,11 @@ distance between each point and its decoded self. A form that could not keep it 
 The decoder checks what a payload claims before it allocates; a damaged one raises `CodecError`.
 """
 
-from protocol.codec.cloud import MAX_POINTS, PointCloud, RangeScan, ScanPattern
 from protocol.codec.decode import decode
 from protocol.codec.encode import encode_cloud, encode_scan
 from protocol.codec.payload import claimed_points
-from protocol.codec.profile import Profile
 
 __all__ = [
-    "MAX_POINTS",
-    "PointCloud",
-    "Profile",
-    "RangeScan",
-    "ScanPattern",
     "claimed_points",
     "decode",
     "encode_cloud",

@@ -8,7 +8,6 @@ import threading
 import numpy as np
 from numba import njit
 
-from protocol.codec.cloud import Floats, Floats32
 from protocol.codec.expect import (
     CONTEXT_OF,
     CONTEXTS,
@@ -28,6 +27,7 @@ from protocol.codec.symbols import open_symbols, pack_symbols, read_raw
 from protocol.codec.tokens import I4, I8, U2, U4, i64
 from protocol.codec.walk import STRIDE, UNITS
 from protocol.errors import CodecError
+from protocol.scans import Floats, Floats32
 
 _QUANTISED = 1.0 - 1.0 / UNITS  # half a unit is lost on each side before steps are taken
 _CONTEXTS = CONTEXT_OF.tobytes()

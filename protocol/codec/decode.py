@@ -7,13 +7,13 @@ import numpy.typing as npt
 
 from protocol.codec import planes
 from protocol.codec.beams import open_image
-from protocol.codec.cloud import Floats32, PointCloud, ScanPattern
 from protocol.codec.draco import open_draco
 from protocol.codec.payload import Form, Head, Reader, open_intensity, open_payload, unsqueeze
 from protocol.codec.rings import Rings
 from protocol.codec.tree import open_tree
 from protocol.codec.window import Window
 from protocol.errors import CodecError
+from protocol.scans import Floats32, PointCloud, ScanPattern
 
 
 def decode(payload: bytes | npt.NDArray[np.uint8]) -> PointCloud:

@@ -14,8 +14,8 @@ from types import ModuleType
 
 import numpy as np
 
-from protocol.codec.cloud import Floats32
 from protocol.errors import CodecError, ConfigError
+from protocol.scans import Floats32
 
 LEVEL = 10
 MAX_BITS = 30

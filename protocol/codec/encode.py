@@ -6,16 +6,16 @@ import numpy as np
 
 from protocol.codec import planes
 from protocol.codec.beams import image_step_m, pack_image
-from protocol.codec.cloud import MAX_POINTS, Floats, Floats32, PointCloud, RangeScan
 from protocol.codec.draco import bits_for, pack_draco
 from protocol.codec.fill import Filling
 from protocol.codec.payload import Form, Head, seal_intensity, squeeze
-from protocol.codec.profile import Profile, profile_named
 from protocol.codec.rings import RingImage, find_rings
 from protocol.codec.step import check_bound, reach_m, room_m
 from protocol.codec.tree import cell_edge_m, pack_tree
 from protocol.codec.window import Window
 from protocol.errors import CodecError
+from protocol.profiles import Profile, profile_named
+from protocol.scans import MAX_POINTS, Floats, Floats32, PointCloud, RangeScan
 
 
 def encode_scan(

@@ -15,8 +15,8 @@ from typing import Self
 import numpy as np
 from numba import njit
 
-from protocol.codec.cloud import Floats, Floats32, ScanPattern
 from protocol.codec.tokens import I4, U1
+from protocol.scans import Floats, Floats32, ScanPattern
 
 LOST = -1  # the range of a lost beam
 SIDES = 2  # beams that are looked at to the left, and to the right

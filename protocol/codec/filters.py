@@ -20,7 +20,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from protocol.codec.cloud import Floats
 from protocol.codec.tokens import (
     I4,
     I8,
@@ -29,6 +28,7 @@ from protocol.codec.tokens import (
     i64,
 )
 from protocol.codec.walk import UNITS
+from protocol.scans import Floats
 
 CONTEXTS = 62
 _NEAR, _FAR, _MIXED, _SKY, TAIL = 0, 26, 44, 50, 56

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from protocol.codec.cloud import Floats, Floats32
 from protocol.codec.fill import SIDES, find_holes, ring_units
 from protocol.codec.filters import (
     AT,
@@ -51,6 +50,7 @@ from protocol.codec.tokens import (
     unfold,
 )
 from protocol.codec.walk import GONE, STRIDE, UNITS, are_done, open_states, place_ring
+from protocol.scans import Floats, Floats32
 
 _PARTS = 6  # of all rings: one for each band, but for the lowest, which has the rest
 

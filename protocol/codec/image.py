@@ -18,7 +18,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from protocol.codec.cloud import Floats, Floats32
 from protocol.codec.expect import (
     LOST_TOKEN,
     SECTORS,
@@ -47,6 +46,7 @@ from protocol.codec.tokens import (
     unfold,
 )
 from protocol.codec.walk import GONE, STRIDE, UNITS, are_done, open_states, place_ring
+from protocol.scans import Floats, Floats32
 
 
 @njit(

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 import zstandard
 
-from protocol.codec.cloud import MAX_POINTS, Floats32, check_beams
 from protocol.errors import CodecError
+from protocol.scans import MAX_POINTS, Floats32, check_beams
 
 MAGIC = b"SCAN"
 PREFIX = struct.Struct("<4sBBHIIffdII")

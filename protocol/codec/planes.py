@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from protocol.codec.cloud import Floats, Floats32
 from protocol.codec.fill import SIDES, find_holes, ring_units
 from protocol.codec.walk import UNITS
 from protocol.errors import CodecError
+from protocol.scans import Floats, Floats32
 
 U1 = npt.NDArray[np.uint8]
 MAX_STEPS = 65_533

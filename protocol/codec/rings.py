@@ -14,9 +14,9 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from protocol.codec.cloud import MAX_BEAMS, MAX_POINTS, Floats, Floats32
 from protocol.codec.spin import claim_beams, measure_beams, turn_rings
 from protocol.errors import CodecError
+from protocol.scans import MAX_BEAMS, MAX_POINTS, Floats, Floats32
 
 Ints = npt.NDArray[np.int64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from protocol.codec.cloud import Floats, Floats32
 from protocol.codec.tokens import I8
+from protocol.scans import Floats, Floats32
 
 _NEAREST_M = 1e-3
 

@@ -8,7 +8,6 @@ import struct
 import numpy as np
 import numpy.typing as npt
 
-from protocol.codec.cloud import Floats, Floats32
 from protocol.codec.octree import (
     CONTEXTS,
     MAX_DEPTH,
@@ -22,6 +21,7 @@ from protocol.codec.octree import (
 from protocol.codec.payload import Reader
 from protocol.codec.symbols import open_symbols, pack_symbols, read_raw
 from protocol.errors import CodecError
+from protocol.scans import Floats, Floats32
 
 _HEAD = struct.Struct("<dddB")
 _MOST_SYMBOLS_OF_A_CELL = 32

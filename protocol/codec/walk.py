@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from protocol.codec.cloud import Floats, Floats32
 from protocol.codec.rans import START, STATES
 from protocol.codec.tokens import I4, TAIL_ALPHABET, U1, U2, U8, u64
+from protocol.scans import Floats, Floats32
 
 STRIDE = TAIL_ALPHABET
 UNITS = 256  # in one step

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from protocol.codec.cloud import Floats, Floats32
 from protocol.codec.tokens import U1
 from protocol.errors import CodecError
+from protocol.scans import Floats, Floats32
 
 BLOCK = 4  # columns that stay together
 WORTH = 0.75  # of the image: a window that is larger is not worth the copy

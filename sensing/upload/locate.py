@@ -9,8 +9,8 @@ import numpy.typing as npt
 from numba import njit
 
 from perception.roadway import Roadway
-from protocol.codec import RangeScan
 from protocol.geometry import SE3
+from protocol.scans import RangeScan
 
 Floats = npt.NDArray[np.float64]
 Floats32 = npt.NDArray[np.float32]

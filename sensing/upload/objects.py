@@ -12,9 +12,9 @@ from perception.detector import Cloud, Detector
 from perception.registry import detector_of
 from perception.roadway import Roadway
 from perception.vehicles import Vehicles
-from protocol.codec import RangeScan
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
+from protocol.scans import RangeScan
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,9 +10,9 @@ from numba import njit
 
 from perception.roadway import Roadway
 from perception.thin import thin
-from protocol.codec import RangeScan, ScanPattern
 from protocol.geometry import SE3
 from protocol.messages import Plan
+from protocol.scans import RangeScan, ScanPattern
 from sensing.upload.cells import NOT_SENT, cut
 from sensing.upload.foreground import Background, driving_foreground
 from sensing.upload.locate import locate

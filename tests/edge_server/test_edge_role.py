@@ -14,11 +14,12 @@ from edge_server.frame import Piece
 from edge_server.opening import Opener
 from edge_server.role import EdgeRole
 from protocol import messages as m
-from protocol.codec import PointCloud, encode_cloud
+from protocol.codec import encode_cloud
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.local import LocalNetwork
 from protocol.process import Context, loop
 from protocol.roadmap import RoadMap
+from protocol.scans import PointCloud
 from protocol.topics import BusName
 from tests.waiting import PATIENCE_S, wait_until
 

@@ -11,11 +11,11 @@ import pytest
 
 from edge_server.frame import Piece, spoilt_scan
 from edge_server.opening import PER_THREAD, Opener
-from protocol.codec import MAX_POINTS
 from protocol.codec.payload import Form, Head
 from protocol.errors import CodecError
 from protocol.inbox import Inbox
 from protocol.messages import Scan
+from protocol.scans import MAX_POINTS
 from tests.waiting import PATIENCE_S, wait_until
 
 THREADS = 2

@@ -5,9 +5,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from protocol.codec import PointCloud, RangeScan, ScanPattern, decode, encode_cloud, encode_scan
+from protocol.codec import decode, encode_cloud, encode_scan
 from protocol.codec.payload import PREFIX, Form, Head
 from protocol.errors import CodecError
+from protocol.scans import PointCloud, RangeScan, ScanPattern
 
 PATTERN = ScanPattern(4, 16, 2.0, -24.9)
 BOUNDS_M = st.sampled_from([0.001, 0.01, 0.02, 0.1, 1.0])

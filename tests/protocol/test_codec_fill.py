@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol.codec import RangeScan, ScanPattern, decode, encode_scan
+from protocol.codec import decode, encode_scan
+from protocol.scans import RangeScan, ScanPattern
 
 OWN = ["fast", "default", "compact"]
 PROFILES = st.sampled_from(OWN)

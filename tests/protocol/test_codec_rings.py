@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from protocol.codec import PointCloud, ScanPattern, decode, encode_cloud
+from protocol.codec import decode, encode_cloud
 from protocol.codec.payload import Form
 from protocol.codec.rings import find_rings
+from protocol.scans import PointCloud, ScanPattern
 
 
 def ringed(seed: int = 0, columns: int = 600, loss: float = 0.3) -> np.ndarray:

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from protocol.codec import RangeScan, ScanPattern
 from protocol.errors import ConfigError
 from protocol.messages import Equipment, Truth
+from protocol.scans import RangeScan, ScanPattern
 from sensing.config import LidarConfig
 from sensing.recording import Recording, write_recording
 from sensing.source import check_recording

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from perception.roadway import Roadway
-from protocol.codec import RangeScan
 from protocol.geometry import SE3
 from protocol.messages import Plan
 from protocol.roadmap import RoadMap
+from protocol.scans import RangeScan
 from sensing.config import LidarConfig, UploadConfig
 from sensing.lidar import Lidar
 from sensing.scene import Scene

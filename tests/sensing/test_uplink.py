@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from perception.roadway import Roadway
-from protocol.codec import RangeScan, ScanPattern, decode
+from protocol.codec import decode
 from protocol.geometry import SE3
 from protocol.messages import Scan, Tick
 from protocol.roadmap import RoadMap
+from protocol.scans import RangeScan, ScanPattern
 from sensing.config import UploadConfig
 from sensing.lidar import Sensed
 from sensing.radio import RealRadio

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.codec import PointCloud, encode_cloud
+from protocol.codec import encode_cloud
 from protocol.errors import ConfigError
 from protocol.messages import Setup, VehicleType
 from protocol.roadmap import Lane, Link, RoadMap, Signal
+from protocol.scans import PointCloud
 from protocol.wire import encode
 from recorder.database import Database
 from recorder.run import SETUP_NAME, Run

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
-from protocol.codec import RangeScan, ScanPattern, decode, encode_scan
+from protocol.codec import decode, encode_scan
 from protocol.errors import CodecError
+from protocol.scans import RangeScan, ScanPattern
 from studies.scan_error import ScanError
 
 
