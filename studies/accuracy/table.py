@@ -71,8 +71,9 @@ def _said(rows: list[EvalRow]) -> str:
     scenes = {row.fusion: row.scenes for row in rows}
     of = {row.truth: row.vehicles for row in rows if row.fusion == "early" and not row.geofence}
     return (
-        f"{scenes['early']} moments with {scenes['none']} scans, some seconds apart: those of the "
-        "posts and of up to five CAVs near the junction, drawn anew each time. Of "
+        f"{scenes['early']} moments with {scenes['none']} scans, some seconds apart, each scan one "
+        "revolution of a tenth of a second, as at 10 Hz: those of the posts and of up to five CAVs "
+        "near the junction, drawn anew each time. Of "
         f"{of['all']} vehicles within 80 m of the junction's centre {of['visible']} are visible: "
         f"{VISIBLE_POINTS} points or more lie on them, of all scans together. A column is the IoU "
         "above which a box counts, from above (BEV) or as a volume (3D). The paper's clouds come "

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from studies.of_study.findings import Findings, Known, number
-from studies.page.model import Column, Section, Table
+from studies.page.model import Block, Column, Section, Table, Text
 
 OF_VISIBLE = 0.9
 NEAR_PERFECT = 0.10
@@ -30,7 +30,8 @@ def claims_section(findings: Findings) -> Section:
         (claim.text, claim.measured, "yes" if claim.holds else "no") for claim in claims(findings)
     )
     columns = (Column("expected"), Column("measured"), Column("holds"))
-    return Section("What was expected, and what came of it", (Table(columns, rows),))
+    blocks: tuple[Block, ...] = (Table(columns, rows), *map(Text, _notes(findings)))
+    return Section("What was expected, and what came of it", blocks)
 
 
 def claims(findings: Findings) -> list[Claim]:
@@ -43,12 +44,40 @@ def claims(findings: Findings) -> list[Claim]:
             (row for row in perception if row[_DETECTOR] == detector),
             key=lambda row: number(row, _CAV) or 0.0,
         )
-        found += list(_of_detector(detector, rows, _perfect(findings)))
+        found += list(_of_detector(detector, rows, _delay_with(findings, "perfect counts")))
     return found + list(_of_reports(findings.rows("reports")))
 
 
-def _perfect(findings: Findings) -> float | None:
-    rows = [row for row in findings.rows("control") if "perfect counts" in str(row["controller"])]
+def _notes(findings: Findings) -> Iterator[str]:
+    """Yields why some figures are not what one would expect, where they are not."""
+    perception = findings.rows("perception")
+    shares = [(number(row, "e_cvpr_mean"), number(row, "visible_share_mean")) for row in perception]
+    if any(found and visible and found > visible for found, visible in shares):
+        yield (
+            "E-CVPR above the visible share: a vehicle that fewer than 5 points lie on does not "
+            "count as visible, but may still be found."
+        )
+    counts, queues = (_delay_with(findings, name) for name in ("perfect counts", "perfect queues"))
+    delays = [delay for row in perception if (delay := number(row, "delay_s_mean")) is not None]
+    if counts and delays and min(delays) < counts:
+        yield (
+            "Less delay than with perfect counts: these are no lower bound. They weigh a vehicle "
+            "200 m away, which a green of some seconds does not serve, as much as one at the stop "
+            "bar. A roadside LiDAR sees the nearer half, which is then taken for the whole."
+        )
+    if counts and queues and queues > counts:
+        yield (
+            "More delay by queues than by counts: a platoon that approaches weighs nothing until "
+            "it has been stopped, so that greens come late."
+        )
+    yield (
+        "Intervals of delays are wide because demand is drawn anew for each seed. It is the same "
+        "in all cells of a seed, so that differences between cells are surer than they say."
+    )
+
+
+def _delay_with(findings: Findings, controller: str) -> float | None:
+    rows = [row for row in findings.rows("control") if controller in str(row["controller"])]
     return number(rows[0], "delay_s_mean") if rows else None
 
 

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import NullLocator
 
 from perception.arrays import Floats
 from studies.page.charts import Chart, Numbers, Series, Timeline
@@ -21,6 +22,12 @@ def draw_chart(chart: Chart, axes: Axes, colours: Colours) -> list[str]:
     axes.set(xlabel=chart.x_label, ylabel=chart.y_label)
     axes.set_xscale("log" if chart.x_log else "linear")
     axes.set_yscale("log" if chart.y_log else "linear")
+    if chart.x_log:  # what was studied, in plain numbers
+        axes.set_xticks(sorted({x for series in chart.series for x in series.x if x is not None}))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_locator(NullLocator())
+    if chart.y_log:
+        axes.yaxis.set_major_formatter("{x:g}")
     axes.grid(axis="y" if chart.x_categories else "both")
     if chart.kind == "bar":
         _bars(chart, axes, colours)
