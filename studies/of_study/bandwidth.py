@@ -8,8 +8,10 @@ from studies.of_study.blocks import COUNT_ERROR, DELAY, E_CVPR, bare_mean, curve
 from studies.of_study.findings import Findings, Known, label_of, number
 from studies.of_study.origin import origin_section
 from studies.page.model import Block, Cell, Column, Page, Section, Table, Text
+from studies.sweep.spec import Grid
 
 UPLOAD, RATE = "upload", "uplink in Mbit/s"
+_LONG_S = 1800.0
 ENOUGH = 0.99  # of the E-CVPR that the fastest uplink gives
 _TITLES = {
     "every-second": "Perception once a second",
@@ -25,9 +27,9 @@ def bandwidth_page(findings: Findings, sections: Sequence[Section] = ()) -> Page
         "Every agent, vehicles and the roadside LiDAR alike, is on an uplink of its own. What does "
         "not arrive before the edge's deadline is left out of its frame. Links are virtual: bytes "
         f"are real, arrival is in simulated time. {len(findings.frame)} runs, "
-        f"{len(study.seeds)} seeds a cell." + findings.gaps()
+        f"seeds of each cell: {len(study.seeds)}." + findings.gaps()
     )
-    grids = (_grid_section(findings, grid.name) for grid in study.grids)
+    grids = (_grid_section(findings, grid) for grid in study.grids)
     return Page(
         study.title or study.name,
         lead,
@@ -63,12 +65,18 @@ def _answers(findings: Findings, grid: str) -> Iterator[tuple[Cell, ...]]:
         yield (_TITLES.get(grid, grid), upload, label_of(first[RATE]), *figures, sent)
 
 
-def _grid_section(findings: Findings, grid: str) -> Section:
-    axes, rows = findings.axes(grid), findings.rows(grid)
+def _grid_section(findings: Findings, grid: Grid) -> Section:
+    axes, rows = findings.axes(grid.name), findings.rows(grid.name)
     axis = axes[-1]
     blocks: list[Block] = [
         curves(rows, axis, [other for other in axes if other != axis], shown)
         for shown in (E_CVPR, COUNT_ERROR, DELAY)
     ]
     caption = "Means over seeds ± half the width of the 95 % confidence interval."
-    return Section(_TITLES.get(grid, grid), (*blocks, grid_table(rows, axes, caption)))
+    settings = {**findings.scenario, **findings.study.settings, **grid.settings}
+    if settings.get("duration_s", _LONG_S) < _LONG_S:
+        caption += (
+            f" In runs of {settings['duration_s']:g} s delays tell little; counts and E-CVPR are "
+            "of every frame."
+        )
+    return Section(_TITLES.get(grid.name, grid.name), (*blocks, grid_table(rows, axes, caption)))
