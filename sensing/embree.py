@@ -32,19 +32,21 @@ class Caster:
     """A mesh in Embree, whose search tree is built once, here."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
-        self._scene = None
+        self._where = None
         if len(mesh.triangles) == 0:
             return
-        self._cast_at = ctypes.cast(_library().rtcIntersect16, ctypes.c_void_p).value
         self._vertices = np.zeros((len(mesh.vertices) + 1, 3), np.float32)  # Embree reads 16 bytes
         self._vertices[:-1] = mesh.vertices
         self._triangles = mesh.triangles.copy()
-        self._scene = _built(self._vertices, self._triangles)
-        weakref.finalize(self, _library().rtcReleaseScene, self._scene)
+        scene = _built(self._vertices, self._triangles)
+        weakref.finalize(self, _library().rtcReleaseScene, scene)
         self._packet = _aligned(_RAY_ROWS * PACKET * 4).view(np.float32).reshape(-1, PACKET)
         self._active = _aligned(PACKET * 4).view(np.int32)
         self._arguments = _aligned(_LINE_BYTES)
         self._arguments.view(np.uint32)[:2] = _COHERENT, _ALL_FEATURES
+        arrays = self._packet.ctypes.data, self._arguments.ctypes.data
+        cast_at = ctypes.cast(_library().rtcIntersect16, ctypes.c_void_p).value
+        self._where = np.array([cast_at, self._active.ctypes.data, scene, *arrays], np.int64)
 
     def cast(self, origins: Floats32, directions: Floats32, limits: Floats32) -> None:
         """Lowers each limit to where its ray first hits; a ray that misses keeps its own.
@@ -57,17 +59,8 @@ class Caster:
             directions: (3, N or more), contiguous.
             limits: (N,), contiguous; overwritten.
         """
-        if self._scene is not None and len(limits):
-            where = np.array(
-                [
-                    self._cast_at,
-                    self._active.ctypes.data,
-                    self._scene,
-                    self._packet.ctypes.data,
-                    self._arguments.ctypes.data,
-                ]
-            )
-            cast_packets(where, self._active, self._packet, origins, directions, limits)
+        if self._where is not None and len(limits):
+            cast_packets(self._where, self._active, self._packet, origins, directions, limits)
 
 
 @cache

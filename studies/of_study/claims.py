@@ -61,14 +61,15 @@ def _notes(findings: Findings) -> Iterator[str]:
     delays = [delay for row in perception if (delay := number(row, "delay_s_mean")) is not None]
     if counts and delays and min(delays) < counts:
         yield (
-            "Less delay than with perfect counts: these are no lower bound. They weigh a vehicle "
-            "200 m away, which a green of some seconds does not serve, as much as one at the stop "
-            "bar. A roadside LiDAR sees the nearer half, which is then taken for the whole."
+            "Less delay than with perfect counts: these are no lower bound for max pressure. The "
+            "likely cause, not tested by itself: they weigh a vehicle that is far away, and that "
+            "the next seconds of green do not serve, as much as one at the stop bar, whereas a "
+            "roadside LiDAR sees the nearer part of an approach."
         )
     if counts and queues and queues > counts:
         yield (
-            "More delay by queues than by counts: a platoon that approaches weighs nothing until "
-            "it has been stopped, so that greens come late."
+            "More delay by queues than by counts, likely because a platoon that approaches weighs "
+            "nothing until it has been stopped."
         )
     yield (
         "Intervals of delays are wide because demand is drawn anew for each seed. It is the same "
