@@ -10,16 +10,26 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
 
 import zenoh
 
-from protocol.errors import BusError
+from protocol.access import Members, access_control
+from protocol.errors import BusError, MessageError
 from protocol.inbox import Envelope, Inbox, Presence, Sealed
+from protocol.keys import Keys
 from protocol.messages import Message
 from protocol.tcpinfo import sent_bytes, unsent_bytes
-from protocol.topics import ALIVE, TOPICS, BusName, Delivery, Topic
+from protocol.topics import (
+    ALIVE,
+    ALIVE_IN_ANY,
+    TOPICS,
+    BusName,
+    Delivery,
+    Topic,
+    alive_parts,
+)
 from protocol.wire import decode, encode
 
 __all__ = [
@@ -32,11 +42,13 @@ __all__ = [
     "fetch",
     "open_bus",
     "roomy",
+    "settings_of",
 ]
 
 M = TypeVar("M", bound=Message)
 
 CONNECT_TIMEOUT_MS = 60_000
+NOBODY = Members({})
 LEASE_MS = 20_000  # a process may be stopped for so long; its death shows as the end of its TCP
 SEND_BUFFER_BYTES = 1 << 20  # the kernel caps it at net.core.wmem_max
 _PRIORITY = {
@@ -73,17 +85,21 @@ class Bus(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """How to reach a bus: `listen` hosts its router at the locator, otherwise connect to it."""
+    """How to reach a bus: `listen` hosts its router at the locator, otherwise connect to it.
+
+    With keys the locator is one of TLS, and what is not allowed to a certificate is refused.
+    """
 
     locator: str
     listen: bool
+    keys: Keys | None = None
 
     def __str__(self) -> str:
         return f"{'listen' if self.listen else 'connect'}:{self.locator}"
 
     @classmethod
     def parse(cls, text: str) -> Endpoint:
-        """Reads `listen:tcp/HOST:PORT` or `connect:tcp/HOST:PORT`."""
+        """Reads `listen:tcp/HOST:PORT` or `connect:tls/HOST:PORT`, without keys."""
         verb, _, locator = text.partition(":")
         if verb not in ("listen", "connect") or not locator:
             raise BusError(f"endpoint {text!r}: needs listen:LOCATOR or connect:LOCATOR")
@@ -135,7 +151,11 @@ class ZenohBus:
         """See `Bus.watch`."""
 
         def take(sample: zenoh.Sample) -> None:
-            role, process_id = str(sample.key_expr).split("/")[-2:]
+            try:
+                role, process_id = alive_parts(str(sample.key_expr))
+            except MessageError as error:
+                self._inbox.refuse(ALIVE, error)
+                return
             alive = sample.kind == zenoh.SampleKind.PUT
             self._inbox.put(Presence(role, process_id, alive, self._name))
 
@@ -163,6 +183,12 @@ class ZenohBus:
             if reply.ok is not None:
                 return decode(reply.ok.payload.to_bytes(), message)
         return None
+
+    def roll_call(self, timeout_s: float) -> list[tuple[str, str, str]]:
+        """Returns protocol version, role and id of all that live, whatever version they speak."""
+        replies = self._session.liveliness().get(ALIVE_IN_ANY, timeout=timeout_s)
+        keys = [str(reply.ok.key_expr).split("/") for reply in replies if reply.ok is not None]
+        return sorted({(version, role, process) for _, version, _, role, process in keys})
 
     def _answer(self, topic_name: str, make: Callable[[], bytes]) -> None:
         key = self._topic(topic_name).key()
@@ -195,14 +221,20 @@ class ZenohBus:
 
 
 def open_bus(
-    name: BusName, endpoint: Endpoint, inbox: Inbox, timeout_ms: int | None = None
+    name: BusName,
+    endpoint: Endpoint,
+    inbox: Inbox,
+    timeout_ms: int | None = None,
+    members: Members | None = None,
 ) -> ZenohBus:
     """Opens a bus, as its router's host or as a client that waits for the host.
+
+    A host with keys lets nobody but `members` say or hear anything.
 
     Raises:
         BusError: the port is in use, or nothing answers there in time.
     """
-    return ZenohBus(_open_session(name, endpoint, timeout_ms), name, inbox)
+    return ZenohBus(_open_session(name, endpoint, timeout_ms, members), name, inbox)
 
 
 def roomy(endpoint: Endpoint) -> Endpoint:
@@ -210,7 +242,7 @@ def roomy(endpoint: Endpoint) -> Endpoint:
 
     Then publishing blocks nobody, and the kernel tells how much waits.
     """
-    return Endpoint(f"{endpoint.locator}#so_sndbuf={SEND_BUFFER_BYTES}", endpoint.listen)
+    return replace(endpoint, locator=f"{endpoint.locator}#so_sndbuf={SEND_BUFFER_BYTES}")
 
 
 def fetch(name: BusName, endpoint: Endpoint, topic_name: str, message: type[M]) -> M:
@@ -230,29 +262,42 @@ def fetch(name: BusName, endpoint: Endpoint, topic_name: str, message: type[M]) 
 
 
 def _open_session(
-    name: BusName, endpoint: Endpoint, timeout_ms: int | None = None
+    name: BusName,
+    endpoint: Endpoint,
+    timeout_ms: int | None = None,
+    members: Members | None = None,
 ) -> zenoh.Session:
     timeout_ms = CONNECT_TIMEOUT_MS if timeout_ms is None else timeout_ms
     try:
-        return zenoh.open(_config(endpoint, timeout_ms))
+        return zenoh.open(_config(name, endpoint, timeout_ms, members or NOBODY))
     except zenoh.ZError as error:
         raise BusError(_explain(name, endpoint, timeout_ms, str(error))) from None
 
 
-def _config(endpoint: Endpoint, timeout_ms: int) -> zenoh.Config:
+def settings_of(keys: Keys | None) -> dict[str, object]:
+    """Returns Zenoh's settings by their paths, as far as all sessions and routers share them."""
+    shared: dict[str, object] = {
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/link/tx/lease": LEASE_MS,
+        "transport/shared_memory/enabled": False,
+    }
+    return shared if keys is None else shared | {"transport/link/tls": keys.settings()}
+
+
+def _config(name: BusName, endpoint: Endpoint, timeout_ms: int, members: Members) -> zenoh.Config:
     config = zenoh.Config()
-    settings = {
+    settings: dict[str, object] = {
+        **settings_of(endpoint.keys),
         "mode": "router" if endpoint.listen else "client",
         "listen/endpoints": [endpoint.locator] if endpoint.listen else [],
         "connect/endpoints": [] if endpoint.listen else [endpoint.locator],
         "connect/timeout_ms": timeout_ms,
         "connect/exit_on_failure": True,
         "connect/retry": {"period_init_ms": 50, "period_max_ms": 400, "period_increase_factor": 2},
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "transport/link/tx/lease": LEASE_MS,
-        "transport/shared_memory/enabled": False,
     }
+    if endpoint.keys is not None and endpoint.listen:
+        settings["access_control"] = access_control(name, members)
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config
@@ -265,9 +310,11 @@ def _explain(name: BusName, endpoint: Endpoint, timeout_ms: int, error: str) -> 
             "stop what uses it or choose another with --listen"
         )
     if not endpoint.listen:
+        host = endpoint.locator.partition("/")[2].rpartition(":")[0]
+        why = f", with a certificate of the same authority that names {host}"
         return (
             f"nothing answers at {endpoint.locator} for the {name.value} bus "
-            f"(waited {timeout_ms / 1000:g} s); is the other side up?"
+            f"(waited {timeout_ms / 1000:g} s); is the other side up{why if endpoint.keys else ''}?"
         )
     return (
         f"cannot listen at {endpoint.locator} for the {name.value} bus: {error.split(' at /')[0]}"

@@ -25,6 +25,7 @@ BURST = 8
 BURST_PERIOD_S = 0.02
 PERIOD_S = 2.0
 PATIENCE_S = 0.5
+MAX_OFFSET_NS = 1 << 61  # 73 years
 _log = logging.getLogger(__name__)
 M = TypeVar("M", bound=Message)
 
@@ -70,8 +71,9 @@ class OffsetFilter:
         self._kept: deque[Exchange] = deque(maxlen=KEPT)
 
     def add(self, exchange: Exchange) -> None:
-        """Takes an exchange; one that contradicts itself is left."""
-        if exchange.error_ns >= 0 and exchange.told_ns >= exchange.heard_ns:
+        """Takes an exchange; one that contradicts itself, or is of no clock, is left."""
+        in_order = exchange.error_ns >= 0 and exchange.told_ns >= exchange.heard_ns
+        if in_order and abs(exchange.offset_ns) <= MAX_OFFSET_NS:
             self._kept.append(exchange)
 
     def best(self, now_ns: int) -> tuple[int, int] | None:

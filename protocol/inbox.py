@@ -6,15 +6,18 @@ import logging
 import queue
 import threading
 from collections import Counter, deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from protocol.errors import ProtocolError
+from protocol.errors import MessageError, ProtocolError
 from protocol.messages import Message
+from protocol.shares import Shares
 from protocol.topics import BusName, Topic
 from protocol.wire import decode
 
-CAPACITY = 4096
+CAPACITY = 16_384
 CAPACITY_BYTES = 256 << 20  # sixteen of the largest messages, or 8000 scans
+MAX_KEY = 8 << 10  # characters: more than the longest ids take, percent-encoded
+_TOLD = 200  # characters of a key, in the log
 _log = logging.getLogger(__name__)
 
 
@@ -41,12 +44,13 @@ class Presence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sealed:
-    """Bytes as they came, not yet read."""
+    """Bytes as they came, not yet read; `sender` is whose share of an inbox they take."""
 
     topic: Topic
     key: str
     data: bytes
     received_ns: int
+    sender: str = ""
 
 
 class Inbox:
@@ -56,11 +60,13 @@ class Inbox:
     """
 
     def __init__(self, capacity: int = CAPACITY, max_bytes: int = CAPACITY_BYTES) -> None:
-        self._queue: queue.Queue[str | Sealed | Presence | None] = queue.Queue(capacity)
+        self._queue: queue.Queue[_Place | Sealed | Presence | None] = queue.Queue(capacity)
+        self._capacity = capacity
         self._max_bytes = max_bytes
+        self._shares: Shares | None = None
         self._bytes = 0
         self._limits: dict[str, int] = {}
-        self._waiting: dict[str, deque[Sealed]] = {}
+        self._waiting: dict[_Place, deque[Sealed]] = {}
         self._lock = threading.Lock()
         self._woken = False
         self._told: set[tuple[str, str]] = set()
@@ -73,18 +79,39 @@ class Inbox:
         """
         self._limits[topic_name] = waiting
 
+    def share_out(self, *, is_paced: bool) -> None:
+        """Gives each process a share of its own, and a rate where the wall clock paces them.
+
+        To be called before anything comes in. What is beyond is counted as `rate_limited`.
+        """
+        self._shares = Shares(self._capacity, self._max_bytes, is_paced=is_paced)
+
+    def flooding(self, now_ns: int) -> set[str]:
+        """Returns the processes that send faster than they may."""
+        with self._lock:
+            return self._shares.flooding(now_ns) if self._shares else set()
+
     def put(self, item: Sealed | Presence) -> None:
         """Takes an item from a transport's thread; a full inbox counts and drops it."""
+        if isinstance(item, Sealed) and len(item.key) > MAX_KEY:
+            self.refuse(item.key, MessageError(f"its key has {len(item.key)} characters"))
+            return
         with self._lock:
+            item = self._signed(item)
             oldest = self._oldest_beside(item)
             growth = _size_bytes(item) - _size_bytes(oldest)
+            if not self._has_share(item, (int(oldest is None), growth)):
+                self.drops["rate_limited"] += 1
+                return
             no_place = oldest is None and self._queue.full()
             if no_place or self._bytes + growth > self._max_bytes:
                 self.drops["inbox_full"] += 1
                 return
             self._bytes += growth
+            self._take_share(item, 1)
             if oldest is not None:  # the newer one is read in the place of the oldest
-                self._waiting[oldest.key].popleft()
+                self._waiting[_place(oldest)].popleft()
+                self._take_share(oldest, -1)
                 self.drops["overtaken"] += 1
             entry = self._wait(item)
             if oldest is None:
@@ -110,9 +137,10 @@ class Inbox:
         except queue.Empty:
             return None
         with self._lock:
-            if isinstance(item, str):
+            if isinstance(item, tuple):
                 item = self._pop_waiting(item)
             self._bytes -= _size_bytes(item)
+            self._take_share(item, -1)
         return item if isinstance(item, Presence) else self._open(item)
 
     def refuse(self, key: str, error: ProtocolError) -> None:
@@ -120,41 +148,68 @@ class Inbox:
         reason = type(error).__name__
         self.drops[reason] += 1
         if self._is_news(key, reason):
-            _log.warning("dropped a message on %s: %s (later ones are only counted)", key, error)
+            _log.warning(
+                "dropped a message on %s: %s (later ones are only counted)",
+                _printable(key),
+                _printable(str(error)),
+            )
 
     def fail(self, key: str, error: Exception) -> None:
         """Counts a message that its role could not take, by a fault of the role."""
         self.drops["role_error"] += 1
         if self._is_news(key, "role_error"):
             _log.error(
-                "a message on %s went wrong (later ones are only counted)", key, exc_info=error
+                "a message on %s went wrong (later ones are only counted)",
+                _printable(key),
+                exc_info=error,
             )
 
     def _is_news(self, key: str, reason: str) -> bool:
-        if (key, reason) in self._told or len(self._told) >= CAPACITY:
+        news = key[:_TOLD], reason
+        if news in self._told or len(self._told) >= CAPACITY:
             return False
-        self._told.add((key, reason))
+        self._told.add(news)
         return True
+
+    def _signed(self, item: Sealed | Presence) -> Sealed | Presence:
+        """Returns an item with the sender whose share it takes; learns who is there."""
+        if self._shares is None:
+            return item
+        if isinstance(item, Sealed):
+            return replace(item, sender=self._shares.sender_of(item.topic.process(item.key)))
+        self._shares.show(item.id, alive=item.alive)
+        return item
+
+    def _has_share(self, item: Sealed | Presence, growth: tuple[int, int]) -> bool:
+        if self._shares is None or isinstance(item, Presence):
+            return True
+        return self._shares.admits(item.sender, growth, item.received_ns)
+
+    def _take_share(self, item: Sealed | Presence, times: int) -> None:
+        """Counts an item as one that waits, or with -1 as one that does so no more."""
+        if self._shares is not None and isinstance(item, Sealed):
+            self._shares.add(item.sender, (times, times * len(item.data)))
 
     def _oldest_beside(self, item: Sealed | Presence) -> Sealed | None:
         """Returns what an item drives out: the oldest of its key, if no more may wait."""
         if not isinstance(item, Sealed):
             return None
-        waiting = self._waiting.get(item.key, deque())
+        waiting = self._waiting.get(_place(item), deque())
         return waiting[0] if len(waiting) >= self._limits.get(item.topic.name, 1) else None
 
-    def _wait(self, item: Sealed | Presence) -> str | Sealed | Presence:
-        """Returns what stands in the queue for an item: the key alone where others may come."""
+    def _wait(self, item: Sealed | Presence) -> _Place | Sealed | Presence:
+        """Returns what stands in the queue for an item: its place alone where others may come."""
         if not isinstance(item, Sealed) or item.topic.name not in self._limits:
             return item
-        self._waiting.setdefault(item.key, deque()).append(item)
-        return item.key
+        place = _place(item)
+        self._waiting.setdefault(place, deque()).append(item)
+        return place
 
-    def _pop_waiting(self, key: str) -> Sealed:
-        waiting = self._waiting[key]
+    def _pop_waiting(self, place: _Place) -> Sealed:
+        waiting = self._waiting[place]
         item = waiting.popleft()
         if not waiting:
-            del self._waiting[key]
+            del self._waiting[place]
         return item
 
     def _open(self, sealed: Sealed) -> Envelope | None:
@@ -168,5 +223,18 @@ class Inbox:
         return Envelope(sealed.topic.name, parts, message, sealed.received_ns, size)
 
 
+_Place = tuple[str, str]
+
+
+def _place(item: Sealed) -> _Place:
+    """Returns topic and key: what is published at `cpnet/**` comes on many topics by one key."""
+    return item.topic.name, item.key
+
+
 def _size_bytes(item: Sealed | Presence | None) -> int:
     return len(item.data) if isinstance(item, Sealed) else 0
+
+
+def _printable(text: str) -> str:
+    """Returns the beginning of what others wrote, so that it cannot break a line of the log."""
+    return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text[:_TOLD])

@@ -10,26 +10,31 @@ closes: a supervisor that dies takes its processes with it.
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 import os
 import signal
 import sys
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
+from protocol.access import members_of
 from protocol.bus import Bus, Endpoint, ZenohBus, open_bus, roomy
 from protocol.clock import ClockWatch, time_reply
 from protocol.errors import CpnetError, ProtocolError
 from protocol.inbox import Envelope, Inbox, Presence
+from protocol.keys import Keys
+from protocol.logs import LogStyle, configure
 from protocol.messages import Setup
 from protocol.topics import BusName
 from protocol.wire import decode
 
 POLL_S = 0.02
 MAX_BATCH = 256  # so that a flood cannot keep a role from acting
+WORLD_ID = "sim"  # tells setup and time, and has the clock that all others are held against
 _NOWHERE = Endpoint("", listen=False)  # of a role that is built without a network
 _log = logging.getLogger(__name__)
 
@@ -72,13 +77,13 @@ class Role(Protocol):
 
 
 def run(role_name: str, build: Callable[[Context], Role]) -> None:
-    """Runs a role until it is told to stop; exits 0, or 1 with the reason in the log."""
-    arguments = _parse(role_name)
-    logging.basicConfig(
-        level=logging.INFO,
-        stream=sys.stderr,
-        format=f"%(asctime)s {arguments.id} %(levelname)s %(name)s: %(message)s",
-    )
+    """Runs a role until it is told to stop; exits 0, or 1 with the reason in the log.
+
+    With `--standby` alone it waits first, with all that is imported at hand, until it is told its
+    arguments.
+    """
+    arguments = _parse(role_name, _await_order() if sys.argv[1:] == ["--standby"] else sys.argv[1:])
+    configure(arguments.id, arguments.log)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -101,15 +106,17 @@ def _live(
 ) -> None:
     inbox = Inbox()
     setup = read_setup(arguments.setup)
-    world = open_bus(BusName.WORLD, arguments.world, inbox)
-    if arguments.world.listen:
+    members = members_of(setup.scenario) if arguments.keys else None
+    world = open_bus(BusName.WORLD, arguments.world, inbox, members=members)
+    is_world = arguments.id == WORLD_ID
+    if is_world:
         world.serve("setup", setup)  # before all else: whoever hosts the V2X bus may wait for it
         world.answer("time", time_reply())
-    v2x = open_bus(BusName.V2X, arguments.v2x, inbox)
-    clock = None if arguments.world.listen else ClockWatch(arguments.id, world)
+    v2x = open_bus(BusName.V2X, arguments.v2x, inbox, members=members)
+    clock = None if is_world else ClockWatch(arguments.id, world)
     if clock is not None:
         clock.start()
-    uplink = arguments.uplink or Endpoint(arguments.v2x.locator, listen=False)
+    uplink = arguments.uplink or replace(arguments.v2x, listen=False)
     context = Context(
         arguments.id,
         setup,
@@ -165,13 +172,30 @@ def _close(*buses: ZenohBus) -> None:
         bus.close()
 
 
+def _await_order() -> list[str]:
+    """Returns the arguments that come as a line on standard input; the log goes where it says."""
+    line = b""
+    while not line.endswith(b"\n"):
+        byte = os.read(0, 1)
+        if not byte:
+            sys.exit(0)
+        line += byte
+    order = json.loads(line)
+    log = os.open(order["log"], os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+    for stream in (1, 2):
+        os.dup2(log, stream)
+    os.close(log)
+    arguments: list[str] = order["arguments"]
+    return arguments
+
+
 def _stop_at_end_of_input(stop: threading.Event) -> None:
     while os.read(0, 1):
         pass
     stop.set()
 
 
-def _parse(role_name: str) -> argparse.Namespace:
+def _parse(role_name: str, words: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog=f"python -m {role_name}", description=__doc__)
     parser.add_argument("--id", required=True, help="the process's own name, such as vehicle-0")
     parser.add_argument("--setup", required=True, type=Path, help="setup file of the run")
@@ -179,5 +203,13 @@ def _parse(role_name: str) -> argparse.Namespace:
     parser.add_argument("--world", required=True, type=Endpoint.parse, help="listen:… or connect:…")
     parser.add_argument("--v2x", required=True, type=Endpoint.parse, help="listen:… or connect:…")
     parser.add_argument("--uplink", type=Endpoint.parse, help="agents: another way to the V2X bus")
+    parser.add_argument("--keys", type=Path, help="folder of `cpnet keys`, for locators of tls/")
+    parser.add_argument("--log", type=LogStyle, default=LogStyle.TEXT, help="text or json")
     parser.add_argument("--supervised", action="store_true", help="stop when standard input closes")
-    return parser.parse_args()
+    arguments = parser.parse_args(words)
+    if arguments.keys:
+        keys = Keys.of(arguments.keys, arguments.id)
+        for way in ("world", "v2x", "uplink"):
+            if endpoint := getattr(arguments, way):
+                setattr(arguments, way, replace(endpoint, keys=keys))
+    return arguments

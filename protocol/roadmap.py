@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, FailFast
 
 
 class _Part(BaseModel):
@@ -21,8 +22,8 @@ class Lane(_Part):
     width_m: float
     speed_mps: float
     length_m: float
-    centreline: list[tuple[float, float, float]]
-    successors: list[str] = []
+    centreline: Annotated[list[tuple[float, float, float]], FailFast()]
+    successors: Annotated[list[str], FailFast()] = []
     internal: bool = False
 
     @cached_property
@@ -55,9 +56,9 @@ class Signal(_Part):
     """A signal: its links, which of them conflict, and the plan that its net brings."""
 
     tls: str
-    links: list[Link]
-    conflicts: list[tuple[int, int]]
-    plan: list[PlanPhase]
+    links: Annotated[list[Link], FailFast()]
+    conflicts: Annotated[list[tuple[int, int]], FailFast()]
+    plan: Annotated[list[PlanPhase], FailFast()]
     offset_s: float = 0.0
 
     @property
@@ -82,9 +83,9 @@ class RoadMap(_Part):
 
     name: str
     centre: tuple[float, float, float]
-    lanes: list[Lane]
+    lanes: Annotated[list[Lane], FailFast()]
     signal: Signal
-    junction: list[tuple[float, float]]
+    junction: Annotated[list[tuple[float, float]], FailFast()]
 
     @cached_property
     def by_id(self) -> dict[str, Lane]:

@@ -13,8 +13,9 @@ from protocol.errors import CodecError
 Floats = npt.NDArray[np.float64]
 Floats32 = npt.NDArray[np.float32]
 
-MAX_BEAMS = 1 << 20
-MAX_POINTS = 4 << 20
+MAX_BEAMS = 1 << 19
+MAX_POINTS = 1 << 20  # two returns of each beam
+_KEPT_BEAMS = 1 << 18  # of a pattern whose directions are kept: those of 16 take 120 MB at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ class ScanPattern:
 
         Row 0 is the uppermost ring; column c looks to azimuth 2 pi c / columns, CCW from +x.
         """
-        return _directions(self)
+        return (_directions if self._is_kept else _directions.__wrapped__)(self)
 
     @property
     def spin(self) -> tuple[Floats, Floats]:
@@ -49,7 +50,12 @@ class ScanPattern:
         (channels, 3): how far out, how far round (0) and how far up each ring points; and
         (columns, 2): cosine and sine of each column's azimuth.
         """
-        return _spin(self)
+        return (_spin if self._is_kept else _spin.__wrapped__)(self)
+
+    @property
+    def _is_kept(self) -> bool:
+        """Whether it is of a usual size: who sends others must not fill the memory."""
+        return self.channels * self.columns <= _KEPT_BEAMS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +114,7 @@ def _spin(pattern: ScanPattern) -> tuple[Floats, Floats]:
 
 @lru_cache(maxsize=16)
 def _directions(pattern: ScanPattern) -> Floats32:
-    turns, azimuths = _spin(pattern)
+    turns, azimuths = pattern.spin
     flat = turns[:, :1]
     up = np.broadcast_to(turns[:, 2:], (pattern.channels, pattern.columns))
     sides = [flat * azimuths[:, 0], flat * azimuths[:, 1], up]

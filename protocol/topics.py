@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
 from urllib.parse import quote, unquote
 
 from protocol import messages as m
+from protocol.errors import MessageError
 from protocol.wire import VERSION
 
 PREFIX = f"cpnet/v{VERSION}"
@@ -32,15 +34,24 @@ class Delivery(Enum):
     TELEMETRY = "telemetry"
 
 
+Roles = frozenset[str]
+
+
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One row of the table; `{names}` in the template are filled in by `key`."""
+    """One row of the table; `{names}` in the template are filled in by `key`.
+
+    Only `speakers` may say it and only `hearers` hear it, by role; where the key holds
+    `{process}`, each speaker under its own id alone.
+    """
 
     name: str
     template: str
     message: type[m.Message]
     bus: BusName
     delivery: Delivery
+    speakers: Roles
+    hearers: Roles
 
     def key(self, **parts: str) -> str:
         """Returns the Zenoh key expression; a part that is left out becomes `*`.
@@ -56,13 +67,38 @@ class Topic:
         written = {n: quote(parts[n], safe="") if n in parts else "*" for n in names}
         return f"{PREFIX}/" + self.template.format(**written)
 
+    def process(self, key: str) -> str | None:
+        """Returns the process that signs a key of this topic, None if none signs such keys.
+
+        As it stands there, percent-encoded or not, and empty where the key is none of the topic's:
+        it only tells senders apart.
+        """
+        place = _process_place(self.template)
+        if place is None:
+            return None
+        parts = key.split("/", place + 1)
+        return parts[place] if place < len(parts) else ""
+
     def parts(self, key: str) -> dict[str, str]:
-        """Reads the parts of a key that this topic's own `key` made."""
+        """Reads the parts of a key that this topic's own `key` made.
+
+        Raises:
+            MessageError: it is none. What is published at an expression such as `cpnet/**` comes
+                to all whom that matches, with the expression for a key.
+        """
         names = self.template.split("/")
         values = key.removeprefix(f"{PREFIX}/").split("/")
+        if len(values) != len(names) or "*" in key:
+            raise MessageError(f"{key:.200} is no key of topic {self.name}")
         return {
             n[1:-1]: unquote(v) for n, v in zip(names, values, strict=True) if n.startswith("{")
         }
+
+
+@cache
+def _process_place(template: str) -> int | None:
+    names = f"{PREFIX}/{template}".split("/")
+    return names.index("{process}") if "{process}" in names else None
 
 
 def _table(*rows: Topic) -> dict[str, Topic]:
@@ -72,27 +108,66 @@ def _table(*rows: Topic) -> dict[str, Topic]:
 _W, _V = BusName.WORLD, BusName.V2X
 _B, _P, _T = Delivery.BULK, Delivery.PROMPT, Delivery.TELEMETRY
 
+_AGENTS = frozenset({"vehicle", "infra"})
+_SIM, _EDGE, _SIGNAL, _RECORD = (frozenset({r}) for r in ("sim", "edge", "signal", "record"))
+_WATCH = frozenset({"watch"})  # whoever looks on, such as the supervisor
+_RELAY = frozenset({"relay"})
+_ALL = _AGENTS | _SIM | _EDGE | _SIGNAL | _RECORD
+ROLES = _ALL | _WATCH | _RELAY
+"""Whoever may be on a bus."""
+
 TOPICS = _table(
-    Topic("setup", "world/setup", m.Setup, _W, _B),
-    Topic("tick", "world/tick", m.Tick, _W, _P),
-    Topic("truth", "world/truth", m.Truth, _W, _B),
-    Topic("sighting", "world/sighting/{agent}", m.Sighting, _W, _B),
-    Topic("trips", "world/trips", m.Trips, _W, _B),
-    Topic("end", "world/end", m.End, _W, _B),
-    Topic("progress", "world/progress", m.Progress, _W, _T),
-    Topic("time", "world/time", m.TimeReply, _W, _P),
-    Topic("clock", "world/clock/{process}", m.ClockReading, _W, _T),
-    Topic("state", "signal/{tls}/state", m.SignalState, _V, _P),
-    Topic("request", "signal/{tls}/request", m.SignalRequest, _V, _P),
-    Topic("roster", "{region}/roster/{process}", m.Roster, _V, _P),
-    Topic("pose", "{region}/pose/{agent}", m.AgentPose, _V, _P),
-    Topic("scan", "{region}/scan/{agent}/{chunk}", m.Scan, _V, _B),
-    Topic("objects", "{region}/objects/{agent}", m.Objects, _V, _P),
-    Topic("plan", "{region}/plan/{agent}", m.Plan, _V, _P),
-    Topic("detections", "{region}/detections", m.Detections, _V, _P),
-    Topic("lanes", "{region}/lanes/{tls}", m.LaneCounts, _V, _P),
-    Topic("metrics", "metrics/{process}", m.Metrics, _W, _T),  # measuring must not load the network
+    Topic("setup", "world/setup", m.Setup, _W, _B, _SIM, ROLES),
+    Topic("tick", "world/tick", m.Tick, _W, _P, _SIM, _AGENTS | _RECORD),
+    Topic("truth", "world/truth", m.Truth, _W, _B, _SIM, _RECORD),
+    Topic("sighting", "world/sighting/{agent}", m.Sighting, _W, _B, _AGENTS, _RECORD),
+    Topic("trips", "world/trips", m.Trips, _W, _B, _SIM, _RECORD),
+    Topic("end", "world/end", m.End, _W, _B, _SIM, _AGENTS | _RELAY | _RECORD | _WATCH),
+    Topic("progress", "world/progress", m.Progress, _W, _T, _RECORD, _WATCH),
+    Topic("time", "world/time", m.TimeReply, _W, _P, _SIM, ROLES),
+    Topic("clock", "world/clock/{process}", m.ClockReading, _W, _T, _ALL | _RELAY, _RECORD),
+    Topic("state", "signal/{tls}/state", m.SignalState, _V, _P, _SIM, _EDGE | _SIGNAL | _RECORD),
+    Topic("request", "signal/{tls}/request", m.SignalRequest, _V, _P, _SIGNAL, _SIM | _RECORD),
+    Topic("roster", "{region}/roster/{process}", m.Roster, _V, _P, _AGENTS, _EDGE),
+    Topic("pose", "{region}/pose/{process}/{agent}", m.AgentPose, _V, _P, _AGENTS, _EDGE),
+    Topic(
+        "scan",
+        "{region}/scan/{process}/{agent}/{chunk}",
+        m.Scan,
+        _V,
+        _B,
+        _AGENTS,
+        _EDGE | _RECORD,
+    ),
+    Topic("objects", "{region}/objects/{process}/{agent}", m.Objects, _V, _P, _AGENTS, _EDGE),
+    Topic("plan", "{region}/plan/{agent}", m.Plan, _V, _P, _EDGE, _AGENTS),
+    Topic("detections", "{region}/detections", m.Detections, _V, _P, _EDGE, _RECORD),
+    Topic("lanes", "{region}/lanes/{tls}", m.LaneCounts, _V, _P, _EDGE, _SIGNAL | _RECORD),
+    # Measuring must not load the network.
+    Topic("metrics", "metrics/{process}", m.Metrics, _W, _T, _ALL, _RECORD | _WATCH),
 )
 """All topics by name. Liveliness tokens stand at `alive/{role}/{id}` on both buses."""
 
+ASKED = frozenset({"setup", "time"})
+"""Topics that are not sent but asked for, from the host of their bus."""
+
 ALIVE = f"{PREFIX}/alive"
+ALIVE_IN_ANY = "cpnet/*/alive/*/*"
+"""The tokens of any version of the protocol."""
+
+LOOKERS = {BusName.WORLD: _SIM | _WATCH, BusName.V2X: _SIM | _EDGE | _WATCH}
+"""Who sees, on each bus, which processes are there."""
+
+MAX_NAME = 128  # characters of a role or of an id, as in messages
+
+
+def alive_parts(key: str) -> tuple[str, str]:
+    """Returns role and id of the process whose liveliness token stands at a key.
+
+    Raises:
+        MessageError: no process of this system announces itself so.
+    """
+    names = key.removeprefix(f"{ALIVE}/").split("/")
+    if len(names) != 2 or "*" in key or max(map(len, names)) > MAX_NAME:
+        raise MessageError(f"{key:.200} is no key of a liveliness token")
+    return names[0], names[1]

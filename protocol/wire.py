@@ -27,6 +27,7 @@ PREFIX = struct.Struct("<4sHHII")
 MAX_BODY_BYTES = 16 << 20
 _ALIGN = 8
 _TOLD = 200  # characters of a text from the network
+_CONTAINERS = 1 << 13  # lists and maps of a header, and one more for every sixteen bytes
 
 M = TypeVar("M", bound=Message)
 
@@ -111,7 +112,23 @@ def _read_prefix(data: bytes, expected: type[Message]) -> tuple[int, int]:
 
 
 def _unpack(packed: bytes) -> dict[str, Any]:
-    unpacker = msgpack.Unpacker(strict_map_key=True, max_buffer_size=len(packed) or 1)
+    room = _CONTAINERS + len(packed) // 16
+
+    def count(container: Any) -> Any:  # noqa: ANN401 - a list or a dict
+        nonlocal room
+        room -= 1
+        if room < 0:
+            raise ValueError("too many lists and maps")
+        return container
+
+    unpacker = msgpack.Unpacker(
+        strict_map_key=True,
+        max_buffer_size=len(packed) or 1,
+        list_hook=count,
+        object_hook=count,
+        ext_hook=_refuse_extension,
+        timestamp=1,  # a float, which costs least
+    )
     unpacker.feed(packed)
     try:
         header = unpacker.unpack()
@@ -120,6 +137,10 @@ def _unpack(packed: bytes) -> dict[str, Any]:
     if not isinstance(header, dict):
         raise MessageError(f"header is a {type(header).__name__}, expected a map")
     return header
+
+
+def _refuse_extension(code: int, data: bytes) -> None:
+    raise ValueError(f"extension {code} of {len(data)} bytes")
 
 
 def _read_array(

@@ -48,7 +48,10 @@ def _open_pattern(head: Head, reader: Reader) -> Floats32:
 
 def _open_deltas(head: Head, reader: Reader) -> Floats32:
     raw = unsqueeze(reader.section(), 12 * head.points)
-    return planes.unpack_points(raw, head.step_m).astype(np.float32)
+    xyz = np.empty((head.points, 3), np.float32)
+    if not planes.unpack_points(raw, head.step_m, xyz):
+        raise CodecError("a coordinate lies beyond the form's reach")
+    return xyz
 
 
 def _open_rings(head: Head, reader: Reader) -> Floats32:

@@ -33,6 +33,18 @@ _FIRST, _SECOND, _LONE, _COUNT = 0, 16, 32, 53
 CONTEXTS = 54
 
 
+_FREE_SYMBOLS, _SYMBOLS_OF_A_WORD = 1 << 20, 128
+
+
+@njit("int64(int64)", cache=True, nogil=True)
+def most_symbols(words: int) -> int:
+    """Returns how many symbols may stand in so many words of the entropy coder.
+
+    One that is certain takes next to no bits, so that a few bytes could hold millions of them.
+    """
+    return _FREE_SYMBOLS + _SYMBOLS_OF_A_WORD * words
+
+
 def symbol_room(points: int, depth: int) -> int:
     """Returns how many symbols a tree can have at most."""
     return points * (depth * 3 + 2) + 8
@@ -181,13 +193,14 @@ def restore_tree(
     for n in range(STATES):
         states[n] = (u64(words[2 * n]) << u64(16)) | u64(words[2 * n + 1])
     at_word, at_raw, held, count, found = 2 * STATES, 0, 0, 0, 0
+    most = most_symbols(end)
     bits = u64(0)
     crowds[0, 0], cells = 7, min(points, 1)
     for level in range(depth - 1, -1, -1):
         now, then = (depth - 1 - level) & 1, (depth - level) & 1
         born = 0
         for cell in range(cells):
-            if at_word > end:
+            if at_word > end or count > most:
                 return -1
             prefix = prefixes[now, cell] << u64(3)
             occupied, crowd, octant, step = 0, 0, 0, 0

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from numba import njit
 
 from protocol.codec.fill import SIDES, find_holes, ring_units
+from protocol.codec.tokens import i64, unfold
 from protocol.codec.walk import UNITS
-from protocol.errors import CodecError
 from protocol.scans import Floats, Floats32
 
 U1 = npt.NDArray[np.uint8]
@@ -116,18 +116,27 @@ def pack_points(steps: npt.NDArray[np.int32]) -> U1:
     return planes.ravel()
 
 
-def unpack_points(raw: U1, step_m: float) -> Floats:
-    """Reverses `pack_points` and returns coordinates (N, 3).
+@njit(
+    "boolean(Array(uint8, 1, 'C', readonly=True), float64, float32[:,::1])", cache=True, nogil=True
+)
+def unpack_points(raw: U1, step_m: float, xyz: Floats32) -> bool:
+    """Reverses `pack_points`; returns False if a coordinate lies beyond 2^31 steps.
 
-    Raises:
-        CodecError: a coordinate lies beyond 2^31 steps.
+    Args:
+        raw: the byte planes (12 N,).
+        step_m: the length of a step.
+        xyz: (N, 3), filled.
     """
-    points = len(raw) // 12
-    planes = raw.reshape(3, 4, points).transpose(0, 2, 1)
-    zigzag = np.ascontiguousarray(planes).view("<u4").reshape(3, points).T
-    change = (zigzag >> 1).astype(np.int64) ^ -(zigzag & 1).astype(np.int64)
-    steps = np.cumsum(change, axis=0)
-    if len(steps) and int(np.abs(steps).max()) > 2**31:
-        raise CodecError("a coordinate lies beyond the form's reach")
-    result: Floats = steps * step_m
-    return result
+    points = len(xyz)
+    within = True
+    for axis in range(3):
+        first = 4 * axis * points
+        steps = 0
+        for n in range(points):
+            zigzag = i64(0)
+            for plane in range(4):
+                zigzag |= i64(raw[first + plane * points + n]) << (8 * plane)
+            steps += unfold(zigzag)
+            within &= abs(steps) <= 2**31
+            xyz[n, axis] = np.float32(steps * step_m)
+    return within

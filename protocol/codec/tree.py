@@ -13,6 +13,7 @@ from protocol.codec.octree import (
     MAX_DEPTH,
     STRIDE,
     describe_tree,
+    most_symbols,
     restore_tree,
     symbol_room,
     unweave,
@@ -36,7 +37,7 @@ def pack_tree(points: Floats, edge_m: float) -> tuple[list[bytes], npt.NDArray[n
     """Returns the sections of a cloud (N, 3), and the order (N,) in which its points come back.
 
     Raises:
-        CodecError: the cloud is too wide for cells of this edge.
+        CodecError: the cloud is too wide for cells of this edge, or too regular.
     """
     if not len(points):
         return [], np.zeros(0, np.int64)
@@ -58,6 +59,8 @@ def pack_tree(points: Floats, edge_m: float) -> tuple[list[bytes], npt.NDArray[n
     counts, sizes = np.zeros((CONTEXTS, STRIDE), np.int64), np.zeros(2, np.int64)
     describe_tree(keys, depth, symbols, raw, counts, sizes)
     sections = pack_symbols(symbols, int(sizes[0]), counts)
+    if sizes[0] > most_symbols(len(sections[1]) // 2):
+        raise CodecError(f"{len(points)} points lie too regularly for a tree")
     bits = raw[: sizes[1]].astype("<u4", copy=False).tobytes()
     return [_HEAD.pack(*(low + edge_m / 2), depth), *sections, bits], order
 

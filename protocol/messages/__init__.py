@@ -14,7 +14,7 @@ from protocol.messages.base import Message, Part
 from protocol.messages.clock import ClockReading, TimeReply
 from protocol.messages.edge import Detections, LaneCounts, Plan
 from protocol.messages.fields import MAX_DELAY_NS, MAX_ITEMS, NEVER_NS, Equipment
-from protocol.messages.metrics import Arrival, Metrics, Progress, Span, Upload, WireCount
+from protocol.messages.metrics import Arrival, Doubt, Metrics, Progress, Span, Upload, WireCount
 from protocol.messages.signal import SignalRequest, SignalState
 from protocol.messages.world import (
     End,
@@ -37,6 +37,7 @@ __all__ = [
     "Arrival",
     "ClockReading",
     "Detections",
+    "Doubt",
     "End",
     "Equipment",
     "LaneCounts",

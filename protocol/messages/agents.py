@@ -6,9 +6,19 @@ from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from protocol.arrays import Boxes, Bytes, Floats32
+from protocol.arrays import Bytes, Floats32
 from protocol.messages.base import Message, check_lengths
-from protocol.messages.fields import Count, Equipment, FrameNumber, Id, Ids, Pose, TimeNs
+from protocol.messages.fields import (
+    AgentId,
+    Boxes,
+    Count,
+    Equipment,
+    FrameNumber,
+    Id,
+    Ids,
+    Pose,
+    TimeNs,
+)
 
 
 class Roster(Message):
@@ -27,7 +37,7 @@ class AgentPose(Message):
     kind: ClassVar[int] = 9
     frame: FrameNumber
     sim_time_ns: TimeNs
-    agent: Id
+    agent: AgentId
     equipment: Equipment
     pose: Pose
     length_m: float = Field(ge=0, le=60)
@@ -48,7 +58,7 @@ class Scan(Message):
     kind: ClassVar[int] = 10
     frame: FrameNumber
     sim_time_ns: TimeNs
-    agent: Id
+    agent: AgentId
     chunk: int = Field(ge=0)
     chunks: int = Field(ge=1, le=64)
     points: Count
@@ -77,7 +87,7 @@ class Objects(Message):
     kind: ClassVar[int] = 16
     frame: FrameNumber
     sim_time_ns: TimeNs
-    agent: Id
+    agent: AgentId
     boxes: Boxes
     scores: Floats32
     sense_start_ns: TimeNs

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from protocol.arrays import Boxes, Floats32
 from protocol.messages.base import Message, check_lengths
 from protocol.messages.fields import (
-    MAX_ITEMS,
+    BOUNDED,
     Borders,
     Count,
     DelayNs,
@@ -47,14 +47,16 @@ class Detections(Message):
         return self
 
 
-Share = Annotated[float, Field(ge=0, le=1)]
+Counts = Annotated[dict[NetId, Count], *BOUNDED]
+Shares = Annotated[dict[NetId, Annotated[float, Field(ge=0, le=1)]], *BOUNDED]
 
 
 class LaneCounts(Message):
     """Vehicles per lane: within the reach upstream of the stop bar and downstream behind it.
 
     Those of them that stand still are counted once more, as `queued`. `seen` is the share of a
-    lane's reach that lay within sight of a LiDAR whose scan was used; empty where nobody can know.
+    lane's reach that lay within sight of a LiDAR whose scan was used, so that 0 is "nobody saw it";
+    empty where nobody can know: agents send boxes of their own, or none has a LiDAR.
     """
 
     kind: ClassVar[int] = 12
@@ -63,12 +65,12 @@ class LaneCounts(Message):
     tls: NetId
     agents: Ids
     complete: bool
-    upstream: dict[NetId, Count] = Field(max_length=MAX_ITEMS)
-    downstream: dict[NetId, Count] = Field(max_length=MAX_ITEMS)
-    queued_upstream: dict[NetId, Count] = Field({}, max_length=MAX_ITEMS)
-    queued_downstream: dict[NetId, Count] = Field({}, max_length=MAX_ITEMS)
-    seen_upstream: dict[NetId, Share] = Field({}, max_length=MAX_ITEMS)
-    seen_downstream: dict[NetId, Share] = Field({}, max_length=MAX_ITEMS)
+    upstream: Counts
+    downstream: Counts
+    queued_upstream: Counts = Field({})
+    queued_downstream: Counts = Field({})
+    seen_upstream: Shares = Field({})
+    seen_downstream: Shares = Field({})
     delay_sim_ns: DelayNs | None = None
 
 

@@ -12,6 +12,7 @@ from pydantic import AfterValidator, FailFast, Field
 from protocol import arrays
 
 MAX_ITEMS = 4096  # of a list or map
+_AGENT_BYTES = 128
 _REACH = np.array([1e7, 1e7, 1e7, 1e3, 1e3, 1e3])  # m, rad: farther than any map
 
 
@@ -33,7 +34,22 @@ def _moderate(weights_m2: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return weights_m2
 
 
+def _short(agent: str) -> str:
+    if len(agent) * 4 > _AGENT_BYTES and len(agent.encode()) > _AGENT_BYTES:
+        raise ValueError(f"an agent's id takes more than {_AGENT_BYTES} bytes")
+    return agent
+
+
+def _plausible(boxes: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    if len(boxes) > MAX_ITEMS:
+        raise ValueError(f"{len(boxes)} boxes, limit {MAX_ITEMS}")
+    if not (np.abs(boxes) <= _REACH[0]).all():
+        raise ValueError("a number of a box lies beyond 1e7")
+    return boxes
+
+
 Id = Annotated[str, Field(min_length=1, max_length=128)]
+AgentId = Annotated[Id, AfterValidator(_short)]  # many of them must fit into one message
 NetId = Annotated[str, Field(min_length=1, max_length=512)]  # joined junctions have long ones
 Text = Annotated[str, Field(max_length=512)]
 FrameNumber = Annotated[int, Field(ge=0, lt=1 << 40)]
@@ -42,6 +58,7 @@ Total = Annotated[int, Field(ge=0, lt=1 << 53)]
 TimeNs = Annotated[int, Field(gt=-(1 << 62), lt=1 << 62)]  # so that differences fit into 64 bit
 Sites = Annotated[arrays.Sites, AfterValidator(_on_the_map)]
 Borders = Annotated[arrays.Borders, AfterValidator(_moderate)]
+Boxes = Annotated[arrays.Boxes, AfterValidator(_plausible)]
 Pose = Annotated[arrays.Pose6, AfterValidator(_within_reach)]
 Poses = Annotated[arrays.Poses, AfterValidator(_within_reach)]
 BOUNDED = (FailFast(), Field(max_length=MAX_ITEMS))  # one error will do, a million cost memory

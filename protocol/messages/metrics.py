@@ -9,7 +9,7 @@ from pydantic import Field
 from protocol.messages.base import Message, Part
 from protocol.messages.fields import (
     BOUNDED,
-    MAX_ITEMS,
+    AgentId,
     Count,
     DelayNs,
     FrameNumber,
@@ -39,7 +39,7 @@ class Upload(Part):
     `link_sim_ns` is its time on a virtual link, the queue before it included.
     """
 
-    agent: Id
+    agent: AgentId
     chunk: Count
     points: Count
     payload_bytes: Count
@@ -56,7 +56,7 @@ class WireCount(Part):
     Over a virtual link: what the link took of the frame, with the headers of TCP and IP.
     """
 
-    agent: Id
+    agent: AgentId
     frame: FrameNumber
     sent_bytes: Count
 
@@ -64,14 +64,35 @@ class WireCount(Part):
 class Arrival(Part):
     """The same chunk as the edge saw it."""
 
-    agent: Id
+    agent: AgentId
     chunk: Count
     received_ns: TimeNs
     decoded_ns: TimeNs
 
 
+Score = Annotated[float, Field(ge=0, le=1)]
+
+
+class Doubt(Part):
+    """How far the edge believes an agent, 0 to 1; if it does not, the frame is without it.
+
+    Of this frame alone: its motion, its place on the road, the ground in its cloud, and what
+    others see of the same places; None where nothing speaks for it or against it.
+    """
+
+    agent: Id
+    score: Score
+    believed: bool
+    motion: Score | None = None
+    place: Score | None = None
+    ground: Score | None = None
+    mutual: Score | None = None
+
+
 class Metrics(Message):
     """What one process did in one frame. `drops` counts since its start, by reason.
+
+    `doubts` tells of agents that are left out, and of those whose score has changed.
 
     `wire` settles earlier frames: only when the next upload begins has TCP sent all of the last.
     """
@@ -84,8 +105,9 @@ class Metrics(Message):
     uploads: Annotated[list[Upload], *BOUNDED] = Field([])
     wire: Annotated[list[WireCount], *BOUNDED] = Field([])
     arrivals: Annotated[list[Arrival], *BOUNDED] = Field([])
+    doubts: Annotated[list[Doubt], *BOUNDED] = Field([])
     points: Count = 0
-    drops: dict[Id, Total] = Field({}, max_length=MAX_ITEMS)
+    drops: Annotated[dict[Id, Total], *BOUNDED] = Field({})
 
 
 class Progress(Message):
@@ -99,7 +121,7 @@ class Progress(Message):
     cavs: Count
     cvs: Count
     detections: Count
-    mbps: dict[Id, float] = Field(max_length=MAX_ITEMS)
+    mbps: Annotated[dict[Id, float], *BOUNDED]
     end_to_end_ms: float
     state: Text
     drops: Total

@@ -25,7 +25,11 @@ class SignalState(Message):
 
 
 class SignalRequest(Message):
-    """A policy's wish: the green state to be shown, one character per link."""
+    """A policy's wish: the green state to be shown, one character per link.
+
+    `policy` is what decided, "plan" where the policy knew too little and fell back on the fixed
+    plan. `unknown` are the lanes that nobody saw, whose vehicles were reckoned.
+    """
 
     kind: ClassVar[int] = 7
     frame: FrameNumber
@@ -34,4 +38,5 @@ class SignalRequest(Message):
     state: Text
     policy: Text
     pressures: Annotated[list[float], *BOUNDED] = Field([])
+    unknown: Annotated[list[NetId], *BOUNDED] = Field([])
     delay_sim_ns: DelayNs | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import Field, model_validator
+from pydantic import FailFast, Field, model_validator
 
 from protocol.arrays import Bytes, Floats32, Indices, Triangles, Vertices
 from protocol.messages.base import Message, Part, check_lengths
@@ -21,6 +21,8 @@ from protocol.messages.fields import (
     TimeNs,
 )
 from protocol.roadmap import RoadMap
+
+Ring = Annotated[list[tuple[float, float]], FailFast()]
 
 
 class VehicleType(Part):
@@ -45,19 +47,21 @@ class Setup(Message):
     """What every process is given before the first frame.
 
     Meshes are unit sized: the footprint's centre at the origin on the ground, x forward, extent 1
-    along each axis. Triangles index into their own mesh.
+    along each axis. Triangles index into their own mesh. `version` is that of the cpnet that made
+    the setup, empty if it did not say.
     """
 
     kind: ClassVar[int] = 1
     max_header_bytes: ClassVar[int] = 16 << 20  # two recorded links take 9 MiB at most
-    scenario: dict[str, Any]
+    scenario: Annotated[dict[str, Any], FailFast()]
     road_map: RoadMap
-    vehicle_types: list[VehicleType]
-    meshes: list[MeshPart]
+    vehicle_types: Annotated[list[VehicleType], FailFast()]
+    meshes: Annotated[list[MeshPart], FailFast()]
     mesh_vertices: Vertices
     mesh_triangles: Triangles
-    polygons: list[list[tuple[float, float]]] = Field([])
-    polygon_heights_m: list[float] = Field([])
+    polygons: Annotated[list[Ring], FailFast()] = Field([])
+    polygon_heights_m: Annotated[list[float], FailFast()] = Field([])
+    version: Text = ""
 
 
 class Tick(Message):

@@ -1,17 +1,20 @@
 """The buses over real Zenoh sessions on loopback."""
 
 import socket
+import time
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
+import zenoh
 
 from protocol import bus as buses
 from protocol.bus import Endpoint, ZenohBus, fetch, open_bus
 from protocol.errors import BusError
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Roster
-from protocol.topics import BusName
+from protocol.topics import ALIVE, BusName
+from protocol.wire import encode
 from tests.protocol.test_wire import SCAN
 
 WAIT_S = 5.0
@@ -47,7 +50,7 @@ def test_a_scan_crosses_tcp_and_its_bytes_are_counted(router, client, edge_inbox
     router.subscribe("scan", region="r0")
     big = SCAN.model_copy(update={"payload": np.arange(300_000, dtype=np.uint8)})
     before = client.wire_bytes()
-    size = client.publish("scan", big, region="r0", agent="rsu-0", chunk="0")
+    size = client.publish("scan", big, region="r0", process="infra-0", agent="rsu-0", chunk="0")
     item = edge_inbox.get(WAIT_S)
     assert isinstance(item, Envelope)
     assert np.array_equal(item.message.payload, big.payload)
@@ -61,6 +64,27 @@ def test_presence_comes_and_goes(router, locator, edge_inbox):
     assert edge_inbox.get(WAIT_S) == Presence("vehicle", "vehicle-0", alive=True)
     guest.close()
     assert edge_inbox.get(WAIT_S) == Presence("vehicle", "vehicle-0", alive=False)
+
+
+def test_who_speaks_to_all_at_once_is_heard_by_nobody(router, locator, client, edge_inbox):
+    for topic in ("roster", "pose"):
+        router.subscribe(topic, region="r0")
+    router.watch()
+    roster = Roster(frame=1, process="p", agents=[], scanning=[])
+    with zenoh.open(
+        buses._config(BusName.V2X, Endpoint(locator, listen=False), 10_000, buses.NOBODY)
+    ) as hostile:
+        tokens = [hostile.liveliness().declare_token(key) for key in ("**", f"{ALIVE}/**")]
+        for key in ("**", "cpnet/v1/**", "cpnet/v1/r0/*/*/*", "cpnet/v1/r0/roster/*"):
+            hostile.put(key, encode(roster))
+        hostile.put("cpnet/v1/r0/roster/p", encode(roster))
+        came: list[Envelope | Presence] = []
+        until_s = time.monotonic() + WAIT_S
+        while not (came and edge_inbox.drops["MessageError"] >= 7) and time.monotonic() < until_s:
+            came += [item] if (item := edge_inbox.get(0.05)) is not None else []
+        del tokens  # each expression is refused on its own thread, in no order
+    assert [item.parts for item in came] == [{"region": "r0", "process": "p"}]
+    assert edge_inbox.drops["MessageError"] >= 7
 
 
 def test_a_port_in_use_is_named(router, locator):

@@ -50,6 +50,13 @@ def test_before_the_first_answer_nothing_is_known():
     assert OffsetFilter().best(0) is None
 
 
+def test_an_answer_of_no_clock_is_left():
+    offsets = OffsetFilter()
+    for heard_ns in (-(1 << 62) + 1, (1 << 62) - 1):
+        offsets.add(Exchange(1_000, heard_ns, heard_ns, 2_000))
+    assert offsets.best(2_000) is None
+
+
 def test_an_answer_that_contradicts_itself_is_left():
     estimate = OffsetFilter()
     estimate.add(Exchange(asked_ns=0, heard_ns=5, told_ns=50, answered_ns=20))

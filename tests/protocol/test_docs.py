@@ -3,17 +3,31 @@
 import re
 from pathlib import Path
 
-from protocol.topics import TOPICS
+from protocol.topics import ASKED, ROLES, TOPICS
 
 PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
 
 
 def test_the_topic_table_of_the_page_is_that_of_the_code():
     rows = re.findall(
-        r"^\| (\w+) \| `([^`]+)`[^|]*\| (\w+) \| (\w+) \| (\w+) \|$", PAGE.read_text(), re.M
+        r"^\| (\w+) \| `([^`]+)`( \(query\))? \| (\w+) \| (\w+) \| (\w+) \| ([^|]+) \| ([^|]+) \|$",
+        PAGE.read_text(),
+        re.M,
     )
     want = [
-        (t.name, t.template, t.message.__name__, t.bus.value, t.delivery.value)
+        (
+            (t.name, t.template, t.name in ASKED, t.message.__name__, t.bus.value),
+            (t.delivery.value, t.speakers, t.hearers),
+        )
         for t in TOPICS.values()
     ]
-    assert [(n, k, m, b.lower(), d) for n, k, m, b, d in rows] == want
+    assert [
+        ((n, key, bool(query), m, bus.lower()), (d, roles(says), roles(hears)))
+        for n, key, query, m, bus, d, says, hears in rows
+    ] == want
+
+
+def roles(cell: str) -> frozenset[str]:
+    """Reads a cell of the table: roles, or a word for several."""
+    several = {"all": ROLES, "agents": frozenset({"vehicle", "infra"})}
+    return frozenset().union(*(several.get(name, {name}) for name in cell.split(", ")))

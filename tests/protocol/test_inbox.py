@@ -4,6 +4,7 @@ import time
 import numpy as np
 import pytest
 
+from protocol.errors import MessageError
 from protocol.inbox import Envelope, Inbox, Presence, Sealed
 from protocol.local import LocalNetwork
 from protocol.messages import End, Roster
@@ -157,3 +158,39 @@ def test_a_full_inbox_needs_no_wake():
     inbox.wake()
     assert inbox.get(15.0) is None
     assert not inbox.drops
+
+
+EXPRESSIONS = ["cpnet/v1/**", "**", "cpnet/v1/r0/*/p", "cpnet/v1/r0/roster/*", "cpnet/v1/r0/ro$*/p"]
+
+
+@pytest.mark.parametrize("key", EXPRESSIONS)
+def test_a_good_message_at_an_expression_is_counted_and_dropped(key: str):
+    inbox = Inbox()
+    inbox.put(Sealed(TOPICS["roster"], key, encode(ROSTER), 0))
+    assert inbox.get() is None
+    assert inbox.drops == {"MessageError": 1}
+
+
+def test_a_key_that_reaches_two_topics_is_one_place_in_each():
+    inbox = Inbox()
+    inbox.limit("roster", 1)
+    for topic in ("roster", "pose", "roster", "pose"):
+        inbox.put(Sealed(TOPICS[topic], "cpnet/v1/**", encode(ROSTER), 0))
+    assert [inbox.get() for _ in range(4)] == [None] * 4
+    assert inbox.drops == {"overtaken": 1, "MessageError": 3}
+
+
+def test_a_key_that_nobody_could_have_made_is_not_kept(caplog: pytest.LogCaptureFixture):
+    inbox = Inbox()
+    for _ in range(2):
+        inbox.put(Sealed(TOPICS["roster"], "x" * 60_000, encode(ROSTER), 0))
+    assert inbox.get() is None
+    assert inbox.drops == {"MessageError": 2}
+    assert len(caplog.text) < 1000
+
+
+def test_what_others_write_breaks_no_line_of_the_log(caplog):
+    Inbox().refuse("cpnet/v1/a\nERROR all is lost", MessageError("bad\rthing\udcc9"))
+    (record,) = caplog.records
+    assert record.getMessage().isprintable()
+    assert "a\\x0aERROR all is lost: bad\\x0dthing\\xdcc9" in record.getMessage()

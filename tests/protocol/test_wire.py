@@ -57,6 +57,7 @@ EXAMPLES: list[m.Message] = [
         meshes=[m.MeshPart(name="car", vertices=3, triangles=1)],
         mesh_vertices=np.eye(3, dtype=np.float32),
         mesh_triangles=np.array([[0, 1, 2]], np.int32),
+        version="0.1.0",
     ),
     m.Tick(
         frame=1,
@@ -104,7 +105,13 @@ EXAMPLES: list[m.Message] = [
         earliest_change_ns=5,
     ),
     m.SignalRequest(
-        frame=1, sim_time_ns=1, tls="J", state="G", policy="max_pressure", pressures=[3]
+        frame=1,
+        sim_time_ns=1,
+        tls="J",
+        state="G",
+        policy="max_pressure",
+        pressures=[3],
+        unknown=["in_0"],
     ),
     m.Roster(frame=1, process="vehicle-0", agents=["a"], scanning=[]),
     m.AgentPose(
@@ -144,6 +151,7 @@ EXAMPLES: list[m.Message] = [
         sim_time_ns=1,
         spans=[m.Span(stage="merge", start_ns=1, end_ns=2)],
         arrivals=[m.Arrival(agent="a", chunk=0, received_ns=1, decoded_ns=2)],
+        doubts=[m.Doubt(agent="a", score=0.35, believed=False, motion=0, place=1, ground=None)],
     ),
     m.Progress(
         frame=1,
@@ -328,6 +336,9 @@ def test_what_is_out_of_bounds_is_refused(example: type[m.Message], changes: dic
         (m.Detections, {"sources": []}, "lists have lengths"),
         (m.AgentPose, {"pose": np.full(6, 1e4)}, "1e3 rad"),
         (m.AgentPose, {"position_std_m": 1001.0}, "position_std_m"),
+        (m.AgentPose, {"agent": "é" * 65}, "more than 128 bytes"),
+        (m.Objects, {"boxes": np.full((1, 7), 2e7, np.float32)}, "beyond 1e7"),
+        (m.Objects, {"boxes": np.ones((4097, 7), np.float32)}, "4097 boxes, limit 4096"),
         (m.Scan, {"chunk": 1}, "chunk 1 of 1"),
     ],
 )
@@ -341,6 +352,27 @@ def test_a_long_bad_list_costs_one_error():
     data = packed(m.Roster, {"frame": 1, "process": "p", "scanning": [], "agents": [1] * 200_000})
     with pytest.raises(MessageError, match=r"Roster\.agents\.0"):
         wire.decode(data, m.Roster)
+
+
+def test_a_long_bad_map_costs_one_error():
+    counts = {str(number): -1 for number in range(30_000)}
+    (message,) = (e for e in EXAMPLES if type(e) is m.LaneCounts)
+    data = packed(m.LaneCounts, message.model_dump() | {"upstream": counts})
+    with pytest.raises(MessageError, match=r"LaneCounts\.upstream\.0: "):
+        wire.decode(data, m.LaneCounts)
+
+
+def test_a_header_of_lists_alone_is_refused():
+    data = packed(m.Roster, {"agents": [[]] * 100_000})
+    with pytest.raises(MessageError, match="too many lists and maps"):
+        wire.decode(data, m.Roster)
+
+
+def test_an_extension_is_no_part_of_a_header():
+    header = msgpack.packb({"frames": 1, "reason": msgpack.ExtType(5, b"x")})
+    data = wire.PREFIX.pack(wire.MAGIC, 1, m.End.kind, len(header), 0) + header
+    with pytest.raises(MessageError, match="extension 5 of 1 bytes"):
+        wire.decode(data, m.End)
 
 
 def test_only_a_setup_may_have_a_large_header():

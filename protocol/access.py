@@ -1,0 +1,104 @@
+"""Who may say and hear what on a bus, as Zenoh's access control, from the topic table.
+
+What no row allows is refused. A sender is known by the common name of its certificate, its id.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import quote
+
+from protocol.topics import ALIVE, ALIVE_IN_ANY, ASKED, LOOKERS, TOPICS, BusName
+
+MOST_VEHICLES = 64
+"""Vehicle processes that can have keys: `vehicle-0` and on."""
+
+_SAY, _HEAR = "say", "hear"
+_PUBLISH = {
+    _SAY: (("ingress", ["put"]),),
+    _HEAR: (("ingress", ["declare_subscriber"]), ("egress", ["put"])),
+}
+_ASK = {
+    _SAY: (("ingress", ["declare_queryable", "reply"]), ("egress", ["query"])),
+    _HEAR: (("ingress", ["query"]), ("egress", ["declare_queryable", "reply"])),
+}
+_SHOW = (("ingress", ["liveliness_token"]),)
+_LOOK = (
+    ("ingress", ["declare_liveliness_subscriber", "liveliness_query"]),
+    ("egress", ["liveliness_token"]),
+)
+Flows = tuple[tuple[str, list[str]], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Members:
+    """Who takes part in a run: each process's role by its id; and the run's region, if known."""
+
+    roles: dict[str, str]
+    region: str | None = None
+
+
+def members_of(scenario: dict[str, Any]) -> Members:
+    """Returns all who may take part in a run of this scenario, on whatever machine.
+
+    Vehicle processes may join that the scenario does not start with.
+    """
+    roles = roles_of(MOST_VEHICLES, len(scenario["roadside_mounts"]))
+    return Members(roles, scenario["region"])
+
+
+def roles_of(vehicles: int, posts: int) -> dict[str, str]:
+    """Returns the role of each process of a run with so many processes of agents, by its id."""
+    alone = ("edge", "sim", "record", "signal", "watch")
+    numbers = {"vehicle": vehicles, "infra": posts}
+    numbered = {f"{role}-{n}": role for role, most in numbers.items() for n in range(most)}
+    relays = {f"relay-{kind}": "relay" for kind in ("vehicle", "roadside")}
+    return {name: name for name in alone} | numbered | relays
+
+
+def access_control(bus: BusName, members: Members) -> dict[str, Any]:
+    """Returns the setting `access_control` of the bus's router, for the members of a run."""
+    rules, policies = [], []
+    for process_id, role in sorted(members.roles.items()):
+        mine = list(_rules(bus, process_id, role, members.region))
+        rules += mine
+        policies.append({"rules": [rule["id"] for rule in mine], "subjects": [process_id]})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [{"id": name, "cert_common_names": [name]} for name in sorted(members.roles)],
+        "policies": policies,
+    }
+
+
+def _rules(
+    bus: BusName, process_id: str, role: str, region: str | None
+) -> Iterable[dict[str, Any]]:
+    """Yields what one process may do, one rule for each direction and kind of message."""
+    place = {} if region is None else {"region": region}
+    for topic in TOPICS.values():
+        if topic.bus is not bus:
+            continue
+        for verb, roles in ((_SAY, topic.speakers), (_HEAR, topic.hearers)):
+            if role in roles:
+                flows = (_ASK if topic.name in ASKED else _PUBLISH)[verb]
+                own = {"process": process_id} if verb == _SAY else {}
+                key = topic.key(**place, **own)
+                yield from _allow(f"{process_id} {verb}s {topic.name}", flows, key)
+    yield from _allow(f"{process_id} shows itself", _SHOW, f"{ALIVE}/{role}/{quote(process_id)}")
+    if role in LOOKERS[bus]:
+        yield from _allow(f"{process_id} looks who is there", _LOOK, ALIVE_IN_ANY)
+
+
+def _allow(name: str, flows: Flows, key: str) -> Iterable[dict[str, Any]]:
+    for flow, messages in flows:
+        yield {
+            "id": f"{name}, {flow}",
+            "permission": "allow",
+            "flows": [flow],
+            "messages": messages,
+            "key_exprs": [key],
+        }

@@ -1,0 +1,109 @@
+"""Access control as data: what the rules allow is what the topic table says, no more."""
+
+from functools import lru_cache
+
+import pytest
+import zenoh
+
+from protocol.access import Members, access_control, members_of
+from protocol.topics import ALIVE, ASKED, LOOKERS, TOPICS, BusName
+
+MEMBERS = members_of(
+    {"processes": {"vehicle": 2}, "roadside_mounts": [{"id": "rsu-0"}], "region": "r0"}
+)
+EVERYBODY = sorted(
+    (name, role)
+    for name, role in MEMBERS.roles.items()
+    if role != "vehicle" or name in ("vehicle-0", "vehicle-1", "vehicle-63")  # all are made alike
+)
+PARTS = {"region": "r0", "tls": "J", "agent": "a", "chunk": "0"}
+SENDS = {
+    "say": [("ingress", "put")],
+    "hear": [("ingress", "declare_subscriber"), ("egress", "put")],
+}
+ASKS = {
+    "say": [("ingress", "declare_queryable"), ("ingress", "reply"), ("egress", "query")],
+    "hear": [("ingress", "query"), ("egress", "reply")],
+}
+TOKEN = "liveliness_token"
+CONTROLS = {bus: access_control(bus, MEMBERS) for bus in BusName}
+
+
+@lru_cache
+def allowed(bus: BusName, process_id: str, flow: str, message: str) -> list[zenoh.KeyExpr]:
+    """Returns the key expressions that a process may use so."""
+    control = CONTROLS[bus]
+    assert (control["enabled"], control["default_permission"]) == (True, "deny")
+    subjects = {s["id"] for s in control["subjects"] if process_id in s["cert_common_names"]}
+    names = {n for p in control["policies"] if subjects & {*p["subjects"]} for n in p["rules"]}
+    return [
+        zenoh.KeyExpr(key)
+        for rule in control["rules"]
+        if rule["id"] in names and flow in rule["flows"] and message in rule["messages"]
+        for key in rule["key_exprs"]
+        if rule["permission"] == "allow"
+    ]
+
+
+def may(bus: BusName, process_id: str, flow: str, message: str, key: str) -> bool:
+    return any(
+        mine.includes(zenoh.KeyExpr(key)) for mine in allowed(bus, process_id, flow, message)
+    )
+
+
+@pytest.mark.parametrize("name", TOPICS)
+@pytest.mark.parametrize(("process_id", "role"), EVERYBODY)
+def test_each_may_say_and_hear_what_the_table_says_and_say_it_under_its_own_id(
+    process_id, role, name
+):
+    topic = TOPICS[name]
+    for author, _ in EVERYBODY:
+        key = topic.key(process=author, **PARTS)
+        own = "{process}" not in topic.template or author == process_id
+        want = {"say": role in topic.speakers and own, "hear": role in topic.hearers}
+        for verb, flows in (ASKS if name in ASKED else SENDS).items():
+            for flow, message in flows:
+                assert may(topic.bus, process_id, flow, message, key) == want[verb], (flow, message)
+        other = BusName.V2X if topic.bus is BusName.WORLD else BusName.WORLD
+        assert not may(other, process_id, "ingress", "put", key)
+        assert not may(other, process_id, "egress", "put", key)
+
+
+@pytest.mark.parametrize(("process_id", "role"), EVERYBODY)
+def test_nothing_that_one_says_can_be_taken_for_what_it_may_not_say(process_id, role):
+    for topic in TOPICS.values():
+        if role not in topic.speakers:
+            heard = zenoh.KeyExpr(topic.key(region="r0", tls="J"))
+            said = allowed(topic.bus, process_id, "ingress", "put")
+            assert not any(key.intersects(heard) for key in said), topic.name
+
+
+@pytest.mark.parametrize(("process_id", "role"), EVERYBODY)
+def test_each_shows_itself_alone_and_few_see_who_is_there(process_id, role):
+    for bus in BusName:
+        shown = [str(key) for key in allowed(bus, process_id, "ingress", TOKEN)]
+        assert shown == [f"{ALIVE}/{role}/{process_id}"]
+        looks = role in LOOKERS[bus]
+        sees = may(bus, process_id, "egress", TOKEN, f"{ALIVE}/vehicle/vehicle-0")
+        asks = may(bus, process_id, "ingress", "declare_liveliness_subscriber", f"{ALIVE}/*/*")
+        assert (sees, asks) == (looks, looks)
+
+
+def test_nobody_asks_for_everything():
+    for bus in BusName:
+        for process_id, _ in EVERYBODY:
+            for message in ("declare_subscriber", "query", "liveliness_query", "put", "delete"):
+                for key in ("cpnet/v1/**", "**", "@/**"):
+                    assert not may(bus, process_id, "ingress", message, key)
+
+
+def test_whoever_takes_no_part_may_do_nothing():
+    for bus in BusName:
+        assert access_control(bus, Members({}))["rules"] == []
+        assert not allowed(bus, "vehicle-64", "ingress", "put")
+
+
+def test_no_two_rules_have_one_name():
+    for bus in BusName:
+        names = [rule["id"] for rule in CONTROLS[bus]["rules"]]
+        assert len(set(names)) == len(names)

@@ -1,0 +1,169 @@
+"""Whoever floods an inbox is in nobody's way."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.inbox import Envelope, Inbox, Presence, Sealed
+from protocol.messages import AgentPose, Equipment, Roster
+from protocol.shares import BESIDES, LEAST_PER_S, MOST_SENDERS, Shares
+from protocol.topics import TOPICS
+from protocol.wire import encode
+
+SECOND_NS = 1_000_000_000
+
+
+def roster(process: str, frame: int = 1, at_ns: int = 0) -> Sealed:
+    said = Roster(frame=frame, process=process, agents=[], scanning=[])
+    key = TOPICS["roster"].key(region="r0", process=process)
+    return Sealed(TOPICS["roster"], key, encode(said), at_ns)
+
+
+def pose(process: str, agent: str, at_ns: int = 0) -> Sealed:
+    said = AgentPose(
+        frame=1,
+        sim_time_ns=1,
+        agent=agent,
+        equipment=Equipment.CAV,
+        pose=[0.0] * 6,
+        length_m=4,
+        width_m=2,
+        height_m=2,
+        position_std_m=0.1,
+    )
+    key = TOPICS["pose"].key(region="r0", process=process, agent=agent)
+    return Sealed(TOPICS["pose"], key, encode(said), at_ns)
+
+
+def shared(capacity: int = 40, *processes: str, is_paced: bool = False) -> Inbox:
+    inbox = Inbox(capacity)
+    inbox.share_out(is_paced=is_paced)
+    for process in processes:
+        inbox.put(Presence("vehicle", process, alive=True))
+        assert isinstance(inbox.get(), Presence)
+    return inbox
+
+
+def senders(inbox: Inbox) -> list[str]:
+    found = []
+    while isinstance(item := inbox.get(), Envelope):
+        found.append(item.parts["process"])
+    return found
+
+
+def test_a_flood_under_many_agents_names_leaves_the_others_their_share():
+    inbox = shared(40, "bad", "good")
+    for number in range(500):
+        inbox.put(pose("bad", f"agent-{number}"))
+    for number in range(10):
+        inbox.put(roster("good", number))
+    came = senders(inbox)
+    assert came.count("good") == 10
+    assert came.count("bad") == 40 // (2 + BESIDES)
+    assert inbox.drops == {"rate_limited": 490}
+
+
+def test_a_flood_under_many_processes_names_has_one_share():
+    inbox = shared(40, "good")
+    for number in range(500):
+        inbox.put(roster(f"invented-{number}"))
+    for number in range(10):
+        inbox.put(roster("good", number))
+    came = senders(inbox)
+    assert came.count("good") == 10
+    assert len(came) == 10 + 40 // (1 + BESIDES)
+
+
+def test_what_is_read_makes_room_again():
+    inbox = shared(8, "one")
+    for _ in range(5):
+        for _ in range(4):
+            inbox.put(roster("one"))
+        assert 2 <= len(senders(inbox)) <= 4
+    inbox.put(roster("one"))
+    assert senders(inbox) == ["one"]
+
+
+def test_a_large_message_takes_a_share_of_the_bytes():
+    size = len(encode(Roster(frame=1, process="one", agents=[], scanning=[])))
+    inbox = Inbox(100, max_bytes=6 * size)
+    inbox.share_out(is_paced=False)
+    inbox.put(Presence("vehicle", "one", alive=True))
+    for _ in range(5):
+        inbox.put(roster("one"))
+    inbox.get()
+    assert senders(inbox) == ["one"] * 2
+
+
+def test_who_sends_too_fast_is_not_heard_until_it_has_made_up_for_it():
+    inbox = shared(16_384, "fast", "slow", is_paced=True)
+    now_ns, heard = SECOND_NS, 0
+    for number in range(20_000):
+        now_ns = SECOND_NS + number * SECOND_NS // 10_000
+        inbox.put(roster("fast", at_ns=now_ns))
+        if number % 1000 == 0:
+            inbox.put(roster("slow", at_ns=now_ns))
+            came = senders(inbox)
+            heard += came.count("fast")
+            assert came.count("slow") == 1
+    assert heard < 3 * LEAST_PER_S
+    assert inbox.flooding(now_ns) == {"fast"}
+    assert inbox.flooding(now_ns + 2 * SECOND_NS) == set()
+    inbox.put(roster("fast", at_ns=now_ns + 2 * SECOND_NS))
+    assert senders(inbox) == ["fast"]
+
+
+def test_without_a_clock_nobody_is_too_fast():
+    inbox = shared(16_384, "fast")
+    for _ in range(50):
+        for _ in range(100):
+            inbox.put(roster("fast"))
+        assert len(senders(inbox)) == 100
+    assert inbox.flooding(0) == set()
+    assert not inbox.drops
+
+
+@given(st.lists(st.tuples(st.sampled_from("abcde"), st.integers(1, 9), st.booleans()), max_size=90))
+def test_shares_never_exceed_the_whole(steps: list[tuple[str, int, bool]]) -> None:
+    shares, held = Shares(12, 60, is_paced=False), dict.fromkeys([*"abcde", ""], 0)
+    sizes: dict[str, list[int]] = {name: [] for name in held}
+    for process in "abc":
+        shares.show(process, alive=True)
+    for process, size, is_read in steps:
+        sender = shares.sender_of(process)
+        if is_read and sizes[sender]:
+            shares.add(sender, (-1, -sizes[sender].pop()))
+        elif shares.admits(sender, (1, size), 0):
+            shares.add(sender, (1, size))
+            sizes[sender].append(size)
+    assert sum(len(waiting) for waiting in sizes.values()) <= 12
+    assert sum(sum(waiting) for waiting in sizes.values()) <= 60
+
+
+@pytest.mark.parametrize("count", [MOST_SENDERS + 10])
+def test_only_so_many_have_a_share_of_their_own(count: int) -> None:
+    shares = Shares(1000, 1000, is_paced=False)
+    for number in range(count):
+        shares.show(f"p{number}", alive=True)
+    assert shares.sender_of("p0") == "p0"
+    assert shares.sender_of(f"p{count - 1}") == ""
+
+
+def test_who_shows_itself_late_keeps_what_waits_and_leaves_nothing_behind():
+    inbox = Inbox(40)
+    inbox.share_out(is_paced=False)
+    inbox.limit("roster", 2)
+    for frame in range(2):
+        inbox.put(roster("late", frame))
+    inbox.put(Presence("vehicle", "late", alive=True))
+    for frame in range(2, 6):
+        inbox.put(roster("late", frame))
+    assert senders(inbox) == ["late"] * 2
+    inbox.get()
+    inbox.put(Presence("vehicle", "late", alive=False))
+    inbox.get()
+    shares = inbox._shares
+    assert shares is not None
+    assert [(one.messages, one.size_bytes) for one in shares._senders.values()] == [(0, 0)] * 2
