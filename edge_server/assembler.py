@@ -12,6 +12,7 @@ from protocol.horizon import Horizon
 from protocol.messages import AgentPose, Objects, Roster, Scan
 
 MAX_OPEN_FRAMES = 4
+MAX_PROCESSES = 256  # that were not expected
 NO_POSE_ROLE = "infra"  # a post's place is in its scans
 
 
@@ -19,8 +20,8 @@ class Assembler:
     """Knows which processes live and waits for all that they announce, up to `wait_ns`.
 
     A process is waited for from the start if it was expected, else from its first roster on, until
-    it vanishes. Of scans, less may be enough: `covers` decides by how far each came. `drops`
-    counts, by reason, what came in vain.
+    it vanishes or floods. Of scans, less may be enough: `covers` decides by how far each came.
+    `drops` counts, by reason, what came in vain.
     """
 
     def __init__(
@@ -33,6 +34,7 @@ class Assembler:
         self._wait_ns = wait_ns
         self._covers = covers
         self._had_enough: deque[int] = deque(maxlen=MAX_OPEN_FRAMES)
+        self._expected = frozenset(expected)
         self._roles = dict(expected)
         self._alive: set[str] = set()
         self._heard = set(expected)
@@ -43,13 +45,26 @@ class Assembler:
         self.drops: Counter[str] = Counter()
 
     def hear(self, process: str, role: str, *, alive: bool) -> None:
-        """Takes note of a process that appeared or vanished."""
-        self._roles[process] = role
-        if alive:
+        """Takes note of a process that appeared or vanished; of too many no more are noted."""
+        is_new = process not in self._roles
+        if alive and is_new and len(self._roles) >= len(self._expected) + MAX_PROCESSES:
+            self.drops["too_many_processes"] += 1
+        elif alive:
+            self._roles[process] = role
             self._alive.add(process)
         else:
             self._alive.discard(process)
             self._heard.discard(process)
+            if process not in self._expected:
+                self._roles.pop(process, None)
+
+    def wait_not_for(self, processes: set[str]) -> None:
+        """Waits for none of these, who say more than is heard, until their next roster."""
+        self._heard -= processes
+
+    def is_there(self, process: str) -> bool:
+        """Whether a process lives."""
+        return process in self._alive
 
     def admits(self, frame: int) -> bool:
         """Whether a frame can be real, be it over."""
@@ -182,7 +197,7 @@ class Assembler:
         return {a: part.uploaded(a) for roster in rosters for a in roster.scanning}
 
     def _close(self, number: int, part: Gathering, *, complete: bool, now_ns: int) -> Frame:
-        agents = sorted({*part.poses, *part.found, *(agent for agent, _ in part.pieces)})
+        agents = part.named()
         latest_ns = max(self._times_ns.values(), default=0)
         own_ns = latest_ns if part.time_ns is None else part.time_ns
         return Frame(

@@ -44,6 +44,20 @@ class PlanConfig(Section):
     )
 
 
+class PlausibilityConfig(Section):
+    """Whether agents are believed."""
+
+    enabled: bool = Field(
+        True, description="ours: what cannot be so is left out, agent by agent; see reliability.md"
+    )
+    threshold: float = Field(
+        0.4,
+        gt=0,
+        lt=0.8,
+        description="an agent whose score falls below this is left out, until it is 0.2 higher",
+    )
+
+
 class EdgeConfig(DetectionConfig):
     """The edge server: how long it waits, how it merges, detects and counts."""
 
@@ -75,3 +89,6 @@ class EdgeConfig(DetectionConfig):
     )
     plan: PlanConfig = Field(PlanConfig(), description="who uploads which part of the scene")
     fusion: FusionConfig = Field(FusionConfig(), description="duplicates")
+    plausibility: PlausibilityConfig = Field(
+        PlausibilityConfig(), description="which agents are believed"
+    )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from edge_server.views import View
 from perception.arrays import Floats, Floats32
 from perception.roadway import Placed
 from protocol.codec import decode
@@ -20,7 +21,7 @@ class Piece:
 
     `sensor_pose` (6,) is `map_SE3_sensor` as the agent believes it. For `plan_frame` and
     `ground_free` see `protocol.messages.Scan`; `size_bytes` is that of the payload, `returns` how
-    many points it had.
+    many points it had. One that `is_spoilt` came, but nobody can tell what it showed.
     """
 
     frame: int
@@ -38,16 +39,21 @@ class Piece:
     arrival_sim_ns: int | None = None
     size_bytes: int = 0
     placed: Placed | None = None
+    view: View | None = None
     placed_ns: int = 0
     returns: int = 0
+    is_spoilt: bool = False
 
-    def with_placed(self, placed: Placed) -> Piece:
+    def with_placed(self, placed: Placed, view: View | None) -> Piece:
         """Returns the piece with its points on the road, map frame, and when that was done.
+
+        `view` is what they show to be taken and to be free, if anybody will ask.
 
         All others are let go: the next scan is decoded into memory that is still near.
         """
         nothing = np.zeros((0, 3), np.float32)
-        return replace(self, points=nothing, placed=placed, placed_ns=time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+        return replace(self, points=nothing, placed=placed, view=view, placed_ns=now_ns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +110,7 @@ def open_scan(scan: Scan, received_ns: int) -> Piece:
 def spoilt_scan(scan: Scan, received_ns: int) -> Piece:
     """Returns a chunk without points in place of one that does not decode: it did come."""
     points = np.zeros((0, 3), np.float32)
-    return _piece(scan, points, received_ns, time.monotonic_ns())
+    return replace(_piece(scan, points, received_ns, time.monotonic_ns()), is_spoilt=True)
 
 
 def _piece(scan: Scan, points: Floats32, received_ns: int, start_ns: int) -> Piece:

@@ -15,6 +15,7 @@ V = TypeVar("V")
 
 MAX_AGENTS = 512  # of a frame
 MAX_PIECES = 4 * MAX_AGENTS
+MAX_BOXES = 4 * MAX_AGENTS  # that agents found for themselves
 MAX_POINTS = 10_000_000  # of a frame; placed, they take 160 MB
 
 
@@ -39,10 +40,10 @@ class Gathering:
 
     def add_roster(self, roster: Roster) -> None:
         """Takes a process's first roster."""
-        held = sum(len(other.agents) + 1 for other in self.rosters.values())
+        held = sum(_size(other) + 1 for other in self.rosters.values())
         if roster.process in self.rosters:
             self.drops["duplicate"] += 1
-        elif held + len(roster.agents) > MAX_AGENTS:
+        elif held + _size(roster) > MAX_AGENTS:
             self.drops["too_many_agents"] += 1
         else:
             self.rosters[roster.process] = roster
@@ -66,6 +67,8 @@ class Gathering:
             self.drops["duplicate"] += 1
         elif len(self.found) >= MAX_AGENTS:
             self.drops["too_many_agents"] += 1
+        elif sum(len(one.objects.boxes) for one in [*self.found.values(), found]) > MAX_BOXES:
+            self.drops["frame_too_large"] += 1
         else:
             self.found[found.agent] = found
             self._date(found.objects.sim_time_ns)
@@ -120,6 +123,13 @@ class Gathering:
             came += 1
         return Uploaded(came, chunks, self.pieces[agent, 0].plan_frame if came else -1)
 
+    def named(self) -> list[str]:
+        """Returns of whom something came, sorted; of too many those who were announced first."""
+        came = {*self.poses, *self.found, *(agent for agent, _ in self.pieces)}
+        if len(came) > MAX_AGENTS:
+            came = set(sorted(came, key=lambda a: (not self._is_announced(a), a))[:MAX_AGENTS])
+        return sorted(came)
+
     def _is_announced(self, agent: str) -> bool:
         return any(agent in roster.agents for roster in self.rosters.values())
 
@@ -138,3 +148,8 @@ class Gathering:
     def _date(self, sim_time_ns: int) -> None:
         if self.time_ns is None:
             self.time_ns = sim_time_ns
+
+
+def _size(roster: Roster) -> int:
+    """Returns how many agents a roster names, be they rightly in both of its lists or not."""
+    return max(len(roster.agents), len(roster.scanning))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from edge_server.frame import Frame, Piece, open_scan
 from edge_server.fuse import fuse
 from edge_server.lanes import LaneIndex, Place
 from edge_server.merge import sensor_in_map
+from edge_server.plausibility import Judged, Plausibility
 from edge_server.sight import Shares, Sight
 from edge_server.spans import Spans
 from edge_server.standing import Standing
@@ -20,24 +23,30 @@ from perception.detector import Cloud, DetectorMaker
 from perception.registry import detector_of
 from perception.roadway import Placed, Roadway
 from perception.vehicles import Vehicles
-from protocol.messages import Detections, LaneCounts, Scan, Span
+from protocol.messages import Detections, Doubt, LaneCounts, Scan, Span
 from protocol.roadmap import RoadMap
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """What a frame gave: messages to publish, the time of each stage, the points merged."""
+    """What a frame gave: messages to publish, the time of each stage, the points merged.
+
+    `left_out` counts by reason the agents that were not believed.
+    """
 
     detections: Detections
     counts: LaneCounts
     spans: list[Span]
     points: int
+    left_out: Counter[str] = field(default_factory=Counter)
+    doubts: list[Doubt] = field(default_factory=list)
 
 
 class Pipeline:
     """The stages and what they know about the road.
 
-    No frame depends on another, except for which of its vehicles stand still.
+    No frame depends on another, except for which of its vehicles stand still and which of its
+    agents are believed. `posts` are x, y and yaw (3,) of the mounts that are known.
     """
 
     def __init__(
@@ -47,8 +56,12 @@ class Pipeline:
         *,
         seed: int,
         detector: DetectorMaker = detector_of,
+        has_lidars: bool = True,
+        posts: Mapping[str, Floats] | None = None,
     ) -> None:
+        """Prepares for a road; `has_lidars` says whether agents send what they see at all."""
         self._map = road_map
+        self._has_lidars = has_lidars
         self._config = config
         self._seed = [seed, zlib.crc32(b"ground")]
         self._roadway = Roadway.of(road_map, margin_m=config.geofence.margin_m)
@@ -59,18 +72,24 @@ class Pipeline:
         )
         self._standing = Standing(config.standing_mps)
         self._centre = np.array(road_map.centre)
+        self._plausibility = (
+            Plausibility(road_map, self._roadway, config.plausibility, posts or {})
+            if config.plausibility.enabled
+            else None
+        )
 
     def run(self, frame: Frame) -> Result:
         """Finds and counts the vehicles of one frame."""
         config, spans = self._config, Spans()
         rng = np.random.default_rng([*self._seed, frame.frame])
         with spans.stage("merge"):
-            reference = _reference(frame)
+            judged = self._judged(frame)
+            frame = judged.frame
             near, bare = (
-                [self.place(p, reference) for p in frame.pieces if p.ground_free is is_bare]
+                [p.placed for p in frame.pieces if p.placed and p.ground_free is is_bare]
                 for is_bare in (False, True)
             )
-        found = self._detector.detect(Cloud(near, bare, _sensors(frame)), rng, spans.stage)
+        found = self._detector.detect(Cloud(near, bare, _sensors(frame.pieces)), rng, spans.stage)
         with spans.stage("fuse"):
             for objects in (one.objects for one in frame.found):
                 found += Vehicles.from_lidar(
@@ -87,7 +106,7 @@ class Pipeline:
             still = self._standing.mark(frame.sim_time_ns, vehicles.boxes[:, :2])
             counts = self._counts(frame, place, place.take(still))
         points = sum(piece.returns for piece in frame.pieces)
-        return Result(detections, counts, spans.done, points)
+        return Result(detections, counts, spans.done, points, judged.left_out, judged.doubts)
 
     def open(self, scan: Scan, received_ns: int) -> Piece:
         """Decodes a chunk and places it, if that needs nothing of others; for any thread.
@@ -101,7 +120,9 @@ class Pipeline:
         """Places a piece while others are still under way, if that needs nothing of theirs."""
         if self._config.merge != "se3":
             return piece
-        return piece.with_placed(self.place(piece, piece.sensor_pose))
+        placed, checks = self.place(piece, piece.sensor_pose), self._plausibility
+        view = None if checks is None else checks.view([placed], piece.sensor_pose)
+        return piece.with_placed(placed, view)
 
     def place(self, piece: Piece, reference_pose: Floats) -> Placed:
         """Moves a piece's points into the map and leaves out what is off the road."""
@@ -114,6 +135,15 @@ class Pipeline:
         return self._roadway.place(
             piece.points, map_SE3_sensor, below_m=fence.below_m, above_m=fence.above_m
         )
+
+    def _judged(self, frame: Frame) -> Judged:
+        """Returns the frame with its pieces placed, without the agents that are not believed."""
+        reference = _reference(frame)
+        pieces = [replace(piece, placed=self.place(piece, reference)) for piece in frame.pieces]
+        frame = replace(frame, pieces=pieces)
+        if self._plausibility is None:
+            return Judged(frame, Counter(), [])
+        return self._plausibility.judge(frame)
 
     def _detections(self, frame: Frame, vehicles: Vehicles, place: Place) -> Detections:
         return Detections(
@@ -150,14 +180,19 @@ class Pipeline:
         )
 
     def _seen(self, frame: Frame) -> tuple[Shares, Shares]:
-        """Returns what of each lane was within sight; of those who send boxes nobody knows."""
-        if frame.found:
+        """Returns what of each lane was within sight; of those who send boxes nobody knows.
+
+        Where there are LiDARs, a frame to which none contributed is one that nobody sees. Where
+        there are none, vehicles report themselves alone: then sight means nothing.
+        """
+        if frame.found or not self._has_lidars:
             return {}, {}
-        return self._sight.shares(_sensors(frame)[:, :2], self._config.sight_m)
+        seeing = [piece for piece in frame.pieces if not piece.is_spoilt]
+        return self._sight.shares(_sensors(seeing)[:, :2], self._config.sight_m)
 
 
-def _sensors(frame: Frame) -> Floats:
-    return np.array([piece.sensor_pose[:3] for piece in frame.pieces]).reshape(-1, 3)
+def _sensors(pieces: Sequence[Piece]) -> Floats:
+    return np.array([piece.sensor_pose[:3] for piece in pieces]).reshape(-1, 3)
 
 
 def _reference(frame: Frame) -> Floats:

@@ -35,7 +35,7 @@ class Punctuality:
         in_time = needed_ns <= latest_ns
         end_ns = min(needed_ns, latest_ns)
         late = sum(end_ns < _arrival_ns(part) < NEVER_NS for part in parts)
-        agents = {part.agent for part in parts if _arrival_ns(part) <= end_ns}
+        agents = {part.agent for part in parts if _arrival_ns(part) <= end_ns} & {*frame.agents}
         cut = replace(
             frame,
             agents=sorted(agents),

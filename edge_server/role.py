@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from edge_server.assembler import MAX_OPEN_FRAMES, Assembler
 from edge_server.config import EdgeConfig
-from edge_server.frame import Frame, spoilt_scan
+from edge_server.frame import Found, Frame, Piece, spoilt_scan
 from edge_server.opening import Opener, Opening
+from edge_server.owners import Owners
 from edge_server.pipeline import Pipeline, Result
 from edge_server.planner import Planner
 from edge_server.punctual import Punctuality
+from perception.arrays import Floats
 from protocol.errors import CodecError
 from protocol.inbox import Envelope, Presence
 from protocol.messages import (
@@ -26,7 +31,13 @@ from protocol.messages import (
     Span,
 )
 from protocol.process import Context
+from protocol.roadmap import RoadMap
+from sensing.config import Mount, UploadConfig
 from sensing.link.config import LinkConfig
+from sensing.upload.registry import POLICIES
+
+_TOLD_BYTES = 200 << 10  # of a frame's times in one message
+_TIMES_BYTES = 200  # of one part, besides its agent's id, which stands there three times
 
 
 class EdgeRole:
@@ -41,7 +52,14 @@ class EdgeRole:
         self._context = context
         self._region: str = scenario["region"]
         self._tls = context.setup.road_map.signal.tls
-        self._pipeline = Pipeline(context.setup.road_map, config, seed=scenario["seed"])
+        road_map = context.setup.road_map
+        self._pipeline = Pipeline(
+            road_map,
+            config,
+            seed=scenario["seed"],
+            has_lidars=has_lidars(scenario),
+            posts=mounts_of(scenario, road_map),
+        )
         self._opener = Opener(self._pipeline.open, context.inbox.wake)
         expected = expected_agents(scenario)
         self._missing = set(expected)
@@ -56,6 +74,9 @@ class EdgeRole:
             expected=expected,
             covers=None if self._punctuality else self._covers,
         )
+        mounts = scenario["roadside_mounts"]
+        posts = {mount["id"]: f"infra-{n}" for n, mount in enumerate(mounts)}
+        self._owners = Owners(posts, self._assembler.drops)
 
     @classmethod
     def build(cls, context: Context) -> EdgeRole:
@@ -63,6 +84,7 @@ class EdgeRole:
         role = cls(context)
         role.warm_up()
         context.inbox.limit("scan", MAX_OPEN_FRAMES)
+        context.inbox.share_out(is_paced=not role._lockstep)
         for topic in ("roster", "pose", "scan", "objects"):
             context.v2x.subscribe(topic, region=role._region)
         context.v2x.subscribe("state", tls=role._tls)
@@ -78,12 +100,11 @@ class EdgeRole:
         if isinstance(item, Presence):
             self._hear(item)
             return
-        if not _is_its_own(item):
-            self._assembler.drops["wrong_sender"] += 1
+        if not self._is_its_own(item):
             return
         match item.message:
             case Roster() as roster:
-                self._assembler.add_roster(roster, item.received_ns)
+                self._assembler.add_roster(self._owners.own(roster), item.received_ns)
             case AgentPose() as pose:
                 self._note_site(pose)
                 self._assembler.add_pose(pose, item.received_ns)
@@ -94,6 +115,23 @@ class EdgeRole:
             case SignalState() as state:
                 self._assembler.add_time(state.frame, state.sim_time_ns)
 
+    def _is_its_own(self, item: Envelope) -> bool:
+        """Whether a message says of its sender what its key does, of an agent that is the sender's.
+
+        With access control, a process can publish under its own id alone.
+        """
+        header = item.message
+        if any(str(getattr(header, name, part)) != part for name, part in item.parts.items()):
+            self._assembler.drops["wrong_sender"] += 1
+            return False
+        agent, process = item.parts.get("agent"), item.parts.get("process", "")
+        if agent is None:
+            return True
+        if not self._assembler.is_there(process):
+            self._assembler.drops["absent_process"] += 1
+            return False
+        return self._owners.admits(process, agent)
+
     def poll(self) -> None:
         """Shows the process once it is due, and works on the next frame that is ready."""
         for opening in self._opener.done():
@@ -101,11 +139,15 @@ class EdgeRole:
         if not self._announced and not self._missing:
             self._announced = True
             self._context.announce("edge")
-        frame = self._assembler.pop(time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+        self._assembler.wait_not_for(self._context.inbox.flooding(now_ns))
+        frame = self._assembler.pop(now_ns)
         if frame is not None:
             cut = self._cut(frame)
             self._publish_plans(frame, cut)
-            self._publish(cut, self._pipeline.run(cut))
+            result = self._pipeline.run(cut)
+            self._assembler.drops.update(result.left_out)
+            self._publish(cut, result)
 
     def close(self) -> None:
         """Ends the threads."""
@@ -114,6 +156,8 @@ class EdgeRole:
     def _hear(self, presence: Presence) -> None:
         if presence.role in ("vehicle", "infra"):
             self._missing.discard(presence.id)
+            if not presence.alive:
+                self._owners.forget(presence.id)
             self._assembler.hear(presence.id, presence.role, alive=presence.alive)
 
     def _cut(self, frame: Frame) -> Frame:
@@ -171,13 +215,16 @@ class EdgeRole:
         bus = self._context.v2x
         bus.publish("lanes", result.counts, region=self._region, tls=self._tls)
         bus.publish("detections", result.detections, region=self._region)
+        told = _told(frame)
+        self._assembler.drops["untold"] += len(frame.pieces) - len(told.pieces)
         metrics = Metrics(
             process=self._context.id,
             frame=frame.frame,
             sim_time_ns=frame.sim_time_ns,
-            spans=_waits(frame) + result.spans,
-            arrivals=_arrivals(frame),
+            spans=_waits(told) + result.spans,
+            arrivals=_arrivals(told),
             points=result.points,
+            doubts=result.doubts,
             drops=dict(+(Counter(self._context.inbox.drops) + self._assembler.drops)),
         )
         self._context.world.publish("metrics", metrics, process=self._context.id)
@@ -192,10 +239,27 @@ def expected_agents(scenario: dict[str, Any]) -> dict[str, str]:
     }
 
 
-def _is_its_own(item: Envelope) -> bool:
-    """Whether a message says of its sender what the key does on which it came."""
-    header = item.message
-    return all(str(getattr(header, name, part)) == part for name, part in item.parts.items())
+def has_lidars(scenario: dict[str, Any]) -> bool:
+    """Whether agents with a LiDAR belong to a scenario, be they there yet, that send what they see.
+
+    The scenario says so, not what came: what never arrives must not pass for what does not exist.
+    """
+    upload = UploadConfig.model_validate(scenario.get("upload", {}))
+    is_there = {
+        "roadside": bool(scenario["roadside_mounts"]),
+        "vehicle": bool(scenario.get("recording")) or scenario["traffic"]["cav_rate"] > 0,
+    }
+    return any(
+        is_there[kind] and POLICIES[upload.of(kind).policy].sends != "nothing"
+        for kind in ("roadside", "vehicle")
+    )
+
+
+def mounts_of(scenario: dict[str, Any], road_map: RoadMap) -> dict[str, Floats]:
+    """Returns by agent x, y and yaw (3,) of the posts in the scenario, in the map frame."""
+    mounts = [Mount.model_validate(mount) for mount in scenario["roadside_mounts"]]
+    x_m, y_m = road_map.centre[:2]
+    return {m.id: np.array([x_m + m.x_m, y_m + m.y_m, np.radians(m.yaw_deg)]) for m in mounts}
 
 
 def punctuality(scenario: dict[str, Any], config: EdgeConfig) -> Punctuality | None:
@@ -204,6 +268,19 @@ def punctuality(scenario: dict[str, Any], config: EdgeConfig) -> Punctuality | N
     if link.way(scenario["mode"]) != "virtual":
         return None
     return Punctuality(round(config.deadline_ms * 1e6), round(link.edge_compute_ms * 1e6))
+
+
+def _told(frame: Frame) -> Frame:
+    """Returns the frame with so many of its parts as have room in one message."""
+    left = _TOLD_BYTES
+    pieces, found = list[Piece](), list[Found]()
+    for piece in frame.pieces:
+        left -= _TIMES_BYTES + 3 * len(piece.agent.encode())
+        pieces += [piece] if left >= 0 else []
+    for one in frame.found:
+        left -= _TIMES_BYTES + 3 * len(one.agent.encode())
+        found += [one] if left >= 0 else []
+    return replace(frame, pieces=pieces, found=found)
 
 
 def _arrivals(frame: Frame) -> list[Arrival]:

@@ -379,3 +379,19 @@ def test_a_whole_frame_does_not_wait_for_what_nobody_announced() -> None:
     give(assembler, piece("ghost"))
     assembler.forgo(stranger)
     assert +assembler.drops == {"late": 1}
+
+
+def test_a_process_that_floods_is_not_waited_for_until_its_next_roster() -> None:
+    edge = make()
+    for part in whole():
+        if not isinstance(part, Roster) or part.process == "infra-0":
+            give(edge, part)
+    assert edge.pop(6) is None
+    edge.wait_not_for({"vehicle-0", "nobody"})
+    assert edge.pop(6) is not None
+    give(edge, roster("vehicle-0", ["a"], [], frame=1))
+    give(edge, roster("infra-0", [], [], frame=1))
+    edge.add_time(1, 100)
+    assert edge.pop(6) is None
+    give(edge, pose("a", frame=1))
+    assert edge.pop(6) is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -83,6 +84,28 @@ def test_a_frame_without_agents_counts_nothing(road_map: RoadMap) -> None:
     result = Pipeline(road_map, EdgeConfig(), seed=1).run(Frame(0, 0, [], [], [], True, 0, 0))
     assert set(result.counts.upstream.values()) == {0}
     assert len(result.detections.boxes) == 0
+
+
+def test_a_frame_to_which_no_lidar_contributed_is_seen_by_nobody(road_map: RoadMap) -> None:
+    nothing = Frame(0, 0, [], [], [], True, 0, 0)
+    counts = Pipeline(road_map, EdgeConfig(), seed=1).run(nothing).counts
+    assert counts.seen_upstream.keys() == counts.upstream.keys()
+    assert {*counts.seen_upstream.values(), *counts.seen_downstream.values()} == {0.0}
+
+
+def test_where_there_are_no_lidars_nothing_is_said_of_sight(road_map: RoadMap) -> None:
+    nothing = Frame(0, 0, [], [], [], True, 0, 0)
+    counts = Pipeline(road_map, EdgeConfig(), seed=1, has_lidars=False).run(nothing).counts
+    assert (counts.seen_upstream, counts.seen_downstream) == ({}, {})
+
+
+def test_a_scan_that_cannot_be_read_saw_nothing(road_map: RoadMap) -> None:
+    points = np.zeros((0, 3), np.float32)
+    scan = Piece(0, 0, "rsu-0", 0, 1, ROADSIDE, points, 0, 0, 0)
+    for piece, nobody in ((scan, False), (replace(scan, is_spoilt=True), True)):
+        frame = Frame(0, 0, ["rsu-0"], [], [piece], True, 0, 0)
+        counts = Pipeline(road_map, EdgeConfig(), seed=1).run(frame).counts
+        assert (max(counts.seen_upstream.values()) == 0) is nobody
 
 
 def test_the_papers_settings_work_on_a_level_road(

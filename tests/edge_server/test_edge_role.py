@@ -12,7 +12,7 @@ import pytest
 from edge_server.config import EdgeConfig
 from edge_server.frame import Piece
 from edge_server.opening import Opener
-from edge_server.role import EdgeRole
+from edge_server.role import EdgeRole, has_lidars
 from protocol import messages as m
 from protocol.codec import encode_cloud
 from protocol.inbox import Envelope, Inbox, Presence
@@ -40,6 +40,7 @@ class Rig:
             "edge": EdgeConfig(**edge).model_dump(mode="json"),
             "processes": {"vehicle": 1},
             "roadside_mounts": [{"id": "rsu-0"}],
+            "traffic": {"cav_rate": 0.05},
         }
         setup = m.Setup(
             scenario=scenario,
@@ -119,7 +120,20 @@ class Rig:
             height_m=1.5,
             position_std_m=0.05,
         )
-        self.radio.publish("pose", pose, region="r0", agent=agent)
+        self.radio.publish("pose", pose, region="r0", process=host_of(agent), agent=agent)
+
+    def say_objects(self, frame: int, agent: str, boxes: int) -> None:
+        found = m.Objects(
+            frame=frame,
+            sim_time_ns=frame * 100,
+            agent=agent,
+            boxes=np.tile(np.array([-30, -1.75, 0.8, 4.5, 1.8, 1.5, 0], np.float32), (boxes, 1)),
+            scores=np.ones(boxes, np.float32),
+            sense_start_ns=1,
+            sense_end_ns=2,
+            detect_end_ns=3,
+        )
+        self.radio.publish("objects", found, region="r0", process=host_of(agent), agent=agent)
 
     def say_scan(
         self,
@@ -129,6 +143,7 @@ class Rig:
         chunk: tuple[int, int] = (0, 1),
         plan_frame: int = -1,
         key: str = "",
+        process: str = "",
     ) -> None:
         points = np.random.default_rng(1).uniform(-50, 50, (100, 3)).astype(np.float32)
         cloud = PointCloud(points, np.zeros(100, np.float32))
@@ -146,8 +161,13 @@ class Rig:
             encode_end_ns=3,
             payload=np.frombuffer(payload or encode_cloud(cloud, 0.02), np.uint8),
         )
-        where = {"agent": key or agent, "chunk": str(chunk[0])}
+        host = process or host_of(agent)
+        where = {"process": host, "agent": key or agent, "chunk": str(chunk[0])}
         self.radio.publish("scan", scan, region="r0", **where)
+
+
+def host_of(agent: str) -> str:
+    return "infra-0" if agent == "rsu-0" else "vehicle-0"
 
 
 def said(heard: list[Envelope | Presence], kind: type[M]) -> list[M]:
@@ -256,6 +276,21 @@ def test_a_message_on_the_key_of_another_sender_is_refused(road_map: RoadMap) ->
     rig.say_pose(0, "cav")
     (metrics,) = said(rig.turn(), m.Metrics)
     assert metrics.drops == {"wrong_sender": 1}
+
+
+def test_nobody_speaks_for_an_agent_of_another_process(road_map: RoadMap) -> None:
+    rig = Rig(road_map)
+    rig.start()
+    rig.say_scan(0, "rsu-0", payload=b"SCAN but no scan", process="vehicle-0")
+    rig.say_rosters(0, ["cav", "rsu-0"], ["rsu-0"])
+    rig.say_scan(0, "cav", payload=b"SCAN but no scan", process="infra-0")
+    rig.say_scan(0, "other", process="vehicle-9")
+    rig.say_scan(0, "rsu-0")
+    rig.say_scan(0, "cav")
+    rig.say_pose(0, "cav")
+    (metrics,) = said(rig.until_said(m.LaneCounts), m.Metrics)
+    assert metrics.drops == {"wrong_sender": 3, "absent_process": 1}
+    assert sorted(arrival.agent for arrival in metrics.arrivals) == ["cav", "rsu-0"]
 
 
 def test_a_chunk_is_decoded_once(road_map: RoadMap) -> None:
@@ -498,3 +533,50 @@ def test_a_flood_from_one_agent_delays_no_frame_of_the_others(
         decoded = [span for span in metrics.spans if span.stage == "decode"]
         assert len(decoded) <= chunks + 1
     assert {"overtaken", "wrong_sender", "far_frame"} <= metrics.drops.keys()
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({}, True),
+        ({"roadside_mounts": []}, True),
+        ({"traffic": {"cav_rate": 0}}, True),
+        ({"roadside_mounts": [], "traffic": {"cav_rate": 0}}, False),
+        ({"roadside_mounts": [], "traffic": {"cav_rate": 0}, "recording": "somewhere"}, True),
+        ({"upload": {"policy": "objects"}}, True),
+        ({"upload": {"policy": "pose"}}, False),
+        ({"upload": {"policy": "pose", "roadside": {"policy": "full"}}}, True),
+        ({"upload": {"roadside": {"policy": "pose"}}, "traffic": {"cav_rate": 0}}, False),
+    ],
+)
+def test_a_scenario_says_whether_anybody_sends_what_a_lidar_sees(
+    changed: dict[str, Any], expected: bool
+) -> None:
+    scenario = {"roadside_mounts": [{}], "traffic": {"cav_rate": 0.05}, "upload": {}}
+    assert has_lidars(scenario | changed) is expected
+
+
+def test_strangers_who_fill_a_frame_do_not_end_the_edge(road_map: RoadMap) -> None:
+    rig = Rig(road_map)
+    rig.start()
+    rig.say_rosters(3, ["cav"], ["rsu-0"])
+    nothing = encode_cloud(PointCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.float32)), 0.02)
+    for number in range(2100):
+        stranger = f"{number:0128}"
+        rig.say_scan(3, stranger, payload=nothing)
+        if number < 600:
+            rig.say_pose(3, stranger)
+            rig.say_objects(3, stranger, boxes=40)
+        if number % 500 == 0:
+            rig.turn()
+    rig.say_pose(3, "cav")
+    rig.say_scan(3, "cav")
+    rig.say_scan(3, "rsu-0")
+    heard = rig.until_said(m.Metrics)
+    (counts,) = said(heard, m.LaneCounts)
+    assert {"cav", "rsu-0"} <= set(counts.agents)
+    assert len(counts.agents) == 512
+    (metrics,) = said(heard, m.Metrics)
+    assert metrics.drops["too_many_agents"] > 1000
+    assert metrics.drops["frame_too_large"] > 300
+    assert metrics.drops["untold"] > 100

@@ -1,0 +1,131 @@
+"""Whether an agent is where it can have come to since it was last believed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from perception.arrays import Floats
+from protocol.messages import AgentPose
+
+FAST = 1.5  # times the highest speed that a lane allows
+LEAST_FAST_MPS = 15.0
+CERTAIN = 6.0  # standard deviations
+MOST_STD_M = 3.0  # that an agent may claim to its own advantage
+SENSOR_STD_M = 1.0  # of a vehicle's place, where its sensor's alone is known
+LANE_M = 4.0  # SUMO's vehicles change lanes at once
+TURN_RAD = math.radians(45.0)  # between two frames, whatever the noise
+TURN_M = 3.0  # of way per radian, beyond that
+POST_M = 0.5  # a post may be resurveyed, not moved
+POST_RAD = math.radians(3.0)
+MOUNT_M = 0.5  # by how much a sensor may move on its vehicle
+MOUNT_RAD = math.radians(3.0)
+FORGET_NS = 3_000_000_000  # after so long an agent may have turned any way
+STEADY_FRAMES = 20  # in a new place, before an agent is believed to be there
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stand:
+    """Where an agent says that it stands (6,), or its post's sensor; how sure of it, and since.
+
+    `mount` (6,) is by how much its sensor stands ahead, to the left, over and turned of its own
+    place, None where it sent no scan.
+    """
+
+    sim_time_ns: int
+    pose: Floats
+    std_m: float
+    is_post: bool
+    mount: Floats | None = None
+
+    @classmethod
+    def of_post(cls, sim_time_ns: int, sensor_pose: Floats) -> Self:
+        """Returns the stand of a post."""
+        return cls(sim_time_ns, sensor_pose, 0.0, is_post=True)
+
+    @classmethod
+    def of(
+        cls, sim_time_ns: int, pose: AgentPose | None, sensor_pose: Floats | None
+    ) -> Self | None:
+        """Returns the stand of a vehicle that told its pose, its sensor's, or both."""
+        if pose is None:
+            if sensor_pose is None:
+                return None
+            return cls(sim_time_ns, sensor_pose, SENSOR_STD_M, is_post=False)
+        std_m = min(pose.position_std_m, MOST_STD_M)
+        if sensor_pose is None:
+            return cls(sim_time_ns, pose.pose, std_m, is_post=False)
+        mount = np.array(sensor_pose - pose.pose)
+        mount[:2] = _turned(pose.pose[5], *mount[:2])
+        return cls(sim_time_ns, pose.pose, std_m, is_post=False, mount=mount)
+
+    def leads_to(self, later: Stand, fast_mps: float) -> bool:
+        """Whether who stood here can stand there a while later."""
+        if self.is_post or later.is_post:
+            return self.is_post and later.is_post and _is_near(self.pose, later.pose, POST_M)
+        took_ns = max(later.sim_time_ns - self.sim_time_ns, 0)
+        may_go_m = fast_mps * took_ns / 1e9 + CERTAIN * math.hypot(self.std_m, later.std_m)
+        return self._is_mounted_as(later) and self._reaches(later, may_go_m, took_ns)
+
+    def _is_mounted_as(self, later: Stand) -> bool:
+        before, after = self.mount, later.mount
+        if before is None or after is None:
+            return True
+        return _is_near(before, after, MOUNT_M, MOUNT_RAD)
+
+    def _reaches(self, later: Stand, may_go_m: float, took_ns: int) -> bool:
+        x, y, _, _, _, turn_rad = (later.pose - self.pose).tolist()
+        along_m, across_m = _turned(float(self.pose[5]), x, y)
+        turns = took_ns > FORGET_NS or _wrapped(turn_rad) <= TURN_RAD + may_go_m / TURN_M
+        return turns and abs(along_m) <= may_go_m and abs(across_m) <= may_go_m + LANE_M
+
+
+class Motion:
+    """Remembers where one agent was last believed to be, and where it says it is since.
+
+    Whoever jumps is doubted, until it has been steady in its new place for long enough: it may
+    have restarted, or found its place anew.
+    """
+
+    __slots__ = ("_last", "_steady", "_there")
+
+    def __init__(self) -> None:
+        self._last: Stand | None = None
+        self._there: Stand | None = None
+        self._steady = 0
+
+    def score(self, stand: Stand, fast_mps: float) -> float:
+        """Returns 1 if an agent can stand there, else 0."""
+        if self._last is None or self._last.leads_to(stand, fast_mps):
+            self._last, self._there, self._steady = stand, None, 0
+            return 1.0
+        goes_on = self._there is not None and self._there.leads_to(stand, fast_mps)
+        self._there, self._steady = stand, self._steady + 1 if goes_on else 0
+        if self._steady >= STEADY_FRAMES:
+            self._last = stand
+        return 0.0
+
+
+def fastest_mps(speeds_mps: list[float]) -> float:
+    """Returns how fast a vehicle can be where lanes allow these speeds."""
+    return FAST * max([*speeds_mps, LEAST_FAST_MPS / FAST])
+
+
+def _turned(yaw_rad: float, x: float, y: float) -> tuple[float, float]:
+    """Returns how far ahead and how far to the left x and y lead."""
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    return cos * x + sin * y, cos * y - sin * x
+
+
+def _wrapped(turn_rad: float) -> float:
+    """Returns how large a turn is, 0 to pi."""
+    return abs(math.remainder(turn_rad, math.tau))
+
+
+def _is_near(pose: Floats, other: Floats, far_m: float, far_rad: float = POST_RAD) -> bool:
+    x, y, z, *turns = (other - pose).tolist()
+    near = math.hypot(x, y, z) <= far_m
+    return near and all(_wrapped(turn_rad) <= far_rad for turn_rad in turns)

@@ -1,0 +1,211 @@
+"""How well the edge tells honest agents from others: false alarms, and how soon it is right.
+
+Honest runs are recorded once, scan by scan; then one agent after the other is made to say what is
+not so, all others staying as they were.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edge_server.config import EdgeConfig
+from edge_server.frame import Frame
+from edge_server.plausibility import Plausibility
+from edge_server.role import mounts_of
+from perception.roadway import Roadway
+from protocol.geometry import SE3
+from protocol.roadmap import RoadMap
+from recorder.run import Run
+from studies.attacks import (
+    GHOST,
+    Attack,
+    Displaced,
+    Emptied,
+    GhostReport,
+    Peopled,
+    Replayed,
+)
+from studies.playback import frames_of
+from studies.solo import play
+
+HONEST = "none"
+WINDOW_S = 6.0  # of an attack
+WAIT_S = 3.0  # before a jump
+REPLAY_S = 10.0
+MOST_VICTIMS = 8
+THIN = 3
+
+Attacks = dict[str, Callable[[int], Attack]]
+
+
+@dataclass(frozen=True, slots=True)
+class PlausibilityRow:
+    """An attack, at a share of CAVs: how often it was found out, and after how long (median).
+
+    `others_s` is for how long honest agents were left out meanwhile; `hours` is how many agents
+    were watched for how long, together.
+    """
+
+    cav_rate: float
+    attack: str
+    tried: int
+    found: int
+    after_s: float | None
+    others_s: float
+    hours: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Returns stable keys."""
+        return asdict(self)
+
+
+def attacks_on(road_map: RoadMap, period_s: float) -> Attacks:
+    """Returns what is tried, by name; each is begun anew, at a frame."""
+    moved: dict[str, dict[str, Any]] = {
+        **{f"{m} m sideways": {"across_m": m} for m in (2, 3, 5, 10)},
+        **{f"{m} m along": {"along_m": m} for m in (2, 3, 5, 10)},
+        **{f"turned by {a} deg": {"yaw_deg": a} for a in (5, 15, 45)},
+        "tilted by 5 deg": {"roll_deg": 5},
+        "raised by 1 m": {"up_m": 1},
+    }
+    jump = round(WAIT_S / period_s)
+    return {
+        **{name: _displaced(keys) for name, keys in moved.items()},
+        "jumps 10 m along": lambda begin: Displaced(along_m=10.0, from_frame=begin + jump),
+        "cloud of 10 s ago": lambda _: Replayed(round(REPLAY_S / period_s)),
+        "no points": lambda _: Emptied(),
+        "3 cars that are not": lambda _: Peopled(road_map, 3),
+        "ghost CV, 0.5 m": lambda _: GhostReport(road_map, 0.5),
+        "ghost CV, 1.5 m": lambda _: GhostReport(road_map, 1.5),
+    }
+
+
+def _displaced(keys: dict[str, Any]) -> Callable[[int], Attack]:
+    return lambda _: Displaced(**keys)
+
+
+class Stage:
+    """A run's frames, thinned, on which attacks are tried."""
+
+    def __init__(self, run_dir: Path) -> None:
+        """Reads a run that kept every scan.
+
+        Raises:
+            ConfigError: the folder is no run.
+        """
+        with Run(run_dir) as run:
+            scenario, self.road_map = run.scenario, run.setup.road_map
+        self._config = EdgeConfig.model_validate(scenario["edge"])
+        self._posts = mounts_of(scenario, self.road_map)
+        self._roadway = Roadway.of(self.road_map, margin_m=self._config.geofence.margin_m)
+        self.cav_rate = float(scenario["traffic"]["cav_rate"])
+        self.period_s = float(scenario["frame_period_s"])
+        self.frames = [_thinned(frame) for frame in frames_of(run_dir)]
+
+    def honest(self) -> PlausibilityRow:
+        """Judges all frames as they were."""
+        out = sum(len(lost) for _, lost in self._judge(self.frames, None, ""))
+        spoken = sum(len(frame.agents) for frame in self.frames)
+        hours = spoken * self.period_s / 3600
+        return PlausibilityRow(self.cav_rate, HONEST, 0, 0, None, out * self.period_s, hours)
+
+    def tried(self, name: str, make: Callable[[int], Attack]) -> PlausibilityRow:
+        """Tries an attack by one agent after the other."""
+        seen, window = self._victims(name), round(WINDOW_S / self.period_s)
+        after_s, others, spoken = [], 0, 0
+        for victim, first in seen:
+            begin = first + (round(REPLAY_S / self.period_s) if "ago" in name else 0)
+            lead = round(WAIT_S / self.period_s) if "jump" in name else 0
+            frames = self.frames[first : begin + lead + window]
+            liar = GHOST if "ghost" in name else victim
+            found = None
+            for number, lost in self._judge(frames, make(first), victim):
+                others += len(lost - {liar})
+                if liar in lost and found is None and number >= begin + lead:
+                    found = number - begin - lead + 1
+            spoken += sum(len(frame.agents) for frame in frames)
+            if found is not None:
+                after_s.append(found * self.period_s)
+        middle = float(np.median(after_s)) if after_s else None
+        hours = spoken * self.period_s / 3600
+        lost_s = others * self.period_s
+        return PlausibilityRow(self.cav_rate, name, len(seen), len(after_s), middle, lost_s, hours)
+
+    def _judge(
+        self, frames: Sequence[Frame], attack: Attack | None, victim: str
+    ) -> Iterator[tuple[int, set[str]]]:
+        """Yields each frame's number and who was left out of it."""
+        edge = Plausibility(self.road_map, self._roadway, self._config.plausibility, self._posts)
+        for honest in frames:
+            frame = self._placed(honest)
+            if attack is not None:
+                frame = self._placed(attack.apply(frame, victim))
+            judged = edge.judge(frame)
+            yield frame.frame, set(frame.agents) - set(judged.frame.agents)
+
+    def _victims(self, name: str) -> list[tuple[str, int]]:
+        """Returns agents that scan all through a window, and the first frame of it."""
+        if "ghost" in name:
+            chosen = sorted(self._posts)
+            starts = np.linspace(0, len(self.frames) - 1, 5).astype(int)[:-1]
+            return [(post, int(start)) for post in chosen for start in starts]
+        need = round((WINDOW_S + WAIT_S) / self.period_s)
+        need += round(REPLAY_S / self.period_s) if "ago" in name else 0
+        present: dict[str, list[int]] = {}
+        for frame in self.frames:
+            for agent in {piece.agent for piece in frame.pieces} - self._posts.keys():
+                present.setdefault(agent, []).append(frame.frame)
+        fit = [(agent, at) for agent, at in sorted(present.items()) if len(at) >= need]
+        every = max(-(-len(fit) // MOST_VICTIMS), 1)
+        return [(agent, at[(len(at) - need) // 2]) for agent, at in fit[::every]]
+
+    def _placed(self, frame: Frame) -> Frame:
+        fence = self._config.geofence
+        pieces = []
+        for piece in frame.pieces:
+            if piece.placed is None:
+                placed = self._roadway.place(
+                    piece.points,
+                    SE3.from_pose(piece.sensor_pose),
+                    below_m=fence.below_m,
+                    above_m=fence.above_m,
+                )
+                piece = replace(piece, placed=placed)
+            pieces.append(piece)
+        return replace(frame, pieces=pieces)
+
+
+def _thinned(frame: Frame) -> Frame:
+    """Keeps every third point: a run's clouds have to fit into memory."""
+    pieces = [replace(p, points=np.ascontiguousarray(p.points[::THIN])) for p in frame.pieces]
+    return replace(frame, pieces=pieces)
+
+
+def measure_plausibility(scenarios: Sequence[dict[str, Any]]) -> Iterator[PlausibilityRow]:
+    """Yields the rows of each scenario, honest agents first; scenarios keep every scan.
+
+    Raises:
+        ConfigError: a scenario cannot be played.
+    """
+    for scenario in scenarios:
+        with tempfile.TemporaryDirectory(prefix="cpnet-bench-") as name:
+            play(scenario, Path(name))
+            yield from measure_run(Path(name))
+
+
+def measure_run(run_dir: Path) -> Iterator[PlausibilityRow]:
+    """Yields the rows of a run that kept every scan.
+
+    Raises:
+        ConfigError: the folder is no run.
+    """
+    stage = Stage(run_dir)
+    yield stage.honest()
+    for name, make in attacks_on(stage.road_map, stage.period_s).items():
+        yield stage.tried(name, make)

@@ -1,0 +1,89 @@
+"""A recorded run's frames as the edge had them, from its snapshots: to judge them anew."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edge_server.frame import Frame, Piece
+from protocol.codec import decode
+from protocol.messages import AgentPose, Equipment, VehicleType
+from recorder.run import Run
+from recorder.tables import CloudRow, TruthRow
+from sensing.config import PoseErrorConfig, UploadConfig
+from sensing.noise import stream
+from sensing.pose import believed_pose, position_std_m
+
+
+def frames_of(run_dir: Path) -> Iterator[Frame]:
+    """Yields the frames of a run that kept a snapshot of each (`record.snapshot_period_s`).
+
+    Poses are those that the agents believed: their errors follow from the seed.
+
+    Raises:
+        ConfigError: the folder is no run.
+    """
+    with Run(run_dir) as run:
+        types = {kind.name: kind for kind in run.setup.vehicle_types}
+        last = run.query("SELECT max(frame) FROM clouds")[0][0]
+        for number in range(-1 if last is None else last + 1):
+            truth = run.of_frame(TruthRow, number)
+            poses = [_pose(run.scenario, row, types) for row in truth if row.equipment]
+            clouds = run.of_frame(CloudRow, number)
+            pieces = [_piece(run.scenario, row) for row in clouds]
+            yield Frame(
+                number,
+                _time_ns(run.scenario, number),
+                sorted({p.agent for p in poses} | {p.agent for p in pieces}),
+                sorted(poses, key=lambda pose: pose.agent),
+                sorted(pieces, key=lambda piece: (piece.agent, piece.chunk)),
+                complete=True,
+                first_ns=0,
+                ready_ns=0,
+            )
+
+
+def _pose(scenario: dict[str, Any], row: TruthRow, types: dict[str, VehicleType]) -> AgentPose:
+    errors = PoseErrorConfig.model_validate(scenario["pose"])
+    equipment, kind = Equipment(row.equipment), types[row.type]
+    true_pose = [row.x_m, row.y_m, row.z_m, row.roll_rad, row.pitch_rad, row.yaw_rad]
+    rng = stream(scenario["seed"], "pose", row.vehicle, row.frame)
+    return AgentPose(
+        frame=row.frame,
+        sim_time_ns=_time_ns(scenario, row.frame),
+        agent=row.vehicle,
+        equipment=equipment,
+        pose=believed_pose(true_pose, errors, equipment, rng),
+        length_m=kind.length_m,
+        width_m=kind.width_m,
+        height_m=kind.height_m,
+        position_std_m=position_std_m(errors, equipment),
+    )
+
+
+def _piece(scenario: dict[str, Any], row: CloudRow) -> Piece:
+    points = decode(np.frombuffer(row.payload, np.uint8)).points
+    upload = UploadConfig.model_validate(scenario["upload"])
+    is_post = row.agent in {mount["id"] for mount in scenario["roadside_mounts"]}
+    filters = upload.of("roadside" if is_post else "vehicle").filters
+    return Piece(
+        frame=row.frame,
+        sim_time_ns=_time_ns(scenario, row.frame),
+        agent=row.agent,
+        chunk=row.chunk,
+        chunks=1,
+        sensor_pose=np.array(row[4:10]),
+        points=np.ascontiguousarray(points, np.float32),
+        received_ns=0,
+        decode_start_ns=0,
+        decode_end_ns=0,
+        ground_free="foreground" in filters,
+        returns=len(points),
+    )
+
+
+def _time_ns(scenario: dict[str, Any], frame: int) -> int:
+    return round(frame * float(scenario["frame_period_s"]) * 1e9)

@@ -1,0 +1,73 @@
+"""`cpnet bench plausibility` on a short run."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from cpnet import scenario as scenarios
+from studies.attacks import GHOST, Displaced, Emptied, GhostReport, Peopled, Replayed
+from studies.bench_plausibility import HONEST, Stage, attacks_on
+from studies.plausibility_table import print_plausibility
+from studies.solo import play
+
+SHORT = {
+    "duration_s": 12,
+    "traffic.cav_rate": 0.1,
+    "traffic.warmup_s": 30,
+    "record.snapshot_period_s": 0.2,
+    "frame_period_s": 0.2,
+    "lidar.vehicle.points_per_second": 144_000,
+    "lidar.roadside.points_per_second": 144_000,
+    "lidar.vehicle.channels": 32,
+    "lidar.roadside.channels": 32,
+}
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory) -> Stage:
+    folder = tmp_path_factory.mktemp("run")
+    play(scenarios.load("t_junction", SHORT).model_dump(mode="json"), folder)
+    return Stage(folder)
+
+
+def test_honest_agents_are_never_left_out_and_a_jump_is_seen_at_once(stage: Stage):
+    honest = stage.honest()
+    assert (honest.attack, honest.others_s) == (HONEST, 0)
+    assert honest.hours > 0
+    jump = stage.tried("jumps 10 m along", attacks_on(stage.road_map, 0.2)["jumps 10 m along"])
+    assert jump.found == jump.tried > 0
+    assert jump.after_s is not None
+    assert jump.after_s < 1
+    said = io.StringIO()
+    print_plausibility([honest, jump], Console(file=said, width=60))
+    assert "the truth" in said.getvalue()
+    assert set(jump.as_json()) >= {"cav_rate", "attack", "tried", "found", "after_s"}
+
+
+def test_an_attack_changes_what_its_victim_says_and_nothing_else(stage: Stage):
+    frame = stage.frames[20]
+    victim = next(p.agent for p in frame.pieces if p.agent != "rsu-0")
+    replay = Replayed(1)
+    replay.apply(stage.frames[19], victim)
+    for attack in (Displaced(up_m=1.0), Emptied(), Peopled(stage.road_map, 2), replay):
+        changed = attack.apply(frame, victim)
+        others = [p for p in changed.pieces if p.agent != victim]
+        before = [p for p in frame.pieces if p.agent != victim]
+        assert all(a is b for a, b in zip(others, before, strict=True))
+        (own,) = [p for p in changed.pieces if p.agent == victim]
+        (was,) = [p for p in frame.pieces if p.agent == victim]
+        differs = not np.array_equal(own.points, was.points)
+        assert differs or not np.array_equal(own.sensor_pose, was.sensor_pose)
+    ghost = GhostReport(stage.road_map, 0.5).apply(frame, "rsu-0")
+    assert set(ghost.agents) - set(frame.agents) == {GHOST}
+
+
+def test_a_run_that_kept_no_scan_has_no_frames(tmp_path: Path):
+    keys = SHORT | {"duration_s": 1, "record.snapshot_period_s": 0}
+    play(scenarios.load("t_junction", keys).model_dump(mode="json"), tmp_path)
+    assert Stage(tmp_path).frames == []
