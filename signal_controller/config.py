@@ -20,12 +20,36 @@ class SignalConfig(Section):
     unseen: Literal["alike", "empty"] = Field(
         "alike",
         description="ours: what max_pressure makes of the part of a lane that no LiDAR has within "
-        "sight (edge.sight_m): alike, it is as full as the rest of the lane; empty, as in Chen et "
-        "al. 2022",
+        "sight (edge.sight_m): alike, it is as full as the rest of the lane, and of a lane that "
+        "nobody sees the number is reckoned; empty, as in Chen et al. 2022",
+    )
+    reckon_inflow_vph: float = Field(
+        500,
+        ge=0,
+        le=3600,
+        description="ours: vehicles per hour that come to a lane that nobody sees; the default is "
+        "the demand in Chen et al. 2022",
+    )
+    reckon_saturation_vph: float = Field(
+        1800, gt=0, le=7200, description="ours: vehicles per hour that leave it while it is green"
+    )
+    reckon_s: float = Field(
+        60,
+        gt=0,
+        le=3600,
+        description="ours: simulated time for which numbers are reckoned without any lane before "
+        "the stop bar being seen; then the fixed plan is asked for, until one is",
     )
     weight: Literal["vehicles", "queued"] = Field(
         "vehicles",
         description="what max_pressure counts: vehicles, as in Chen et al. 2022, or those that "
         "stand still (edge.standing_mps); how far from the stop bar, edge.upstream_m and "
         "edge.downstream_m say",
+    )
+    stale_after_s: float = Field(
+        1.0,
+        gt=0,
+        le=3600,
+        description="counts farther than this, in simulated time, from the signal's newest state "
+        "are not acted on",
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,10 +18,15 @@ LEAST_SEEN = 0.25  # of a lane's reach: less tells too little of the rest
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """A green state, one character per link, and the pressure of each of the signal's phases."""
+    """A green state, one character per link, and the pressure of each of the signal's phases.
+
+    `policy` is what decided; `unknown` are lanes whose vehicles were reckoned, not counted.
+    """
 
     state: str
     pressures: list[float]
+    policy: str
+    unknown: tuple[str, ...] = ()
 
 
 def max_pressure(
@@ -30,30 +35,34 @@ def max_pressure(
     shown: SignalState | None,
     weight: Weight = "vehicles",
     unseen: Unseen = "empty",
+    reckoned: Lanes | None = None,
 ) -> Decision:
     """Chooses the phase of highest pressure (Varaiya 2013; Chen et al. 2022).
 
     A tie leaves the present green, else the plan's first phase wins. While a change is under way
-    its goal stands: the counts that led to it are not weighed anew half-way.
+    its goal stands: the counts that led to it are not weighed anew half-way. Before the stop bar,
+    what is `reckoned` of a lane stands in the place of its count.
     """
     greens = signal.greens
     before, behind = weighed(counts, weight)
     if unseen == "alike":
         before = completed(before, counts.seen_upstream)
         behind = completed(behind, counts.seen_downstream)
+    reckoned = reckoned or {}
+    before = {**before, **reckoned}
     pressures = [pressure(signal, green, before, behind) for green in greens]
-    present = shown.green if shown is not None and shown.green in greens else None
-    if shown is not None and present is not None and shown.stage != "green":
-        return Decision(present, pressures)
-    highest = max(pressures)
-    if present is not None and pressures[greens.index(present)] == highest:
-        return Decision(present, pressures)
-    return Decision(greens[pressures.index(highest)], pressures)
+    state = _chosen(greens, pressures, shown)
+    return Decision(state, pressures, "max_pressure", tuple(reckoned))
 
 
 def fixed(signal: Signal, sim_time_ns: int) -> Decision:
     """Asks for what the net's own plan shows at this time."""
-    return Decision(signal.planned_green(sim_time_ns / 1e9), [])
+    return Decision(signal.planned_green(sim_time_ns / 1e9), [], "fixed")
+
+
+def blind(signal: Signal, sim_time_ns: int, unknown: Iterable[str]) -> Decision:
+    """Asks for the same because nothing is known of any lane before the stop bar."""
+    return Decision(signal.planned_green(sim_time_ns / 1e9), [], "plan", tuple(unknown))
 
 
 def weighed(counts: LaneCounts, weight: Weight) -> tuple[Lanes, Lanes]:
@@ -63,16 +72,32 @@ def weighed(counts: LaneCounts, weight: Weight) -> tuple[Lanes, Lanes]:
     return counts.upstream, counts.downstream
 
 
+def unknown(lanes: Iterable[str], seen: Mapping[str, float]) -> list[str]:
+    """Returns the lanes that nobody sees; where nobody can know, that is none."""
+    return [lane for lane in lanes if seen.get(lane, 1.0) < LEAST_SEEN]
+
+
 def completed(counts: Lanes, seen: Mapping[str, float]) -> Lanes:
     """Returns the vehicles to be expected on all of each lane, were it as full as what is seen.
 
     Of a lane of which less than `LEAST_SEEN` is seen, or of which nobody knows how much, the count
-    stands as it is.
+    stands as it is. Behind the stop bar it does so for good: who is there drives off within
+    seconds, so that no number from before would help.
     """
     return {
         lane: count / share if (share := seen.get(lane, 1.0)) >= LEAST_SEEN else count
         for lane, count in counts.items()
     }
+
+
+def _chosen(greens: list[str], pressures: list[float], shown: SignalState | None) -> str:
+    present = shown.green if shown is not None and shown.green in greens else None
+    if shown is not None and present is not None and shown.stage != "green":
+        return present
+    highest = max(pressures)
+    if present is not None and pressures[greens.index(present)] == highest:
+        return present
+    return greens[pressures.index(highest)]
 
 
 def pressure(

@@ -11,7 +11,8 @@ from protocol.inbox import Envelope, Presence
 from protocol.messages import LaneCounts, Metrics, SignalRequest, SignalState, Span
 from protocol.process import Context
 from signal_controller.config import SignalConfig
-from signal_controller.policies import Decision, fixed, max_pressure
+from signal_controller.policies import Decision, blind, fixed, max_pressure
+from signal_controller.reckoning import Reckoning
 
 MAX_KEPT = 8  # counts and states
 Kept = TypeVar("Kept", LaneCounts, SignalState)
@@ -22,7 +23,8 @@ class SignalRole:
 
     Counts and states come from two processes, in any order. The counts of a frame wait for the
     state of the same frame, so that a run repeats exactly and no frame is believed on one message
-    alone; in realtime, while no state was heard at all, the newest counts will do.
+    alone; in realtime, while no state was heard at all, the newest counts will do. Counts whose
+    time is too far from the state's get no request.
     """
 
     def __init__(self, context: Context) -> None:
@@ -30,6 +32,7 @@ class SignalRole:
         self._context = context
         self._signal = context.setup.road_map.signal
         self._config = SignalConfig.model_validate(scenario["signal"])
+        self._reckoning = Reckoning(self._signal, self._config, scenario["edge"]["upstream_m"])
         self._lockstep = scenario["mode"] == "lockstep"
         self._horizon = Horizon()
         self._shown: dict[int, SignalState] = {}
@@ -63,9 +66,14 @@ class SignalRole:
     def poll(self) -> None:
         """Decides as soon as all that the decision needs is there."""
         due = [frame for frame in self._counts if self._is_due(frame)]
-        if not due:
+        fresh = [frame for frame in due if self._is_fresh(self._counts[frame])]
+        for frame in set(due) - set(fresh):
+            refused = self._counts.pop(frame)
+            if not fresh:
+                self._publish_metrics(refused)
+        if not fresh:
             return
-        frame = self._decided = max(due)
+        frame = self._decided = max(fresh)
         counts = self._counts[frame]
         if frame in self._shown:
             self._horizon.reach(frame)
@@ -98,6 +106,17 @@ class SignalRole:
             return not self._lockstep
         return frame in self._shown or frame <= max(self._decided, self._horizon.newest)
 
+    def _is_fresh(self, counts: LaneCounts) -> bool:
+        """Whether counts are of the present; counts them by reason if not.
+
+        What virtual links took is no age here: the cabinet judges that once the request is due.
+        """
+        shown = self._shown_at(counts.frame)
+        age_ns = 0 if shown is None else shown.sim_time_ns - counts.sim_time_ns
+        is_near = abs(age_ns) <= self._config.stale_after_s * 1e9
+        self._drops["stale_counts" if age_ns > 0 else "future_counts"] += not is_near
+        return is_near
+
     def _shown_at(self, frame: int) -> SignalState | None:
         """Returns the newest state that is known to be real, once a frame's counts are."""
         newest = max(frame, self._horizon.newest)
@@ -107,8 +126,13 @@ class SignalRole:
         if self._config.policy == "fixed":
             return fixed(self._signal, counts.sim_time_ns)
         shown = self._shown_at(counts.frame)
-        config = self._config
-        return max_pressure(self._signal, counts, shown, config.weight, config.unseen)
+        config, reckoned = self._config, {}
+        if config.unseen == "alike":
+            estimate = self._reckoning.take(counts, shown)
+            if estimate.is_blind:
+                return blind(self._signal, counts.sim_time_ns, estimate.vehicles)
+            reckoned = estimate.vehicles
+        return max_pressure(self._signal, counts, shown, config.weight, config.unseen, reckoned)
 
     def _publish(self, counts: LaneCounts, decision: Decision, start_ns: int) -> None:
         request = SignalRequest(
@@ -116,18 +140,23 @@ class SignalRole:
             sim_time_ns=counts.sim_time_ns,
             tls=self._signal.tls,
             state=decision.state,
-            policy=self._config.policy,
+            policy=decision.policy,
             pressures=decision.pressures,
+            unknown=list(decision.unknown),
             delay_sim_ns=counts.delay_sim_ns,
         )
         decided_ns = time.monotonic_ns()  # before it is sent: the cabinet may act at once
         self._context.v2x.publish("request", request, tls=self._signal.tls)
+        span = Span(stage="decide", start_ns=start_ns, end_ns=decided_ns)
+        self._publish_metrics(counts, span)
+
+    def _publish_metrics(self, counts: LaneCounts, *spans: Span) -> None:
         drops = dict(+(Counter(self._context.inbox.drops) + self._drops))
         metrics = Metrics(
             process=self._context.id,
             frame=counts.frame,
             sim_time_ns=counts.sim_time_ns,
-            spans=[Span(stage="decide", start_ns=start_ns, end_ns=decided_ns)],
+            spans=list(spans),
             drops=drops,
         )
         self._context.world.publish("metrics", metrics, process=self._context.id)

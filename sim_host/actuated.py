@@ -62,6 +62,10 @@ class ActuatedCabinet:
         """Takes note of a wish, which changes nothing."""
         return None
 
+    def refuse(self, request: SignalRequest, now_ns: int) -> str | None:  # noqa: ARG002 - see `SignalCabinet.refuse`
+        """Finds nothing wrong with a wish that changes nothing."""
+        return None
+
     def advance(self, now_ns: int) -> str:  # noqa: ARG002 - see `SignalCabinet.advance`
         """Returns what is shown anyway."""
         state = self._shown()

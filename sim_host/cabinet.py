@@ -47,10 +47,15 @@ class SignalCabinet:
 
         A refused wish changes nothing: the last accepted one stands until it is stale.
         """
-        reason = self._judge(request, now_ns)
+        reason = self.refuse(request, now_ns)
         if reason is None:
             self._request = request
-        else:
+        return reason
+
+    def refuse(self, request: SignalRequest, now_ns: int) -> str | None:
+        """Returns why a wish could not be taken now, and counts that; None if it could."""
+        reason = self._judge(request, now_ns)
+        if reason is not None:
             self.refusals[reason] += 1
         return reason
 

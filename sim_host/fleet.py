@@ -7,6 +7,8 @@ from collections.abc import Mapping
 
 from protocol.messages import Equipment
 
+MAX_PROCESSES = 256
+
 
 class Fleet:
     """Spreads CAVs and CVs over the live vehicle processes, each kind by itself.
@@ -25,8 +27,12 @@ class Fleet:
         return sorted(self._live)
 
     def join(self, process: str) -> None:
-        """A vehicle process appeared; newcomers go to it until it has its share."""
-        self._live.add(process)
+        """A vehicle process appeared; newcomers go to it until it has its share.
+
+        Of too many processes no more get any.
+        """
+        if len(self._live) < MAX_PROCESSES:
+            self._live.add(process)
 
     def leave(self, process: str) -> None:
         """A vehicle process vanished; its vehicles move at the next `assign`."""

@@ -32,6 +32,7 @@ from sim_host.world import World
 
 _SLICE_NS = 50_000_000  # how long warm-up may keep the loop from hearing a stop
 _NAP_NS = 30_000_000  # more than the loop's own pause, so that no tick waits for that
+_RETURN_NS = 5_000_000_000  # for a recorder that died to come back
 _LINGER_NS = 2_000_000_000  # for the recorder to take what was said last
 _log = logging.getLogger(__name__)
 
@@ -43,6 +44,9 @@ class Cabinet(Protocol):
 
     def request(self, request: SignalRequest, now_ns: int) -> str | None:
         """Takes a wish; returns None, or why it was refused."""
+
+    def refuse(self, request: SignalRequest, now_ns: int) -> str | None:
+        """Returns why a wish could not be taken now, and counts that."""
 
     def advance(self, now_ns: int) -> str:
         """Returns the state to show from now until the next call."""
@@ -58,6 +62,7 @@ class Stage(Enum):
     WARM_UP = "warm-up"
     REST = "rest"
     FRAME = "frame"
+    LAST = "last"
     OVER = "over"
 
 
@@ -67,6 +72,8 @@ class SimRole:
     REST lies between frames: a tick follows. FRAME waits for what ends the frame: in lockstep its
     request, on which the cabinet then acts; in realtime the clock, while requests act as they come.
     The signal state of a tick is what was shown until then.
+
+    What the cabinet would refuse is refused as it comes: it neither waits nor ends a frame.
     """
 
     def __init__(self, context: Context, world: Traffic, cabinet: Cabinet | None = None) -> None:
@@ -125,13 +132,7 @@ class SimRole:
         if isinstance(item, Presence):
             self._hear(item)
         elif isinstance(item.message, SignalRequest):
-            if not self._lockstep:
-                self._pending.add(item, item.message)
-                self._actuate()
-            elif item.message.frame == self._frame:
-                self._request = item
-            else:
-                self._out_of_turn += 1
+            self._take_request(item, item.message)
 
     def poll(self) -> None:
         """Goes on with what is due.
@@ -154,6 +155,8 @@ class SimRole:
             self._warm_up()
         if self._stage is Stage.FRAME and self._frame_is_over():
             self._finish_frame()
+        if self._stage is Stage.LAST:
+            self._await_recorder()
         if self._stage is Stage.REST:
             self._begin_frame()
 
@@ -178,6 +181,27 @@ class SimRole:
         self._roll_call.hear(presence)
         if presence.role == "vehicle":
             (self._fleet.join if presence.alive else self._fleet.leave)(presence.id)
+
+    def _take_request(self, item: Envelope, request: SignalRequest) -> None:
+        if self._lockstep and not self._is_awaited(request):
+            self._out_of_turn += 1
+        elif self._is_refused(request, self._cabinet.refuse(request, self._world.time_ns)):
+            return
+        elif self._lockstep:
+            self._request = item
+        else:
+            self._pending.add(item, request)
+            self._actuate()
+
+    def _is_awaited(self, request: SignalRequest) -> bool:
+        """Whether a request answers the present frame, which nobody has answered yet."""
+        answers = (request.frame, request.sim_time_ns) == (self._frame, self._tick_ns)
+        return answers and self._stage is Stage.FRAME and self._request is None
+
+    def _is_refused(self, request: SignalRequest, reason: str | None) -> bool:
+        if reason is not None and self._cabinet.refusals[reason] == 1:
+            _log.warning("request %r refused: %s (then only counted)", request.state, reason)
+        return reason is not None
 
     def _warm_up(self) -> None:
         until_ns = time.monotonic_ns() + _SLICE_NS
@@ -207,9 +231,11 @@ class SimRole:
             return self._clock_struck(now_ns)
         waited_ns = now_ns - self._since_ns
         if self._request is None and waited_ns > self._cabinet_config.request_timeout_s * 1e9:
+            refused = ", ".join(f"{n} {why}" for why, n in self._cabinet.refusals.items())
             raise BusError(
                 f"no request for frame {self._frame} within cabinet.request_timeout_s, "
                 f"{self._cabinet_config.request_timeout_s:g} s: edge or signal hangs"
+                + (f", or asks for what the cabinet refuses ({refused})" if refused else "")
             )
         return self._request is not None
 
@@ -238,6 +264,13 @@ class SimRole:
         self._frame += 1
         self._stage = Stage.REST
         if self._frame == self._frames:
+            self._stage = Stage.LAST
+            self._since_ns = time.monotonic_ns()
+
+    def _await_recorder(self) -> None:
+        """Ends the run once the recorder can hear of it: it may just be being started again."""
+        is_here = self._roll_call.is_on(BusName.WORLD, "record")
+        if is_here or time.monotonic_ns() - self._since_ns > _RETURN_NS:
             self._end("finished")
 
     def _actuate(self) -> None:
@@ -246,19 +279,18 @@ class SimRole:
         The time it took belongs to the frame that the request was made of: in realtime and with
         virtual links that is often an older one.
         """
-        due = self._pending.take(self._world.time_ns)
+        now_ns = self._world.time_ns
+        due = self._pending.take(now_ns, lambda one: self._accepts(one, now_ns))
         if due is None:
             return
-        request, envelope = due
-        since_ns = time.monotonic_ns() if request.delay_sim_ns else envelope.received_ns
-        reason = self._cabinet.request(request, self._world.time_ns)
-        if reason is not None:
-            if self._cabinet.refusals[reason] == 1:
-                _log.warning("request %r refused: %s (then only counted)", request.state, reason)
-            return
-        self._world.set_signal(self._cabinet.advance(self._world.time_ns))
+        request = due.request
+        since_ns = time.monotonic_ns() if request.delay_sim_ns else due.envelope.received_ns
+        self._world.set_signal(self._cabinet.advance(now_ns))
         shown = Span(stage="actuate", start_ns=since_ns, end_ns=time.monotonic_ns())
         self._publish_metrics(request.frame, request.sim_time_ns, shown)
+
+    def _accepts(self, request: SignalRequest, now_ns: int) -> bool:
+        return not self._is_refused(request, self._cabinet.request(request, now_ns))
 
     def _step(self) -> None:
         self._world.set_signal(self._cabinet.advance(self._world.time_ns))
@@ -287,6 +319,7 @@ class SimRole:
         own = {
             "request_out_of_turn": self._out_of_turn,
             "request_overtaken": self._pending.overtaken,
+            "request_crowded_out": self._pending.crowded_out,
             "late": self._beat.late,
         }
         return {**self._context.inbox.drops, **refused, **{k: n for k, n in own.items() if n}}

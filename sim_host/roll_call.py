@@ -35,7 +35,9 @@ class RollCall:
         self._since_ns = self._reminded_ns = time.monotonic_ns()
 
     def hear(self, presence: Presence) -> None:
-        """Notes a presence."""
+        """Notes a presence; whoever else appears is none of its business."""
+        if presence.id not in self._expected:
+            return
         if presence.alive:
             self._here.add((presence.bus, presence.id))
         else:

@@ -14,6 +14,7 @@ from protocol.errors import ConfigError
 from protocol.files import is_file
 from protocol.messages import Setup, VehicleType
 from protocol.roadmap import RoadMap
+from protocol.version import own_version
 from sim_host import t_junction
 from sim_host.config import TrafficConfig
 from sim_host.demand import write_demand
@@ -51,6 +52,7 @@ def build_setup(scenario: dict[str, Any], run_dir: Path) -> Setup:
         mesh_triangles=triangles,
         polygons=rings,
         polygon_heights_m=heights,
+        version=own_version(),
     )
 
 

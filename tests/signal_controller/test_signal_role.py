@@ -42,8 +42,11 @@ ROAD = RoadMap(
 class Rig:
     """A signal role, and everybody else's mouth and ear."""
 
-    def __init__(self, mode: str = "lockstep", policy: str = "max_pressure") -> None:
-        scenario = {"mode": mode, "region": "r0", "signal": {"policy": policy}}
+    def __init__(
+        self, mode: str = "lockstep", policy: str = "max_pressure", **keys: object
+    ) -> None:
+        scenario = {"mode": mode, "region": "r0", "signal": {"policy": policy, **keys}}
+        scenario["edge"] = {"upstream_m": 200}
         setup = m.Setup(
             scenario=scenario,
             road_map=ROAD,
@@ -66,15 +69,18 @@ class Rig:
         self.role = SignalRole.build(context)
         assert self.seen.get() == Presence("signal", "signal", alive=True)
 
-    def say_counts(self, frame: int, main: int, side: int) -> None:
+    def say_counts(
+        self, frame: int, main: int, side: int, age_ns: int = 0, seen: float | None = None
+    ) -> None:
         counts = m.LaneCounts(
             frame=frame,
-            sim_time_ns=frame * 10**8,
+            sim_time_ns=frame * 10**8 - age_ns,
             tls="j",
             agents=[],
             complete=True,
             upstream={"main": main, "side": side},
             downstream={"out": 0},
+            seen_upstream={} if seen is None else {"main": seen, "side": seen},
         )
         self.others.publish("lanes", counts, region="r0", tls="j")
 
@@ -179,3 +185,62 @@ def test_a_controller_that_starts_in_mid_run_finds_in_by_the_signals_states() ->
         rig.say_state(frame, "Gr")
     rig.say_counts(503, 1, 3)
     assert [request[0] for request in requests(rig.turn())] == [503]
+
+
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+@pytest.mark.parametrize(
+    ("age_ns", "reason"), [(10**9 + 1, "stale_counts"), (-(10**9) - 1, "future_counts")]
+)
+def test_counts_that_are_not_of_the_present_are_never_acted_on(
+    mode: str, age_ns: int, reason: str
+) -> None:
+    rig = Rig(mode=mode)
+    rig.say_state(20, "Gr")
+    rig.say_counts(20, main=1, side=9, age_ns=age_ns)
+    (metrics,) = rig.turn()
+    assert isinstance(metrics, m.Metrics)
+    assert (metrics.spans, metrics.drops) == ([], {reason: 1})
+    rig.say_counts(20, main=1, side=9)
+    assert requests(rig.turn()) == [(20, 2 * 10**9, "rG", "max_pressure")]
+
+
+def test_counts_that_the_signals_states_have_left_behind_are_stale() -> None:
+    rig = Rig(mode="realtime", stale_after_s=0.5)
+    for frame in range(8):
+        rig.say_state(frame, "Gr")
+    rig.say_counts(1, 1, 9)
+    rig.say_counts(2, 9, 1)
+    assert requests(rig.turn()) == [(2, 2 * 10**8, "Gr", "max_pressure")]
+    rig = Rig(mode="realtime", stale_after_s=0.5)
+    for frame in range(8):
+        rig.say_state(frame, "Gr")
+    rig.say_counts(1, 1, 9)
+    (metrics,) = [message for message in rig.turn() if isinstance(message, m.Metrics)]
+    assert metrics.drops == {"stale_counts": 1}
+
+
+def decided(rig: Rig) -> tuple[str, str, list[str]]:
+    (request,) = [message for message in rig.turn() if isinstance(message, m.SignalRequest)]
+    return request.state, request.policy, request.unknown
+
+
+def test_who_sees_nothing_reckons_then_asks_for_the_plan_and_takes_over_again() -> None:
+    rig = Rig(reckon_s=1.0, reckon_inflow_vph=3600)
+    told = []
+    for frame in range(1, 40):
+        is_dark = 5 <= frame < 30
+        rig.say_state(frame, "Gr")
+        rig.say_counts(frame, 3, 0, seen=not is_dark)
+        told.append(decided(rig))
+    assert told[:4] == [("Gr", "max_pressure", [])] * 4
+    assert told[4:13] == [("Gr", "max_pressure", ["main", "side"])] * 9
+    assert told[13:29] == [("Gr", "plan", ["main", "side"])] * 16
+    assert told[29:] == [("Gr", "max_pressure", [])] * 10
+
+
+def test_what_is_not_seen_is_empty_where_that_is_asked_for() -> None:
+    rig = Rig(unseen="empty", reckon_s=1.0)
+    for frame in range(1, 40):
+        rig.say_state(frame, "Gr")
+        rig.say_counts(frame, 0, 1, seen=0.0)
+        assert decided(rig) == ("rG", "max_pressure", [])

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
@@ -88,16 +89,17 @@ class Rig:
         raise AssertionError("no frame began")
 
     def ask(
-        self, tick: m.Tick, state: str, frame: int | None = None, delay_sim_ns: int | None = None
+        self, tick: m.Tick, state: str, delay_sim_ns: int | None = None, **other: object
     ) -> None:
-        request = m.SignalRequest(
-            frame=tick.frame if frame is None else frame,
-            sim_time_ns=tick.sim_time_ns,
-            tls="J",
-            state=state,
-            policy="test",
-            delay_sim_ns=delay_sim_ns,
-        )
+        asked = {
+            "frame": tick.frame,
+            "sim_time_ns": tick.sim_time_ns,
+            "tls": "J",
+            "state": state,
+            "policy": "test",
+            "delay_sim_ns": delay_sim_ns,
+        }
+        request = m.SignalRequest.model_validate(asked | other)
         self.listener_v2x.publish("request", request, tls="J")
 
 
@@ -177,16 +179,40 @@ def test_vehicles_with_radio_are_spread_and_move_when_a_process_dies(make: type[
     assert set(tick.hosts.tolist()) == {-1, 0}
 
 
-def test_an_unsafe_request_is_counted_and_the_frame_goes_on(make: type[Rig]) -> None:
+@pytest.mark.parametrize(
+    ("bad", "reason"),
+    [
+        ({"state": "G" * 13}, "conflict"),
+        ({"state": "G"}, "wrong_length"),
+        ({"state": "o" * 13}, "bad_alphabet"),
+        ({"frame": 99}, "out_of_turn"),
+        ({"sim_time_ns": 1 << 60}, "out_of_turn"),
+        ({"sim_time_ns": 0}, "out_of_turn"),
+    ],
+)
+def test_a_frame_waits_for_a_request_that_can_be_taken(
+    make: type[Rig], bad: dict[str, object], reason: str
+) -> None:
     rig = make()
     rig.appear(*OTHERS)
     [tick] = only(rig.until_frame(), m.Tick)
-    rig.ask(tick, MAIN, frame=99)
+    rig.ask(tick, **{"state": MAIN, **bad})
     assert rig.turn() == []
+    rig.ask(tick, MAIN)
+    rig.ask(tick, **{"state": MAIN, **bad})
+    metrics = only(rig.turn(), m.Metrics)
+    assert stages(metrics) == ["actuate", "world"]
+    after = Counter({"request_out_of_turn": 1})
+    assert metrics[-1].drops == after + Counter({f"request_{reason}": 1})
+
+
+def test_a_run_that_hears_unsafe_requests_alone_ends_by_their_reason(make: type[Rig]) -> None:
+    rig = make(cabinet={"request_timeout_s": 0.05})
+    rig.appear(*OTHERS)
+    [tick] = only(rig.until_frame(), m.Tick)
     rig.ask(tick, "G" * 13)
-    [metrics] = only(rig.turn(), m.Metrics)
-    assert metrics.drops == {"request_conflict": 1, "request_out_of_turn": 1}
-    assert [span.stage for span in metrics.spans] == ["world"]
+    with pytest.raises(BusError, match=r"what the cabinet refuses \(1 conflict\)"):
+        rig.until(lambda _: False)
 
 
 def test_a_request_with_a_delay_acts_that_much_later_in_simulated_time(make: type[Rig]) -> None:
@@ -277,3 +303,23 @@ def test_realtime_acts_on_a_frames_request_once_and_at_once(make: type[Rig]) -> 
     rig.ask(tick, SIDE)
     said = rig.until(lambda said: len(only(said, m.Metrics)) == 2)
     assert stages(only(said, m.Metrics)) == ["actuate", "world"]
+
+
+def test_realtime_acts_on_a_true_request_amid_hostile_ones(make: type[Rig]) -> None:
+    rig = make("realtime", traffic={"warmup_s": 0})
+    rig.appear(*OTHERS)
+    [tick] = only(rig.until_frame(), m.Tick)
+    for ahead_ns in range(1, 2000):
+        rig.ask(tick, SIDE, sim_time_ns=tick.sim_time_ns + ahead_ns * 10**9)
+    rig.ask(tick, "G" * 13)
+    rig.ask(tick, SIDE, tls="K")
+    rig.ask(tick, MAIN)
+    rig.ask(tick, MAIN)
+    said = rig.until(lambda said: "world" in stages(only(said, m.Metrics)))
+    assert stages(only(said, m.Metrics)) == ["actuate", "world"]
+    assert only(said, m.Metrics)[0].drops == {
+        "request_from_the_future": 1999,
+        "request_conflict": 1,
+        "request_wrong_tls": 1,
+    }
+    assert only(said, m.Metrics)[1].drops["request_replayed"] == 1

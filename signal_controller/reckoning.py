@@ -1,0 +1,85 @@
+"""What is reckoned of lanes before the stop bar that nobody sees: unknown is not empty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from protocol.messages import LaneCounts, SignalState
+from protocol.roadmap import Signal
+from signal_controller.config import SignalConfig
+from signal_controller.policies import completed, unknown, weighed
+
+SPACING_M = 7.0  # from one standing vehicle to the next: a lane's reach holds no more
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Vehicles by lane, of the lanes that nobody sees; `is_blind` once no number is worth much."""
+
+    vehicles: dict[str, float]
+    is_blind: bool
+
+
+@dataclass(slots=True)
+class _Lane:
+    """What was last believed of a lane, and for how long nobody has seen it."""
+
+    vehicles: float = 0.0
+    unseen_ns: int = 0
+
+
+class Reckoning:
+    """Keeps for each lane the last known number of vehicles and reckons on from it.
+
+    In simulated time the number grows by the inflow and, while a link of the lane is green, shrinks
+    by the saturation flow; it stays between 0, or what was counted all the same (vehicles that
+    report themselves), and what the lane's reach holds. A lane that was never seen starts empty.
+    It goes on however long a lane is unseen, so that none starves while others are seen; only when
+    no lane was seen for `reckon_s`, nothing is worth deciding by.
+    """
+
+    def __init__(self, signal: Signal, config: SignalConfig, reach_m: float) -> None:
+        self._signal = signal
+        self._config = config
+        self._inflow_per_s = config.reckon_inflow_vph / 3600
+        self._outflow_per_s = config.reckon_saturation_vph / 3600
+        self._worth_ns = round(config.reckon_s * 1e9)
+        self._most = reach_m / SPACING_M
+        self._lanes = {link.from_lane: _Lane() for link in signal.links}
+        self._time_ns: int | None = None
+
+    def take(self, counts: LaneCounts, shown: SignalState | None) -> Estimate:
+        """Takes a frame's counts, and the signal's state of then as the clock; once a frame."""
+        passed_ns = self._passed_ns(shown)
+        before, _ = weighed(counts, self._config.weight)
+        hidden = set(unknown(self._lanes, counts.seen_upstream))
+        known = completed(before, counts.seen_upstream)
+        for name, lane in self._lanes.items():
+            count = known.get(name, 0)
+            if name in hidden:
+                self._reckon(lane, count, passed_ns, is_green=self._is_green(name, shown))
+            else:
+                lane.vehicles, lane.unseen_ns = count, 0
+        vehicles = {name: lane.vehicles for name, lane in self._lanes.items() if name in hidden}
+        is_blind = all(lane.unseen_ns >= self._worth_ns for lane in self._lanes.values())
+        return Estimate(vehicles, is_blind)
+
+    def _reckon(self, lane: _Lane, count: float, passed_ns: int, *, is_green: bool) -> None:
+        rate_per_s = self._inflow_per_s - (self._outflow_per_s if is_green else 0.0)
+        most = max(self._most, lane.vehicles)
+        lane.vehicles = max(count, min(most, lane.vehicles + rate_per_s * passed_ns / 1e9))
+        lane.unseen_ns += passed_ns
+
+    def _passed_ns(self, shown: SignalState | None) -> int:
+        """Returns the time since the last frame; a gap or an absurd time is `reckon_s` at most."""
+        if shown is None:
+            return 0
+        last_ns = shown.sim_time_ns if self._time_ns is None else self._time_ns
+        self._time_ns = shown.sim_time_ns
+        return min(max(0, shown.sim_time_ns - last_ns), self._worth_ns)
+
+    def _is_green(self, lane: str, shown: SignalState | None) -> bool:
+        return shown is not None and any(
+            link.from_lane == lane and shown.state[link.index : link.index + 1] in ("G", "g")
+            for link in self._signal.links
+        )
