@@ -94,5 +94,5 @@ def _profile(config: LinkConfig, kind: str) -> LinkProfile:
 
 
 def _address(endpoint: Endpoint) -> Address:
-    host, _, port = endpoint.locator.removeprefix("tcp/").rpartition(":")
+    host, _, port = endpoint.locator.partition("/")[2].rpartition(":")
     return host.strip("[]"), int(port)

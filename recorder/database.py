@@ -8,39 +8,57 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from protocol.errors import ConfigError
-from recorder.tables import SCHEMA_VERSION, TABLES, MetaRow
+from recorder.tables import SCHEMA_VERSION, TABLES, CloudRow, DropRow, MetaRow
 
+MAX_PENDING_ROWS = 50_000
+MAX_PENDING_BYTES = 64 << 20  # of scans
 FILE_NAME = "run.sqlite"
 Row = tuple[Any, ...]
 _ROW_FAULTS = (OverflowError, sqlite3.IntegrityError, sqlite3.DataError, sqlite3.InterfaceError)
 
 
 class Database:
-    """The open database of a run that is being recorded."""
+    """The open database of a run that is being recorded.
 
-    def __init__(self, run_dir: Path) -> None:
-        """Makes the file and its tables.
+    `last_frame` is the last of which a recorder that died before knew, `last_whole` the last with
+    a request; None if this is the first.
+    """
+
+    def __init__(self, run_dir: Path, scenario: str = "") -> None:
+        """Makes the file and its tables, or goes on with a recording that broke off.
+
+        Args:
+            run_dir: the run's folder.
+            scenario: as JSON; only a recording of the same is gone on with.
 
         Raises:
-            ConfigError: the folder is missing, cannot be written or has a recording already.
+            ConfigError: the folder is missing, cannot be written or has another recording already.
         """
         self.path = run_dir / FILE_NAME
-        if self.path.exists():
-            raise ConfigError(f"{self.path} exists; a run is recorded into a folder of its own")
+        is_there = self.path.exists()
         try:
             self._connection = sqlite3.connect(self.path, isolation_level=None)
             self._connection.execute("PRAGMA journal_mode = WAL")
             self._connection.execute("PRAGMA synchronous = NORMAL")
-        except sqlite3.OperationalError as error:
+            self.last_frame = self._resume(scenario) if is_there else None
+            self.last_whole = self._newest("requests") if is_there else None
+        except sqlite3.Error as error:
             raise ConfigError(f"{self.path} cannot be written: {error}") from None
         self._pending: dict[type, list[Row]] = {row: [] for row in TABLES}
         self.pending_rows = 0
+        self._pending_bytes = 0
         self.refused_rows = 0
-        self._create()
+        if not is_there:
+            self._create()
+
+    def known_drops(self) -> list[DropRow]:
+        """Returns what had been counted before."""
+        return list(map(DropRow._make, self._connection.execute(TABLES[DropRow].select)))
 
     def add(self, row: type, rows: Iterable[Row]) -> None:
         """Takes rows of one type; they are written at the next commit."""
@@ -48,6 +66,13 @@ class Database:
         before = len(pending)
         pending.extend(rows)
         self.pending_rows += len(pending) - before
+        if row is CloudRow:
+            self._pending_bytes += sum(len(cloud[-1]) for cloud in pending[before:])
+
+    @property
+    def is_full(self) -> bool:
+        """Whether what was added should be written at once, for the sake of memory."""
+        return self.pending_rows > MAX_PENDING_ROWS or self._pending_bytes > MAX_PENDING_BYTES
 
     def commit(self) -> None:
         """Writes all that was added, in one transaction.
@@ -63,13 +88,32 @@ class Database:
                 self._write(TABLES[row].insert, rows)
                 rows.clear()
         self._connection.execute("COMMIT")
-        self.pending_rows = 0
+        self.pending_rows = self._pending_bytes = 0
 
     def close(self) -> None:
-        """Commits and leaves one plain file, which opens read-only on any medium."""
+        """Commits and leaves one plain file, which opens read-only on any medium.
+
+        While somebody reads, the write-ahead log stays beside it.
+        """
         self.commit()
-        self._connection.execute("PRAGMA journal_mode = DELETE")
+        with suppress(sqlite3.OperationalError):
+            self._connection.execute("PRAGMA journal_mode = DELETE")
         self._connection.close()
+
+    def _resume(self, scenario: str) -> int:
+        """Returns the last frame of a recording of this scenario that has not ended."""
+        meta = dict(self._connection.execute(TABLES[MetaRow].select))
+        expected = {"schema_version": str(SCHEMA_VERSION), "scenario": scenario}
+        if "end_reason" in meta or any(meta.get(key) != v for key, v in expected.items()):
+            raise ConfigError(
+                f"{self.path} exists; a run is recorded into a folder of its own, and only one of "
+                "the same scenario that broke off is gone on with"
+            )
+        return self._newest("frames")
+
+    def _newest(self, table: str) -> int:
+        ((newest,),) = self._connection.execute(f"SELECT max(frame) FROM {table}").fetchall()
+        return -1 if newest is None else int(newest)
 
     def _create(self) -> None:
         self._connection.execute("BEGIN")

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 from protocol.messages import Equipment, Metrics, Progress, Tick
 
+MAX_AGENTS = 1024
+
 
 @dataclass(slots=True)
 class Glance:
@@ -35,9 +37,10 @@ class Glance:
             self._since = (tick.sim_time_ns - self.frame_period_ns, now_ns)
 
     def measured(self, metrics: Metrics) -> None:
-        """Notes what was sent."""
+        """Notes what was sent; of too many agents no more are told of."""
         for upload in metrics.uploads:
-            self.payload_bytes[upload.agent] += upload.payload_bytes
+            if upload.agent in self.payload_bytes or len(self.payload_bytes) < MAX_AGENTS:
+                self.payload_bytes[upload.agent] += upload.payload_bytes
 
     def report(self, now_ns: int, drops: int) -> Progress:
         """Returns what happened since the last report and begins anew."""

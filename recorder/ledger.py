@@ -11,6 +11,9 @@ from recorder.account import Evidence
 from recorder.pulse import OPEN_FRAMES, Pulse
 from recorder.tables import AccountRow, FrameRow, UploadRow
 
+MAX_ENTRIES = 8192  # of a frame: spans, uploads, arrivals
+MAX_ALL_ENTRIES = 1 << 20  # of all open frames
+MAX_WIRED = 1024  # agents of a frame whose bytes on the wire are known
 Clocks = Mapping[str, tuple[int, int]]
 _NOBODY: tuple[None, ...] = (None,) * 8
 
@@ -33,9 +36,20 @@ class FrameNote:
     wire: dict[str, int] = field(default_factory=dict)
     evidence: Evidence = field(default_factory=Evidence)
     heard: set[str] = field(default_factory=set)
+    entries: int = 0
 
     def measured(self, metrics: Metrics) -> None:
-        """Adds what one process measured in this frame."""
+        """Adds what one process measured in this frame.
+
+        Raises:
+            MessageError: more was said of the frame than there is room for.
+        """
+        more = 1 + len(metrics.spans) + len(metrics.uploads) + len(metrics.arrivals)
+        if self.entries + more > MAX_ENTRIES:
+            raise MessageError(
+                f"frame {self.frame} has {self.entries} entries, limit {MAX_ENTRIES}"
+            )
+        self.entries += more
         self.heard.add(metrics.process)
         known = self.evidence
         known.spans[metrics.process] += metrics.spans
@@ -44,6 +58,11 @@ class FrameNote:
         known.arrivals |= {(arrival.agent, arrival.chunk): arrival for arrival in metrics.arrivals}
         if metrics.process == "edge":
             self.points = metrics.points
+
+    def wired(self, agent: str, sent_bytes: int) -> None:
+        """Adds what TCP sent for an agent; of too many agents no more are noted."""
+        if agent in self.wire or len(self.wire) < MAX_WIRED:
+            self.wire[agent] = sent_bytes
 
     def counted(self, lanes: LaneCounts) -> None:
         """Adds what the edge made of the frame."""
@@ -102,6 +121,7 @@ class Ledger:
         self._notes: dict[int, FrameNote] = {}
         self._changed: set[int] = set()
         self._pulse = Pulse(frame_period_ns)
+        self._settled = -1
 
     def __len__(self) -> int:
         return len(self._notes)
@@ -130,10 +150,30 @@ class Ledger:
         self._changed.add(frame)
         return self._notes.setdefault(frame, FrameNote(frame))
 
+    def measured(self, metrics: Metrics) -> FrameNote:
+        """Returns the note of a frame with what one process measured in it.
+
+        Raises:
+            MessageError: as `note`, or the frame, or all of them, have no room for more.
+        """
+        note = self.note(metrics.frame)
+        if sum(other.entries for other in self._notes.values()) > MAX_ALL_ENTRIES:
+            raise MessageError(f"open frames have more than {MAX_ALL_ENTRIES} entries")
+        note.measured(metrics)
+        for count in metrics.wire:
+            self.note(count.frame).wired(count.agent, count.sent_bytes)
+        return note
+
     def check(self, frame: int) -> None:
         """Raises MessageError if a frame is settled, or far ahead of the world."""
         if abs(frame - self.newest_tick) > OPEN_FRAMES:
             raise MessageError(f"frame {frame} is too far from the world's {self.newest_tick}")
+        if frame <= self._settled:
+            raise MessageError(f"frame {frame} was recorded before the recorder broke off")
+
+    def settle(self, frame: int) -> None:
+        """Closes a frame and all before it: what was recorded of them stays as it is."""
+        self._settled = frame
 
     def get(self, frame: int) -> FrameNote | None:
         """Returns the note of a frame to look at, if it is open."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import sqlite3
 import time
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from protocol.topics import TOPICS, BusName
 from recorder import rows, tables
 from recorder.config import RecordConfig
 from recorder.database import Database
+from recorder.drops import MAX_PROCESSES, Drops
 from recorder.ending import Ending
 from recorder.glance import Glance
 from recorder.ledger import Ledger
@@ -25,6 +27,7 @@ from recorder.versions import versions
 COMMIT_NS = 1_000_000_000
 COMMIT_ROWS = 5_000
 PROGRESS_NS = 1_000_000_000
+_log = logging.getLogger(__name__)
 MAX_TOTAL = (1 << 53) - 1  # what a message takes
 
 
@@ -41,24 +44,32 @@ class RecordRole:
         self._context = context
         self._config = RecordConfig.model_validate(scenario.get("record", {}))
         self._frame_period_ns = round(float(scenario.get("frame_period_s", 0.1)) * 1e9)
-        self._database = Database(context.run_dir)
+        written = json.dumps(scenario)
+        self._database = Database(context.run_dir, written)
         self._is_broken = False
         self._ledger = Ledger(self._frame_period_ns)
         self._glance = Glance(self._frame_period_ns)
         self._ending = Ending()
         self._clocks: dict[str, tuple[int, int]] = {}
-        self._drops: dict[str, dict[str, int]] = {}
+        self._drops = Drops(self._database.known_drops())
+        self._resumed = self._database.last_frame
+        self._commit_ns = COMMIT_NS if scenario.get("mode") == "lockstep" else 0
         self._committed_ns = self._told_ns = time.monotonic_ns()
         self._handlers = self._routes()
-        self._begin(scenario)
+        if self._resumed is None:
+            self._begin(written)
+        else:
+            _log.warning("the recording goes on after frame %d", self._resumed)
 
     @classmethod
     def build(cls, context: Context) -> RecordRole:
         """Makes the role and announces that it listens."""
         role = cls(context)
+        region = str(context.setup.scenario.get("region", "r0"))
         for name in role._handlers:
-            bus = context.world if TOPICS[name].bus is BusName.WORLD else context.v2x
-            bus.subscribe(name)
+            topic = TOPICS[name]
+            bus = context.world if topic.bus is BusName.WORLD else context.v2x
+            bus.subscribe(name, **({"region": region} if "{region}" in topic.template else {}))
         context.announce("record")
         return role
 
@@ -71,11 +82,13 @@ class RecordRole:
         except MessageError as error:
             self._context.inbox.refuse(item.topic, error)
         self._ending.heard(item.received_ns)
+        if self._database.is_full:
+            self._commit(time.monotonic_ns())
 
     def poll(self) -> None:
         """Commits and reports when it is time, and stops once the run is written."""
         now_ns = time.monotonic_ns()
-        due = now_ns - self._committed_ns >= COMMIT_NS
+        due = now_ns - self._committed_ns >= self._commit_ns
         if due or self._database.pending_rows >= COMMIT_ROWS:
             self._commit(now_ns)
         if self._ledger.newest_tick >= 0 and now_ns - self._told_ns >= PROGRESS_NS:
@@ -111,6 +124,11 @@ class RecordRole:
 
     def _on_tick(self, tick: m.Tick, received_ns: int) -> None:
         note = self._ledger.tick(tick.frame, tick.sim_time_ns)
+        if self._resumed is not None:
+            self._ledger.settle(max(self._resumed, 0))
+            last = -1 if self._database.last_whole is None else self._database.last_whole
+            self._database.add(tables.GapRow, [tables.GapRow(last, tick.frame)])
+            self._resumed = None
         self._glance.ticked(tick, received_ns)
         note.sim_time_ns, note.tick_ns = tick.sim_time_ns, received_ns
         note.vehicles, note.cavs, note.cvs = (
@@ -131,18 +149,18 @@ class RecordRole:
         self._database.add(tables.TripRow, rows.trip_rows(trips))
 
     def _on_metrics(self, metrics: m.Metrics, _: int) -> None:
-        note = self._ledger.note(metrics.frame)
-        note.measured(metrics)
-        for count in metrics.wire:
-            self._ledger.note(count.frame).wire[count.agent] = count.sent_bytes
-        self._drops[metrics.process] = metrics.drops
+        self._drops.heard(metrics.process, metrics.drops)
+        note = self._ledger.measured(metrics)
         self._glance.measured(metrics)
         if metrics.process == "sim":
             took_ns = note.end_to_end_ns(self._clocks)
             self._glance.end_to_end_ns = took_ns or self._glance.end_to_end_ns
         self._database.add(tables.StageRow, rows.stage_rows(metrics))
+        self._database.add(tables.DoubtRow, rows.doubt_rows(metrics))
 
     def _on_clock(self, reading: m.ClockReading, _: int) -> None:
+        if reading.process not in self._clocks and len(self._clocks) >= MAX_PROCESSES:
+            raise MessageError(f"{reading.process} is one process more than {MAX_PROCESSES}")
         found = (reading.offset_ns, reading.error_ns)
         self._clocks[reading.process] = found
         self._database.add(tables.ClockRow, [tables.ClockRow(reading.process, *found)])
@@ -181,10 +199,10 @@ class RecordRole:
         if scan.sim_time_ns % period_ns < self._frame_period_ns:
             self._database.add(tables.CloudRow, [rows.cloud_row(scan)])
 
-    def _begin(self, scenario: dict[str, Any]) -> None:
+    def _begin(self, scenario: str) -> None:
         used = versions()
         facts = {
-            "scenario": json.dumps(scenario),
+            "scenario": scenario,
             "version": used.get("cpnet-edge", "unknown"),  # a checkout that was never installed
             "versions": json.dumps(used),
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -197,8 +215,8 @@ class RecordRole:
             self._database.add(tables.FrameRow, [note.row(self._clocks)])
             self._database.add(tables.AccountRow, note.accounts(self._clocks))
             self._database.add(tables.UploadRow, note.upload_rows())
-        for process, drops in self._all_drops().items():
-            self._database.add(tables.DropRow, rows.drop_rows(process, drops))
+        self._count_own_drops()
+        self._database.add(tables.DropRow, self._drops.take_changed())
         try:
             self._database.commit()
         except sqlite3.OperationalError as error:
@@ -207,13 +225,12 @@ class RecordRole:
         self._committed_ns = now_ns
 
     def _tell(self, now_ns: int) -> None:
-        drops = sum(sum(reasons.values()) for reasons in self._all_drops().values())
-        drops = min(drops, MAX_TOTAL)
+        drops = min(self._drops.total(), MAX_TOTAL)
         self._context.world.publish("progress", self._glance.report(now_ns, drops))
         self._told_ns = now_ns
 
-    def _all_drops(self) -> dict[str, dict[str, int]]:
+    def _count_own_drops(self) -> None:
         own = dict(self._context.inbox.drops)
         if self._database.refused_rows:
             own["refused_row"] = self._database.refused_rows
-        return {**self._drops, self._context.id: own}
+        self._drops.heard(self._context.id, own)

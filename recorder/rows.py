@@ -20,7 +20,7 @@ from recorder.tables import (
     CloudRow,
     CountRow,
     DetectionRow,
-    DropRow,
+    DoubtRow,
     PhaseRow,
     RequestRow,
     SightingRow,
@@ -64,7 +64,8 @@ def request_row(message: SignalRequest) -> RequestRow:
     """Returns a policy's wish in a frame."""
     pressures = json.dumps(message.pressures)
     m = message
-    return RequestRow(m.frame, m.tls, m.state, m.policy, pressures, m.delay_sim_ns)
+    unknown = " ".join(m.unknown)
+    return RequestRow(m.frame, m.tls, m.state, m.policy, pressures, m.delay_sim_ns, unknown)
 
 
 def truth_rows(message: Truth) -> Iterator[TruthRow]:
@@ -114,9 +115,21 @@ def stage_rows(message: Metrics) -> Iterator[StageRow]:
     )
 
 
-def drop_rows(process: str, drops: dict[str, int]) -> list[DropRow]:
-    """Returns a row per reason."""
-    return [DropRow(process, reason, count) for reason, count in drops.items()]
+def doubt_rows(message: Metrics) -> Iterator[DoubtRow]:
+    """Returns a row per agent that the edge told of."""
+    return (
+        DoubtRow(
+            message.frame,
+            one.agent,
+            one.score,
+            int(one.believed),
+            one.motion,
+            one.place,
+            one.ground,
+            one.mutual,
+        )
+        for one in message.doubts
+    )
 
 
 def cloud_row(message: Scan) -> CloudRow:

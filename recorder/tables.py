@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, get_args, get_type_hints
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 6
 _SQL_TYPES = {int: "INTEGER", float: "REAL", str: "TEXT", bytes: "BLOB"}
 
 
@@ -138,6 +138,7 @@ class RequestRow(NamedTuple):
     """What a policy asked for; `pressures` is a JSON list in vehicles.
 
     `delay_sim_ns`, with virtual links: how long after the frame's time it reached the cabinet.
+    `unknown`: the lanes that nobody saw and whose vehicles were reckoned, with spaces between.
     """
 
     frame: int
@@ -146,6 +147,7 @@ class RequestRow(NamedTuple):
     policy: str
     pressures: str
     delay_sim_ns: int | None
+    unknown: str
 
 
 class TruthRow(NamedTuple):
@@ -174,6 +176,22 @@ class SightingRow(NamedTuple):
     points: str
 
 
+class DoubtRow(NamedTuple):
+    """How far the edge believed an agent; told when it changed, and while it was left out.
+
+    `score` is a mean over frames; the others are of this frame alone, NULL where nothing speaks.
+    """
+
+    frame: int
+    agent: str
+    score: float
+    believed: int
+    motion: float | None
+    place: float | None
+    ground: float | None
+    mutual: float | None
+
+
 class TripRow(NamedTuple):
     """One vehicle's journey; `arrive_s` is NULL if the run ended before it did."""
 
@@ -199,6 +217,17 @@ class DropRow(NamedTuple):
     process: str
     reason: str
     times: int
+
+
+class GapRow(NamedTuple):
+    """The recorder was away: of what was said between these frames it lacks all, or a part.
+
+    `after_frame` is the last of which it had the request when it broke off, `until_frame` the first
+    that it saw begin again.
+    """
+
+    after_frame: int
+    until_frame: int
 
 
 class CloudRow(NamedTuple):
@@ -284,9 +313,11 @@ TABLES: dict[type, Table] = {
         Table("requests", RequestRow, 2, is_result=True),
         Table("truth", TruthRow, 2, is_result=True),
         Table("sightings", SightingRow, 2, is_result=True),
+        Table("doubts", DoubtRow, 2, is_result=True),
         Table("trips", TripRow, 1, is_result=True),
         Table("clocks", ClockRow, 1),
         Table("drops", DropRow, 2),
+        Table("gaps", GapRow, 1),
         Table("clouds", CloudRow, 3, rowid=True),
     )
 }

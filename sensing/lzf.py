@@ -37,8 +37,6 @@ def decompress(data: bytes, size: int) -> bytes:
 
 def _repeat(out: bytearray, start: int, length: int) -> None:
     """Appends what stands at `start`, which may run into what is being appended."""
-    period = len(out) - start
     piece = bytes(out[start : start + length])
-    while len(piece) < length:
-        piece += piece[: max(period, 1)]
-    out += piece[:length]
+    turns = -(-length // len(piece))  # what is there is one period, if it is too short
+    out += (piece * turns)[:length]

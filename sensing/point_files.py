@@ -61,11 +61,12 @@ def read_points(path: Path) -> PointCloud:
         data = path.read_bytes()
     except OSError as error:
         raise ConfigError(f"{path} cannot be read: {error.strerror}") from None
-    try:
-        columns = reader(data)
-    except ValueError as error:
-        raise ConfigError(f"{path}: {error}") from None
-    with np.errstate(over="ignore"):  # what float32 does not hold is not finite either
+    # What float32 does not hold is not finite either; NaN may come as one that signals.
+    with np.errstate(over="ignore", invalid="ignore"):
+        try:
+            columns = reader(data)
+        except ValueError as error:
+            raise ConfigError(f"{path}: {error}") from None
         points = np.stack([columns[axis] for axis in _AXES], axis=1).astype(np.float32)
         shade = columns.get("intensity", np.zeros(len(points))).astype(np.float32)
     finite = np.isfinite(points).all(axis=1)
@@ -121,7 +122,7 @@ def _record(header: Mapping[str, list[str]]) -> np.dtype[np.void]:
     counts = header.get("COUNT", ["1"] * len(names))
     if not names or not len(names) == len(sizes) == len(kinds) == len(counts):
         raise ValueError("FIELDS, SIZE, TYPE and COUNT differ in length")
-    layout: list[tuple[str, str, tuple[int, ...]]] = []
+    layout: dict[str, tuple[str, tuple[int, ...]]] = {}
     for n, (name, size, kind, count) in enumerate(zip(names, sizes, kinds, counts, strict=True)):
         letter = _KINDS.get(kind, "")
         if not (size.isdigit() and count.isdigit() and int(size) in _SIZES.get(letter, ())):
@@ -129,12 +130,11 @@ def _record(header: Mapping[str, list[str]]) -> np.dtype[np.void]:
         if name in _AXES and (letter != "f" or int(count) != 1):
             raise ValueError(f"field {name} must be one value of TYPE F")
         shape = () if int(count) == 1 else (int(count),)
-        taken = any(name == other for other, _, _ in layout)
-        label = f"unnamed {n}" if taken or name == "_" or shape else name
-        layout.append((label, f"<{letter}{size}", shape))
-    if missing := [axis for axis in _AXES if all(axis != label for label, _, _ in layout)]:
+        label = f"unnamed {n}" if name in layout or name == "_" or shape else name
+        layout[label] = (f"<{letter}{size}", shape)
+    if missing := [axis for axis in _AXES if axis not in layout]:
         raise ValueError(f"no field {missing[0]}")
-    record = np.dtype(layout)
+    record = np.dtype([(label, *of_field) for label, of_field in layout.items()])
     if record.itemsize > _MAX_RECORD_BYTES:
         raise ValueError(f"a point takes {record.itemsize} bytes, limit {_MAX_RECORD_BYTES}")
     return record

@@ -26,6 +26,7 @@ from protocol.wire import decode, encode
 
 STEP_M = 0.002
 _ABOUT, _TRUTH, _RANGES = "recording.json", "truth.bin", "ranges.npy"
+_FORMAT = b"\x93NUMPY\x01\x00"
 
 # The last two come out of numpy's reader of headers.
 _UNREADABLE = (OSError, ValueError, ArithmeticError, SyntaxError, TokenError)
@@ -57,7 +58,7 @@ class Recording:
             about = _About.model_validate_json((folder / _ABOUT).read_bytes())
             self.agents, self.pattern = about.agents, about.pattern
             self.frame_period_s = about.frame_period_s
-            self._steps = np.lib.format.open_memmap(folder / _RANGES, mode="r")
+            self._steps = _open_array(folder / _RANGES)
             self._truth_bytes = (folder / _TRUTH).read_bytes()
             shape = (
                 len(self.truths),
@@ -134,6 +135,14 @@ def write_recording(
         },
     }
     (folder / _ABOUT).write_text(json.dumps(about, indent=2) + "\n", "utf-8")
+
+
+def _open_array(path: Path) -> npt.NDArray[np.uint16]:
+    """Maps an array into memory; the header that its later formats allow may take 4 GB."""
+    with path.open("rb") as file:
+        if file.read(len(_FORMAT)) != _FORMAT:
+            raise ValueError(f"{path.name} begins with no magic string of numpy's format 1.0")
+    return np.lib.format.open_memmap(path, mode="r")
 
 
 def _first(error: ValidationError) -> str:

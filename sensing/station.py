@@ -54,6 +54,7 @@ class Station:
         detects = self._policy.sends == "objects"
         self._kit = Kit(
             region=self.region,
+            process=context.id,
             seed=self.seed,
             source=source_of(context.setup, config),
             config=upload,

@@ -10,7 +10,7 @@ import numpy as np
 from protocol.bus import Bus
 from protocol.codec import encode_scan
 from protocol.geometry import SE3
-from protocol.messages import Objects, Plan, Scan, Span, Tick, Upload, WireCount
+from protocol.messages import Message, Objects, Plan, Scan, Span, Tick, Upload, WireCount
 from protocol.scans import RangeScan
 from sensing.config import UploadConfig
 from sensing.lidar import Sensed
@@ -29,6 +29,7 @@ class Kit:
     """What all uplinks of a process share."""
 
     region: str
+    process: str
     seed: int
     source: ScanSource
     config: UploadConfig
@@ -207,9 +208,7 @@ class Uplink:
             arrival_sim_ns=passage and passage.arrival_ns,
             payload=np.frombuffer(payload, np.uint8),
         )
-        size_bytes = self.bus.publish(
-            "scan", message, region=self._kit.region, agent=self.agent, chunk=str(chunk)
-        )
+        size_bytes = self._publish("scan", message, chunk=str(chunk))
         sent_ns = time.monotonic_ns()
         shipment.spans += [
             self._span("encode", start_ns, encode_end_ns),
@@ -244,7 +243,7 @@ class Uplink:
             detect_end_ns=detect_end_ns,
             arrival_sim_ns=passage and passage.arrival_ns,
         )
-        self.bus.publish("objects", message, region=self._kit.region, agent=self.agent)
+        self._publish("objects", message)
         sent_ns = time.monotonic_ns()
         shipment.spans += [
             self._span("encode", start_ns, detect_end_ns),
@@ -253,6 +252,11 @@ class Uplink:
         sizes = len(found), boxes.nbytes + scores.nbytes
         upload = self._upload(shipment, 0, sizes, (detect_end_ns, sent_ns), passage)
         shipment.uploads.append(upload)
+
+    def _publish(self, topic: str, message: Message, **parts: str) -> int:
+        kit = self._kit
+        where = {"region": kit.region, "process": kit.process, "agent": self.agent}
+        return self.bus.publish(topic, message, **where, **parts)
 
     def _carry(self, tick: Tick, payload_bytes: int) -> Passage | None:
         return self.radio.carry(tick.sim_time_ns, payload_bytes + ENVELOPE_BYTES, is_chunk=True)

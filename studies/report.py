@@ -22,7 +22,7 @@ def print_report(summary: Summary, console: Console) -> None:
     console.print(Columns([_result_table(summary), _latency_table(summary)]))
     if summary["clock_error_ms"]:
         console.print(f"latencies between machines: ± {summary['clock_error_ms']:.2f} ms")
-    if summary["agents"]:
+    if summary["agents"] or summary["doubted"]:
         console.print(_agent_table(summary))
     if summary["drops"]:
         console.print(_drop_table(summary))
@@ -60,6 +60,7 @@ def _result_table(summary: Summary) -> Table:
         ("in reach per frame", _number(seen["present"], 1)),
         ("  truly detected", _number(seen["true"], 1)),
         ("  false detections", _number(seen["false"], 1)),
+        ("with lanes unseen", _percent(summary["unknown_share"])),
         ("phase switches", str(summary["phases"]["switches"])),
         ("drops", str(summary["drops"])),
     ]
@@ -81,7 +82,8 @@ def _latency_table(summary: Summary) -> Table:
 
 
 def _agent_table(summary: Summary) -> Table:
-    table = _numeric("agent", "frames", "points", "kB/frame", "Mbit/s", "by TCP")
+    table = _numeric("agent", "frames", "points", "kB/frame", "Mbit/s", "by TCP", "score")
+    doubted = summary["doubted"]
     agents = sorted(summary["agents"].items(), key=lambda item: (-item[1]["frames"], item[0]))
     for agent, figures in agents[:_MOST_AGENTS]:
         table.add_row(
@@ -91,14 +93,25 @@ def _agent_table(summary: Summary) -> Table:
             _number(figures["bytes_per_frame"] / 1e3, 1),
             _number(figures["mbps"], 2),
             _number(figures["wire_mbps"], 2),
+            _belief(doubted.get(agent)),
         )
     if len(agents) > _MOST_AGENTS:
         rest = agents[_MOST_AGENTS:]
         table.add_row(f"and {len(rest)} more", str(sum(a["frames"] for _, a in rest)))
+    for agent in [name for name in doubted if name not in summary["agents"]][:_MOST_AGENTS]:
+        table.add_row(escape(agent), "", "", "", "", "", _belief(doubted[agent]))
     total = summary["uplink_mbps"]
     table.add_row("all together", "", "", "mean", _number(total["mean"], 2), style="bold")
     table.add_row("", "", "", "peak", _number(total["peak"], 2), style="bold")
     return table
+
+
+def _belief(doubt: dict[str, float] | None) -> str:
+    """Returns the least score that an agent had, and in how many frames it was left out."""
+    if doubt is None:
+        return "1.00"
+    out = doubt["frames_left_out"]
+    return f"{doubt['least_score']:.2f}" + (f", {out} out" if out else "")
 
 
 def _drop_table(summary: Summary) -> Table:
@@ -118,6 +131,10 @@ def _numeric(first: str, *others: str) -> Table:
 
 def _number(value: float | None, digits: int) -> str:
     return _BLANK if value is None else f"{value:.{digits}f}"
+
+
+def _percent(share: float | None) -> str:
+    return _BLANK if share is None else f"{100 * share:.1f} %"
 
 
 def _spread(figures: dict[str, float | None], factor: float, digits: int, unit: str) -> str:

@@ -13,6 +13,7 @@ from protocol.errors import ConfigError
 from recorder.run import Run
 from recorder.tables import DropRow
 from studies.bandwidth import by_agent, total_mbps
+from studies.doubted import doubted
 from studies.ecvpr import score
 from studies.latency import clock_error_ms, latencies
 
@@ -42,10 +43,12 @@ def summarise(run_dir: Path) -> Summary:
             "ended": run.meta.get("end_reason"),
             **_pace(run, period_s),
             "agents": by_agent(run, period_s),
+            "doubted": doubted(run),
             "uplink_mbps": total_mbps(run, period_s),
             "latency_ms": latencies(run),
             "clock_error_ms": clock_error_ms(run),
             **_perception(run),
+            "unknown_share": _unknown_share(run),
             **traffic_of(run),
             **_drops(run),
         }
@@ -85,6 +88,12 @@ def _perception(run: Run) -> Summary:
             "present": _mean_std([s.present for s in scores])[0],
         },
     }
+
+
+def _unknown_share(run: Run) -> float | None:
+    """Returns the share of decisions for which some lane before the stop bar was not seen."""
+    share: float | None = run.query("SELECT avg(unknown <> '') FROM requests")[0][0]
+    return share
 
 
 def traffic_of(run: Run) -> Summary:

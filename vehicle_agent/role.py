@@ -98,7 +98,9 @@ class VehicleRole:
             position_std_m=position_std_m(self._pose_error, equipment),
             arrival_sim_ns=passage and passage.arrival_ns,
         )
-        self._buses[agent].publish("pose", message, region=self._station.region, agent=agent)
+        self._buses[agent].publish(
+            "pose", message, region=self._station.region, process=self._context.id, agent=agent
+        )
         return pose
 
     def _connect(self, tick: Tick, index: int) -> bool:

@@ -90,7 +90,7 @@ class Rig:
                 sense_start_ns=0, sense_end_ns=0, encode_end_ns=0,
                 payload=np.frombuffer(b"payload", np.uint8),
             )  # fmt: skip
-            self.v2x.publish("scan", scan, region="r0", agent=agent, chunk="0")
+            self.v2x.publish("scan", scan, region="r0", process="v", agent=agent, chunk="0")
             uploads.append(
                 m.Upload(
                     agent=agent, chunk=0, points=7, payload_bytes=1000,

@@ -30,3 +30,19 @@ def test_rows_of_a_bin_file_are_points_with_reflectance(tmp_path):
     cloud = read_points(tmp_path / "one.bin")
     assert cloud.points.tolist() == [[1, 2, 3]]
     assert cloud.intensity.tolist() == [0.5]
+
+
+def test_a_number_that_signals_is_no_point_and_no_warning(tmp_path):
+    row = np.array([0x7F800001, 0, 0, 0], np.uint32)
+    (tmp_path / "one.bin").write_bytes(row.tobytes() + np.ones(4, np.float32).tobytes())
+    assert read_points(tmp_path / "one.bin").points.tolist() == [[1, 1, 1]]
+
+
+def test_more_fields_than_anybody_has_are_read_at_once(tmp_path):
+    names = " ".join(["x", "y", "z"] + ["a"] * 8000)
+    (tmp_path / "many.pcd").write_text(
+        f"FIELDS {names}\nSIZE {'4 ' * 3 + '1 ' * 8000}\nTYPE {'F ' * 3 + 'U ' * 8000}\n"
+        "POINTS 0\nDATA ascii\n"
+    )
+    with pytest.raises(ConfigError, match="a point takes 8012 bytes"):
+        read_points(tmp_path / "many.pcd")

@@ -131,3 +131,9 @@ def test_a_scenario_must_fit_its_recording(folder):
     check_recording(scenario | {"roadside_mounts": [{"id": "rsu-0"}]})
     with pytest.raises(ConfigError, match="roadside mount west; it has cav, rsu-0"):
         check_recording(scenario | {"roadside_mounts": [{"id": "west"}]})
+
+
+def test_a_header_that_claims_gigabytes_is_not_read(folder):
+    (folder / "ranges.npy").write_bytes(b"\x93NUMPY\x02\x00\xff\xff\xff\xff{'descr'")
+    with pytest.raises(ConfigError, match=r"numpy's format 1\.0"):
+        Recording(folder)

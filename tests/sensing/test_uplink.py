@@ -63,7 +63,7 @@ def sent(road_map: RoadMap, **config: Any) -> Scan:
         standing=False,
     )
     wire = Wire()
-    kit = Kit("r", 1, Tunnel(), upload, None, lockstep=True, period_ns=10**8)
+    kit = Kit("r", "vehicle-0", 1, Tunnel(), upload, None, lockstep=True, period_ns=10**8)
     uplink = Uplink("a", wire, RealRadio(wire), kit, selector)
     tick = Tick(
         frame=0,

@@ -75,7 +75,7 @@ def make_run(
         database.add(CountRow, [(n, "west", "upstream", seen, 0), (n, "east", "downstream", 0, 0)])
         stage = "green" if n % 20 < 15 else "yellow"
         database.add(PhaseRow, [PhaseRow(n, "t", ns, "G", stage, "G", "max_pressure")])
-        database.add(RequestRow, [RequestRow(n, "t", "G", "max_pressure", "[1.0]", None)])
+        database.add(RequestRow, [RequestRow(n, "t", "G", "max_pressure", "[1.0]", None, "")])
     database.close()
 
 

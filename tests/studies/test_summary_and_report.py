@@ -15,6 +15,7 @@ from recorder.tables import (
     FrameRow,
     MetaRow,
     PhaseRow,
+    RequestRow,
     StageRow,
     TripRow,
     UploadRow,
@@ -50,6 +51,9 @@ def whole_run(run_dir: Path) -> None:
         state, stage = ("Gr", "green") if frame < 4 else ("rG", "green")
         stage = "yellow" if frame == 4 else stage
         database.add(PhaseRow, [PhaseRow(frame, "t", frame * 100 * MS, state, stage, state, "p")])
+        unknown = "a b" if frame < 3 else ""
+        asked = RequestRow(frame, "t", state, "max_pressure", "[]", None, unknown)
+        database.add(RequestRow, [asked])
     database.add(
         TripRow,
         [
@@ -88,6 +92,7 @@ def test_the_summary_holds_the_figures_of_a_run(tmp_path: Path) -> None:
         "waiting": None,
     }
     assert summary["phases"] == {"switches": 1}
+    assert summary["unknown_share"] == pytest.approx(0.3)
     assert summary["drops"] == 5
     assert summary["drops_by_reason"] == {"edge": {"late": 2}, "sim": {"late": 3}}
 
