@@ -16,18 +16,23 @@ from rich.markup import escape
 
 from cpnet import scenario as scenarios
 from cpnet.cli_bench import bench_app
+from cpnet.cli_doctor import doctor_app
+from cpnet.cli_keys import keys_app
 from cpnet.cli_learn import learn_app
 from cpnet.cli_options import AsJson, Override, assigned, console, errors
 from cpnet.cli_study import study_app
 from protocol.errors import CpnetError
+from protocol.logs import LogStyle
 
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+app.add_typer(doctor_app)
 app.add_typer(learn_app)
 app.add_typer(study_app)
+app.add_typer(keys_app)
 app.add_typer(bench_app, name="bench")
 
 _ADDRESS = "HOST:PORT, v2x=HOST:PORT or world=HOST:PORT"
@@ -68,13 +73,28 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     ] = False,
     set_: Override = None,
     out: Annotated[Path | None, typer.Option(help="run folder; default runs/NAME-TIME")] = None,
-    only: Annotated[str | None, typer.Option(metavar="ROLE,...", help="roles to run here")] = None,
+    only: Annotated[
+        str | None, typer.Option(metavar="ROLE,...", help="roles to run here, or vehicle-1")
+    ] = None,
     listen: Annotated[
         list[str] | None, typer.Option(metavar="PLACE", help=f"host the buses: {_ADDRESS}")
     ] = None,
     connect: Annotated[
         list[str] | None, typer.Option(metavar="PLACE", help=f"buses elsewhere: {_ADDRESS}")
     ] = None,
+    restart: Annotated[
+        bool, typer.Option("--restart", help="start processes again that die; realtime only")
+    ] = False,
+    metrics: Annotated[
+        str | None, typer.Option(metavar="PORT", help="serve Prometheus' metrics: PORT, HOST:PORT")
+    ] = None,
+    log: Annotated[LogStyle, typer.Option(help="what a line of logs/ID.log is")] = LogStyle.TEXT,
+    keys: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="buses over TLS; `cpnet keys` makes DIR")
+    ] = None,
+    insecure: Annotated[
+        bool, typer.Option("--insecure", help="without keys on other networks than loopback")
+    ] = False,
 ) -> None:
     """Run the loop: world, sensors, edge, signal, record; then print the summary."""
     from cpnet.up import Options, up
@@ -96,7 +116,10 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
         named["name"] = _run_name(own)
     overrides: dict[str, Any] = {k: v for k, v in named.items() if v is not None}
     overrides |= assigned(set_)
-    options = Options(scenario, overrides, only, listen or [], connect or [], out)
+    places = listen or [], connect or []
+    options = Options(
+        scenario, overrides, only, *places, out, restart, metrics, log, keys, insecure=insecure
+    )
     status, run_dir = up(options, console)
     _conclude(run_dir)
     raise typer.Exit(status)
@@ -182,24 +205,6 @@ def scenario_command(
     """Print a scenario with every key and its value, ready to be edited."""
     data = scenarios.load(name, assigned(set_)).model_dump(mode="json")
     typer.echo(yaml.safe_dump(data, sort_keys=False), nl=False)
-
-
-@app.command("doctor")
-def doctor_command(
-    *,
-    packages: Annotated[
-        bool, typer.Option("--packages", help="print the missing system packages only")
-    ] = False,
-) -> None:
-    """Check this machine: system libraries, packages, bus, disk."""
-    from cpnet import doctor as checks
-
-    if packages:
-        typer.echo(" ".join(checks.missing_packages()))
-        return
-    findings = checks.examine()
-    checks.print_findings(findings, console)
-    raise typer.Exit(0 if all(one.ok or one.optional for one in findings) else 1)
 
 
 def main() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import socket
+from dataclasses import replace
 
 from protocol.bus import Endpoint
 from protocol.errors import ConfigError
@@ -15,24 +16,28 @@ _LOCATOR = re.compile(
 Endpoints = dict[BusName, Endpoint]
 
 
-def resolve(listen: list[str], connect: list[str], hosted: set[BusName]) -> Endpoints:
+def resolve(
+    listen: list[str], connect: list[str], hosted: set[BusName], protocol: str = "tcp"
+) -> Endpoints:
     """Returns how this machine reaches each bus; `hosted` are those whose router runs here.
 
     `HOST:PORT` means the V2X bus at PORT and the world bus at PORT + 1; `v2x=HOST:PORT` and
-    `world=HOST:PORT` name one of them.
+    `world=HOST:PORT` name one of them. A bus whose router would run here may be on a Zenoh router
+    elsewhere instead: then `--connect` names its place.
 
     Raises:
         ConfigError: a locator cannot be read, a bus has no place, or a port is in use.
     """
-    listens, connects = _read("--listen", listen), _read("--connect", connect)
+    listens = places("--listen", listen, protocol)
+    connects = places("--connect", connect, protocol)
     result = {}
     for bus in BusName:
-        if bus in hosted:
-            locator = listens.get(bus) or free_locator()
+        if bus in connects and not (bus in hosted and bus in listens):
+            result[bus] = Endpoint(connects[bus], listen=False)
+        elif bus in hosted:
+            locator = listens.get(bus) or free_locator(protocol)
             _check_free(locator)
             result[bus] = Endpoint(locator, listen=True)
-        elif bus in connects:
-            result[bus] = Endpoint(connects[bus], listen=False)
         else:
             role = "edge" if bus is BusName.V2X else "sim"
             raise ConfigError(
@@ -44,11 +49,16 @@ def resolve(listen: list[str], connect: list[str], hosted: set[BusName]) -> Endp
 
 def connecting(endpoint: Endpoint) -> Endpoint:
     """Returns how another process of this machine reaches the same bus."""
-    locator = endpoint.locator.replace("tcp/0.0.0.0:", "tcp/127.0.0.1:")
-    return Endpoint(locator.replace("tcp/[::]:", "tcp/[::1]:"), listen=False)
+    locator = endpoint.locator.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
+    return replace(endpoint, locator=locator, listen=False)
 
 
-def _read(option: str, texts: list[str]) -> dict[BusName, str]:
+def places(option: str, texts: list[str], protocol: str = "tcp") -> dict[BusName, str]:
+    """Returns the locators of the buses that an option names.
+
+    Raises:
+        ConfigError: a text names none.
+    """
     result = {}
     for text in texts:
         match = _LOCATOR.fullmatch(text)
@@ -60,25 +70,30 @@ def _read(option: str, texts: list[str]) -> dict[BusName, str]:
         for offset, bus in enumerate((BusName.V2X, BusName.WORLD)):
             if match["bus"] in (None, bus.value):
                 port = int(match["port"]) + (offset if match["bus"] is None else 0)
-                result[bus] = f"tcp/{match['host']}:{port}"
+                result[bus] = f"{protocol}/{match['host']}:{port}"
     return result
 
 
-def free_locator() -> str:
+def free_locator(protocol: str = "tcp") -> str:
     """Returns a place on loopback that nobody uses now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+        return f"{protocol}/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def address_of(locator: str) -> tuple[str, int]:
+    """Returns host and port of a locator."""
+    host, _, port = locator.partition("/")[2].rpartition(":")
+    return host.strip("[]"), int(port)
 
 
 def _check_free(locator: str) -> None:
-    host, _, port = locator.removeprefix("tcp/").rpartition(":")
-    address = host.strip("[]")
+    address, port = address_of(locator)
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     with socket.socket(family) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind((address, int(port)))
+            probe.bind((address, port))
         except OSError as error:
             raise ConfigError(
                 f"cannot listen at {address} port {port}: {error.strerror or error}; "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -32,6 +33,7 @@ ROLES = (
 """In starting order: the hosts of the buses first."""
 
 RELAY = RoleEntry("relay", "link_relay")
+_AGENT_ID = re.compile(r"(vehicle|infra)-(0|[1-9]\d{0,3})")
 AGENTS = {"vehicle": "vehicle", "infra": "roadside"}
 """Roles whose connections a relay may shape, and what their links are called."""
 
@@ -44,37 +46,80 @@ class ProcessEntry:
     role: RoleEntry
 
 
-def choose_roles(only: str | None) -> list[RoleEntry]:
-    """Reads `--only ROLE,...`; all roles without it.
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What runs on this machine: roles, some of them with certain processes only."""
+
+    roles: tuple[RoleEntry, ...]
+    ids: frozenset[str] = frozenset()
+
+    @property
+    def names(self) -> list[str]:
+        """The roles' names, in starting order."""
+        return [row.role for row in self.roles]
+
+    def __str__(self) -> str:
+        """The roles, and in their place the processes that were named."""
+        return "-".join(
+            name for row in self.roles for name in sorted(self._of(row.role)) or [row.role]
+        )
+
+    def _of(self, role: str) -> list[str]:
+        return [name for name in self.ids if name.rpartition("-")[0] == role]
+
+    def processes(self, row: RoleEntry, count: int) -> list[str]:
+        """Returns the ids of a role's processes here, if a scenario starts with `count` of them."""
+        named = sorted(self._of(row.role), key=lambda name: int(name.rpartition("-")[2]))
+        return named or [f"{row.role}-{n}" for n in range(count)]
+
+
+def choose(only: str | None) -> Choice:
+    """Reads `--only ROLE,...` and `--only vehicle-1,...`; all roles without it.
 
     Raises:
         ConfigError: there is no such role.
     """
     names = [row.role for row in ROLES]
     wanted = [name.strip() for name in only.split(",")] if only else names
-    for name in wanted:
-        if name not in names:
-            raise ConfigError(f"--only: there is no role {name!r}; allowed: {', '.join(names)}")
-    return [row for row in ROLES if row.role in wanted]
+    ids = {name for name in wanted if _AGENT_ID.fullmatch(name)}
+    roles = {name.rpartition("-")[0] if name in ids else name for name in wanted}
+    for name in sorted(roles - set(names)):
+        raise ConfigError(
+            f"--only: there is no role {name!r}; allowed: {', '.join(names)}, and single agent "
+            "processes such as vehicle-1"
+        )
+    whole = roles.intersection(wanted)
+    kept = frozenset(name for name in ids if name.rpartition("-")[0] not in whole)
+    return Choice(tuple(row for row in ROLES if row.role in roles), kept)
 
 
-def relays_of(roles: list[RoleEntry], scenario: Scenario) -> list[ProcessEntry]:
-    """Returns the relays that agents of these roles need on their machine."""
+def relays_of(choice: Choice, scenario: Scenario) -> list[ProcessEntry]:
+    """Returns the relays that the agents of this machine need on it."""
     link = scenario.link
     if link.way(scenario.mode) != "emulated":
         return []
     profiles = {"vehicle": link.profile, "roadside": link.roadside_profile}
-    kinds = [AGENTS[row.role] for row in roles if row.role in AGENTS]
+    kinds = [AGENTS[name] for name in choice.names if name in AGENTS]
     return [ProcessEntry(f"relay-{kind}", RELAY) for kind in kinds if profiles[kind] is not None]
 
 
-def processes_of(roles: list[RoleEntry], scenario: Scenario) -> list[ProcessEntry]:
-    """Returns the processes that these roles need in this scenario, in starting order."""
-    numbers = {"vehicle": scenario.processes.vehicle, "infra": len(scenario.roadside_mounts)}
+def processes_of(choice: Choice, scenario: Scenario) -> list[ProcessEntry]:
+    """Returns the processes of this machine in this scenario, in starting order.
+
+    Vehicle processes beyond the scenario's join it; a roadside process needs a mount.
+
+    Raises:
+        ConfigError: a roadside process was named that the scenario has no mount for.
+    """
+    mounts = len(scenario.roadside_mounts)
+    numbers = {"vehicle": scenario.processes.vehicle, "infra": mounts}
     result = []
-    for row in roles:
-        if row.role in numbers:
-            result += [ProcessEntry(f"{row.role}-{i}", row) for i in range(numbers[row.role])]
-        else:
+    for row in choice.roles:
+        if row.role not in numbers:
             result.append(ProcessEntry(row.role, row))
+            continue
+        for name in choice.processes(row, numbers[row.role]):
+            if row.role == "infra" and int(name.rpartition("-")[2]) >= mounts:
+                raise ConfigError(f"--only {name}: the scenario has {mounts} roadside_mounts")
+            result.append(ProcessEntry(name, row))
     return result

@@ -2,35 +2,29 @@
 
 from __future__ import annotations
 
-import os
+import json
 import signal
 import subprocess
 import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
 
 from cpnet.endpoints import Endpoints, connecting, free_locator
+from cpnet.log_lines import readable
 from cpnet.processes import AGENTS, RELAY, ProcessEntry
+from cpnet.restarts import Restarts
+from cpnet.standby import Standby, start
 from protocol.bus import Endpoint
+from protocol.logs import LogStyle
 from protocol.topics import BusName
 
 WORLD_GRACE_S = 1.0  # for the world to tell its end and the recorder to write it
 GRACE_S = 2.0  # then for all others, until SIGKILL: both within the 5 s that users wait
+LIST_NAME = "processes.json"
 TAIL_LINES = 12
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """Processes are the unit that work is spread by: a BLAS that spins on all cores slows the rest."""
-
-
-@dataclass(slots=True, eq=False)
-class Child:
-    """A running process with its log."""
-
-    entry: ProcessEntry
-    process: subprocess.Popen[bytes]
-    log_path: Path
-    log: IO[bytes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,14 +36,39 @@ class Death:
     tail: str
 
 
+@dataclass(slots=True, eq=False)
+class Child:
+    """A running process with its log."""
+
+    entry: ProcessEntry
+    process: subprocess.Popen[bytes]
+    log_path: Path
+
+    @property
+    def death(self) -> Death | None:
+        """How it ended, if it has."""
+        status = self.process.poll()
+        return None if status is None else Death(self.entry.id, _how(status), tail(self.log_path))
+
+
 class Supervisor:
     """Holds the processes of one machine; a context manager that ends them all."""
 
-    def __init__(self, run_dir: Path, endpoints: Endpoints) -> None:
+    def __init__(
+        self,
+        run_dir: Path,
+        endpoints: Endpoints,
+        log_style: LogStyle = LogStyle.TEXT,
+        keys: Path | None = None,
+    ) -> None:
         self._run_dir = run_dir
+        self._keys = keys
         self._endpoints = endpoints
+        self._log_style = log_style
         self._uplinks: dict[str, str] = {}
         self._children: list[Child] = []
+        self._restarts = Restarts()
+        self._standby = Standby(run_dir / "logs" / "standby.log", ONE_THREAD)
 
     def __enter__(self) -> Supervisor:
         return self
@@ -60,21 +79,51 @@ class Supervisor:
     def start(self, entries: list[ProcessEntry]) -> None:
         """Starts the processes; their standard error goes to `logs/ID.log` of the run folder."""
         for relay in (entry for entry in entries if entry.role is RELAY):
-            self._uplinks[relay.id.removeprefix("relay-")] = free_locator()
-        folder = self._run_dir / "logs"
-        folder.mkdir(parents=True, exist_ok=True)
-        for entry in entries:
-            path = folder / f"{entry.id}.log"
-            log = path.open("wb")
-            process = subprocess.Popen(
-                self._command(entry),
-                stdin=subprocess.PIPE,
-                stdout=log,
-                stderr=log,
-                env=os.environ | ONE_THREAD,
-                start_new_session=True,  # Ctrl-C reaches the supervisor, which stops in order
-            )
-            self._children.append(Child(entry, process, path, log))
+            kind = relay.id.removeprefix("relay-")
+            self._uplinks[kind] = free_locator("tls" if self._keys else "tcp")
+        (self._run_dir / "logs").mkdir(parents=True, exist_ok=True)
+        self._children += [self._spawn(entry) for entry in entries]
+        self._list()
+
+    def revive(self) -> list[Death]:
+        """Starts again what has ended too early, but the world; returns who that was.
+
+        A process that dies again and again stays dead: `death` tells of it.
+        """
+        found = []
+        for number, child in enumerate(self._children):
+            name, death = child.entry.id, child.death
+            if death is None or child.entry.role.role == "sim":
+                continue
+            if self._restarts.admits(name, time.monotonic_ns()):
+                _release(child)
+                self._children[number] = self._spawn(child.entry)
+                found.append(death)
+        if found:
+            self._list()
+        return found
+
+    def tend(self) -> None:
+        """Keeps a process at hand for each kind that may have to be started again."""
+        self._standby.tend(
+            {c.entry.role.module for c in self._children if c.entry.role.role != "sim"}
+        )
+
+    def _list(self) -> None:
+        """Writes which process is which, for whoever looks after them from outside."""
+        path = self._run_dir / LIST_NAME
+        fresh = path.with_suffix(".new")
+        fresh.write_text(json.dumps({c.entry.id: c.process.pid for c in self._children}), "utf-8")
+        fresh.replace(path)
+
+    def _spawn(self, entry: ProcessEntry) -> Child:
+        path = self._run_dir / "logs" / f"{entry.id}.log"
+        module, arguments = entry.role.module, self._arguments(entry)
+        process = self._standby.take(module, arguments, path)
+        if process is None:
+            with path.open("ab") as log:
+                process = start([sys.executable, "-m", module, *arguments], log, ONE_THREAD)
+        return Child(entry, process, path)
 
     def death(self, *, at_end: bool) -> Death | None:
         """Returns a process that failed, or, before the run's end, that ended at all.
@@ -91,9 +140,9 @@ class Supervisor:
         status, child = min(dead, key=lambda one: one[0])
         return Death(child.entry.id, _how(status), tail(child.log_path))
 
-    def holds(self, role: str) -> bool:
-        """Whether a process of this role was started here."""
-        return any(child.entry.role.role == role for child in self._children)
+    def holds(self, process: str) -> bool:
+        """Whether this process was started here."""
+        return any(child.entry.id == process for child in self._children)
 
     def running(self, *roles: str) -> bool:
         """Whether a process of one of these roles still runs here."""
@@ -105,6 +154,7 @@ class Supervisor:
 
     def stop(self) -> list[str]:
         """Ends all processes, the world first. Returns who did not stop when asked."""
+        self._standby.stop()
         world = [child for child in self._children if child.entry.role.role == "sim"]
         if any(child.process.poll() is None for child in world):
             _interrupt(world)
@@ -119,11 +169,13 @@ class Supervisor:
         self._children.clear()
         return [child.entry.id for child in killed]
 
-    def _command(self, entry: ProcessEntry) -> list[str]:
-        command = [sys.executable, "-m", entry.role.module, "--supervised", "--id", entry.id]
+    def _arguments(self, entry: ProcessEntry) -> list[str]:
+        command = ["--supervised", "--id", entry.id]
         command += ["--setup", str(self._run_dir / "setup.msgpack"), "--run", str(self._run_dir)]
         for bus in BusName:
             command += [f"--{bus.value}", str(self._endpoint(bus, entry))]
+        command += ["--keys", str(self._keys)] if self._keys else []
+        command += ["--log", self._log_style.value]
         uplink = self._uplink(entry)
         return command + (["--uplink", str(uplink)] if uplink else [])
 
@@ -136,7 +188,8 @@ class Supervisor:
 
     def _endpoint(self, bus: BusName, entry: ProcessEntry) -> Endpoint:
         endpoint = self._endpoints[bus]
-        return endpoint if entry.role.hosts is bus else connecting(endpoint)
+        hosts = entry.role.hosts is bus and endpoint.listen
+        return endpoint if hosts else connecting(endpoint)
 
 
 def tail(path: Path, lines: int = TAIL_LINES) -> str:
@@ -145,7 +198,8 @@ def tail(path: Path, lines: int = TAIL_LINES) -> str:
         text = path.read_text("utf-8", errors="replace")
     except OSError as error:
         return f"(no log: {error})"
-    return "\n".join(text.splitlines()[-lines:]) or "(its log is empty)"
+    told = "\n".join(map(readable, text.splitlines()[-lines:]))
+    return "\n".join(told.splitlines()[-lines:]) or "(its log is empty)"
 
 
 def _how(status: int) -> str:
@@ -175,4 +229,3 @@ def _await(children: list[Child], grace_s: float) -> list[Child]:
 def _release(child: Child) -> None:
     if child.process.stdin is not None:
         child.process.stdin.close()
-    child.log.close()

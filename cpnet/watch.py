@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 
+from cpnet.exporter.tally import Tally
 from protocol.bus import Endpoint, open_bus
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Progress
@@ -12,18 +13,22 @@ from protocol.topics import BusName
 
 CONNECT_TIMEOUT_MS = 300
 CLOSE_S = 1.0
+MAX_BATCH = 256  # so that a flood cannot keep the supervisor from its processes
+METRICS_WAITING = 64  # of each process
+MAX_SEEN = 1024  # processes
 
 
 class Watch:
     """A listener that disturbs nobody; a context manager."""
 
-    def __init__(self, world: Endpoint) -> None:
-        """Connects.
+    def __init__(self, world: Endpoint, tally: Tally | None = None) -> None:
+        """Connects; all that comes is told to the tally, if there is one.
 
         Raises:
             BusError: the world bus is not there yet.
         """
         self._inbox = Inbox()
+        self._tally = tally
         self._bus = open_bus(BusName.WORLD, world, self._inbox, CONNECT_TIMEOUT_MS)
         self.progress: Progress | None = None
         self.end: End | None = None
@@ -31,6 +36,9 @@ class Watch:
         self.left: set[tuple[str, str]] = set()
         for topic in ("progress", "end"):
             self._bus.subscribe(topic)
+        if tally is not None:
+            self._inbox.limit("metrics", METRICS_WAITING)
+            self._bus.subscribe("metrics")
         self._bus.watch()
 
     def __enter__(self) -> Watch:
@@ -46,9 +54,13 @@ class Watch:
         """Takes what has come, waiting at most this long; returns whether progress was new."""
         before = self.progress
         item = self._inbox.get(timeout_s)
+        taken = 0
         while item is not None:
             self._take(item)
-            item = self._inbox.get()
+            taken += 1
+            item = self._inbox.get() if taken < MAX_BATCH else None
+        if self._tally is not None:
+            self._tally.lost(self._inbox.drops)
         return self.progress is not before
 
     def await_end(self, timeout_s: float) -> None:
@@ -66,8 +78,12 @@ class Watch:
         return sorted(self.left)
 
     def _take(self, item: Envelope | Presence) -> None:
+        if self._tally is not None:
+            self._tally.take(item)
         if isinstance(item, Presence):
             who = (item.role, item.id)
+            if who not in self.present | self.left and len(self.present | self.left) >= MAX_SEEN:
+                return
             (self.present.add if item.alive else self.present.discard)(who)
             (self.left.discard if item.alive else self.left.add)(who)
         elif isinstance(item.message, Progress):

@@ -19,11 +19,12 @@ SMALL = [
 
 
 class Command:
-    """A `cpnet` command of its own process group."""
+    """A `cpnet` command, in a network namespace if one is named."""
 
-    def __init__(self, folder: Path, arguments: list[str]) -> None:
+    def __init__(self, folder: Path, arguments: list[str], within: str = "") -> None:
+        enter = ["ip", "netns", "exec", within] if within else []
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "cpnet", *arguments],
+            [*enter, sys.executable, "-m", "cpnet", *arguments],
             cwd=folder,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -54,8 +55,8 @@ class Shell:
         self.folder = folder
         self._started: list[Command] = []
 
-    def start(self, *arguments: str) -> Command:
-        command = Command(self.folder, list(arguments))
+    def start(self, *arguments: str, within: str = "") -> Command:
+        command = Command(self.folder, list(arguments), within)
         self._started.append(command)
         return command
 
@@ -77,6 +78,15 @@ def shell(tmp_path: Path) -> Iterator[Shell]:
     made = Shell(tmp_path)
     yield made
     made.stop_all()
+
+
+@pytest.fixture(scope="session")
+def first_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Returns a finished run, which tests only read."""
+    shell = Shell(tmp_path_factory.mktemp("first"))
+    status, output = shell.up("--duration", "8", "--out", "first").finish()
+    assert status == 0, output
+    return shell.folder / "first"
 
 
 def children_of(run_dir: Path) -> dict[str, int]:

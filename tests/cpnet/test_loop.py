@@ -8,18 +8,21 @@ import sqlite3
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zenoh
 
-from protocol.messages import Roster
+from protocol.messages import Roster, SignalState
 from protocol.topics import PREFIX
-from protocol.wire import encode
+from protocol.wire import decode, encode
 from recorder.account import stage_sum_ns
 from recorder.compare import differences
 from recorder.run import Run
-from recorder.tables import AccountRow, FrameRow
+from recorder.tables import AccountRow, FrameRow, PhaseRow
+from studies.safety import violations_of
 from studies.solo import play
-from tests.cpnet.conftest import Shell, children_of
+from tests.cpnet.conftest import children_of
+from tests.hostile import Hostile
 from tests.waiting import wait_until
 
 ROLES = ["edge", "sim", "record", "signal", "infra-0", "vehicle-0", "vehicle-1"]
@@ -64,15 +67,6 @@ def check_account(run_dir: Path, *, exactly: bool) -> None:
 def wait_for_frames(run_dir: Path) -> None:
     """Waits until the recorder has committed something."""
     wait_until(lambda: rows(run_dir, "frames"), 30, what="no frame was ever recorded")
-
-
-@pytest.fixture(scope="session")
-def first_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Returns a finished run, which tests only read."""
-    shell = Shell(tmp_path_factory.mktemp("first"))
-    status, output = shell.up("--duration", "8", "--out", "first").finish()
-    assert status == 0, output
-    return shell.folder / "first"
 
 
 def test_two_lockstep_runs_of_one_seed_are_the_same_row_for_row(shell, first_run):
@@ -301,14 +295,19 @@ def test_the_world_runs_on_the_clock_in_realtime_mode(shell):
     assert summary["real_time_factor"] == pytest.approx(1, abs=0.1)
 
 
+def rogue_on(port: int) -> zenoh.Session:
+    """Opens a connection to a V2X bus, as anybody could who reaches its port."""
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", f'["tcp/127.0.0.1:{port}"]')
+    return zenoh.open(config)
+
+
 def test_bad_messages_are_counted_and_the_run_goes_on(shell):
     port = free_ports()
     command = shell.up("--duration=20", "--out=run", f"--listen=127.0.0.1:{port}")
     command.read_until("vehicles")
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"')
-    config.insert_json5("connect/endpoints", f'["tcp/127.0.0.1:{port}"]')
-    rogue = zenoh.open(config)
+    rogue = rogue_on(port)
     good = encode(Roster(frame=0, process="x", agents=[], scanning=[]))
     other_version = good[:4] + b"\x09\x00" + good[6:]
     oversized = good[:12] + b"\xff\xff\xff\x7f"
@@ -319,3 +318,47 @@ def test_bad_messages_are_counted_and_the_run_goes_on(shell):
     assert status == 0, output
     drops = json.loads(shell.run("report", "run", "--json")[1])["drops_by_reason"]
     assert drops["edge"] == {"MessageError": 4, "VersionError": 1}
+
+
+def test_a_flood_of_hostile_requests_shows_nothing_unsafe_and_stops_no_control(shell):
+    port = free_ports()
+    run_dir = shell.folder / "run"
+    arguments = ("--mode=realtime", "--duration=20", f"--listen=127.0.0.1:{port}", "--out=run")
+    command = shell.up(*arguments)
+    command.read_until("vehicles")
+    with Run(run_dir) as run:
+        road_signal = run.setup.road_map.signal
+    hostile = Hostile(road_signal, np.random.default_rng(3))
+    rogue = rogue_on(port)
+    newest_ns = [0]
+
+    def hear(sample: zenoh.Sample) -> None:
+        newest_ns[0] = decode(bytes(sample.payload), SignalState).sim_time_ns
+
+    listening = rogue.declare_subscriber(f"{PREFIX}/signal/{road_signal.tls}/state", hear)
+    wait_until(lambda: newest_ns[0] > 0, 30, what="no signal state was ever heard")
+    begun_ns, sent = time.monotonic_ns(), 0
+    while (passed_ns := time.monotonic_ns() - begun_ns) < 10e9:
+        while sent < passed_ns / 1e6:  # 1000 a second
+            request = encode(hostile.any(newest_ns[0]))
+            rogue.put(f"{PREFIX}/signal/{road_signal.tls}/request", request)
+            sent += 1
+        time.sleep(0.002)
+    listening.undeclare()
+    rogue.close()
+    status, output = command.finish()
+    assert status == 0, output
+    with Run(run_dir) as run:
+        assert violations_of(run) == []
+        phases = list(run.rows(PhaseRow))
+    summary = json.loads(shell.run("report", "run", "--json")[1])
+    assert summary["frames"] == len(phases) == 200
+    assert summary["real_time_factor"] == pytest.approx(1, abs=0.1)
+    assert "max_pressure" in {row.source for row in phases}
+    drops = summary["drops_by_reason"]["sim"]
+    for reason in (
+        "wrong_tls", "wrong_length", "bad_alphabet", "no_green", "from_the_future", "stale",
+        "replayed", "conflict",
+    ):  # fmt: skip
+        assert drops[f"request_{reason}"] > 0, reason
+    assert sum(drops.values()) > sent / 2

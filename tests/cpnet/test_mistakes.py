@@ -78,6 +78,43 @@ def test_a_port_in_use(shell):
     assert f"port {port}: Address already in use" in output
 
 
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        ("", "needs PORT or HOST:PORT"),
+        ("0", "with a port from 1 to 65535"),
+        ("65536", "with a port from 1 to 65535"),
+        ("metrics", "needs PORT or HOST:PORT"),
+        ("127.0.0.1:", "needs PORT or HOST:PORT"),
+        ("::1:9000", "needs PORT or HOST:PORT"),
+        ("nowhere.invalid:9000", "cannot listen at nowhere.invalid:9000"),
+        (f"{'x' * 80}:9000", "cannot listen at"),
+        ("192.0.2.1:9000", "cannot listen at 192.0.2.1:9000: Cannot assign requested address"),
+    ],
+)
+def test_a_place_where_no_metrics_can_be(shell, tmp_path, place, message):
+    assert message in refused(shell, "up", "--metrics", place)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_port_for_metrics_that_is_in_use(shell, tmp_path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        output = refused(shell, "up", "--metrics", str(port))
+    assert f"cannot listen at 127.0.0.1:{port}: Address already in use" in output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_log_that_is_neither(shell):
+    assert "--log" in refused(shell, "up", "--log", "xml")
+
+
+def test_a_bus_that_the_doctor_cannot_look_for(shell):
+    assert "needs HOST:PORT" in refused(shell, "doctor", "--connect", "nowhere")
+
+
 def test_an_output_folder_that_holds_something(shell, tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "precious").write_text("data")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cpnet import doctor
+from cpnet.doctor import checks
 from link_relay.netns import probe
 from link_relay.netns.leftovers import lives
 from sensing.link.path import on_air_bytes
@@ -119,5 +119,5 @@ def test_a_machine_without_iproute2_is_told_of_the_relay(shell: Shell, monkeypat
 
 def test_doctor_names_what_is_missing_and_does_not_mind(monkeypatch):
     monkeypatch.setattr(probe, "examine", lambda: probe.Ability("tbf", delays=False))
-    found = next(finding for finding in doctor.examine() if "--netns" in finding.what)
+    found = next(finding for finding in checks.examine() if "--netns" in finding.what)
     assert (found.ok, found.optional, found.advice) == (False, True, "tbf")

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from cpnet.endpoints import resolve
-from cpnet.processes import ROLES, ProcessEntry, RoleEntry, choose_roles, processes_of
+from cpnet.processes import ROLES, ProcessEntry, RoleEntry, choose, processes_of
 from cpnet.scenario import Scenario
 from cpnet.supervisor import Supervisor
 from protocol.errors import ConfigError
@@ -92,13 +92,13 @@ def test_the_scenario_says_how_many_processes_there_are():
     scenario = Scenario.model_validate(
         {"processes": {"vehicle": 3}, "roadside_mounts": [{"id": "a"}, {"id": "b"}]}
     )
-    ids = [p.id for p in processes_of(choose_roles("vehicle,infra"), scenario)]
+    ids = [p.id for p in processes_of(choose("vehicle,infra"), scenario)]
     assert ids == ["infra-0", "infra-1", "vehicle-0", "vehicle-1", "vehicle-2"]
 
 
 def test_an_unknown_role_is_refused_with_the_allowed_ones():
     with pytest.raises(ConfigError, match="no role 'edgy'; allowed: edge, sim, record"):
-        choose_roles("edge,edgy")
+        choose("edge,edgy")
 
 
 def test_every_role_is_a_package_with_a_main_module():

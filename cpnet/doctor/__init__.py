@@ -1,0 +1,1 @@
+"""`cpnet doctor`: what this machine lacks, what a bus elsewhere answers, what to do."""

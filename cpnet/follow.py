@@ -1,0 +1,146 @@
+"""Attends a run: shows how it goes, notices deaths, and knows when it is over."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from dataclasses import dataclass
+
+from rich.console import Console
+from rich.markup import escape
+
+from cpnet.display import Display
+from cpnet.exporter.tally import Tally
+from cpnet.scenario import Scenario
+from cpnet.supervisor import Death, Supervisor
+from cpnet.watch import Watch
+from protocol.bus import Endpoint
+from protocol.errors import BusError
+from sim_host.roll_call import expected_processes
+
+POLL_S = 0.05
+OVERTAKEN_S = 2.0
+OTHERS_LEAVE_S = 5.0
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class Interruption:
+    """Turns the signals that ask for an end into an event while a run goes on."""
+
+    def __init__(self) -> None:
+        self.event = threading.Event()
+        self.number = 0
+
+    def __enter__(self) -> Interruption:
+        self._before = {n: signal.signal(n, self._take) for n in STOP_SIGNALS}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _take(self, number: int, _: object) -> None:
+        self.number = number
+        self.event.set()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Attendant:
+    """Follows a run whose processes were started here, to its end.
+
+    With `restart`, what dies here is started again, and processes of other machines may come and
+    go; else a death ends the run, wherever it was.
+    """
+
+    supervisor: Supervisor
+    scenario: Scenario
+    interruption: Interruption
+    console: Console
+    restart: bool
+    tally: Tally | None = None
+
+    def attend(self, world: Endpoint) -> int:
+        """Returns the exit status."""
+        death, reason = None, ""
+        watch = self._watch(world)
+        if isinstance(watch, Death):
+            death = watch
+        elif watch is not None:
+            with watch, Display(self.console, self.scenario) as display:
+                death = self._follow(watch, display)
+                reason = watch.end.reason if watch.end else ""
+        return self._conclude(death, reason)
+
+    def _conclude(self, death: Death | None, reason: str) -> int:
+        if self.interruption.event.is_set():
+            self.console.print(f"stopping ({signal.Signals(self.interruption.number).name})")
+            return 128 + self.interruption.number
+        if death is not None:
+            name = escape(death.id)
+            self.console.print(f"[bold red]{name} {death.how}[/]; the last lines of its log:")
+            self.console.print(death.tail, highlight=False, markup=False, soft_wrap=True)
+            return 1
+        if reason != "finished":
+            said = reason or "nobody said why"
+            self.console.print(f"the world ended before its time: {said}", markup=False)
+            return 1
+        return 0
+
+    def _watch(self, world: Endpoint) -> Watch | Death | None:
+        """Listens to the world as soon as its bus is there; a process may die before."""
+        while not self.interruption.event.is_set():
+            if death := self.supervisor.death(at_end=False):
+                return death
+            try:
+                return Watch(world, self.tally)
+            except BusError:
+                self.interruption.event.wait(POLL_S)
+        return None
+
+    def _follow(self, watch: Watch, display: Display) -> Death | None:
+        ended_ns = 0
+        while not self.interruption.event.is_set():
+            if watch.update(POLL_S) and watch.progress:
+                display.show(watch.progress)
+            self._await_overtaken_end(watch)
+            if self.restart and watch.end is None:
+                self._revive()
+            if death := self.supervisor.death(at_end=watch.end is not None):
+                return death
+            if watch.end is None and (elsewhere := self._lost_elsewhere(watch)):
+                return elsewhere
+            if watch.end is not None:
+                ended_ns = ended_ns or time.monotonic_ns()
+                late = time.monotonic_ns() - ended_ns > OTHERS_LEAVE_S * 1e9
+                if not self.supervisor.running("sim", "record") and (
+                    late or not watch.here("record")
+                ):
+                    return None
+        return None
+
+    def _await_overtaken_end(self, watch: Watch) -> None:
+        """Waits a little if a process has left and none failed: the end may be on its way."""
+        has_left = self.supervisor.death(at_end=False) is not None
+        if watch.end is None and has_left and self.supervisor.death(at_end=True) is None:
+            watch.await_end(OVERTAKEN_S)
+
+    def _revive(self) -> None:
+        self.supervisor.tend()
+        for death in self.supervisor.revive():
+            self.console.print(f"{death.id} {death.how}; started again", markup=False)
+            if self.tally is not None:
+                self.tally.restarted(death.id)
+
+    def _lost_elsewhere(self, watch: Watch) -> Death | None:
+        """Returns a process of another machine that left before the run's end, if that matters."""
+        needed = {"sim"}
+        if not self.restart:
+            needed.update(expected_processes(self.scenario.model_dump(mode="json")))
+        for _, process in watch.lost():
+            if process in needed and not self.supervisor.holds(process):
+                watch.await_end(OVERTAKEN_S)  # the end may still be on its way
+                if watch.end is None:
+                    how = "left another machine before the run ended"
+                    return Death(process, how, "(no log here)")
+        return None

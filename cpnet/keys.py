@@ -1,0 +1,215 @@
+"""`cpnet keys`: a test authority, and by it a certificate for each process of a run."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from protocol.errors import ConfigError
+from protocol.keys import AUTHORITY, Keys
+
+HOSTS = ("edge", "sim", "router")
+"""Processes that others connect to. All others' certificates cannot pass for a bus."""
+
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
+AUTHORITY_KEY = "ca.key"
+AUTHORITY_DAYS = 3650
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL
+BACK = timedelta(hours=1)  # machines' clocks differ
+
+
+class Authority:
+    """Signs certificates; its own key never leaves the folder it was made in."""
+
+    def __init__(self, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> None:
+        self._certificate = certificate
+        self._key = key
+
+    @classmethod
+    def make(cls, folder: Path, now: datetime) -> Authority:
+        """Makes a new authority and writes it into an empty folder.
+
+        Raises:
+            ConfigError: the folder holds something, or cannot be written.
+        """
+        key = ec.generate_private_key(ec.SECP256R1())
+        name = _name("cpnet test authority")
+        until = now + timedelta(days=AUTHORITY_DAYS)
+        usage = x509.KeyUsage(
+            digital_signature=False,
+            content_commitment=False,
+            key_encipherment=False,
+            data_encipherment=False,
+            key_agreement=False,
+            key_cert_sign=True,
+            crl_sign=True,
+            encipher_only=False,
+            decipher_only=False,
+        )
+        certificate = (
+            _builder(name, name, key.public_key(), now - BACK, until)
+            .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+            .add_extension(usage, critical=True)
+            .sign(key, hashes.SHA256())
+        )
+        _write(folder / AUTHORITY_KEY, _packed(key), secret=True)
+        _write(folder / AUTHORITY, certificate.public_bytes(serialization.Encoding.PEM))
+        return cls(certificate, key)
+
+    @classmethod
+    def read(cls, folder: Path) -> Authority:
+        """Reads the authority that was made in this folder.
+
+        Raises:
+            ConfigError: its files cannot be read, or its key has been taken away.
+        """
+        try:
+            certificate = x509.load_pem_x509_certificate((folder / AUTHORITY).read_bytes())
+            packed = (folder / AUTHORITY_KEY).read_bytes()
+            key = serialization.load_pem_private_key(packed, password=None)
+        except FileNotFoundError as error:
+            raise ConfigError(
+                f"{error.filename}: there is no such file; more keys can be made only where the "
+                "authority was made"
+            ) from None
+        except (OSError, ValueError, TypeError) as error:
+            raise ConfigError(f"the authority in {folder} cannot be read: {error}") from None
+        if not isinstance(key, ec.EllipticCurvePrivateKey):
+            raise ConfigError(f"{folder / AUTHORITY_KEY}: is not a key that `cpnet keys` made")
+        if key.public_key() != certificate.public_key():
+            raise ConfigError(f"{folder / AUTHORITY_KEY}: is not the key of {folder / AUTHORITY}")
+        return cls(certificate, key)
+
+    def issue(
+        self, folder: Path, process_id: str, names: Sequence[str], now: datetime, days: int
+    ) -> None:
+        """Writes certificate and key of a process; `names` are those that a host is called by.
+
+        Raises:
+            ConfigError: the folder cannot be written, or the authority's own time is over.
+        """
+        until = min(now + timedelta(days=days), self._certificate.not_valid_after_utc)
+        if until <= now:
+            raise ConfigError(f"{folder / AUTHORITY}: expired on {until:%Y-%m-%d}; make another")
+        key = ec.generate_private_key(ec.SECP256R1())
+        usages = [ExtendedKeyUsageOID.CLIENT_AUTH]
+        builder = _builder(
+            _name(process_id), self._certificate.subject, key.public_key(), now - BACK, until
+        ).add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        if process_id in HOSTS:
+            usages.append(ExtendedKeyUsageOID.SERVER_AUTH)
+            alternatives = x509.SubjectAlternativeName([_alternative(name) for name in names])
+            builder = builder.add_extension(alternatives, critical=False)
+        builder = builder.add_extension(x509.ExtendedKeyUsage(usages), critical=False)
+        certificate = builder.sign(self._key, hashes.SHA256())
+        files = Keys.of(folder, process_id)
+        _write(files.private_key, _packed(key), secret=True)
+        _write(files.certificate, certificate.public_bytes(serialization.Encoding.PEM))
+
+
+def add_keys(
+    folder: Path, ids: Sequence[str], hosts: Sequence[str], days: int, now: datetime | None = None
+) -> list[str]:
+    """Makes what the folder lacks, the authority included; returns the ids that are new.
+
+    Raises:
+        ConfigError: the folder holds something else, or an older certificate that does not name
+            one of the hosts; or a file cannot be read or written.
+    """
+    now = now or datetime.now(UTC)
+    names = list(dict.fromkeys([*LOOPBACK, *hosts]))
+    authority = _authority(folder, now)
+    missing = [name for name in ids if not Keys.of(folder, name).certificate.exists()]
+    for name in ids:
+        if name in HOSTS and name not in missing:
+            _check_names(Keys.of(folder, name).certificate, hosts)
+    for name in missing:
+        authority.issue(folder, name, names, now, days)
+    return missing
+
+
+def _authority(folder: Path, now: datetime) -> Authority:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        entries = {entry.name for entry in folder.iterdir()}
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{folder}: {error}") from None
+    if entries & {AUTHORITY, AUTHORITY_KEY}:
+        return Authority.read(folder)
+    if entries:
+        raise ConfigError(f"{folder}: it holds something, but no authority; give a new folder")
+    return Authority.make(folder, now)
+
+
+def _check_names(path: Path, hosts: Sequence[str]) -> None:
+    try:
+        certificate = x509.load_pem_x509_certificate(path.read_bytes())
+        kind = x509.SubjectAlternativeName
+        known = set(certificate.extensions.get_extension_for_class(kind).value)
+    except (OSError, ValueError, x509.ExtensionNotFound) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from None
+    for host in hosts:
+        if _alternative(host) not in known:
+            raise ConfigError(
+                f"{path}: is there already and does not name {host}; remove it, and it is made "
+                "anew for the hosts that you give"
+            )
+
+
+def _alternative(name: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(name))
+    except ValueError:
+        pass
+    try:
+        return x509.DNSName(name)
+    except ValueError:
+        raise ConfigError(f"--host {name!r}: needs a name in ASCII, or an address") from None
+
+
+def _name(common: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
+
+
+def _builder(
+    subject: x509.Name,
+    issuer: x509.Name,
+    key: ec.EllipticCurvePublicKey,
+    since: datetime,
+    until: datetime,
+) -> x509.CertificateBuilder:
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(since)
+        .not_valid_after(until)
+    )
+
+
+def _packed(key: ec.EllipticCurvePrivateKey) -> bytes:
+    packed: bytes = key.private_bytes(
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.NoEncryption(),
+    )
+    return packed
+
+
+def _write(path: Path, data: bytes, *, secret: bool = False) -> None:
+    try:
+        path.unlink(missing_ok=True)  # one without its certificate, perhaps of another mode
+        with os.fdopen(os.open(path, _NEW, 0o600 if secret else 0o644), "wb") as file:
+            file.write(data)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None

@@ -1,0 +1,101 @@
+"""`scripts/soak`: starts a run in real time, hurts it, and says what came of it."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from cpnet.cli_options import console, errors
+from cpnet.endpoints import connecting, free_locator
+from cpnet.soak.faults import processes_of
+from cpnet.soak.findings import Findings, look_back
+from cpnet.soak.health import Health
+from cpnet.soak.observer import Observer
+from cpnet.soak.page import page
+from cpnet.soak.soak import hurt
+from cpnet.supervisor import LIST_NAME
+from protocol.bus import Endpoint
+from protocol.errors import BusError, CpnetError
+
+START_S = 120.0
+POLL_S = 0.1
+END_S = 60.0
+BEYOND_S = 600.0  # of the run's own duration: it is stopped before
+
+
+def main(
+    *,
+    minutes: Annotated[float, typer.Option(help="how long to hurt it", min=0.1)] = 30,
+    kills: Annotated[int, typer.Option(help="how many processes to kill", min=1)] = 200,
+    seed: Annotated[int, typer.Option(help="of the victims and their times")] = 1,
+    out: Annotated[Path, typer.Option(help="run folder")] = Path("runs/soak"),
+    markdown: Annotated[Path | None, typer.Option(help="write the findings here, too")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="scenario keys")] = None,
+) -> None:
+    """Kill processes of a running loop at random and measure until all is right again."""
+    try:
+        findings = soak(minutes, kills, seed, out, set_ or [])
+    except CpnetError as error:
+        errors.print(f"[bold red]error[/] {error}", soft_wrap=True)
+        raise typer.Exit(2) from None
+    text = page(findings, shlex.join(["scripts/soak", *sys.argv[1:]]))
+    console.print(text, markup=False, soft_wrap=True)
+    if markdown is not None:
+        markdown.write_text(text, "utf-8")
+    raise typer.Exit(1 if findings.faults_found() else 0)
+
+
+def soak(minutes: float, kills: int, seed: int, out: Path, keys: list[str]) -> Findings:
+    """Runs the loop, hurts it, ends it and looks back.
+
+    Raises:
+        BusError: the run did not come up.
+        ConfigError: its folder holds no run.
+    """
+    v2x, world = (Endpoint(free_locator(), listen=True) for _ in range(2))
+    command = [sys.executable, "-m", "cpnet", "up", "t_junction", "--mode=realtime", "--restart"]
+    command += [f"--duration={minutes * 60 + BEYOND_S:g}", f"--out={out}"]
+    command += [
+        f"--listen={bus}={e.locator.removeprefix('tcp/')}"
+        for bus, e in (("v2x", v2x), ("world", world))
+    ]
+    command += [f"--set={key}" for key in keys]
+    with subprocess.Popen(command) as run:
+        try:
+            with _observe(out, connecting(v2x), connecting(world), run) as observer:
+                if not observer.listen(START_S, observer.is_right):
+                    raise BusError(f"the run never went right: {observer.health.wrong}")
+                rng = np.random.default_rng(seed)
+                faults, memory = hurt(observer, out, minutes=minutes, kills=kills, rng=rng)
+                asked = set(observer.asked)
+        finally:
+            run.send_signal(signal.SIGINT)
+            run.wait(END_S)
+    return look_back(out, minutes, faults, memory, asked)
+
+
+def _observe(
+    run_dir: Path, v2x: Endpoint, world: Endpoint, run: subprocess.Popen[bytes]
+) -> Observer:
+    """Listens to a run that has just been started, once it can be."""
+    until_ns = time.monotonic_ns() + round(START_S * 1e9)
+    while not (run_dir / LIST_NAME).is_file():
+        if run.poll() is not None or time.monotonic_ns() > until_ns:
+            raise BusError(f"the run in {run_dir} did not start")
+        time.sleep(POLL_S)
+    scenario = json.loads((run_dir / "scenario.json").read_text("utf-8"))
+    posts = {mount["id"] for mount in scenario["roadside_mounts"]}
+    return Observer(v2x, world, Health(set(processes_of(run_dir)), posts))
+
+
+if __name__ == "__main__":
+    typer.run(main)

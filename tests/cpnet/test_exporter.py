@@ -1,0 +1,217 @@
+"""What is exported of a run, whatever its processes say."""
+
+import threading
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.parser import text_string_to_metric_families
+
+from cpnet.exporter.counts import BUCKETS_S
+from cpnet.exporter.families import TallyCollector
+from cpnet.exporter.names import OTHER, Names
+from cpnet.exporter.tally import MAX_PROCESSES, MAX_REASONS, MAX_STAGES, Tally
+from cpnet.processes import ProcessEntry, RoleEntry
+from protocol import messages as m
+from protocol.inbox import Envelope, Presence
+from protocol.rising import Rising
+
+MS = 1_000_000
+
+
+def envelope(message: m.Message) -> Envelope:
+    return Envelope("any", {}, message, 0, 0)
+
+
+def metrics(process: str = "edge", **fields) -> Envelope:
+    return envelope(m.Metrics(process=process, frame=1, sim_time_ns=0, **fields))
+
+
+def progress(**fields) -> Envelope:
+    plain = {"frame": 7, "sim_time_ns": 0, "real_time_factor": 1.0, "vehicles": 3, "cavs": 2}
+    plain |= {"cvs": 0, "detections": 1, "mbps": {}, "end_to_end_ms": 40.0, "state": "Gr"}
+    return envelope(m.Progress(**(plain | {"drops": 0} | fields)))
+
+
+def page(tally: Tally) -> dict[tuple[str, ...], float]:
+    """Returns all samples, as Prometheus reads them, by name and values in order of labels."""
+    registry = CollectorRegistry()
+    registry.register(TallyCollector(tally))
+    text = generate_latest(registry).decode()
+    return {
+        (sample.name, *dict(sorted(sample.labels.items())).values()): sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    }
+
+
+def test_before_anything_was_heard_the_page_can_be_read():
+    samples = page(Tally())
+    assert samples[("cpnet_frames_total",)] == 0
+    assert ("cpnet_frame",) not in samples
+
+
+def test_stages_are_counted_by_bucket_in_seconds():
+    tally = Tally()
+    for took_ns in (MS // 10, 3 * MS, 5000 * MS):
+        tally.take(metrics(spans=[m.Span(stage="merge", start_ns=10, end_ns=10 + took_ns)]))
+    samples = page(tally)
+    reached = {"0.0001": 1, "0.0025": 1, "0.005": 2, "1.0": 2, "+Inf": 3}
+    for bound, count in reached.items():
+        assert samples[("cpnet_stage_seconds_bucket", bound, "merge")] == count
+    assert samples[("cpnet_stage_seconds_sum", "merge")] == pytest.approx(5.0031)
+    assert list(BUCKETS_S) == sorted(BUCKETS_S)
+
+
+@pytest.mark.parametrize("end_ns", [-1, (1 << 62) - 1])
+def test_a_stage_that_ends_before_it_began_or_never_is_left_out(end_ns):
+    tally = Tally()
+    tally.take(metrics(spans=[m.Span(stage="merge", start_ns=0, end_ns=end_ns)]))
+    samples = page(tally)
+    assert samples[("cpnet_odd_spans_total",)] == 1
+    assert ("cpnet_stage_seconds_count", "merge") not in samples
+
+
+def test_frames_are_those_that_the_world_has_finished():
+    tally = Tally()
+    for stage in ("actuate", "world", "actuate", "world"):
+        tally.take(metrics("sim", spans=[m.Span(stage=stage, start_ns=0, end_ns=MS)]))
+    samples = page(tally)
+    assert samples[("cpnet_frames_total",)] == 2
+    assert 0 <= samples[("cpnet_signal_request_age_seconds",)] < 60
+
+
+def test_bytes_are_counted_by_process_and_never_by_agent():
+    times = dict.fromkeys(("sense_start_ns", "sense_end_ns", "encode_end_ns", "sent_ns"), 0)
+    tally = Tally()
+    for agent in ("a", "b"):
+        upload = m.Upload(agent=agent, chunk=0, points=1, payload_bytes=100, **times)
+        wire = m.WireCount(agent=agent, frame=0, sent_bytes=130)
+        tally.take(metrics("vehicle-0", uploads=[upload], wire=[wire]))
+    samples = page(tally)
+    assert samples[("cpnet_uploaded_bytes_total", "vehicle-0")] == 200
+    assert samples[("cpnet_sent_bytes_total", "vehicle-0")] == 260
+
+
+def test_drops_go_on_rising_when_a_process_starts_anew():
+    tally = Tally()
+    for told in ({"late": 3}, {"late": 5, "odd": 1}, {"late": 2}, {"late": 2, "odd": 4}):
+        tally.take(metrics(drops=told))
+    samples = page(tally)
+    assert samples[("cpnet_drops_total", "edge", "late")] == 7
+    assert samples[("cpnet_drops_total", "edge", "odd")] == 5
+
+
+@given(st.lists(st.lists(st.dictionaries(st.sampled_from("ab"), st.integers(0, 9)), max_size=4)))
+def test_the_counts_of_all_lives_of_a_process_are_summed(lives):
+    rising, wanted = Rising(), {"a": 0, "b": 0}
+    for life in lives:
+        count = {"a": 0, "b": 0}
+        for growth in life:
+            count = {reason: n + growth.get(reason, 0) for reason, n in count.items()}
+            rising.take(count)
+        rising.restart()
+        wanted = {reason: n + count[reason] for reason, n in wanted.items()}
+    assert {"a": 0, "b": 0, **rising.total} == wanted
+
+
+@given(st.lists(st.dictionaries(st.sampled_from("abc"), st.integers(0, 1 << 52))))
+def test_a_counter_never_falls(told):
+    rising, before = Rising(), {}
+    for counts in told:
+        rising.take(counts)
+        assert all(rising.total[reason] >= n for reason, n in before.items())
+        before = dict(rising.total)
+
+
+def test_a_process_is_down_until_it_shows_itself_and_when_it_leaves():
+    tally = Tally()
+    tally.expect([ProcessEntry("edge", RoleEntry("edge", "edge_server"))])
+    seen = [page(tally)]
+    for alive in (True, False):
+        tally.take(Presence("edge", "edge", alive))
+        seen.append(page(tally))
+    assert [samples[("cpnet_process_up", "edge", "edge")] for samples in seen] == [0, 1, 0]
+
+
+def test_restarts_are_counted_and_begin_with_0():
+    tally = Tally()
+    tally.expect([ProcessEntry("edge", RoleEntry("edge", "edge_server"))])
+    assert page(tally)[("cpnet_process_restarts_total", "edge")] == 0
+    tally.restarted("edge")
+    assert page(tally)[("cpnet_process_restarts_total", "edge")] == 1
+
+
+def test_the_signals_age_is_simulated_time_since_its_state_changed():
+    tally, ages = Tally(), []
+    for second, state in enumerate(("Gr", "Gr", "yr", "yr", "yr")):
+        tally.take(progress(sim_time_ns=second * 1000 * MS, state=state))
+        ages.append(page(tally)[("cpnet_signal_state_age_seconds",)])
+    assert ages == [0, 1, 0, 1, 2]
+
+
+def test_absurd_figures_leave_a_page_that_can_be_read():
+    tally = Tally()
+    huge = {"real_time_factor": -1e308, "end_to_end_ms": 1.7e308, "vehicles": (1 << 40) - 1}
+    tally.take(progress(sim_time_ns=(1 << 62) - 1, state="\n" * 512, **huge))
+    tally.take(progress(sim_time_ns=1 - (1 << 62), state="\n" * 512, **huge))
+    for told in ((1 << 53) - 1, 0) * 50:
+        tally.take(metrics(drops={"late": told}))
+    samples = page(tally)
+    assert samples[("cpnet_end_to_end_seconds",)] == pytest.approx(1.7e305)
+    assert samples[("cpnet_signal_state_age_seconds",)] == 0
+    assert samples[("cpnet_drops_total", "edge", "late")] == pytest.approx(50 * 2**53)
+
+
+def test_names_without_end_leave_a_page_with_one():
+    tally = Tally()
+    for n in range(400):
+        spans = [m.Span(stage=f"s{n}", start_ns=0, end_ns=1)]
+        tally.take(metrics(f"p{n}", spans=spans, drops={f"r{n}-{k}": 1 for k in range(40)}))
+        tally.take(Presence(f"role{n}", f"p{n}", alive=True))
+    samples = page(tally)
+    stages = [key for key in samples if key[0] == "cpnet_stage_seconds_count"]
+    assert len(stages) == MAX_STAGES + 1
+    assert samples[("cpnet_stage_seconds_count", OTHER)] == 400 - MAX_STAGES
+    dropping = {key[1:] for key in samples if key[0] == "cpnet_drops_total"}
+    assert len({reason for _, reason in dropping}) == MAX_REASONS + 1
+    assert len({process for process, _ in dropping}) == MAX_PROCESSES + 1
+    assert sum(key[0] == "cpnet_process_up" for key in samples) <= MAX_PROCESSES + 1
+
+
+def test_processes_beyond_the_last_place_do_not_make_a_counter_run():
+    tally = Tally()
+    for n in range(MAX_PROCESSES):
+        tally.take(Presence("x", f"p{n}", alive=True))
+    for n in range(100):
+        tally.take(metrics(f"late{n % 2}", drops={"odd": 5 + n % 2}))
+    assert page(tally)[("cpnet_drops_total", OTHER, "odd")] == 6
+
+
+@given(st.text(max_size=80))
+def test_a_label_is_a_plain_word(name):
+    label = Names(9).label(name)
+    assert label in (name, OTHER)
+    assert label.isascii()
+    assert label.isprintable()
+    assert len(label) <= 64
+
+
+def test_a_page_may_be_asked_for_while_the_tally_grows():
+    tally, stop = Tally(), threading.Event()
+
+    def grow() -> None:
+        n = 0
+        while not stop.is_set():
+            n += 1
+            tally.take(metrics(f"p{n % 300}", drops={f"r{n % 90}": n}))
+
+    growing = threading.Thread(target=grow)
+    growing.start()
+    try:
+        for _ in range(20):
+            page(tally)
+    finally:
+        stop.set()
+        growing.join()

@@ -1,0 +1,226 @@
+"""`cpnet keys`, and what `cpnet up --keys` says of keys that cannot be."""
+
+import json
+import shutil
+import stat
+import sys
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from cpnet.cli_keys import keys_command
+from cpnet.endpoints import free_locator
+from cpnet.key_check import check_key
+from cpnet.router_config import ROUTER, router_config
+from cpnet.security import secured
+from protocol.bus import Endpoint, open_bus
+from protocol.errors import ConfigError
+from protocol.inbox import Envelope, Inbox, Presence
+from protocol.keys import Keys
+from protocol.messages import Roster
+from protocol.topics import BusName
+from tests.certificates import make_keys
+from tests.cpnet.conftest import Shell
+
+BUSES = set(BusName)
+NOBODY_ELSE = "without keys anybody on that network could read and forge"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_keys(tmp_path_factory.mktemp("authority") / "keys", hosts=["edge.city", "10.0.0.7"])
+
+
+@pytest.fixture
+def folder(made: Path, tmp_path: Path) -> Path:
+    """Returns a copy that a test may spoil."""
+    return Path(shutil.copytree(made, tmp_path / "keys"))
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_each_process_has_a_certificate_and_private_keys_are_private(made):
+    ids = ["edge", "sim", "record", "signal", "watch", "vehicle-0", "vehicle-1", "infra-0"]
+    for name in ids:
+        check_key(made, name, hosts=name in ("edge", "sim"))
+    modes = {stat.S_IMODE(path.stat().st_mode) for path in made.glob("*.key")}
+    assert modes == {0o600}
+
+
+def test_an_agents_certificate_cannot_host_a_bus(made):
+    with pytest.raises(ConfigError, match=r"vehicle-0.pem: unsuitable certificate purpose"):
+        check_key(made, "vehicle-0", hosts=True)
+
+
+def test_a_second_call_adds_what_is_missing_by_the_same_authority(shell: Shell, folder):
+    before = contents(folder)
+    status, output = shell.run("keys", "keys", "--vehicles", "4")
+    assert (status, "keys: made vehicle-2, vehicle-3" in output) == (0, True), output
+    after = contents(folder)
+    assert {name: after[name] for name in before} == before
+    check_key(folder, "vehicle-3")
+    assert "nothing, all is there" in shell.run("keys", "keys")[1]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda f: (f / "ca.key").unlink(), "only where the authority was made"),
+        (lambda f: (f / "ca.pem").unlink(), "only where the authority was made"),
+        (lambda f: (f / "ca.key").write_text("x"), "cannot be read"),
+        (lambda f: (f / "ca.key").write_bytes((f / "sim.key").read_bytes()), "is not the key of"),
+        (lambda f: [p.unlink() for p in f.glob("ca.*")], "holds something, but no authority"),
+        (lambda f: (f / "ca.pem").write_bytes(b""), "cannot be read"),
+    ],
+)
+def test_an_authority_is_never_made_over(folder, spoil, message):
+    spoil(folder)
+    (folder / "vehicle-1.pem").unlink()
+    before = contents(folder)
+    with pytest.raises(ConfigError, match=message):
+        make_keys(folder)
+    assert contents(folder) == before
+
+
+def test_a_host_that_an_older_certificate_does_not_name_is_refused(folder):
+    make_keys(folder, hosts=["10.0.0.7", "edge.city"])
+    with pytest.raises(ConfigError, match=r"edge.pem: is there already and does not name b.city"):
+        make_keys(folder, hosts=["b.city"])
+    for name in ("edge", "sim"):
+        (folder / f"{name}.pem").unlink()
+    make_keys(folder, hosts=["b.city"])
+
+
+def test_without_the_extra_it_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "cryptography", None)
+    monkeypatch.delitem(sys.modules, "cpnet.keys", raising=False)
+    with pytest.raises(ConfigError, match=r"\(extra `keys`\): .* -m pip install 'cpnet-edge\[keys"):
+        keys_command(tmp_path / "keys", vehicles=1, posts=1, days=1)
+    assert not (tmp_path / "keys").exists()
+
+
+def test_a_name_that_no_host_can_have(tmp_path):
+    with pytest.raises(ConfigError, match="needs a name in ASCII, or an address"):
+        make_keys(tmp_path / "keys", hosts=["köln"])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda f: (f / "edge.pem").unlink(), "edge.pem: there is no such file, and edge runs her"),
+        (lambda f: (f / "edge.key").unlink(), "edge.key: there is no such file"),
+        (lambda f: (f / "ca.pem").unlink(), "ca.pem: there is no such file"),
+        (lambda f: (f / "ca.pem").write_text("x"), "ca.pem: holds no certificate"),
+        (lambda f: (f / "edge.pem").write_text("x"), "is no PEM file of a certificate"),
+        (lambda f: shutil.copy(f / "sim.key", f / "edge.key"), "its key is not .*edge.key"),
+        (
+            lambda f: [shutil.copy(f / f"sim.{end}", f / f"edge.{end}") for end in ("pem", "key")],
+            "edge.pem: is the certificate of 'sim', not 'edge'",
+        ),
+    ],
+)
+def test_files_that_are_not_what_their_names_say(folder, spoil, message):
+    spoil(folder)
+    with pytest.raises(ConfigError, match=message):
+        check_key(folder, "edge", hosts=True)
+
+
+def test_a_certificate_of_another_authority_is_named(folder, tmp_path):
+    other = make_keys(tmp_path / "other")
+    for end in ("pem", "key"):
+        shutil.copy(other / f"edge.{end}", folder / f"edge.{end}")
+    with pytest.raises(ConfigError, match=r"edge.pem: is not by the authority of .*ca.pem"):
+        check_key(folder, "edge", hosts=True)
+
+
+def test_an_expired_certificate_is_named(tmp_path):
+    long_ago = datetime.now(UTC) - timedelta(days=30)
+    folder = make_keys(tmp_path / "keys", days=7, now=long_ago)
+    with pytest.raises(ConfigError, match=r"record.pem: certificate has expired"):
+        check_key(folder, "record")
+
+
+def test_an_authority_whose_time_is_over_makes_no_more(tmp_path):
+    make_keys(tmp_path / "keys", now=datetime.now(UTC) - timedelta(days=4000))
+    with pytest.raises(ConfigError, match=r"ca.pem: expired on 20"):
+        make_keys(tmp_path / "keys", vehicles=3)
+
+
+def test_keys_are_looked_at_before_anything_starts(shell: Shell, folder):
+    (folder / "infra-0.key").unlink()
+    status, output = shell.run("up", "--keys", "keys", "--out", "run")
+    assert (status, "keys/infra-0.key: there is no such file" in output) == (2, True), output
+    assert "Traceback" not in output
+    assert not (shell.folder / "run").exists()
+
+
+@pytest.mark.parametrize("place", ["0.0.0.0:7447", "[::]:7447", "192.0.2.1:7447", "edge.city:7447"])
+def test_a_bus_without_keys_stays_on_loopback(place):
+    with pytest.raises(ConfigError, match=NOBODY_ELSE):
+        secured([], [place], set(), None, insecure=False)
+    assert len(secured([], [place], set(), None, insecure=True)) == 2
+
+
+def test_listening_to_a_network_without_keys_is_refused(shell: Shell):
+    status, output = shell.run("up", "--listen", "0.0.0.0:17447", "--out", "run")
+    assert (status, NOBODY_ELSE in output) == (2, True), output
+    assert "give --keys DIR" in output
+    assert "or --insecure" in output
+    assert not (shell.folder / "run").exists()
+
+
+@pytest.mark.parametrize("place", ["127.0.0.1:7447", "127.9.9.9:7447", "[::1]:7447", "localhost:1"])
+def test_loopback_needs_no_keys(place):
+    assert len(secured([], [place], set(), None, insecure=False)) == 2
+
+
+def test_keys_make_every_place_one_of_tls_for_the_supervisor_too(made):
+    places = secured([], [], BUSES, made, insecure=False)
+    for endpoint in places.values():
+        assert endpoint.locator.startswith("tls/127.0.0.1:")
+        assert endpoint.keys is not None
+        assert endpoint.keys.certificate.name == "watch.pem"
+
+
+def test_keys_and_insecure_contradict_each_other(made):
+    with pytest.raises(ConfigError, match="has no meaning with --keys"):
+        secured([], [], BUSES, made, insecure=True)
+
+
+def test_the_settings_of_another_router_hold_the_rules_of_the_certificates(shell: Shell, folder):
+    status, output = shell.run("keys", "keys", "--router-config", "zenohd.json5")
+    assert status == 0, output
+    text = (shell.folder / "zenohd.json5").read_text()
+    config = json.loads("".join(x for x in text.splitlines() if not x.startswith("//")))
+    names = [subject["id"] for subject in config["access_control"]["subjects"]]
+    assert "vehicle-1" in names
+    assert "router" not in names
+    check_key(folder, "router", hosts=True)
+
+
+def test_another_router_with_those_settings_lets_each_say_what_is_its_own(folder):
+    make_keys(folder, more=[ROUTER])
+    locator = free_locator("tls")
+    config = router_config(folder) | {"listen": {"endpoints": [locator]}}
+    router = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+    heard = Inbox()
+    edge, vehicle = (
+        open_bus(BusName.V2X, Endpoint(locator, False, Keys.of(folder, name)), inbox, 3000)
+        for name, inbox in (("edge", heard), ("vehicle-0", Inbox()))
+    )
+    edge.subscribe("roster", region="r0")
+    edge.watch()
+    vehicle.announce("vehicle", "vehicle-0")
+    assert heard.get(5.0) == Presence("vehicle", "vehicle-0", alive=True)
+    for process in ("infra-0", "vehicle-0"):
+        roster = Roster(frame=0, process=process, agents=[], scanning=[])
+        vehicle.publish("roster", roster, region="r0", process=process)
+    item = heard.get(5.0)
+    assert isinstance(item, Envelope)
+    assert item.parts["process"] == "vehicle-0"
+    for session in (edge, vehicle, router):
+        session.close()

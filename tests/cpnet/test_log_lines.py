@@ -1,0 +1,25 @@
+import json
+
+import pytest
+
+from cpnet.log_lines import readable
+from cpnet.supervisor import tail
+
+
+@pytest.mark.parametrize("line", ["", "plain", "{", "[1]", "7", '{"level": "INFO"}', "[" * 9999])
+def test_a_line_that_is_no_record_stays_as_it_is(line):
+    assert readable(line) == line
+
+
+def test_a_record_reads_like_a_line_of_text():
+    record = {"time": "2026-01-01T00:00:00+00:00", "process": "edge", "level": "INFO"}
+    line = json.dumps(record | {"logger": "edge_server.role", "message": "it is here"})
+    assert readable(line) == "2026-01-01T00:00:00+00:00 edge INFO edge_server.role: it is here"
+
+
+def test_the_tail_of_a_log_ends_with_the_error(tmp_path):
+    trace = "\n".join([*(f"  line {n}" for n in range(40)), "ValueError: no"])
+    record = {"process": "edge", "level": "ERROR", "message": "it broke", "exception": trace}
+    (tmp_path / "log").write_text(f"{json.dumps(record)}\nand a plain line\n")
+    told = tail(tmp_path / "log", 3).splitlines()
+    assert told == ["  line 39", "ValueError: no", "and a plain line"]

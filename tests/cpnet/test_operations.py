@@ -1,0 +1,112 @@
+"""A run as its operators see it: metrics while it goes on, logs for programs, the doctor."""
+
+import json
+import os
+import signal
+import urllib.request
+from contextlib import suppress
+
+from prometheus_client.parser import text_string_to_metric_families
+
+from cpnet.endpoints import free_locator
+from tests.cpnet.conftest import Shell, children_of
+from tests.cpnet.test_loop import free_ports
+from tests.waiting import wait_until
+
+Samples = dict[tuple[str, ...], float]
+
+
+def free_port() -> str:
+    return free_locator().rpartition(":")[2]
+
+
+def scrape(port: str) -> Samples:
+    """Returns all samples by name and values in order of labels, none if nobody answers."""
+    text = ""
+    with suppress(OSError):
+        page = urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=5)
+        with page:
+            text = page.read().decode()
+    return {
+        (sample.name, *dict(sorted(sample.labels.items())).values()): sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    }
+
+
+def scrape_until(port: str, *wanted: tuple[str, ...]) -> Samples:
+    """Scrapes until these samples are there and not 0."""
+
+    def look() -> Samples | None:
+        samples = scrape(port)
+        return samples if all(samples.get(key) for key in wanted) else None
+
+    return wait_until(look, 30, what=f"no {wanted} was ever exported")
+
+
+def test_a_run_is_scraped_while_it_goes_on_and_its_logs_are_json(shell: Shell):
+    port = free_port()
+    options = ("--duration=600", "--out=run", "--metrics", port, "--log=json")
+    command = shell.up(*options, "--mode=realtime", "--restart")
+    command.read_until("vehicles")
+    samples = scrape_until(port, ("cpnet_frame",), ("cpnet_sent_bytes_total", "infra-0"))
+    assert samples[("cpnet_frames_total",)] > 0
+    assert samples[("cpnet_vehicles",)] > samples[("cpnet_cavs",)] > 0
+    assert 0 < samples[("cpnet_end_to_end_seconds",)] < 10
+    for stage in ("sense", "encode", "decode", "merge", "detect", "decide", "actuate", "world"):
+        assert samples[("cpnet_stage_seconds_count", stage)] > 0
+    for process in ("vehicle-0", "vehicle-1", "infra-0"):
+        assert samples[("cpnet_uploaded_bytes_total", process)] > 0
+    for role in ("edge", "sim", "record", "signal"):
+        assert samples[("cpnet_process_up", role, role)] == 1
+    later = wait_until(
+        lambda: (
+            (now := scrape(port))[("cpnet_frames_total",)] > samples[("cpnet_frames_total",)]
+            and now
+        )
+    )
+    assert all(later[key] >= n for key, n in samples.items() if key[0].endswith("_total"))
+    assert later[("cpnet_process_restarts_total", "vehicle-0")] == 0
+    os.kill(children_of(shell.folder / "run")["vehicle-0"], signal.SIGKILL)
+    restarted = scrape_until(port, ("cpnet_process_restarts_total", "vehicle-0"))
+    uploaded = ("cpnet_uploaded_bytes_total", "vehicle-0")
+    wait_until(lambda: scrape(port)[uploaded] > restarted[uploaded], 60)
+    os.kill(children_of(shell.folder / "run")["sim"], signal.SIGKILL)
+    status, output = command.finish()
+    assert status == 1
+    assert "sim was killed by SIGKILL" in output
+    assert '"level"' not in output
+    assert "sim INFO sim_host" in output
+    lines = [
+        json.loads(line)
+        for log in (shell.folder / "run" / "logs").iterdir()
+        for line in log.read_text().splitlines()
+    ]
+    assert {"sim"} <= {line["process"] for line in lines}
+    assert all(line.keys() >= {"time", "level", "logger", "message"} for line in lines)
+
+
+def test_a_machine_of_some_roles_exports_the_run_and_the_doctor_sees_the_other(shell: Shell):
+    port, metrics = free_ports(), free_port()
+    place = f"127.0.0.1:{port}"
+    roles = "--only=sim,record,edge,signal"
+    here = shell.up("--duration=600", "--out=here", roles, f"--listen={place}")
+    there = shell.start(
+        "up", "--only=vehicle,infra", f"--connect={place}", "--out=there", f"--metrics={metrics}"
+    )
+    there.read_until("vehicles")
+    samples = scrape_until(metrics, ("cpnet_frame",), ("cpnet_frames_total",))
+    assert samples[("cpnet_process_up", "edge", "edge")] == 1
+    assert samples[("cpnet_process_up", "vehicle-0", "vehicle")] == 1
+    _, output = shell.run("doctor", "--json", "--connect", place)
+    found = {finding["check"]: finding for finding in json.loads(output)["findings"]}
+    for bus in ("v2x", "world"):
+        assert found[f"{bus}_reached"]["ok"]
+        names = found[f"{bus}_processes"]["measured"]["processes"]
+        assert {"edge", "sim", "vehicle-0", "infra-0"} <= set(names)
+    assert found["world_clock"]["measured"]["error_ms"] == 0
+    assert found["world_version"]["ok"]
+    assert found["world_version"]["measured"]["scenario"] == "t_junction"
+    for command in (there, here):
+        command.process.send_signal(signal.SIGTERM)
+        command.finish()

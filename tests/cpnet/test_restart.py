@@ -1,0 +1,134 @@
+"""`cpnet up --restart`: processes die and come back while the world goes on."""
+
+import json
+import os
+import signal
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from cpnet.endpoints import free_locator
+from cpnet.restarts import MAX_RESTARTS, WITHIN_NS, Restarts
+from cpnet.soak.faults import processes_of
+from cpnet.soak.findings import look_back
+from cpnet.soak.health import Health
+from cpnet.soak.observer import Observer
+from cpnet.soak.soak import hurt_once
+from cpnet.supervisor import LIST_NAME
+from protocol.bus import Endpoint
+from tests.cpnet.conftest import Command, Shell, children_of
+from tests.waiting import wait_until
+
+PATIENCE_S = 30.0
+REALTIME = ("--mode=realtime", "--restart", "--set=edge.deadline_ms=300")
+
+
+@contextmanager
+def observed(shell: Shell, *more: str) -> Iterator[tuple[Command, Observer, Path]]:
+    """Starts a run and yields it once all is right."""
+    places = {bus: free_locator() for bus in ("v2x", "world")}
+    listen = [f"--listen={bus}={place.removeprefix('tcp/')}" for bus, place in places.items()]
+    command = shell.up(*REALTIME, *listen, "--duration=600", "--out=run", *more)
+    run_dir = shell.folder / "run"
+    wait_until(lambda: (run_dir / LIST_NAME).is_file(), 2 * PATIENCE_S)
+    health = Health(set(processes_of(run_dir)), {"rsu-0"})
+    buses = [Endpoint(place, listen=False) for place in places.values()]
+    with Observer(*buses, health) as observer:
+        assert observer.listen(2 * PATIENCE_S, observer.is_right), health.wrong
+        yield command, observer, run_dir
+
+
+def stop(command: Command) -> None:
+    command.process.send_signal(signal.SIGINT)
+    status, output = command.finish()
+    assert status == 130, output
+
+
+def test_whoever_dies_comes_back_and_all_is_right_again(shell):
+    victims = ["record", "edge", "signal", "vehicle-0", "infra-0", "record"]
+    with observed(shell) as (command, observer, run_dir):
+        faults = []
+        for victim in victims:
+            faults.append(hurt_once(observer, run_dir, victim, patience_s=PATIENCE_S))
+            assert faults[-1].recovery_s is not None, faults[-1]
+        asked = set(observer.asked)
+    stop(command)
+    found = look_back(run_dir, 1.0, faults, [], asked)
+    assert (found.unsafe, found.damage, found.gaps) == ([], [], 2)
+    assert children_of(run_dir) == {}
+
+
+def test_a_lost_agents_cavs_move_to_the_others_and_newcomers_join(shell):
+    with observed(shell) as (command, observer, _):
+        place = command.process.args
+        buses = [word.removeprefix("--listen=") for word in place if "--listen=" in word]
+        connect = [f"--connect={bus}" for bus in buses]
+        joined = shell.start("up", "--only=vehicle-7", *connect, "--out=joined")
+        present = lambda: "vehicle-7" in observer.health.present()  # noqa: E731
+        assert observer.listen(PATIENCE_S, present), "vehicle-7 never came"
+        observer.health.doubt()
+        assert observer.listen(PATIENCE_S, observer.is_right), observer.health.wrong
+        joined.process.send_signal(signal.SIGINT)
+        assert joined.finish()[0] == 130
+        assert observer.listen(PATIENCE_S, lambda: not present())
+        observer.health.doubt()
+        assert observer.listen(PATIENCE_S, observer.is_right), observer.health.wrong
+    stop(command)
+
+
+def test_a_process_that_dies_all_the_time_ends_the_run(shell):
+    with observed(shell) as (command, observer, run_dir):
+        for _ in range(MAX_RESTARTS + 1):
+            number = processes_of(run_dir)["signal"]
+            os.kill(number, signal.SIGKILL)
+            observer.listen(
+                PATIENCE_S,
+                lambda number=number: (
+                    processes_of(run_dir)["signal"] != number or command.process.poll() is not None
+                ),
+            )
+    status, output = command.finish()
+    assert status == 1
+    assert "signal was killed by SIGKILL" in output.splitlines()[-1] or "last lines" in output
+    assert output.count("started again") == MAX_RESTARTS
+
+
+def test_the_worlds_death_ends_the_run_all_the_same(shell):
+    with observed(shell) as (command, _, run_dir):
+        os.kill(processes_of(run_dir)["sim"], signal.SIGKILL)
+        status, output = command.finish()
+    assert status == 1
+    assert "sim was killed by SIGKILL" in output
+    assert children_of(run_dir) == {}
+
+
+def test_a_recorder_that_dies_at_the_end_still_hears_of_it(shell):
+    command = shell.up(*REALTIME, "--duration=6", "--out=run")
+    run_dir = shell.folder / "run"
+    command.read_until("vehicles")
+    with_rows = run_dir / "run.sqlite"
+    wait_until(lambda: newest_frame(with_rows) > 50, 60)
+    os.kill(processes_of(run_dir)["record"], signal.SIGKILL)
+    status, output = command.finish()
+    assert status == 0, output
+    assert json.loads(shell.run("report", "run", "--json")[1])["ended"] == "finished"
+
+
+def newest_frame(database: Path) -> int:
+    with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as opened:
+        return opened.execute("SELECT max(frame) FROM frames").fetchone()[0] or 0
+
+
+def test_lockstep_runs_are_not_started_again(shell):
+    status, output = shell.up("--restart", "--out=run").finish()
+    assert (status, "--restart needs the wall clock" in output) == (2, True), output
+
+
+def test_so_many_restarts_in_so_much_time():
+    restarts = Restarts()
+    assert all(restarts.admits("edge", n) for n in range(MAX_RESTARTS))
+    assert not restarts.admits("edge", WITHIN_NS - 1)
+    assert restarts.admits("signal", 0)
+    assert restarts.admits("edge", WITHIN_NS)
+    assert not restarts.admits("edge", WITHIN_NS)

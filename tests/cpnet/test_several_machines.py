@@ -1,0 +1,185 @@
+"""Roles on hosts of their own: network namespaces on switches, uplinks shaped by `tc tbf`."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from cpnet.soak.faults import processes_of
+from protocol.errors import ConfigError
+from recorder.compare import differences
+from recorder.run import Run
+from sensing.link.path import on_air_bytes
+from tests.cpnet.city import City, Host
+from tests.cpnet.conftest import SMALL, Command, Shell
+from tests.waiting import wait_until
+
+pytestmark = pytest.mark.root
+
+UPLINK_MBPS = 5
+PATIENCE_S = 60.0
+STEADY_FRAMES = 5
+PLACES = {
+    "world": "sim,record",
+    "edge": "edge",
+    "signal": "signal",
+    "post": "infra",
+    "car-0": "vehicle-0",
+    "car-1": "vehicle-1",
+}
+FOREIGN_ROUTER = """
+import sys, zenoh
+session = zenoh.open(zenoh.Config.from_file(sys.argv[1]))
+print("ready", flush=True)
+sys.stdin.read()
+"""
+
+
+class Machines:
+    """Six hosts with a role each, and one more for a router that is not ours; keys for all."""
+
+    def __init__(self, shell: Shell, city: City) -> None:
+        self.folder = shell.folder
+        self.hosts: dict[str, Host] = {}
+        for place in (*PLACES, "router"):
+            shaped = place.startswith("car")
+            self.hosts[place] = city.host(place, f"{UPLINK_MBPS}mbit" if shaped else "")
+        self._shell = shell
+        self._v2x = "edge"
+        self._commands: dict[str, Command] = {}
+        addresses = [self.hosts[p].v2x for p in ("edge", "router")] + [self.hosts["world"].world]
+        hosts = [f"--host={address}" for address in addresses]
+        status, output = shell.run("keys", "keys", *hosts, "--router-config=router.json5")
+        assert status == 0, output
+
+    def up(self, *scenario: str, everywhere: tuple[str, ...] = ()) -> None:
+        """Starts all roles, each on its host."""
+        for place in PLACES:
+            more = ("t_junction", *SMALL, *scenario) if place == "world" else ()
+            self.up_on(place, *more, *everywhere)
+
+    def up_on(self, place: str, *more: str, out: str = "") -> None:
+        """Starts the roles of one host."""
+        buses = {"v2x": (self._v2x, 7447), "world": ("world", 7448)}
+        words = ["up", *more, f"--only={PLACES[place]}", "--keys=keys", f"--out={out or place}"]
+        for bus, (host, port) in buses.items():
+            address = getattr(self.hosts[host], bus)
+            words.append(f"--{'listen' if host == place else 'connect'}={bus}={address}:{port}")
+        self._commands[place] = self._shell.start(*words, within=self.hosts[place].namespace)
+
+    def start_router(self) -> subprocess.Popen[bytes]:
+        """Starts a Zenoh router that knows nothing of cpnet, and moves the V2X bus there."""
+        self._v2x = "router"
+        enter = ["ip", "netns", "exec", self.hosts["router"].namespace]
+        command = [*enter, sys.executable, "-c", FOREIGN_ROUTER, "router.json5"]
+        router = subprocess.Popen(
+            command, cwd=self.folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        assert router.stdout is not None
+        assert router.stdout.readline() == b"ready\n"
+        return router
+
+    def lose(self, place: str) -> None:
+        """Kills all that runs on a host."""
+        command = self._commands.pop(place)
+        command.process.kill()
+        command.process.communicate()
+
+    def finish(self) -> None:
+        """Waits until all have come to their end well."""
+        for place, command in self._commands.items():
+            status, output = command.finish(2 * PATIENCE_S)
+            assert status == 0, f"{place}: {output}"
+
+    def run_dir(self, place: str) -> Path:
+        return self.folder / place
+
+    def await_right(self) -> None:
+        """Waits for frames from now on that have all agents and led to a request."""
+        since_ns = time.monotonic_ns()
+        wait_until(lambda: self._right_frames(since_ns) >= STEADY_FRAMES, PATIENCE_S)
+
+    def _right_frames(self, since_ns: int) -> int:
+        sql = (
+            "SELECT count(*) FROM frames WHERE tick_ns > ? AND complete = 1 "
+            "AND agents > cavs AND request_ns NOT NULL"  # the post, and all CAVs
+        )
+        try:
+            with Run(self.run_dir("world")) as run:
+                return int(run.query(sql, since_ns)[0][0])
+        except ConfigError:  # the recorder has not begun
+            return 0
+
+
+@pytest.fixture
+def machines(shell: Shell) -> Iterator[Machines]:
+    with City() as city:
+        yield Machines(shell, city)
+        shell.stop_all()
+
+
+def test_roles_on_six_hosts_give_the_same_rows_as_on_one(machines: Machines, first_run: Path):
+    machines.up("--duration=8")
+    machines.finish()
+    assert differences(first_run, machines.run_dir("world")) == []
+
+
+def test_behind_a_router_that_is_not_ours_the_rows_are_the_same(
+    machines: Machines, first_run: Path
+):
+    with machines.start_router() as router:
+        machines.up("--duration=8")
+        machines.finish()
+        router.kill()
+    assert differences(first_run, machines.run_dir("world")) == []
+
+
+def test_scans_take_as_long_as_the_shaped_uplinks_say(machines: Machines):
+    larger = ("--set=lidar.vehicle.points_per_second=720000", "--set=edge.deadline_ms=400")
+    machines.up("--mode=realtime", "--duration=6", *larger)
+    machines.finish()
+    sql = (
+        "SELECT payload_bytes, received_ns - encode_end_ns FROM uploads "
+        "WHERE received_ns NOT NULL AND agent <> 'rsu-0'"
+    )
+    with Run(machines.run_dir("world")) as run:
+        uploads = run.query(sql)
+        errors_ns = {error_ns for (error_ns,) in run.query("SELECT error_ns FROM clocks")}
+    assert len(uploads) > 20
+    least = min(took_ns / (on_air_bytes(size) * 8e3 / UPLINK_MBPS) for size, took_ns in uploads)
+    assert least == pytest.approx(1, abs=0.15)
+    assert errors_ns == {0}  # hosts of one kernel have one clock
+
+
+def test_hosts_and_roles_come_and_go_while_the_world_goes_on(machines: Machines):
+    realtime = ("--mode=realtime", "--duration=45", "--set=edge.deadline_ms=300")
+    machines.up(*realtime, everywhere=("--restart",))
+    machines.await_right()
+    for place, process in (("edge", "edge"), ("signal", "signal"), ("world", "record")):
+        os.kill(processes_of(machines.run_dir(place))[process], signal.SIGKILL)
+        machines.await_right()
+    machines.lose("car-0")  # its CAVs go to the other host
+    machines.await_right()
+    machines.up_on("car-0", "--restart", out="car-0-again")
+    machines.await_right()
+    machines.finish()
+    with Run(machines.run_dir("world")) as run:
+        assert run.query("SELECT count(*) FROM gaps") == [(1,)]
+        assert run.meta["end_reason"] == "finished"
+
+
+def test_a_router_that_is_not_ours_may_die_and_come_back(machines: Machines):
+    realtime = ("--mode=realtime", "--duration=20", "--set=edge.deadline_ms=300")
+    with machines.start_router() as router:
+        machines.up(*realtime)
+        machines.await_right()
+        router.kill()
+    with machines.start_router() as router:
+        machines.await_right()
+        machines.finish()
+        router.kill()
