@@ -1,0 +1,358 @@
+"""What senders can fill: stuffed with all that a hostile one could say, and measured."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fuzz_watch import forget_peak, peak_kib
+
+from cpnet.watch import MAX_SEEN, Watch
+from edge_server import gathering
+from edge_server.assembler import MAX_OPEN_FRAMES, MAX_PROCESSES, Assembler
+from edge_server.bandwidth import MAX_AGENTS as MAX_BANDWIDTHS
+from edge_server.bandwidth import Bandwidth
+from edge_server.frame import Frame, Piece
+from edge_server.opening import PER_THREAD, Opener
+from edge_server.plausibility import MOST_DOUBTS
+from edge_server.role import _arrivals, _told, _waits
+from edge_server.sites import MAX_AGENTS as MAX_SITES
+from edge_server.sites import Sites
+from perception.parallel import threads
+from protocol import messages as m
+from protocol.errors import MessageError
+from protocol.horizon import AHEAD
+from protocol.inbox import CAPACITY, CAPACITY_BYTES, MAX_KEY, Inbox, Presence, Sealed
+from protocol.local import LocalNetwork
+from protocol.messages import MAX_ITEMS
+from protocol.process import Context
+from protocol.roadmap import RoadMap, Signal
+from protocol.topics import TOPICS, BusName
+from protocol.wire import encode
+from recorder.database import MAX_PENDING_ROWS
+from recorder.drops import MAX_PROCESSES as MAX_RECORDED
+from recorder.drops import MAX_REASONS, Drops
+from recorder.glance import MAX_AGENTS as MAX_GLANCED
+from recorder.ledger import MAX_ENTRIES, MAX_WIRED
+from recorder.pulse import OPEN_FRAMES
+from recorder.role import RecordRole
+from sensing.upload.plans import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES, Plans
+from sim_host.fleet import MAX_PROCESSES as MAX_HOSTS
+from sim_host.fleet import Fleet
+from sim_host.roll_call import RollCall
+
+LONG = "x" * 120  # of an agent's id
+KEY = "cpnet/v1/r0/roster/p"
+
+
+class Growth:
+    """How much more memory the process had at most than when this began."""
+
+    def __enter__(self) -> Growth:
+        forget_peak()
+        self._before_kib = peak_kib()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.mib = (peak_kib() - self._before_kib) / 1024
+
+
+def pose(agent: str, frame: int = 0) -> m.AgentPose:
+    return m.AgentPose(
+        frame=frame,
+        sim_time_ns=frame,
+        agent=agent,
+        equipment=m.Equipment.CAV,
+        pose=np.zeros(6),
+        length_m=4.5,
+        width_m=1.8,
+        height_m=1.5,
+        position_std_m=0.05,
+    )
+
+
+def objects(agent: str, boxes: int, frame: int = 0) -> m.Objects:
+    return m.Objects(
+        frame=frame,
+        sim_time_ns=frame,
+        agent=agent,
+        boxes=np.ones((boxes, 7), np.float32),
+        scores=np.ones(boxes, np.float32),
+        sense_start_ns=1,
+        sense_end_ns=1,
+        detect_end_ns=1,
+    )
+
+
+def piece(agent: str, frame: int = 0) -> Piece:
+    points = np.zeros((0, 3), np.float32)
+    late_ns = 1 << 60
+    return Piece(
+        frame, frame, agent, 0, 1, np.zeros(6), points, late_ns, late_ns, late_ns, returns=1
+    )
+
+
+def metrics(process: str, frame: int, spans: int, agents: int = 0) -> m.Metrics:
+    span = m.Span(stage="s", start_ns=1, end_ns=2)
+    uploads = [
+        m.Upload(
+            agent=f"{n}", chunk=0, points=1, payload_bytes=1, sense_start_ns=1, sense_end_ns=1,
+            encode_end_ns=1, sent_ns=1,
+        )
+        for n in range(agents)
+    ]  # fmt: skip
+    wire = [m.WireCount(agent=f"{n}", frame=frame, sent_bytes=1) for n in range(agents)]
+    return m.Metrics(
+        process=process,
+        frame=frame,
+        sim_time_ns=frame,
+        spans=[span] * spans,
+        uploads=uploads,
+        wire=wire,
+        drops={f"reason {n}": 1 for n in range(200)},
+    )
+
+
+def test_an_inbox_holds_no_more_than_its_bytes():
+    inbox = Inbox()
+    with Growth() as growth:
+        for _ in range(6000):
+            inbox.put(Sealed(TOPICS["roster"], KEY, bytes(1 << 17), 0))
+    assert inbox._queue.qsize() == CAPACITY_BYTES >> 17
+    assert growth.mib < (CAPACITY_BYTES >> 20) + 8
+
+
+def test_an_inbox_holds_no_more_than_its_messages_whatever_their_keys():
+    inbox = Inbox()
+    inbox.limit("roster", 4)
+    with Growth() as growth:
+        for number in range(3 * CAPACITY):
+            key = f"{KEY}{number:01000}"
+            inbox.put(Sealed(TOPICS["roster"], key, b"", 0))
+            inbox.put(Presence("edge", f"{number:0100}", alive=True))
+            inbox.put(Sealed(TOPICS["roster"], key * 9, b"", 0))
+        assert inbox._queue.qsize() == CAPACITY
+        assert len(inbox._waiting) <= CAPACITY
+        while inbox._queue.qsize():
+            inbox.get()
+    assert len(inbox._told) <= CAPACITY
+    assert len(inbox.drops) < 8
+    assert growth.mib < CAPACITY * MAX_KEY >> 20
+
+
+def stuffed_frames(assembler: Assembler) -> None:
+    for frame in range(2 * MAX_OPEN_FRAMES):
+        for process in range(40):
+            agents = [f"{process}-{n}" for n in range(MAX_ITEMS)]
+            assembler.add_roster(
+                m.Roster(frame=frame, process=f"{process}", agents=[], scanning=agents), 5
+            )
+        for n in range(3000):
+            assembler.add_pose(pose(f"{n}{LONG}", frame), 5)
+            assembler.add_piece(piece(f"{n}{LONG}", frame))
+        for n in range(30):
+            assembler.add_objects(objects(f"{n}{LONG}", MAX_ITEMS // 8, frame), 5)
+
+
+def test_an_edge_gathers_no_more_than_a_few_frames_of_so_many_agents():
+    assembler = Assembler(wait_ns=1, expected={"vehicle-0": "vehicle"})
+    with Growth() as growth:
+        for number in range(5000):
+            assembler.hear(f"{number}", "vehicle", alive=True)
+        stuffed_frames(assembler)
+    assert len(assembler._alive) <= MAX_PROCESSES + 1
+    assert len(assembler._roles) <= MAX_PROCESSES + 1
+    assert assembler.drops["too_many_processes"] == 5000 - MAX_PROCESSES
+    assert len(assembler._open) <= MAX_OPEN_FRAMES
+    for part in assembler._open.values():
+        named = sum(len({*r.agents, *r.scanning}) for r in part.rosters.values())
+        assert named <= gathering.MAX_AGENTS
+        assert len(part.poses) <= gathering.MAX_AGENTS
+        assert len(part.pieces) <= gathering.MAX_PIECES
+        assert sum(len(one.objects.boxes) for one in part.found.values()) <= gathering.MAX_BOXES
+    assert growth.mib < 128
+
+
+def test_processes_that_come_and_go_leave_nothing_behind():
+    assembler = Assembler(wait_ns=1, expected={"vehicle-0": "vehicle"})
+    for number in range(5000):
+        for alive in (True, False):
+            assembler.hear(f"{number}", "vehicle", alive=alive)
+    assert (len(assembler._roles), len(assembler._alive)) == (1, 0)
+
+
+def test_what_is_said_of_the_fullest_frame_fits_into_its_messages():
+    part = gathering.Gathering(0, Assembler(wait_ns=1, expected={}).drops)
+    for n in range(4000):
+        part.add_piece(piece(f"{n}{LONG}"))
+        part.add_pose(pose(f"p{n}{LONG}"))
+    names = part.named()
+    assert len(names) == gathering.MAX_AGENTS
+    frame = Frame(0, 0, names, [], [*part.pieces.values()], complete=True, first_ns=0, ready_ns=1)
+    told = _told(frame)
+    spans, arrivals = _waits(told), _arrivals(told)
+    doubts = [
+        m.Doubt(agent=name, score=0.1, believed=False, motion=1, place=1, ground=1, mutual=0.1)
+        for name in names[:MOST_DOUBTS]
+    ]
+    said = m.Metrics(
+        process="edge", frame=0, sim_time_ns=0, spans=spans, arrivals=arrivals, doubts=doubts
+    )
+    assert len(encode(said)) > 1 << 16
+    assert 300 < len(told.pieces) < len(frame.pieces)
+    few = Frame(0, 0, names, [], frame.pieces[:200], complete=True, first_ns=0, ready_ns=1)
+    assert _told(few).pieces == few.pieces
+    lidar, own = ["lidar"] * gathering.MAX_BOXES, names
+    found = m.Detections(
+        frame=0,
+        sim_time_ns=0,
+        agents=names,
+        boxes=np.zeros((len(lidar + own), 7), np.float32),
+        scores=np.zeros(len(lidar + own), np.float32),
+        lanes=["approach_of_the_east_0"] * len(lidar + own),
+        distances_m=np.zeros(len(lidar + own), np.float32),
+        sources=lidar + own,
+    )
+    assert len(encode(found)) > 1 << 17
+
+
+def test_an_edge_opens_no_more_scans_than_its_threads_need():
+    gate = threading.Event()
+
+    def open_scan(scan: m.Scan, received_ns: int) -> Piece:
+        gate.wait(10)
+        return piece(scan.agent)
+
+    opener = Opener(open_scan)
+    scan = m.Scan(
+        frame=0, sim_time_ns=0, agent="a", chunk=0, chunks=1, points=0, sensor_pose=np.zeros(6),
+        sense_start_ns=1, sense_end_ns=1, encode_end_ns=1, payload=np.zeros(9, np.uint8),
+    )  # fmt: skip
+    try:
+        for _ in range(PER_THREAD * threads()):
+            opener.put(scan, 1)
+        gate.set()
+        for _ in range(100):
+            opener.put(scan, 1)
+        assert len(opener) <= PER_THREAD * threads()
+    finally:
+        gate.set()
+        opener.close()
+
+
+def test_an_edge_remembers_no_more_agents_than_it_serves():
+    sites, bandwidth = Sites(), Bandwidth()
+    for n in range(3000):
+        sites.hear(pose(f"{n}"))
+        bandwidth.heard(f"{n}", 1, 100_000, sent_ns=1, received_ns=2)
+    assert len(sites._sites) == MAX_SITES
+    assert len(bandwidth._histories) == MAX_BANDWIDTHS
+
+
+def test_an_agent_keeps_the_plans_of_a_few_frames():
+    plans = Plans()
+    for frame in range(500):
+        plans.hear(
+            m.Plan(
+                frame=frame,
+                agent="a",
+                mbps=1,
+                enough=-1,
+                agents=[f"{n}" for n in range(MAX_ITEMS)],
+                sites=np.zeros((MAX_ITEMS, 2)),
+                weights_m2=np.zeros((MAX_ITEMS, 3)),
+            ),
+            frame=frame // 2,
+            arrival_sim_ns=0,
+        )
+        assert len(plans._heard) <= MAX_AGE_FRAMES + MAX_AHEAD_FRAMES + 1
+
+
+def test_the_world_counts_the_processes_it_expects_and_a_few_more():
+    roll_call, fleet = RollCall(["edge", "record"], 60), Fleet()
+    for n in range(5000):
+        roll_call.hear(Presence("vehicle", f"{n}", alive=True, bus=BusName.WORLD))
+        fleet.join(f"{n}")
+    roll_call.hear(Presence("edge", "edge", alive=True, bus=BusName.WORLD))
+    assert len(roll_call._here) == 1
+    assert len(fleet.processes) == MAX_HOSTS
+
+
+def test_whoever_watches_remembers_so_many_processes():
+    watch = Watch.__new__(Watch)
+    watch.present, watch.left, watch._tally = set(), set(), None
+    for n in range(5000):
+        watch._take(Presence("vehicle", f"{n}", alive=True))
+        watch._take(Presence("vehicle", f"{n}", alive=bool(n % 2)))
+    assert len(watch.present | watch.left) == MAX_SEEN
+
+
+@pytest.fixture
+def recorder(tmp_path: Path) -> RecordRole:
+    signal = Signal(tls="t", links=[], conflicts=[], plan=[])
+    setup = m.Setup(
+        scenario={"name": "t", "frame_period_s": 0.1},
+        road_map=RoadMap(name="t", centre=(0, 0, 0), lanes=[], signal=signal, junction=[]),
+        vehicle_types=[],
+        meshes=[],
+        mesh_vertices=np.zeros((0, 3), np.float32),
+        mesh_triangles=np.zeros((0, 3), np.int32),
+    )
+    bus = LocalNetwork(BusName.WORLD).bus(Inbox())
+    context = Context("record", setup, tmp_path, bus, bus, Inbox(), threading.Event(), lambda: bus)
+    return RecordRole(context)
+
+
+def test_a_recorder_keeps_so_much_of_each_frame_and_writes_the_rest(recorder: RecordRole):
+    try:
+        with Growth() as growth:
+            for n in range(1500):
+                message = metrics(f"{n}", n % 8, spans=100, agents=0)
+                try:
+                    recorder._on_metrics(message, 1)
+                except MessageError:
+                    recorder._drops = Drops()
+                if recorder._database.is_full:
+                    recorder._database.commit()
+                assert recorder._database.pending_rows <= MAX_PENDING_ROWS + 100
+        notes = recorder._ledger._notes.values()
+        assert max(note.entries for note in notes) <= MAX_ENTRIES
+        assert len(notes) <= 2 * OPEN_FRAMES + 1
+        assert growth.mib < 128
+    finally:
+        recorder.close()
+
+
+def test_a_recorder_knows_so_many_processes_and_agents(recorder: RecordRole):
+    try:
+        for n in range(2 * MAX_RECORDED):
+            reading = m.ClockReading(process=f"{n}", offset_ns=0, error_ns=0)
+            for take, message in (
+                (recorder._on_clock, reading),
+                (recorder._on_metrics, metrics(f"{n}", n % OPEN_FRAMES, spans=1)),
+            ):
+                known = recorder._clocks if take == recorder._on_clock else recorder._drops._counts
+                if len(known) < MAX_RECORDED:
+                    take(message, 1)
+                else:
+                    with pytest.raises(MessageError, match="one process more"):
+                        take(message, 1)
+        recorder._on_metrics(metrics("0", 1, spans=0, agents=3000), 1)
+        known = recorder._drops._counts
+        assert len(recorder._clocks) == len(known) == MAX_RECORDED
+        assert max(len(counts.total) for counts in known.values()) == MAX_REASONS
+        assert len(recorder._glance.payload_bytes) == MAX_GLANCED
+        assert len(recorder._ledger.note(1).wire) == MAX_WIRED
+        assert len(encode(recorder._glance.report(1, 0))) < m.Progress.max_header_bytes
+    finally:
+        recorder.close()
+
+
+def test_absurd_frames_open_nothing():
+    assembler = Assembler(wait_ns=1, expected={})
+    assembler.add_pose(pose("a", 0), 5)
+    for frame in range(AHEAD + 1, 5000):
+        assembler.add_pose(pose("a", frame), 5)
+    assert list(assembler._open) == [0]
