@@ -17,6 +17,7 @@ from cpnet.endpoints import Endpoints, connecting
 from cpnet.exporter.server import Place, serving
 from cpnet.follow import Attendant, Interruption
 from cpnet.processes import choose, processes_of, relays_of
+from cpnet.running import noted
 from cpnet.security import check_keys, secured
 from cpnet.supervisor import Supervisor
 from perception.registry import check
@@ -94,6 +95,7 @@ def up(options: Options, console: Console) -> tuple[int, Path]:
         serving(place) as tally,
         Interruption() as interruption,
         netns.cleaned_up(scenario, relays),
+        noted(run_dir, endpoints, options.keys),
         Supervisor(run_dir, endpoints, options.log, options.keys) as supervisor,
     ):
         if tally is not None:

@@ -179,7 +179,7 @@ class EdgeRole:
             self._planner.bandwidth.heard(
                 scan.agent,
                 scan.frame,
-                came.size_bytes,
+                len(came.data),
                 sent_ns=scan.encode_end_ns,
                 received_ns=came.received_ns,
             )

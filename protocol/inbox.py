@@ -23,13 +23,13 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Envelope:
-    """A message with its topic's name, the parts of its key and when its bytes arrived."""
+    """A message with its topic's name, the parts of its key, when it arrived, and as it came."""
 
     topic: str
     parts: dict[str, str]
     message: Message
     received_ns: int
-    size_bytes: int
+    data: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,8 +219,7 @@ class Inbox:
         except ProtocolError as error:
             self.refuse(sealed.key, error)
             return None
-        size = len(sealed.data)
-        return Envelope(sealed.topic.name, parts, message, sealed.received_ns, size)
+        return Envelope(sealed.topic.name, parts, message, sealed.received_ns, sealed.data)
 
 
 _Place = tuple[str, str]

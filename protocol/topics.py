@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache
 from urllib.parse import quote, unquote
@@ -101,20 +101,21 @@ def _process_place(template: str) -> int | None:
     return names.index("{process}") if "{process}" in names else None
 
 
-def _table(*rows: Topic) -> dict[str, Topic]:
-    return {row.name: row for row in rows}
-
-
 _W, _V = BusName.WORLD, BusName.V2X
 _B, _P, _T = Delivery.BULK, Delivery.PROMPT, Delivery.TELEMETRY
 
 _AGENTS = frozenset({"vehicle", "infra"})
 _SIM, _EDGE, _SIGNAL, _RECORD = (frozenset({r}) for r in ("sim", "edge", "signal", "record"))
-_WATCH = frozenset({"watch"})  # whoever looks on, such as the supervisor
+_ONLOOKERS = frozenset({"watch", "tape"})  # whoever looks on and hears all: viewers, the supervisor
 _RELAY = frozenset({"relay"})
 _ALL = _AGENTS | _SIM | _EDGE | _SIGNAL | _RECORD
-ROLES = _ALL | _WATCH | _RELAY
+ROLES = _ALL | _ONLOOKERS | _RELAY
 """Whoever may be on a bus."""
+
+
+def _table(*rows: Topic) -> dict[str, Topic]:
+    return {row.name: replace(row, hearers=row.hearers | _ONLOOKERS) for row in rows}
+
 
 TOPICS = _table(
     Topic("setup", "world/setup", m.Setup, _W, _B, _SIM, ROLES),
@@ -122,8 +123,8 @@ TOPICS = _table(
     Topic("truth", "world/truth", m.Truth, _W, _B, _SIM, _RECORD),
     Topic("sighting", "world/sighting/{agent}", m.Sighting, _W, _B, _AGENTS, _RECORD),
     Topic("trips", "world/trips", m.Trips, _W, _B, _SIM, _RECORD),
-    Topic("end", "world/end", m.End, _W, _B, _SIM, _AGENTS | _RELAY | _RECORD | _WATCH),
-    Topic("progress", "world/progress", m.Progress, _W, _T, _RECORD, _WATCH),
+    Topic("end", "world/end", m.End, _W, _B, _SIM, _AGENTS | _RELAY | _RECORD),
+    Topic("progress", "world/progress", m.Progress, _W, _T, _RECORD, _ONLOOKERS),
     Topic("time", "world/time", m.TimeReply, _W, _P, _SIM, ROLES),
     Topic("clock", "world/clock/{process}", m.ClockReading, _W, _T, _ALL | _RELAY, _RECORD),
     Topic("state", "signal/{tls}/state", m.SignalState, _V, _P, _SIM, _EDGE | _SIGNAL | _RECORD),
@@ -144,7 +145,7 @@ TOPICS = _table(
     Topic("detections", "{region}/detections", m.Detections, _V, _P, _EDGE, _RECORD),
     Topic("lanes", "{region}/lanes/{tls}", m.LaneCounts, _V, _P, _EDGE, _SIGNAL | _RECORD),
     # Measuring must not load the network.
-    Topic("metrics", "metrics/{process}", m.Metrics, _W, _T, _ALL, _RECORD | _WATCH),
+    Topic("metrics", "metrics/{process}", m.Metrics, _W, _T, _ALL, _RECORD),
 )
 """All topics by name. Liveliness tokens stand at `alive/{role}/{id}` on both buses."""
 
@@ -155,7 +156,7 @@ ALIVE = f"{PREFIX}/alive"
 ALIVE_IN_ANY = "cpnet/*/alive/*/*"
 """The tokens of any version of the protocol."""
 
-LOOKERS = {BusName.WORLD: _SIM | _WATCH, BusName.V2X: _SIM | _EDGE | _WATCH}
+LOOKERS = {BusName.WORLD: _SIM | _ONLOOKERS, BusName.V2X: _SIM | _EDGE | _ONLOOKERS}
 """Who sees, on each bus, which processes are there."""
 
 MAX_NAME = 128  # characters of a role or of an id, as in messages

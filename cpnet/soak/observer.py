@@ -1,4 +1,4 @@
-"""Listens to both buses of a run, as a process of its own that disturbs nobody."""
+"""Listens to both buses of a run and keeps account of whether all is right."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ import time
 from collections.abc import Callable
 
 from cpnet.soak.health import Health
-from protocol.bus import Endpoint, open_bus
-from protocol.inbox import Envelope, Inbox
+from protocol.bus import Endpoint
+from protocol.inbox import Envelope
 from protocol.messages import SignalRequest
-from protocol.topics import BusName
+from protocol.onlooker import Onlooker
 
-WORLD_TOPICS = ("tick",)
-V2X_TOPICS = ("lanes", "state", "request")
-POLL_S = 0.05
+TOPICS = ("tick", "lanes", "state", "request")
 
 
 class Observer:
@@ -27,30 +25,17 @@ class Observer:
         """
         self.health = health
         self.asked: set[int] = set()
-        self._inbox = Inbox()
-        self._buses = [
-            open_bus(name, endpoint, self._inbox)
-            for name, endpoint in ((BusName.V2X, v2x), (BusName.WORLD, world))
-        ]
-        for bus, topics in zip(self._buses, (V2X_TOPICS, WORLD_TOPICS), strict=True):
-            for topic in topics:
-                bus.subscribe(topic)
-            bus.watch()
+        self._onlooker = Onlooker(v2x, world, TOPICS)
 
     def __enter__(self) -> Observer:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        for bus in self._buses:
-            bus.close()
+    def __exit__(self, *details: object) -> None:
+        self._onlooker.__exit__(*details)
 
     def listen(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
         """Takes what comes for so long, or until that holds; returns whether it held."""
-        end_ns = time.monotonic_ns() + round(seconds * 1e9)
-        while time.monotonic_ns() < end_ns:
-            item = self._inbox.get(POLL_S)
-            if item is None:
-                continue
+        for item in self._onlooker.listen(seconds):
             if isinstance(item, Envelope) and isinstance(item.message, SignalRequest):
                 self.asked.add(item.message.frame)
             self.health.hear(item, time.monotonic_ns())

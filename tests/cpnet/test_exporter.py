@@ -21,7 +21,7 @@ MS = 1_000_000
 
 
 def envelope(message: m.Message) -> Envelope:
-    return Envelope("any", {}, message, 0, 0)
+    return Envelope("any", {}, message, 0, b"")
 
 
 def metrics(process: str = "edge", **fields) -> Envelope:

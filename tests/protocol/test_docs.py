@@ -5,6 +5,7 @@ from pathlib import Path
 
 from protocol.topics import ASKED, ROLES, TOPICS
 
+ONLOOKERS = frozenset({"watch", "tape"})
 PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
 
 
@@ -29,5 +30,5 @@ def test_the_topic_table_of_the_page_is_that_of_the_code():
 
 def roles(cell: str) -> frozenset[str]:
     """Reads a cell of the table: roles, or a word for several."""
-    several = {"all": ROLES, "agents": frozenset({"vehicle", "infra"})}
+    several = {"all": ROLES, "agents": frozenset({"vehicle", "infra"}), "onlookers": ONLOOKERS}
     return frozenset().union(*(several.get(name, {name}) for name in cell.split(", ")))

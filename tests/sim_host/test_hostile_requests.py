@@ -52,7 +52,7 @@ class Kerb:
     def hear(self, request: SignalRequest) -> None:
         self.heard += 1
         if self.cabinet.refuse(request, self.now_ns) is None:
-            self.pending.add(Envelope("request", {}, request, 0, 0), request)
+            self.pending.add(Envelope("request", {}, request, 0, b""), request)
             self.act()
 
     def act(self) -> None:

@@ -21,7 +21,7 @@ def add(pending: Pending, sim_time_ns: int, delay_ns: int | None = None, state: 
         policy="test",
         delay_sim_ns=delay_ns,
     )
-    pending.add(Envelope("request", {}, request, 0, 0), request)
+    pending.add(Envelope("request", {}, request, 0, b""), request)
 
 
 def take(

@@ -26,4 +26,4 @@ def test_a_tick_with_an_unknown_type_of_vehicle_is_refused() -> None:
     role = VehicleRole.__new__(VehicleRole)
     role._types = {}
     with pytest.raises(MessageError, match="zeppelin"):
-        role.on(Envelope("tick", {}, tick, 0, 0))
+        role.on(Envelope("tick", {}, tick, 0, b""))

@@ -32,7 +32,7 @@ class Loop:
             self.health.hear(Presence("role", process, alive, bus), 0)
 
     def say(self, topic: str, message: m.Message) -> None:
-        self.health.hear(Envelope(topic, {}, message, 0, 0), self.frame)
+        self.health.hear(Envelope(topic, {}, message, 0, b""), self.frame)
 
     def play(self, agents: list[str], cavs: list[str], *, complete: bool = True) -> None:
         kinds, hosts = np.ones(len(cavs), np.uint8), np.zeros(len(cavs), np.int32)

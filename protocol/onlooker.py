@@ -1,0 +1,104 @@
+"""Listening to a running system from outside: both buses, nothing said, nobody disturbed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterable, Iterator
+
+from protocol.bus import CONNECT_TIMEOUT_MS, Endpoint, ZenohBus, open_bus
+from protocol.errors import BusError
+from protocol.inbox import Envelope, Inbox, Presence
+from protocol.messages import Setup
+from protocol.topics import ASKED, TOPICS, BusName
+
+ALL_TOPICS = frozenset(TOPICS) - ASKED
+_ASK_S = 2.0
+_CLOSE_S = 1.0
+_POLL_S = 0.1
+
+
+class Onlooker:
+    """Hears what it asked for, presence included; a context manager.
+
+    It may come and go at any time: no process waits for it or knows of it. What it is too slow for
+    is dropped at its own inbox, and counted there.
+    """
+
+    def __init__(
+        self,
+        v2x: Endpoint,
+        world: Endpoint,
+        topics: Iterable[str] = ALL_TOPICS,
+        *,
+        inbox: Inbox | None = None,
+        timeout_ms: int = CONNECT_TIMEOUT_MS,
+    ) -> None:
+        """Connects.
+
+        Args:
+            v2x: where that bus is.
+            world: the same of the other one.
+            topics: names in the topic table.
+            inbox: one with limits of its own, for who cannot take all that comes.
+            timeout_ms: how long the buses may take to answer.
+
+        Raises:
+            BusError: a bus is not there.
+        """
+        self.inbox = Inbox() if inbox is None else inbox
+        self._buses: dict[BusName, ZenohBus] = {}
+        try:
+            for name, endpoint in ((BusName.V2X, v2x), (BusName.WORLD, world)):
+                self._buses[name] = open_bus(name, endpoint, self.inbox, timeout_ms)
+        except BusError:
+            self._hang_up()
+            raise
+        self._world = world
+        for topic in sorted(topics):
+            self._buses[TOPICS[topic].bus].subscribe(topic)
+        for bus in self._buses.values():
+            bus.watch()
+
+    def __enter__(self) -> Onlooker:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._hang_up()
+
+    def setup(self, patience_s: float = 10.0) -> Setup:
+        """Returns what every process was given before the first frame.
+
+        Raises:
+            BusError: the world's host did not say in time.
+            ProtocolError: what it said is no setup.
+        """
+        until_ns = time.monotonic_ns() + round(patience_s * 1e9)
+        while time.monotonic_ns() < until_ns:
+            if found := self._buses[BusName.WORLD].ask("setup", Setup, _ASK_S):
+                return found
+        raise BusError(f"{self._world.locator} is up, but nobody there tells the setup of a run")
+
+    def next(self, timeout_s: float = _POLL_S) -> Envelope | Presence | None:
+        """Returns what came next, None if nothing did in time."""
+        return self.inbox.get(timeout_s)
+
+    def listen(self, seconds: float) -> Iterator[Envelope | Presence]:
+        """Yields what comes, for so long."""
+        end_ns = time.monotonic_ns() + round(seconds * 1e9)
+        while (left_ns := end_ns - time.monotonic_ns()) > 0:
+            if (item := self.next(min(_POLL_S, left_ns / 1e9))) is not None:
+                yield item
+
+    def announce(self, role: str, process_id: str) -> None:
+        """Shows this process to the others, for those that are to be waited for."""
+        for bus in self._buses.values():
+            bus.announce(role, process_id)
+
+    def _hang_up(self) -> None:
+        """Closes both buses; a router may be gone already, and nobody is to wait for it."""
+        closing = [threading.Thread(target=bus.close, daemon=True) for bus in self._buses.values()]
+        for thread in closing:
+            thread.start()
+        for thread in closing:
+            thread.join(_CLOSE_S)
