@@ -126,7 +126,6 @@ class Attendant:
             watch.await_end(OVERTAKEN_S)
 
     def _revive(self) -> None:
-        self.supervisor.tend()
         for death in self.supervisor.revive():
             self.console.print(f"{death.id} {death.how}; started again", markup=False)
             if self.tally is not None:

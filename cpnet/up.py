@@ -16,6 +16,7 @@ from cpnet import scenario as scenarios
 from cpnet.endpoints import Endpoints, connecting
 from cpnet.exporter.server import Place, serving
 from cpnet.follow import Attendant, Interruption
+from cpnet.nursery import prepare
 from cpnet.processes import choose, processes_of, relays_of
 from cpnet.running import noted
 from cpnet.security import check_keys, secured
@@ -72,6 +73,8 @@ def up(options: Options, console: Console) -> tuple[int, Path]:
             f"{', '.join(options.overrides)}: the scenario is decided where the role sim runs"
         )
     run_dir = _make_run_dir(options.out, asked.name if asked else str(choice))
+    modules = [f"{row.module}.role" for row in choice.roles]
+    prepare(modules, run_dir / "logs" / "nursery.log")  # imports while the setup is being made
     try:
         setup, scenario = _setup(asked, endpoints, run_dir)
         if PLAYERS.intersection(names):

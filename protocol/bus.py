@@ -73,6 +73,9 @@ class Bus(Protocol):
     def watch(self) -> None:
         """Asks for the presence of all processes, those already there included."""
 
+    def router(self) -> str:
+        """Returns which router this bus is connected to now, by a name; empty if to none."""
+
     def wire_bytes(self) -> int:
         """Returns the bytes that TCP has sent for this bus, 0 if it is not one connection."""
 
@@ -194,6 +197,10 @@ class ZenohBus:
         key = self._topic(topic_name).key()
         queryable = self._session.declare_queryable(key, lambda query: query.reply(key, make()))
         self._kept.append(queryable)
+
+    def router(self) -> str:
+        """See `Bus.router`; who hosts it is connected to none."""
+        return ",".join(sorted(str(zid) for zid in self._session.info.routers_zid()))
 
     def wire_bytes(self) -> int:
         """See `Bus.wire_bytes`."""
