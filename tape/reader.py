@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from mcap.records import Attachment, Channel, Message, Metadata
+from mcap.records import Attachment, Channel, DataEnd, Message, Metadata
 
 from protocol.errors import ConfigError, ProtocolError
 from protocol.files import is_file, is_folder
@@ -56,10 +56,13 @@ class Tape:
     def _heard_in(self, file: Path, wanted: frozenset[str]) -> Iterator[Envelope]:
         channels: dict[int, tuple[Topic, str] | None] = {}
         inbox = Inbox()
+        is_cut = True
         try:
             for record in read_records(file):
                 if isinstance(record, Channel):
                     channels[record.id] = _native(record, wanted)
+                elif isinstance(record, DataEnd):
+                    is_cut = False
                 elif isinstance(record, DamageError):
                     self._count("damaged")
                 elif isinstance(record, Message):
@@ -74,6 +77,7 @@ class Tape:
             raise ConfigError(f"{file} cannot be read: {error}") from None
         finally:
             self.drops += inbox.drops
+        self.is_whole = self.is_whole and not is_cut
 
     def _count(self, reason: str) -> None:
         self.drops[reason] += 1
