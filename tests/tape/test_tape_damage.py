@@ -96,6 +96,15 @@ def test_a_tape_cut_anywhere_gives_all_complete_chunks(at):
     check_cut(at)
 
 
+def test_a_file_that_had_no_time_to_begin_is_passed_over(tmp_path):
+    for number, data in enumerate([b"", TAPE, TAPE[:5], TAPE[: SETUP_END - 1], TAPE], 1):
+        (tmp_path / f"run-{number}.mcap").write_bytes(data)
+    tape = Tape(tmp_path)
+    assert same(tape.heard(), HEARD + HEARD)
+    assert encode(tape.setup) == encode(setup())
+    assert not tape.is_whole
+
+
 def test_a_damaged_chunk_alone_is_left_out():
     end = CHUNKS[3][0]
     tape, found = read(TAPE[: end - 20] + bytes(20) + TAPE[end:])
