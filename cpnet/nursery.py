@@ -95,7 +95,7 @@ def start(module: str, arguments: list[str], log: Path) -> Offspring:
 
 @contextmanager
 def _printing_to(log: Path) -> Iterator[None]:
-    """Has what is started meanwhile print to a file: who reads from us need not wait for its end."""
+    """Has what is started meanwhile print to a file, so that who reads from us sees our end."""
     kept = [os.dup(stream) for stream in (1, 2)]
     written = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
     try:
