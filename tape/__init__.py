@@ -1,0 +1,1 @@
+"""What was heard on both buses, kept as MCAP files that survive a kill, and read back."""

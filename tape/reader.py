@@ -1,0 +1,131 @@
+"""The reading side: a tape, whole, cut off or still being written."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from protocol.errors import ConfigError, ProtocolError
+from protocol.files import is_file, is_folder
+from protocol.inbox import Envelope, Inbox, Sealed
+from protocol.messages import Setup
+from protocol.topics import TOPICS, Topic
+from protocol.wire import decode
+from tape.library import Attachment, Channel, Message, Metadata
+from tape.names import ENCODING, FACTS, SETUP, STEM, TOPIC, files_in
+from tape.records import MAGIC, DamageError, is_complete, read_records
+
+
+class Tape:
+    """What was heard in a run.
+
+    `files` are read in their order: a run has several if its tape was started again or grew long.
+    `drops` counts, by reason, what could not be read so far.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Opens a file, or all of a run folder.
+
+        Raises:
+            ConfigError: it is no tape, or its beginning is damaged.
+        """
+        self.path = path
+        self.files = _files(path)
+        self.drops: Counter[str] = Counter()
+        ends = [_has_end(file) for file in self.files]
+        self.is_whole = all(ends)
+        """Whether each file was closed, and nothing in what was read so far is damaged."""
+        self.facts: dict[str, str] = {}
+        self.setup = self._read_setup()
+
+    def heard(self, topics: Iterable[str] | None = None) -> Iterator[Envelope]:
+        """Yields the messages of these topics, or of all, in the order in which they came.
+
+        `received_ns` is that of the process that taped. All that is in complete chunks comes; what
+        cannot be read is left out and counted in `drops`.
+
+        Raises:
+            ConfigError: a file cannot be read.
+        """
+        wanted = frozenset(TOPICS if topics is None else topics)
+        for file in self.files:
+            yield from self._heard_in(file, wanted)
+
+    def _heard_in(self, file: Path, wanted: frozenset[str]) -> Iterator[Envelope]:
+        channels: dict[int, tuple[Topic, str] | None] = {}
+        inbox = Inbox()
+        try:
+            for record in read_records(file):
+                if isinstance(record, Channel):
+                    channels[record.id] = _native(record, wanted)
+                elif isinstance(record, DamageError):
+                    self._count("damaged")
+                elif isinstance(record, Message):
+                    if record.channel_id not in channels:
+                        self._count("unknown_channel")
+                    elif (channel := channels[record.channel_id]) is not None:
+                        inbox.put(Sealed(*channel, record.data, record.log_time))
+                        item = inbox.get()
+                        if isinstance(item, Envelope):
+                            yield item
+        except OSError as error:
+            raise ConfigError(f"{file} cannot be read: {error}") from None
+        finally:
+            self.drops += inbox.drops
+
+    def _count(self, reason: str) -> None:
+        self.drops[reason] += 1
+        self.is_whole = False
+
+    def _read_setup(self) -> Setup:
+        first = self.files[0]
+        try:
+            for record in read_records(first):
+                if isinstance(record, Metadata) and record.name == FACTS:
+                    self.facts = dict(record.metadata)
+                elif isinstance(record, Attachment) and record.name == SETUP:
+                    return decode(record.data, Setup)
+                elif isinstance(record, Message | DamageError):
+                    break
+        except OSError as error:
+            raise ConfigError(f"{first} cannot be read: {error}") from None
+        except ProtocolError as error:
+            raise ConfigError(f"{first}: the setup in it cannot be read: {error}") from None
+        raise ConfigError(
+            f"{first} is an MCAP file, but no tape of cpnet: it does not begin with {SETUP}, "
+            "or was cut off before its end"
+        )
+
+
+def _files(path: Path) -> list[Path]:
+    if is_folder(path):
+        found = files_in(path)
+        if not found:
+            others = ", ".join(sorted(file.name for file in path.glob("*.mcap"))[:8])
+            raise ConfigError(
+                f"{path} has no tape: no {STEM}.mcap in it; `cpnet up --record` makes one"
+                + (f". There is {others}: give the file" if others else "")
+            )
+        return found
+    if not is_file(path):
+        raise ConfigError(f"{path}: there is no such tape, neither a file nor a run folder")
+    return [path]
+
+
+def _has_end(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                raise ConfigError(f"{path} is no tape: it does not begin as an MCAP file does")
+            return is_complete(file)
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read: {error}") from None
+
+
+def _native(channel: Channel, wanted: frozenset[str]) -> tuple[Topic, str] | None:
+    """Returns topic and key of a channel, None if nobody wants it or it is for other tools."""
+    name = channel.metadata.get(TOPIC, "")
+    if channel.message_encoding != ENCODING or name not in wanted or name not in TOPICS:
+        return None
+    return TOPICS[name], channel.topic
