@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from protocol.errors import ConfigError
@@ -33,6 +33,9 @@ ROLES = (
 """In starting order: the hosts of the buses first."""
 
 RELAY = RoleEntry("relay", "link_relay")
+PLAYER = "player"
+"""The module that runs, in a replay, the roles whose words are on the tape."""
+_TAPED = {"sim", "vehicle", "infra"}
 _AGENT_ID = re.compile(r"(vehicle|infra)-(0|[1-9]\d{0,3})")
 AGENTS = {"vehicle": "vehicle", "infra": "roadside"}
 """Roles whose connections a relay may shape, and what their links are called."""
@@ -115,6 +118,8 @@ def processes_of(choice: Choice, scenario: Scenario) -> list[ProcessEntry]:
     numbers = {"vehicle": scenario.processes.vehicle, "infra": mounts}
     result = []
     for row in choice.roles:
+        if scenario.replay is not None and row.role in _TAPED:
+            row = replace(row, module=PLAYER)
         if row.role not in numbers:
             result.append(ProcessEntry(row.role, row))
             continue

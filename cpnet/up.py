@@ -51,8 +51,10 @@ class Options:
     insecure: bool = False
 
 
-def up(options: Options, console: Console) -> tuple[int, Path]:
+def up(options: Options, console: Console, played: Setup | None = None) -> tuple[int, Path]:
     """Runs the roles of this machine to the end; returns the exit status and the run folder.
+
+    Of a replay, `played` is what every process is to be given.
 
     Raises:
         ConfigError: the options or the scenario cannot be.
@@ -65,16 +67,21 @@ def up(options: Options, console: Console) -> tuple[int, Path]:
     endpoints = secured(options.listen, options.connect, hosted, options.keys, options.insecure)
     place = Place.parse(options.metrics) if options.metrics is not None else None
     asked = None
-    if "sim" in names:
-        asked = scenarios.load(options.scenario, options.overrides)
+    if played is not None:
+        asked = scenarios.validate(played.scenario, "the replay")
+    elif "sim" in names:
+        asked = _simulated(options)
     elif options.overrides:
         raise ConfigError(
             f"{', '.join(options.overrides)}: the scenario is decided where the role sim runs"
         )
     run_dir = _make_run_dir(options.out, asked.name if asked else str(choice))
     try:
-        setup, scenario = _setup(asked, endpoints, run_dir)
-        if PLAYERS.intersection(names):
+        if played is not None and asked is not None:
+            setup, scenario = played, asked
+        else:
+            setup, scenario = _setup(asked, endpoints, run_dir)
+        if scenario.replay is None and PLAYERS.intersection(names):
             check_recording(setup.scenario)
         if _detects(names, scenario):
             check(scenario.edge)
@@ -105,6 +112,13 @@ def up(options: Options, console: Console) -> tuple[int, Path]:
         attendant = Attendant(supervisor, scenario, interruption, console, options.restart, tally)
         status = attendant.attend(connecting(endpoints[BusName.WORLD]))
     return status, run_dir
+
+
+def _simulated(options: Options) -> scenarios.Scenario:
+    scenario = scenarios.load(options.scenario, options.overrides)
+    if scenario.replay is not None:
+        raise ConfigError(f"replay: that is played by `cpnet replay {scenario.replay.tape}`")
+    return scenario
 
 
 def _check_restart(options: Options, scenario: scenarios.Scenario) -> None:
