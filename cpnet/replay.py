@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cpnet import scenario as scenarios
+from cpnet.up import Played
 from player.survey import Survey
 from protocol.errors import ConfigError
 from protocol.messages import Setup
@@ -39,6 +40,12 @@ class Pace:
         if lockstep:
             return cls("lockstep")
         return cls() if speed is None else cls("realtime", speed)
+
+
+def played_tape(path: Path, overrides: dict[str, Any], pace: Pace) -> Played:
+    """Returns the replay of a tape; see `setup_of`."""
+    setup = setup_of(path, overrides, pace)
+    return Played(setup.scenario["name"], lambda _: setup)
 
 
 def setup_of(path: Path, overrides: dict[str, Any], pace: Pace) -> Setup:

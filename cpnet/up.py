@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -51,10 +52,18 @@ class Options:
     insecure: bool = False
 
 
-def up(options: Options, console: Console, played: Setup | None = None) -> tuple[int, Path]:
+@dataclass(frozen=True, slots=True)
+class Played:
+    """A replay: what its run is called, and what makes its setup, given the run folder."""
+
+    name: str
+    setup: Callable[[Path], Setup]
+
+
+def up(options: Options, console: Console, played: Played | None = None) -> tuple[int, Path]:
     """Runs the roles of this machine to the end; returns the exit status and the run folder.
 
-    Of a replay, `played` is what every process is to be given.
+    A replay takes the place of the scenario in the options.
 
     Raises:
         ConfigError: the options or the scenario cannot be.
@@ -67,18 +76,18 @@ def up(options: Options, console: Console, played: Setup | None = None) -> tuple
     endpoints = secured(options.listen, options.connect, hosted, options.keys, options.insecure)
     place = Place.parse(options.metrics) if options.metrics is not None else None
     asked = None
-    if played is not None:
-        asked = scenarios.validate(played.scenario, "the replay")
-    elif "sim" in names:
+    if played is None and "sim" in names:
         asked = _simulated(options)
     elif options.overrides:
         raise ConfigError(
             f"{', '.join(options.overrides)}: the scenario is decided where the role sim runs"
         )
-    run_dir = _make_run_dir(options.out, asked.name if asked else str(choice))
+    named = played or asked
+    run_dir = _make_run_dir(options.out, named.name if named else str(choice))
     try:
-        if played is not None and asked is not None:
-            setup, scenario = played, asked
+        if played is not None:
+            setup = played.setup(run_dir)
+            scenario = scenarios.validate(setup.scenario, "the replay")
         else:
             setup, scenario = _setup(asked, endpoints, run_dir)
         if scenario.replay is None and PLAYERS.intersection(names):
