@@ -21,6 +21,7 @@ from cpnet.cli_learn import learn_app
 from cpnet.cli_options import AsJson, Override, assigned, console, errors
 from cpnet.cli_replay import replay_app
 from cpnet.cli_study import study_app
+from cpnet.cli_tape import tape_app
 from cpnet.conclusion import conclude
 from protocol.errors import CpnetError
 from protocol.logs import LogStyle
@@ -35,6 +36,7 @@ app.add_typer(learn_app)
 app.add_typer(study_app)
 app.add_typer(keys_app)
 app.add_typer(replay_app)
+app.add_typer(tape_app)
 app.add_typer(bench_app, name="bench")
 
 _ADDRESS = "HOST:PORT, v2x=HOST:PORT or world=HOST:PORT"
@@ -84,6 +86,9 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     connect: Annotated[
         list[str] | None, typer.Option(metavar="PLACE", help=f"buses elsewhere: {_ADDRESS}")
     ] = None,
+    record: Annotated[
+        bool, typer.Option("--record", help="keep all that is said in RUN/run.mcap, to play again")
+    ] = False,
     restart: Annotated[
         bool, typer.Option("--restart", help="start processes again that die; realtime only")
     ] = False,
@@ -112,6 +117,7 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
         "traffic.net": _absolute(net),
         "traffic.sumocfg": _absolute(sumocfg),
         "traffic.tls": tls,
+        "record.tape": True if record else None,
     }
     own = net or sumocfg
     if own is not None:

@@ -12,6 +12,7 @@ from rich.markup import escape
 
 from cpnet.display import Display
 from cpnet.exporter.tally import Tally
+from cpnet.processes import TAPE
 from cpnet.scenario import Scenario
 from cpnet.supervisor import Death, Supervisor
 from cpnet.watch import Watch
@@ -50,7 +51,8 @@ class Attendant:
     """Follows a run whose processes were started here, to its end.
 
     With `restart`, what dies here is started again, and processes of other machines may come and
-    go; else a death ends the run, wherever it was.
+    go; else a death ends the run, wherever it was. Only a tape's does not, once the run has begun:
+    it is told of at once, and at the end.
     """
 
     supervisor: Supervisor
@@ -63,29 +65,36 @@ class Attendant:
     def attend(self, world: Endpoint) -> int:
         """Returns the exit status."""
         death, reason = None, ""
+        tapes: list[Death] = []
         watch = self._watch(world)
         if isinstance(watch, Death):
             death = watch
         elif watch is not None:
             with watch, Display(self.console, self.scenario) as display:
-                death = self._follow(watch, display)
+                death = self._follow(watch, display, tapes)
                 reason = watch.end.reason if watch.end else ""
-        return self._conclude(death, reason)
+        status = self._conclude(death, reason)
+        for tape in tapes:
+            self._tell("the tape is not whole: ", tape)
+        return status or len(tapes)
 
     def _conclude(self, death: Death | None, reason: str) -> int:
         if self.interruption.event.is_set():
             self.console.print(f"stopping ({signal.Signals(self.interruption.number).name})")
             return 128 + self.interruption.number
         if death is not None:
-            name = escape(death.id)
-            self.console.print(f"[bold red]{name} {death.how}[/]; the last lines of its log:")
-            self.console.print(death.tail, highlight=False, markup=False, soft_wrap=True)
+            self._tell("", death)
             return 1
         if reason != "finished":
             said = reason or "nobody said why"
             self.console.print(f"the world ended before its time: {said}", markup=False)
             return 1
         return 0
+
+    def _tell(self, what: str, death: Death) -> None:
+        name = escape(death.id)
+        self.console.print(f"[bold red]{what}{name} {death.how}[/]; the last lines of its log:")
+        self.console.print(death.tail, highlight=False, markup=False, soft_wrap=True)
 
     def _watch(self, world: Endpoint) -> Watch | Death | None:
         """Listens to the world as soon as its bus is there; a process may die before."""
@@ -98,7 +107,7 @@ class Attendant:
                 self.interruption.event.wait(POLL_S)
         return None
 
-    def _follow(self, watch: Watch, display: Display) -> Death | None:
+    def _follow(self, watch: Watch, display: Display, tapes: list[Death]) -> Death | None:
         ended_ns = 0
         while not self.interruption.event.is_set():
             if watch.update(POLL_S) and watch.progress:
@@ -106,6 +115,8 @@ class Attendant:
             self._await_overtaken_end(watch)
             if self.restart and watch.end is None:
                 self._revive()
+            if watch.progress is not None:
+                tapes += self._dismiss_tape(at_end=watch.end is not None)
             if death := self.supervisor.death(at_end=watch.end is not None):
                 return death
             if watch.end is None and (elsewhere := self._lost_elsewhere(watch)):
@@ -113,9 +124,8 @@ class Attendant:
             if watch.end is not None:
                 ended_ns = ended_ns or time.monotonic_ns()
                 late = time.monotonic_ns() - ended_ns > OTHERS_LEAVE_S * 1e9
-                if not self.supervisor.running("sim", "record") and (
-                    late or not watch.here("record")
-                ):
+                awaited = self.supervisor.running(TAPE.role) or watch.here("record")
+                if not self.supervisor.running("sim", "record") and (late or not awaited):
                     return None
         return None
 
@@ -124,6 +134,13 @@ class Attendant:
         has_left = self.supervisor.death(at_end=False) is not None
         if watch.end is None and has_left and self.supervisor.death(at_end=True) is None:
             watch.await_end(OVERTAKEN_S)
+
+    def _dismiss_tape(self, *, at_end: bool) -> list[Death]:
+        death = self.supervisor.dismiss(TAPE.role, at_end=at_end)
+        if death is None:
+            return []
+        self.console.print(f"{death.id} {death.how}; the run goes on without it", markup=False)
+        return [death]
 
     def _revive(self) -> None:
         self.supervisor.tend()
@@ -137,6 +154,7 @@ class Attendant:
         needed = {"sim"}
         if not self.restart:
             needed.update(expected_processes(self.scenario.model_dump(mode="json")))
+            needed.discard(TAPE.role)
         for _, process in watch.lost():
             if process in needed and not self.supervisor.holds(process):
                 watch.await_end(OVERTAKEN_S)  # the end may still be on its way

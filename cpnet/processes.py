@@ -22,10 +22,12 @@ class RoleEntry:
     hosts: BusName | None = None
 
 
+TAPE = RoleEntry("tape", "tape")
 ROLES = (
     RoleEntry("edge", "edge_server", BusName.V2X),
     RoleEntry("sim", "sim_host", BusName.WORLD),
     RoleEntry("record", "recorder"),
+    TAPE,
     RoleEntry("signal", "signal_controller"),
     RoleEntry("infra", "infra_agent"),
     RoleEntry("vehicle", "vehicle_agent"),
@@ -109,15 +111,20 @@ def relays_of(choice: Choice, scenario: Scenario) -> list[ProcessEntry]:
 def processes_of(choice: Choice, scenario: Scenario) -> list[ProcessEntry]:
     """Returns the processes of this machine in this scenario, in starting order.
 
-    Vehicle processes beyond the scenario's join it; a roadside process needs a mount.
+    Vehicle processes beyond the scenario's join it; a roadside process needs a mount, and a tape
+    that the scenario wants one.
 
     Raises:
-        ConfigError: a roadside process was named that the scenario has no mount for.
+        ConfigError: a process was named that the scenario has no place for.
     """
     mounts = len(scenario.roadside_mounts)
     numbers = {"vehicle": scenario.processes.vehicle, "infra": mounts}
     result = []
     for row in choice.roles:
+        if row is TAPE and not scenario.record.tape:
+            if choice.roles != ROLES:
+                raise ConfigError("--only tape: the scenario has record.tape false; see --record")
+            continue
         if scenario.replay is not None and row.role in _TAPED:
             row = replace(row, module=PLAYER)
         if row.role not in numbers:

@@ -21,6 +21,7 @@ from protocol.topics import BusName
 
 WORLD_GRACE_S = 1.0  # for the world to tell its end and the recorder to write it
 GRACE_S = 2.0  # then for all others, until SIGKILL: both within the 5 s that users wait
+WRITERS = ("record", "tape")
 LIST_NAME = "processes.json"
 TAIL_LINES = 12
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
@@ -140,6 +141,16 @@ class Supervisor:
         status, child = min(dead, key=lambda one: one[0])
         return Death(child.entry.id, _how(status), tail(child.log_path))
 
+    def dismiss(self, role: str, *, at_end: bool) -> Death | None:
+        """Returns a process of this role that is dead as in `death`, and no longer asks for it."""
+        for child in self._children:
+            status = child.process.poll()
+            if child.entry.role.role == role and status is not None and not (at_end and not status):
+                self._children.remove(child)
+                _release(child)
+                return Death(child.entry.id, _how(status), tail(child.log_path))
+        return None
+
     def holds(self, process: str) -> bool:
         """Whether this process was started here."""
         return any(child.entry.id == process for child in self._children)
@@ -158,7 +169,8 @@ class Supervisor:
         world = [child for child in self._children if child.entry.role.role == "sim"]
         if any(child.process.poll() is None for child in world):
             _interrupt(world)
-            _await([c for c in self._children if c.entry.role.role == "record"], WORLD_GRACE_S)
+            writers = [c for c in self._children if c.entry.role.role in WRITERS]
+            _await(writers, WORLD_GRACE_S)
         _interrupt(self._children)
         killed = _await(self._children, GRACE_S)
         for child in killed:

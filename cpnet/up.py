@@ -17,7 +17,7 @@ from cpnet import scenario as scenarios
 from cpnet.endpoints import Endpoints, connecting
 from cpnet.exporter.server import Place, serving
 from cpnet.follow import Attendant, Interruption
-from cpnet.processes import choose, processes_of, relays_of
+from cpnet.processes import TAPE, choose, processes_of, relays_of
 from cpnet.running import noted
 from cpnet.security import check_keys, secured
 from cpnet.supervisor import Supervisor
@@ -97,6 +97,8 @@ def up(options: Options, console: Console, played: Played | None = None) -> tupl
         packed = encode(setup)
         _check_restart(options, scenario)
         processes = processes_of(choice, scenario)
+        if TAPE in (process.role for process in processes):
+            import tape  # noqa: F401 - says what to install, if it must be
         relays = relays_of(choice, scenario)
         check_keys(options.keys, relays + processes)
         netns.prepare(scenario, relays, console)
@@ -105,7 +107,8 @@ def up(options: Options, console: Console, played: Played | None = None) -> tupl
         raise
     (run_dir / "setup.msgpack").write_bytes(packed)
     (run_dir / "scenario.json").write_text(json.dumps(setup.scenario, indent=2) + "\n", "utf-8")
-    here = ", ".join(names if not choice.ids else [process.id for process in processes])
+    started = [process.id if choice.ids else process.role.role for process in processes]
+    here = ", ".join(dict.fromkeys(started))
     console.print(f"{scenario.name}: {here} → {run_dir}", markup=False, soft_wrap=True)
     with (
         serving(place) as tally,

@@ -20,3 +20,13 @@ class RecordConfig(Section):
         description="Keep where every vehicle truly was in each frame, and whose points lay on "
         "it; E-CVPR needs it. About 150 bytes per vehicle and frame.",
     )
+    tape: bool = Field(
+        False,
+        description="Keep all that was said on both buses in run.mcap too, so that it can be "
+        "played again; needs the extra tape. Without truth as above.",
+    )
+    foxglove: bool = Field(
+        True,
+        description="On the tape, also write poses, boxes and as many clouds as there is time for "
+        "in Foxglove's schemas.",
+    )

@@ -183,12 +183,15 @@ class SimRole:
             self._world.close()
 
     def _see_off(self) -> None:
-        """Waits until the recorder has left: with this process the world's router goes."""
+        """Waits until those who write have left: with this process the world's router goes."""
         until_ns = time.monotonic_ns() + _LINGER_NS
-        while self._roll_call.is_on(BusName.WORLD, "record") and time.monotonic_ns() < until_ns:
+        while self._is_written() and time.monotonic_ns() < until_ns:
             item = self._context.inbox.get(_NAP_NS / 1e9)
             if isinstance(item, Presence):
                 self._roll_call.hear(item)
+
+    def _is_written(self) -> bool:
+        return any(self._roll_call.is_on(BusName.WORLD, name) for name in ("record", "tape"))
 
     def _hear(self, presence: Presence) -> None:
         self._roll_call.hear(presence)

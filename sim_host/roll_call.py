@@ -15,10 +15,11 @@ _log = logging.getLogger(__name__)
 
 
 def expected_processes(scenario: dict[str, Any]) -> list[str]:
-    """Returns the ids of all processes that a frame needs, the world's own excepted."""
+    """Returns the ids of all processes that frame 0 waits for, the world's own excepted."""
     vehicles = [f"vehicle-{i}" for i in range(scenario["processes"]["vehicle"])]
     posts = [f"infra-{i}" for i in range(len(scenario["roadside_mounts"]))]
-    return ["edge", "signal", "record", *posts, *vehicles]
+    tape = ["tape"] if scenario.get("record", {}).get("tape") else []
+    return ["edge", "signal", "record", *tape, *posts, *vehicles]
 
 
 class RollCall:

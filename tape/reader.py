@@ -6,13 +6,14 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from mcap.records import Attachment, Channel, Message, Metadata
+
 from protocol.errors import ConfigError, ProtocolError
 from protocol.files import is_file, is_folder
 from protocol.inbox import Envelope, Inbox, Sealed
 from protocol.messages import Setup
 from protocol.topics import TOPICS, Topic
 from protocol.wire import decode
-from tape.library import Attachment, Channel, Message, Metadata
 from tape.names import ENCODING, FACTS, SETUP, STEM, TOPIC, files_in
 from tape.records import MAGIC, DamageError, is_complete, read_records
 

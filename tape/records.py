@@ -12,21 +12,15 @@ import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import IO
+from typing import IO, TypeAlias
 
 import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Message, Metadata
 
 from protocol.wire import MAX_BODY_BYTES
-from tape.library import (
-    Attachment,
-    Channel,
-    Chunk,
-    McapError,
-    Message,
-    Metadata,
-    Opcode,
-    ReadDataStream,
-)
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 2 * MAX_BODY_BYTES  # one that is nearly full takes one more message
@@ -34,7 +28,7 @@ MAX_RECORD_BYTES = 4 * MAX_BODY_BYTES
 _FRAME = struct.Struct("<BQ")  # opcode, length
 _FOOTER = struct.Struct("<BQQQI8s")  # opcode, length, summary, its offsets, its crc, magic
 _ODD = (McapError, struct.error, ValueError, OverflowError, zstandard.ZstdError)
-Record = Attachment | Channel | Message | Metadata
+Record: TypeAlias = Attachment | Channel | Message | Metadata
 
 
 class DamageError(Exception):
@@ -104,6 +98,7 @@ def _unpacked(chunk: Chunk) -> bytes:
     size = chunk.uncompressed_size
     if size > MAX_CHUNK_BYTES:
         raise DamageError(f"a chunk claims {size} bytes, limit {MAX_CHUNK_BYTES}")
+    data: bytes
     if chunk.compression == "":
         data = chunk.data
     elif chunk.compression == "zstd":
@@ -120,12 +115,13 @@ def _unpacked(chunk: Chunk) -> bytes:
 def _single(opcode: int, content: bytes) -> Record | None:
     """Returns the record, None for one of a kind that says nothing here."""
     stream = ReadDataStream(BytesIO(content))
+    found: Record | None = None
     if opcode == Opcode.MESSAGE:
-        return Message.read(stream, len(content))
-    if opcode == Opcode.CHANNEL:
-        return Channel.read(stream)
-    if opcode == Opcode.ATTACHMENT:
-        return Attachment.read(stream)
-    if opcode == Opcode.METADATA:
-        return Metadata.read(stream)
-    return None
+        found = Message.read(stream, len(content))
+    elif opcode == Opcode.CHANNEL:
+        found = Channel.read(stream)
+    elif opcode == Opcode.ATTACHMENT:
+        found = Attachment.read(stream)
+    elif opcode == Opcode.METADATA:
+        found = Metadata.read(stream)
+    return found

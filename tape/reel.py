@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from mcap.writer import CompressionType, Writer
+
 from protocol.errors import ConfigError, CpnetError
-from tape.library import CompressionType, Writer
+from protocol.version import own_version
 from tape.names import CLOSING, FACTS, SETUP, SETUP_TYPE
 
 CHUNK_BYTES = 256 << 10
@@ -42,7 +43,7 @@ class Reel:
         # Chunks end here and not in the library, so that each is in the file as soon as it ends.
         self._writer = Writer(self._file, _NEVER_BYTES, CompressionType.ZSTD)
         with self._named_faults():
-            self._writer.start(library=f"cpnet {_version()}")
+            self._writer.start(library=f"cpnet {own_version()}")
             self._writer.add_metadata(FACTS, facts)
             self._writer.add_attachment(0, 0, SETUP, SETUP_TYPE, setup)
             self._writer.flush()
@@ -120,10 +121,3 @@ class Reel:
             with contextlib.suppress(OSError):
                 self._file.close()
             raise CpnetError(f"{self.path} cannot be written: {error.strerror or error}") from None
-
-
-def _version() -> str:
-    try:
-        return version("cpnet-edge")
-    except PackageNotFoundError:  # a checkout that was never installed
-        return ""

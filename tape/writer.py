@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from mcap_protobuf.schema import build_file_descriptor_set
+
 from protocol.errors import MessageError
 from protocol.inbox import Envelope
 from protocol.messages import Setup
@@ -14,10 +16,16 @@ from tape.names import ENCODING, TOPIC
 from tape.reel import Reel
 from tape.schemas import ENCODING as SCHEMA_ENCODING
 from tape.schemas import name_of, schema_of
+from tape.shapes import Shape
+
+_PROTOBUF = "protobuf"
 
 
 class TapeWriter:
-    """Writes one file after another: the next begins when the index of one has grown large."""
+    """Writes one file after another: the next begins when the index of one has grown large.
+
+    `messages` counts the native ones. `files` are all that were begun.
+    """
 
     def __init__(self, next_path: Callable[[], Path], setup: Setup, facts: dict[str, str]) -> None:
         """Begins the first file.
@@ -25,10 +33,10 @@ class TapeWriter:
         Args:
             next_path: says where a new file is to be.
             setup: what every process of the run was given.
-            facts: what else is to be known of the run, for its readers.
+            facts: what else readers are to know of the run.
 
         Raises:
-            ConfigError: the file cannot be written.
+            ConfigError: the file is there already or cannot be written.
         """
         self._next_path = next_path
         self._setup = encode(setup)
@@ -40,26 +48,38 @@ class TapeWriter:
 
     @property
     def size_bytes(self) -> int:
-        """How much was written so far."""
+        """How much is in the files."""
         return self._ended_bytes + self._reel.size_bytes
 
     def write(self, item: Envelope) -> None:
         """Adds a message as it came.
 
         Raises:
-            MessageError: its key has no place in the topic table.
+            MessageError: it has no key.
             CpnetError: the disk is full, or fails.
         """
         place = (item.topic, *item.parts.values())
         channel = self._channels.get(place)
         if channel is None:
-            channel = self._channels[place] = self._add_channel(item)
+            channel = self._channels[place] = self._native(item)
         sim_time_ns = getattr(item.message, "sim_time_ns", None)
         self._reel.write(channel, item.data, item.received_ns, sim_time_ns)
         self.messages += 1
 
+    def write_shape(self, topic: str, shape: Shape, now_ns: int, sim_time_ns: int) -> None:
+        """Adds a message for other tools.
+
+        Raises:
+            CpnetError: the disk is full, or fails.
+        """
+        place = (topic,)
+        channel = self._channels.get(place)
+        if channel is None:
+            channel = self._channels[place] = self._foreign(topic, shape)
+        self._reel.write(channel, shape.SerializeToString(), now_ns, sim_time_ns)
+
     def settle(self, now_ns: int) -> None:
-        """To be called many times a second: sees to it that what came is in the file soon.
+        """Sees to it that what came is in the file soon; to be called many times a second.
 
         Raises:
             CpnetError: the disk is full, or fails.
@@ -85,7 +105,8 @@ class TapeWriter:
         self.files.append(reel.path)
         return reel
 
-    def _add_channel(self, item: Envelope) -> int:
+    def _native(self, item: Envelope) -> int:
+        """Returns a new channel for messages of this key."""
         topic = TOPICS[item.topic]
         try:
             key = topic.key(**item.parts)
@@ -97,3 +118,11 @@ class TapeWriter:
             self._schemas[name] = self._reel.schema(name, SCHEMA_ENCODING, schema)
         facts = {TOPIC: topic.name, "bus": topic.bus.value}
         return self._reel.channel(key, ENCODING, self._schemas[name], facts)
+
+    def _foreign(self, topic: str, shape: Shape) -> int:
+        """Returns a new channel for messages like this one."""
+        name = shape.DESCRIPTOR.full_name
+        if name not in self._schemas:
+            described = build_file_descriptor_set(type(shape)).SerializeToString()
+            self._schemas[name] = self._reel.schema(name, _PROTOBUF, described)
+        return self._reel.channel(topic, _PROTOBUF, self._schemas[name], {})

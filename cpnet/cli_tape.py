@@ -1,0 +1,45 @@
+"""The command that tapes a run from outside."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cpnet.cli_options import console
+
+tape_app = typer.Typer()
+
+
+@tape_app.command("record")
+def record_command(
+    run: Annotated[
+        Path | None, typer.Argument(help="folder of a run that goes on; default the newest")
+    ] = None,
+    *,
+    connect: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PLACE", help="a run elsewhere: HOST:PORT, v2x=…, world=…"),
+    ] = None,
+    keys: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="listen with the certificate of watch")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="default RUN/record.mcap, or here")
+    ] = None,
+    duration: Annotated[float | None, typer.Option(min=0.1, help="s; default to the end")] = None,
+    no_truth: Annotated[
+        bool, typer.Option("--no-truth", help="leave out where vehicles truly were")
+    ] = False,
+    no_foxglove: Annotated[
+        bool, typer.Option("--no-foxglove", help="the messages alone, nothing for other tools")
+    ] = False,
+) -> None:
+    """Keep all that a running system says in an MCAP file, until its end or Ctrl-C."""
+    from cpnet.running import find
+    from cpnet.taping import tape_run
+    from tape.taping import Choice
+
+    choice = Choice(truth=not no_truth, foxglove=not no_foxglove)
+    tape_run(find(run, connect or [], keys), choice, out, duration, console)

@@ -1,0 +1,71 @@
+"""`cpnet record`: attaches to a run, keeps what is said there, and goes when told."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+
+from cpnet.follow import Interruption
+from cpnet.running import Running
+from protocol.errors import ConfigError
+from protocol.onlooker import Onlooker
+from protocol.process import loop
+from tape.names import next_file
+from tape.role import NICENESS
+from tape.taping import Choice, Taping
+
+STEM = "record"
+
+
+def tape_run(
+    running: Running, choice: Choice, out: Path | None, duration_s: float | None, console: Console
+) -> None:
+    """Tapes a run until it is over, the duration has passed or a signal comes.
+
+    Raises:
+        ConfigError: there can be no such file.
+        BusError: a bus is not there, or nobody tells the setup.
+        CpnetError: the disk is full, or fails.
+    """
+    next_path = _next_path(running, out)
+    os.nice(NICENESS)
+    with (
+        Interruption() as interruption,
+        Onlooker(running.v2x, running.world, choice.topics) as onlooker,
+    ):
+        stop = interruption.event
+        taping = Taping(onlooker.setup(), next_path, onlooker.inbox, choice, stop)
+        console.print(f"taping to {taping.writer.files[0]}; Ctrl-C ends it", soft_wrap=True)
+        if duration_s is not None:
+            alarm = threading.Timer(duration_s, stop.set)
+            alarm.daemon = True
+            alarm.start()
+        try:
+            loop(taping, onlooker.inbox, stop)
+        finally:
+            taping.close()
+    _tell(taping, console)
+
+
+def _next_path(running: Running, out: Path | None) -> Callable[[], Path]:
+    if out is None:
+        folder = running.run_dir or Path()
+        return lambda: next_file(folder, STEM)
+    if out.suffix != ".mcap" or out.exists() or not out.parent.is_dir():
+        raise ConfigError(f"--out {out}: needs a new file NAME.mcap in a folder that is there")
+    return lambda: out if not out.exists() else next_file(out.parent, out.stem)
+
+
+def _tell(taping: Taping, console: Console) -> None:
+    writer = taping.writer
+    names = ", ".join(map(str, writer.files))
+    line = f"{names}: {writer.messages} messages, {writer.size_bytes / 1e6:.1f} MB"
+    line += f", {taping.dropped} dropped"
+    if taping.scene is not None:
+        frames, clouds = taping.scene.frames_left_out, taping.scene.clouds_left_out
+        line += f"; for Foxglove without {frames} frames, and without clouds in {clouds} more"
+    console.print(line, highlight=False, soft_wrap=True)

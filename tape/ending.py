@@ -1,0 +1,41 @@
+"""When a tape is over: the world has ended, the recorder has heard all, and nobody speaks."""
+
+from __future__ import annotations
+
+from protocol.inbox import Presence
+from protocol.topics import BusName
+
+PATIENCE_NS = 4_000_000_000
+SILENCE_NS = 150_000_000
+
+
+class Ending:
+    """The recorder knows when the last frame is whole: as long as it is there, more may come."""
+
+    def __init__(self) -> None:
+        self._began_ns: int | None = None
+        self._heard_ns = 0
+        self._recorders: set[tuple[str, BusName]] = set()
+
+    def look(self, presence: Presence, now_ns: int) -> None:
+        """A process appeared or left; without a world nothing more is to come."""
+        if presence.role == "record":
+            one = presence.id, presence.bus
+            (self._recorders.add if presence.alive else self._recorders.discard)(one)
+        elif presence.role == "sim" and not presence.alive:
+            self.begin(now_ns)
+
+    def begin(self, now_ns: int) -> None:
+        """The world stops."""
+        self._began_ns = self._began_ns or now_ns
+
+    def heard(self, now_ns: int) -> None:
+        """Something was said."""
+        self._heard_ns = now_ns
+
+    def is_over(self, now_ns: int) -> bool:
+        """Whether nothing more is to come, or patience has run out."""
+        if self._began_ns is None:
+            return False
+        is_silent = not self._recorders and now_ns - self._heard_ns >= SILENCE_NS
+        return is_silent or now_ns - self._began_ns >= PATIENCE_NS

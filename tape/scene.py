@@ -1,0 +1,161 @@
+"""Turns what was heard into Foxglove's messages, as far as there is time beside the taping."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import defaultdict
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from protocol import messages as m
+from protocol.codec import decode
+from protocol.errors import CodecError
+from protocol.inbox import Envelope
+from tape import shapes
+from tape.writer import TapeWriter
+
+SHARE_PER_CORE = 0.04
+"""Of the machine: so much of a core's time, for each core, may clouds take."""
+SAVED_NS = 200_000_000  # of this share, at most, is kept for later
+MAX_OPEN_FRAMES = 8
+MAX_FRAME_BYTES = 64 << 20
+_V2X, _WORLD = "foxglove/v2x", "foxglove/world"  # topics of what agents say, and of the truth
+
+
+@dataclass(slots=True)
+class _Frame:
+    """What was heard of a frame so far."""
+
+    poses: dict[str, m.AgentPose] = field(default_factory=dict)
+    scans: defaultdict[str, list[m.Scan]] = field(default_factory=lambda: defaultdict(list))
+    truth: m.Truth | None = None
+    detections: m.Detections | None = None
+    sim_time_ns: int = 0
+    heard_ns: int = 0
+    size_bytes: int = 0
+
+
+class Budget:
+    """The time that clouds may take: a share of what passes."""
+
+    def __init__(self, share: float, now_ns: int) -> None:
+        self._share = share
+        self._since_ns = now_ns
+        self._left_ns = 0.0
+
+    def has_some(self, now_ns: int) -> bool:
+        """Whether there is time for one more."""
+        gained_ns = (now_ns - self._since_ns) * self._share
+        self._left_ns = min(self._left_ns + gained_ns, SAVED_NS)
+        self._since_ns = now_ns
+        return self._left_ns > 0
+
+    def spend(self, spent_ns: int) -> None:
+        """Takes away what one has cost."""
+        self._left_ns -= spent_ns
+
+
+class Scene:
+    """Converts the newest frame of which detections have come; older ones are left out.
+
+    Boxes and poses are cheap and come first. Clouds cost about as much as the edge's own decoding:
+    they have a budget, and while those of one frame are made others are left without.
+    """
+
+    def __init__(self, setup: m.Setup, writer: TapeWriter, budget: Budget) -> None:
+        self._types = {kind.name: kind for kind in setup.vehicle_types}
+        self._road_map = setup.road_map
+        self._writer = writer
+        self._budget = budget
+        self._open: dict[int, _Frame] = {}
+        self._due: _Frame | None = None
+        self._now = _Frame()
+        self._clouds: list[str] = []
+        self._drawn_in = 0
+        self.frames_left_out = 0
+        self.clouds_left_out = 0
+
+    def take(self, item: Envelope) -> None:
+        """Notes a message; a frame is due when the edge has said what it sees in it."""
+        message = item.message
+        if not isinstance(message, m.AgentPose | m.Scan | m.Truth | m.Detections):
+            return
+        frame = self._frame(message.frame)
+        if frame.size_bytes + len(item.data) > MAX_FRAME_BYTES:
+            return
+        frame.size_bytes += len(item.data)
+        frame.heard_ns = frame.heard_ns or item.received_ns
+        frame.sim_time_ns = message.sim_time_ns
+        if isinstance(message, m.AgentPose):
+            frame.poses[message.agent] = message
+        elif isinstance(message, m.Scan):
+            frame.scans[message.agent].append(message)
+        elif isinstance(message, m.Truth):
+            frame.truth = message
+        else:
+            frame.detections = message
+            self.frames_left_out += self._due is not None
+            self._due = self._open.pop(message.frame)
+
+    def step(self) -> None:
+        """Does a little, a few milliseconds at most: the boxes of a frame, or a cloud."""
+        if self._due is not None:
+            self._convert(self._due)
+            self._begin_clouds(self._due)
+            self._due = None
+        elif self._clouds:
+            start_ns = time.thread_time_ns()
+            self._convert_cloud(self._clouds.pop())
+            self._budget.spend(time.thread_time_ns() - start_ns)
+
+    def _frame(self, number: int) -> _Frame:
+        if number not in self._open:
+            while len(self._open) >= MAX_OPEN_FRAMES:
+                del self._open[min(self._open)]
+            self._open[number] = _Frame()
+        return self._open[number]
+
+    def _convert(self, frame: _Frame) -> None:
+        if self._drawn_in != len(self._writer.files):  # once in each file
+            self._drawn_in = len(self._writer.files)
+            self._add(frame, f"{_V2X}/road", shapes.road(self._road_map, frame.heard_ns))
+        stamp_ns = frame.heard_ns
+        places = {name: pose.pose for name, pose in frame.poses.items()}
+        places |= {_sensor(name): scans[0].sensor_pose for name, scans in frame.scans.items()}
+        self._add(frame, f"{_V2X}/transforms", shapes.transforms(places, stamp_ns))
+        for name, pose in frame.poses.items():
+            self._add(frame, f"{_V2X}/pose/{name}", shapes.agent_pose(pose, stamp_ns))
+        if frame.detections is not None:
+            boxes = shapes.detections(frame.detections, stamp_ns)
+            self._add(frame, f"{_V2X}/detections", boxes)
+        if frame.truth is not None:
+            self._add(frame, f"{_WORLD}/truth", shapes.truth(frame.truth, self._types, stamp_ns))
+
+    def _begin_clouds(self, frame: _Frame) -> None:
+        if self._clouds or not self._budget.has_some(time.monotonic_ns()):
+            self.clouds_left_out += bool(frame.scans)
+        else:
+            self._now = frame
+            self._clouds = sorted(frame.scans, reverse=True)
+
+    def _convert_cloud(self, agent: str) -> None:
+        try:
+            parts = [decode(scan.payload).points for scan in self._now.scans.pop(agent)]
+        except CodecError:
+            return  # the edge has counted it
+        cloud = shapes.cloud(np.concatenate(parts), _sensor(agent), self._now.heard_ns)
+        self._add(self._now, f"{_V2X}/cloud/{agent}", cloud)
+
+    def _add(self, frame: _Frame, topic: str, shape: shapes.Shape) -> None:
+        self._writer.write_shape(topic, shape, time.monotonic_ns(), frame.sim_time_ns)
+
+
+def own_budget(now_ns: int) -> Budget:
+    """Returns the budget that this machine allows."""
+    return Budget(SHARE_PER_CORE * len(os.sched_getaffinity(0)), now_ns)
+
+
+def _sensor(agent: str) -> str:
+    return f"{agent}/lidar"

@@ -1,0 +1,125 @@
+"""Taping as a whole: what was heard first, then what there is time for."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from protocol.inbox import Envelope, Inbox, Presence
+from protocol.messages import End, Setup
+from protocol.onlooker import ALL_TOPICS
+from protocol.process import MAX_BATCH
+from protocol.version import own_version
+from tape.ending import Ending
+from tape.scene import Scene, own_budget
+from tape.writer import TapeWriter
+
+TRUTH = frozenset({"truth", "sighting"})
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What is taped: with the truth or without, for Foxglove as well or not."""
+
+    truth: bool = True
+    foxglove: bool = True
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """Names in the topic table."""
+        return ALL_TOPICS if self.truth else ALL_TOPICS - TRUTH
+
+
+class Taping:
+    """Keeps what comes; a role, see `protocol.process.Role`."""
+
+    def __init__(
+        self,
+        setup: Setup,
+        next_path: Callable[[], Path],
+        inbox: Inbox,
+        choice: Choice,
+        stop: threading.Event,
+    ) -> None:
+        """Begins a tape; `stop` is set once the run is over.
+
+        Raises:
+            ConfigError: the tape cannot be written there.
+        """
+        self._inbox = inbox
+        self._stop = stop
+        self._ending = Ending()
+        self._reason = "unknown"
+        self._taken = 0
+        self.writer = TapeWriter(next_path, setup, _facts(setup, choice))
+        budget = own_budget(time.monotonic_ns())
+        self.scene = Scene(setup, self.writer, budget) if choice.foxglove else None
+
+    @property
+    def dropped(self) -> int:
+        """How many messages came that are not on the tape."""
+        return self._inbox.drops.total()
+
+    def on(self, item: Envelope | Presence) -> None:
+        """Keeps a message.
+
+        Raises:
+            MessageError: it cannot be kept.
+            CpnetError: the disk is full, or fails.
+        """
+        if isinstance(item, Presence):
+            self._ending.look(item, time.monotonic_ns())
+            return
+        self.writer.write(item)
+        self._taken += 1
+        self._ending.heard(item.received_ns)
+        if isinstance(item.message, End):
+            self._reason = item.message.reason
+            self._ending.begin(item.received_ns)
+        if self.scene is not None:
+            self.scene.take(item)
+
+    def poll(self) -> None:
+        """Does what is due when all that came was taken.
+
+        Raises:
+            CpnetError: the disk is full, or fails.
+        """
+        if self.scene is not None and self._taken < MAX_BATCH:
+            self.scene.step()
+        self._taken = 0
+        now_ns = time.monotonic_ns()
+        self.writer.settle(now_ns)
+        if self._ending.is_over(now_ns):
+            self._stop.set()
+
+    def close(self) -> None:
+        """Ends the tape.
+
+        Raises:
+            CpnetError: the disk is full, or fails.
+        """
+        facts = {
+            "end_reason": self._reason,
+            "messages": str(self.writer.messages),
+            "drops": json.dumps(self._inbox.drops),
+        }
+        if self.scene is not None:
+            facts["frames_left_out"] = str(self.scene.frames_left_out)
+            facts["clouds_left_out"] = str(self.scene.clouds_left_out)
+        self.writer.close(facts)
+
+
+def _facts(setup: Setup, choice: Choice) -> dict[str, str]:
+    scenario = setup.scenario
+    told = {key: str(scenario[key]) for key in ("name", "mode", "seed", "region")}
+    return told | {
+        "cpnet": own_version(),
+        "truth": json.dumps(choice.truth),
+        "log_time": "time.monotonic_ns of the process that taped",
+        "publish_time": "simulated time; the log time where a message has none",
+    }
