@@ -63,6 +63,7 @@ def setup_of(path: Path, overrides: dict[str, Any], pace: Pace) -> Setup:
         "replay": {"tape": str(path.resolve()), "speed": pace.speed},
         "duration_s": most_s,
         "processes.vehicle": max(survey.vehicles, 1),
+        "record.tape": False,
     }
     if pace.mode is not None:
         facts["mode"] = pace.mode

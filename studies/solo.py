@@ -81,8 +81,8 @@ def play(scenario: dict[str, Any], run_dir: Path) -> None:
     play_setup(build_setup(scenario, run_dir), run_dir)
 
 
-def play_setup(setup: Setup, run_dir: Path, *, tape: Builder | None = None) -> None:
-    """Plays what a setup says, a tape too; `tape` makes the role that tapes this run.
+def play_setup(setup: Setup, run_dir: Path) -> None:
+    """Plays what a setup says, be it a tape.
 
     Raises:
         ConfigError: the scenario cannot be played.
@@ -91,8 +91,6 @@ def play_setup(setup: Setup, run_dir: Path, *, tape: Builder | None = None) -> N
     (run_dir / "setup.msgpack").write_bytes(encode(setup))
     table = _Table(setup, run_dir)
     sim_builder, builders = _builders(setup.scenario)
-    if tape is not None:
-        builders.insert(0, ("tape", tape))
     with ExitStack() as stack:
 
         def seat(name: str, build: Builder) -> _Seat:
