@@ -44,6 +44,9 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
         str | None,
         typer.Option(metavar="NAME,...", help="numbered devices' names", rich_help_panel=_SCANS),
     ] = None,
+    refine: Annotated[
+        bool, typer.Option("--refine", help="extrinsics are a guess", rich_help_panel=_SCANS)
+    ] = False,
     scenario: Annotated[
         str | None,
         typer.Option(help="whose roads are those of the scans", rich_help_panel=_SCANS),
@@ -54,8 +57,12 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
     ] = None,
     height: Annotated[
         float | None,
-        typer.Option(metavar="M", help="sensors over the ground", rich_help_panel=_SCANS),
+        typer.Option(metavar="M", help="over the ground; else found", rich_help_panel=_SCANS),
     ] = None,
+    width: Annotated[
+        float,
+        typer.Option(min=1, help="of the open ground, m", rich_help_panel=_SCANS),
+    ] = 60.0,
 ) -> None:
     """Play a recorded run to live processes: another detector, policy or link, the same scans."""
     from cpnet.conclusion import conclude
@@ -70,6 +77,10 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
         if any(option is not None for option in named):
             raise ConfigError("--poses and all that is for scans from elsewhere needs --scans DIR")
         played = played_tape(tape, overrides, pace)
+    elif refine and extrinsics is None:
+        raise ConfigError(
+            "--refine needs --extrinsics FILE: a first guess of how sensors are mounted"
+        )
     elif scans is None or poses is None:
         raise ConfigError("--scans needs --poses FILE: where the sensor was in each frame")
     else:
@@ -77,8 +88,8 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
         from player.scans.agents import Source
 
         names = [name.strip() for name in sensors.split(",")] if sensors else []
-        source = Source(scans, poses, extrinsics, names)
-        played = played_scans(Scans(source, scenario, overrides, frames, height), pace)
+        source = Source(scans, poses, extrinsics, names, refine=refine)
+        played = played_scans(Scans(source, scenario, overrides, frames, height, width), pace)
     status, run_dir = up(Options("", {}, None, [], [], out), console, played)
     conclude(run_dir)
     raise typer.Exit(status)

@@ -13,18 +13,22 @@ from cpnet import scenario as scenarios
 from cpnet.replay import Pace
 from cpnet.up import Played
 from player.scans.agents import Source, agents_of
+from player.scans.extrinsics import write_extrinsics
 from player.scans.ground import open_ground
 from player.scans.taping import STEM, Imported, tape_scans
 from protocol.messages import Setup
 from protocol.roadmap import RoadMap
 from protocol.version import own_version
 
+EXTRINSICS = "extrinsics.csv"
+
 
 @dataclass(frozen=True, slots=True)
 class Scans:
     """What the user asked for: clouds, a scenario whose roads fit them, or an open ground.
 
-    `height_m` is that of sensors over the ground, None to find it; `frames` None for each once.
+    `height_m` is that of sensors over the ground, None to find it; `frames` None for each once;
+    `width_m` that of the open ground.
     """
 
     source: Source
@@ -32,7 +36,7 @@ class Scans:
     overrides: dict[str, Any]
     frames: int | None = None
     height_m: float | None = None
-    reach_m: float = 100.0
+    width_m: float = 60.0
 
 
 def played_scans(asked: Scans, pace: Pace) -> Played:
@@ -53,12 +57,14 @@ def played_scans(asked: Scans, pace: Pace) -> Played:
         changes = {"replay": {"tape": tape, "speed": pace.speed}}
         whole = scenario.model_dump(mode="json") | changes
         if asked.scenario is None:
-            made = _plain_setup(whole, open_ground(imported.ways(), reach_m=asked.reach_m))
+            made = _plain_setup(whole, open_ground(imported.ways(), width_m=asked.width_m))
         else:
             from sim_host.setup import build_setup  # SUMO is needed for its roads alone
 
             made = build_setup(whole, run_dir)
         tape_scans(imported, made, run_dir)
+        if asked.source.refine:
+            write_extrinsics(run_dir / EXTRINSICS, agents[0].mounts)
         return made
 
     return Played(scenario.name, setup)

@@ -59,7 +59,9 @@ class PlayerRole:
             ConfigError: it cannot be read.
         """
         tape = Tape(Path(ReplayConfig.model_validate(context.setup.scenario["replay"]).tape))
-        return cls(context, Frames(tape.heard([*SAID, CLOCK])))
+        frames = Frames(tape.heard([*SAID, CLOCK]))
+        frames.first()  # is read before the first tick, which would be late otherwise
+        return cls(context, frames)
 
     def on(self, item: Envelope | Presence) -> None:
         """Takes a tick, a plan or the end."""

@@ -15,8 +15,6 @@ from typing import Any
 
 from edge_server.role import EdgeRole
 from infra_agent.role import InfraRole
-from player.role import PlayerRole
-from player.sim import sim_role
 from protocol.errors import BusError
 from protocol.hub import Hub
 from protocol.inbox import Inbox
@@ -108,6 +106,9 @@ def _builders(scenario: dict[str, Any]) -> tuple[Builder, list[tuple[str, Builde
     infra: Builder = InfraRole
     vehicle: Builder = VehicleRole
     if scenario.get("replay"):
+        from player.role import PlayerRole  # tapes need an extra
+        from player.sim import sim_role
+
         world, infra, vehicle = sim_role, PlayerRole.build, PlayerRole.build
     return world, [
         ("record", RecordRole.build),

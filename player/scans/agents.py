@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from player.scans.align import refined
 from player.scans.extrinsics import read_extrinsics
 from player.scans.folder import scans_in, sensors_in
 from player.scans.poses import Track, read_poses
@@ -54,12 +55,16 @@ class Agent:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """What the user named: a folder of clouds, poses, and how sensors are mounted, if several."""
+    """What the user named: a folder of clouds, poses, and how sensors are mounted, if several.
+
+    With `refine`, that is a first guess; see `player.scans.align`.
+    """
 
     scans: Path
     poses: Path
     extrinsics: Path | None = None
     sensors: Sequence[str] = ()
+    refine: bool = False
 
 
 def agents_of(source: Source) -> list[Agent]:
@@ -76,6 +81,9 @@ def agents_of(source: Source) -> list[Agent]:
     else:
         mounts = read_extrinsics(source.extrinsics, source.sensors)
         by_sensor = sensors_in(source.scans, list(mounts))
+        if source.refine:
+            first = {name: read_points(files[0]).points for name, files in by_sensor.items()}
+            mounts = refined(mounts, first)
         rows = zip(*by_sensor.values(), strict=True)
         frames = [dict(zip(by_sensor, row, strict=True)) for row in rows]
         groups = {source.scans.resolve().name or "agent": frames}

@@ -7,13 +7,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from player.scans.numbers import lines_of, numbers_of
-from player.scans.table import rows_of
+from player.scans.table import PLACE, TURN, rows_of
 from protocol.errors import ConfigError
 from protocol.geometry import SE3
 
@@ -37,6 +37,16 @@ def read_extrinsics(path: Path, names: Sequence[str]) -> dict[str, SE3]:
     if not found:
         raise ConfigError(f"{path}: line 2: no sensor follows the column names")
     return found
+
+
+def write_extrinsics(path: Path, mounts: Mapping[str, SE3]) -> None:
+    """Writes a table that `read_extrinsics` reads."""
+    lines = [",".join(("sensor", *PLACE, *TURN))]
+    for name, mount in mounts.items():
+        pose = mount.as_pose()
+        numbers = [*pose[:3], *np.degrees(pose[3:])]
+        lines.append(",".join([name, *(f"{number:.4f}" for number in numbers)]))
+    path.write_text("\n".join(lines) + "\n", "utf-8")
 
 
 def _read_devices(path: Path, names: Sequence[str]) -> dict[str, SE3]:

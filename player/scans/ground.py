@@ -11,6 +11,7 @@ from protocol.roadmap import Lane, PlanPhase, RoadMap, Signal
 from protocol.scans import PointCloud
 
 NAME = "open-ground"
+BEYOND_M = 100.0
 _NEAR_M, _FAR_M = 2.5, 15.0  # around a vehicle: beyond its own body, where most beams hit ground
 _LOW_M, _HIGH_M, _BIN_M = -8.0, 0.0, 0.05
 _STEP_M = 2.0  # between the points of a ground's middle
@@ -35,17 +36,17 @@ def height_over_ground_m(cloud: PointCloud, map_SE3_sensor: SE3) -> float:
     return -float(np.median(near[within]))
 
 
-def open_ground(ways: Mapping[str, Floats], *, reach_m: float) -> RoadMap:
-    """Returns a map with one lane for each way, so broad that all within the reach lies on it.
+def open_ground(ways: Mapping[str, Floats], *, width_m: float) -> RoadMap:
+    """Returns a map with one lane along each way, so broad that all that matters lies on it.
 
     Its height is that of the way, and so is its direction, which vehicles along it have as well.
     No lane leads to the signal, so that none is counted.
 
     Args:
         ways: poses (N, 6) on the ground by name, in the order in which they were passed.
-        reach_m: how far the ground goes on before, behind and beside a way.
+        width_m: of the ground; before and behind a way it goes on for `BEYOND_M`.
     """
-    lanes = [_lane(f"{NAME}-{name}", poses, reach_m) for name, poses in ways.items()]
+    lanes = [_lane(f"{NAME}-{name}", poses, width_m) for name, poses in ways.items()]
     centre = np.concatenate([poses[:, :3] for poses in ways.values()]).mean(axis=0)
     plan = [PlanPhase(duration_s=3600.0, state=_GREEN)]
     return RoadMap(
@@ -57,16 +58,16 @@ def open_ground(ways: Mapping[str, Floats], *, reach_m: float) -> RoadMap:
     )
 
 
-def _lane(name: str, poses: Floats, reach_m: float) -> Lane:
+def _lane(name: str, poses: Floats, width_m: float) -> Lane:
     middle = [poses[0, :3]]
     for place in poses[1:, :3]:
         if np.hypot(*(place - middle[-1])[:2]) >= _STEP_M:
             middle.append(place)
-    line = np.stack([_beyond(poses[0], -reach_m), *middle, _beyond(poses[-1], reach_m)])
+    line = np.stack([_beyond(poses[0], -BEYOND_M), *middle, _beyond(poses[-1], BEYOND_M)])
     return Lane(
         id=name,
         edge=name,
-        width_m=2 * reach_m,
+        width_m=width_m,
         speed_mps=_FASTEST_MPS,
         length_m=float(np.linalg.norm(np.diff(line[:, :2], axis=0), axis=1).sum()),
         centreline=[(float(x), float(y), float(z)) for x, y, z in line],
