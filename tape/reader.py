@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from mcap.records import Attachment, Channel, Message, Metadata
+from mcap.records import Attachment, Channel, DataEnd, Message, Metadata
 
 from protocol.errors import ConfigError, ProtocolError
 from protocol.files import is_file, is_folder
@@ -15,7 +15,7 @@ from protocol.messages import Setup
 from protocol.topics import TOPICS, Topic
 from protocol.wire import decode
 from tape.names import ENCODING, FACTS, SETUP, STEM, TOPIC, files_in
-from tape.records import MAGIC, DamageError, is_complete, read_records
+from tape.records import MAGIC, DamageError, Record, is_complete, read_records
 
 
 class Tape:
@@ -55,48 +55,57 @@ class Tape:
 
     def _heard_in(self, file: Path, wanted: frozenset[str]) -> Iterator[Envelope]:
         channels: dict[int, tuple[Topic, str] | None] = {}
-        inbox = Inbox()
+        inbox = Inbox()  # checks what comes off a tape as what comes off a bus
+        is_cut = True
         try:
-            for record in read_records(file):
+            for record in _records(file):
                 if isinstance(record, Channel):
                     channels[record.id] = _native(record, wanted)
-                elif isinstance(record, DamageError):
-                    self._count("damaged")
-                elif isinstance(record, Message):
-                    if record.channel_id not in channels:
-                        self._count("unknown_channel")
-                    elif (channel := channels[record.channel_id]) is not None:
+                elif isinstance(record, Message) and record.channel_id in channels:
+                    if (channel := channels[record.channel_id]) is not None:
                         inbox.put(Sealed(*channel, record.data, record.log_time))
                         item = inbox.get()
                         if isinstance(item, Envelope):
                             yield item
-        except OSError as error:
-            raise ConfigError(f"{file} cannot be read: {error}") from None
+                elif isinstance(record, Message):
+                    self.drops["unknown_channel"] += 1
+                elif isinstance(record, DamageError):
+                    self.drops["damaged"] += 1
+                    self.is_whole = False
+                elif isinstance(record, DataEnd):
+                    is_cut = False
         finally:
             self.drops += inbox.drops
-
-    def _count(self, reason: str) -> None:
-        self.drops[reason] += 1
-        self.is_whole = False
+        self.is_whole = self.is_whole and not is_cut
 
     def _read_setup(self) -> Setup:
-        first = self.files[0]
-        try:
-            for record in read_records(first):
+        """Returns the first that there is: one who was killed at once had no time to write it."""
+        for file in self.files:
+            for record in _records(file):
                 if isinstance(record, Metadata) and record.name == FACTS:
                     self.facts = dict(record.metadata)
                 elif isinstance(record, Attachment) and record.name == SETUP:
-                    return decode(record.data, Setup)
+                    return _setup(record.data, file)
                 elif isinstance(record, Message | DamageError):
                     break
-        except OSError as error:
-            raise ConfigError(f"{first} cannot be read: {error}") from None
-        except ProtocolError as error:
-            raise ConfigError(f"{first}: the setup in it cannot be read: {error}") from None
         raise ConfigError(
-            f"{first} is an MCAP file, but no tape of cpnet: it does not begin with {SETUP}, "
-            "or was cut off before its end"
+            f"{self.files[0]} is no tape of cpnet: it does not begin with {SETUP}, or was cut off "
+            "before the end of that"
         )
+
+
+def _records(file: Path) -> Iterator[Record | DamageError]:
+    try:
+        yield from read_records(file)
+    except OSError as error:
+        raise ConfigError(f"{file} cannot be read: {error}") from None
+
+
+def _setup(data: bytes, file: Path) -> Setup:
+    try:
+        return decode(data, Setup)
+    except ProtocolError as error:
+        raise ConfigError(f"{file}: the setup in it cannot be read: {error}") from None
 
 
 def _files(path: Path) -> list[Path]:
@@ -117,7 +126,7 @@ def _files(path: Path) -> list[Path]:
 def _has_end(path: Path) -> bool:
     try:
         with path.open("rb") as file:
-            if file.read(len(MAGIC)) != MAGIC:
+            if not MAGIC.startswith(file.read(len(MAGIC))):  # a new one may be empty
                 raise ConfigError(f"{path} is no tape: it does not begin as an MCAP file does")
             return is_complete(file)
     except OSError as error:

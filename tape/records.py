@@ -18,7 +18,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Message, Metadata
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Metadata
 
 from protocol.wire import MAX_BODY_BYTES
 
@@ -28,7 +28,7 @@ MAX_RECORD_BYTES = 4 * MAX_BODY_BYTES
 _FRAME = struct.Struct("<BQ")  # opcode, length
 _FOOTER = struct.Struct("<BQQQI8s")  # opcode, length, summary, its offsets, its crc, magic
 _ODD = (McapError, struct.error, ValueError, OverflowError, zstandard.ZstdError)
-Record: TypeAlias = Attachment | Channel | Message | Metadata
+Record: TypeAlias = Attachment | Channel | DataEnd | Message | Metadata
 
 
 class DamageError(Exception):
@@ -48,7 +48,7 @@ def is_complete(file: IO[bytes]) -> bool:
 def read_records(path: Path) -> Iterator[Record | DamageError]:
     """Yields what the data section holds, chunks opened, and in the place of what is damaged why.
 
-    Of a chunk all comes or nothing does.
+    Of a chunk all comes or nothing does. `DataEnd` is the last, unless the file was cut off.
     """
     with path.open("rb") as file:
         for opcode, content in _frames(file):
@@ -59,14 +59,16 @@ def read_records(path: Path) -> Iterator[Record | DamageError]:
 
 
 def _frames(file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
-    """Yields opcode and content of each record up to the end of the data or of what is whole."""
+    """Yields opcode and content of each record up to the end of the data, if that is there."""
     file.seek(len(MAGIC))
     while len(frame := file.read(_FRAME.size)) == _FRAME.size:
         opcode, length = _FRAME.unpack(frame)
         left = os.fstat(file.fileno()).st_size - file.tell()
-        if opcode == Opcode.DATA_END or length > min(MAX_RECORD_BYTES, left):
+        if length > min(MAX_RECORD_BYTES, left):
             return
         yield opcode, file.read(length)
+        if opcode == Opcode.DATA_END:
+            return
 
 
 def _parse(opcode: int, content: bytes) -> list[Record]:
@@ -124,4 +126,6 @@ def _single(opcode: int, content: bytes) -> Record | None:
         found = Attachment.read(stream)
     elif opcode == Opcode.METADATA:
         found = Metadata.read(stream)
+    elif opcode == Opcode.DATA_END:
+        found = DataEnd.read(stream)
     return found

@@ -116,7 +116,7 @@ class Taping:
 
 def _facts(setup: Setup, choice: Choice) -> dict[str, str]:
     scenario = setup.scenario
-    told = {key: str(scenario[key]) for key in ("name", "mode", "seed", "region")}
+    told = {key: str(scenario.get(key, "")) for key in ("name", "mode", "seed", "region")}
     return told | {
         "cpnet": own_version(),
         "truth": json.dumps(choice.truth),

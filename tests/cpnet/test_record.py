@@ -1,0 +1,125 @@
+"""Runs that are taped: from their start, or by whoever comes along."""
+
+import os
+import signal
+import sqlite3
+from itertools import chain
+
+import pytest
+
+pytest.importorskip("mcap", reason="needs the extra `tape`")
+
+from recorder.rows import count_rows, detection_rows, phase_row, request_row, truth_rows
+from recorder.run import Run
+from recorder.tables import (
+    CountRow,
+    DetectionRow,
+    FrameRow,
+    PhaseRow,
+    RequestRow,
+    TruthRow,
+    UploadRow,
+)
+from tape.reader import Tape
+from tests.cpnet.conftest import children_of
+from tests.waiting import wait_until
+
+
+def test_a_tape_holds_what_the_database_was_made_of(shell):
+    status, output = shell.up("--duration=5", "--record", "--out=run").finish()
+    assert status == 0, output
+    assert "sim, record, tape, signal" in output
+    tape = Tape(shell.folder / "run")
+    heard: dict[str, list] = {}
+    for item in tape.heard():
+        heard.setdefault(item.topic, []).append(item.message)
+    assert (tape.is_whole, tape.drops.total()) == (True, 0)
+    assert [end.reason for end in heard["end"]] == ["finished"]
+    made = {
+        PhaseRow: map(phase_row, heard["state"]),
+        RequestRow: map(request_row, heard["request"]),
+        DetectionRow: chain.from_iterable(map(detection_rows, heard["detections"])),
+        CountRow: chain.from_iterable(map(count_rows, heard["lanes"])),
+        TruthRow: chain.from_iterable(map(truth_rows, heard["truth"])),
+    }
+    with Run(shell.folder / "run") as run:
+        frames = [row.frame for row in run.rows(FrameRow)]
+        assert [tick.frame for tick in heard["tick"]] == frames == [*range(50)]
+        for table, rows in made.items():
+            assert sorted(rows) == sorted(run.rows(table)), table
+        assert len(heard["scan"]) == len([*run.rows(UploadRow)])
+
+
+def test_a_dead_tape_stops_no_city_and_another_can_take_over(shell):
+    command = shell.up("--duration=40", "--record", "--out=run")
+    command.read_until("vehicles")
+    run_dir = shell.folder / "run"
+    wait_until(lambda: (run_dir / "run.mcap").stat().st_size > 300_000)
+    os.kill(children_of(run_dir)["tape"], signal.SIGKILL)
+    command.read_until("tape was killed by SIGKILL; the run goes on without it")
+    other = shell.start("record", "run", "--no-truth", "--out=other.mcap")
+    status, output = command.finish()
+    assert status == 1
+    assert "the tape is not whole: tape was killed by SIGKILL" in output
+    assert "Traceback" not in output
+    with sqlite3.connect(run_dir / "run.sqlite") as database:
+        assert database.execute("SELECT count(*) FROM frames").fetchone() == (400,)
+    status, output = other.finish()
+    assert status == 0, output
+    assert "0 dropped" in output
+    first, second = Tape(run_dir), Tape(shell.folder / "other.mcap")
+    seen = [item.message.frame for item in first.heard(["tick"])]
+    assert seen == [*range(len(seen))]
+    assert len(seen) > 5
+    assert (first.is_whole, second.is_whole) == (False, True)
+    assert [item.message.reason for item in second.heard(["end"])] == ["finished"]
+    assert not [*second.heard(["truth", "sighting"])]
+    assert [*second.heard(["detections"])]
+
+
+def test_a_tape_that_is_started_again_writes_another_file(shell):
+    command = shell.up("--duration=60", "--mode=realtime", "--restart", "--record", "--out=run")
+    command.read_until("vehicles")
+    run_dir = shell.folder / "run"
+    os.kill(children_of(run_dir)["tape"], signal.SIGKILL)
+    command.read_until("tape was killed by SIGKILL; started again")
+    wait_until(lambda: (run_dir / "run-2.mcap").exists())
+    wait_until(lambda: [*Tape(run_dir / "run-2.mcap").heard(["tick"])])
+    command.process.send_signal(signal.SIGINT)
+    command.finish()
+    ticks = [item.message.frame for item in Tape(run_dir).heard(["tick"])]
+    assert ticks == sorted(set(ticks))
+    assert Tape(run_dir / "run-2.mcap").is_whole
+
+
+def test_taping_leaves_when_told_or_when_its_time_is_over(shell):
+    command = shell.up("--duration=600", "--out=runs/a")
+    command.read_until("vehicles")
+    status, output = shell.run("record", "runs/a", "--duration=1", "--no-foxglove")
+    assert status == 0, output
+    taping = shell.start("record")  # the newest run
+    taping.read_until("Ctrl-C ends it")
+    taping.process.send_signal(signal.SIGINT)
+    status, output = taping.finish()
+    assert status == 0, output
+    for name in ("record.mcap", "record-2.mcap"):
+        tape = Tape(shell.folder / "runs" / "a" / name)
+        assert tape.is_whole
+        assert tape.setup.scenario["name"] == "t_junction"
+    command.process.send_signal(signal.SIGINT)
+    assert command.finish()[0] == 130
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["record"], "no run goes on in runs/"),
+        (["record", "nowhere"], "nowhere: no run goes on there"),
+        (["record", "run", "--connect", "h:1"], "give a run folder or --connect, not both"),
+        (["up", "--only=sim,tape"], "--only tape: the scenario has record.tape false"),
+    ],
+)
+def test_what_cannot_be_taped_is_said(shell, words, said):
+    status, output = shell.run(*words)
+    assert (status, "Traceback" in output) == (2, False)
+    assert said in output

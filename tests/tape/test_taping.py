@@ -1,0 +1,139 @@
+"""Taping as a whole: what is asked for, what is said of it, when it is over."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+
+import pytest
+
+pytest.importorskip("mcap", reason="needs the extra `tape`")
+
+from cassette import envelope, same, setup
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from protocol.inbox import Envelope, Inbox, Presence
+from protocol.local import LocalNetwork
+from protocol.onlooker import ALL_TOPICS
+from protocol.process import Context, loop
+from protocol.topics import TOPICS, BusName
+from tape import role
+from tape.ending import PATIENCE_NS, SILENCE_NS, Ending
+from tape.names import next_file
+from tape.reader import Tape
+from tape.taping import TRUTH, Choice, Taping
+
+
+@pytest.fixture(autouse=True)
+def stay_nice(monkeypatch):
+    monkeypatch.setattr(role.os, "nice", lambda _: 0)
+
+
+def context_in(folder, record) -> Context:
+    """Returns what a tape's process is handed, on buses of this process."""
+    asked = setup()
+    scenario = {"name": "n", "mode": "lockstep", "seed": 1, "region": "r0", "record": record}
+    made = asked.model_copy(update={"scenario": scenario})
+    inbox, stop = Inbox(), threading.Event()
+    world, v2x = (LocalNetwork(name).bus(inbox) for name in (BusName.WORLD, BusName.V2X))
+    return Context("tape", made, folder, world, v2x, inbox, stop, lambda: v2x)
+
+
+def said(context, topic: str) -> None:
+    bus = context.world if TOPICS[topic].bus is BusName.WORLD else context.v2x
+    item = envelope(topic, 0)
+    bus.deliver(TOPICS[topic].key(**item.parts | {"region": "r0"}), item.data)
+
+
+@pytest.mark.parametrize("truth", [True, False])
+def test_all_topics_of_both_buses_are_kept_but_truth_that_nobody_wants(tmp_path, truth):
+    context = context_in(tmp_path, {"tape": True, "truth": truth, "foxglove": False})
+    taping = role.build(context)
+    for topic in sorted(ALL_TOPICS - {"end"}):
+        said(context, topic)
+    said(context, "end")
+    loop(taping, context.inbox, context.stop)  # until it is over
+    taping.close()
+    tape = Tape(tmp_path)
+    assert {item.topic for item in tape.heard()} == ALL_TOPICS - (set() if truth else TRUTH)
+    assert tape.facts["truth"] == json.dumps(truth)
+    assert (tape.is_whole, tape.facts["region"]) == (True, "r0")
+
+
+def test_another_regions_messages_are_not_kept(tmp_path):
+    context = context_in(tmp_path, {"tape": True})
+    taping = role.build(context)
+    item = envelope("detections", 0)
+    context.v2x.deliver(TOPICS["detections"].key(region="r1"), item.data)
+    context.v2x.deliver(TOPICS["detections"].key(region="r0"), item.data)
+    found = [one for one in iter(context.inbox.get, None) if isinstance(one, Envelope)]
+    assert [one.parts for one in found] == [{"region": "r0"}]
+    taping.close()
+
+
+def test_the_tape_says_at_its_end_what_came_of_it(tmp_path):
+    inbox = Inbox()
+    taping = Taping(setup(), lambda: next_file(tmp_path), inbox, Choice(), threading.Event())
+    inbox.drops["inbox_full"] = 3
+    for topic in ("tick", "end"):
+        taping.on(envelope(topic, time.monotonic_ns()))
+    assert taping.dropped == 3
+    taping.close()
+    with (tmp_path / "run.mcap").open("rb") as file:
+        closing = [one.metadata for one in make_reader(file).iter_metadata()][-1]
+    end = envelope("end", 0).message
+    assert closing == {
+        "messages": "2",
+        "drops": '{"inbox_full": 3}',
+        "end_reason": end.reason,
+        "frames_left_out": "0",
+        "clouds_left_out": "0",
+    }
+
+
+def test_messages_come_before_what_is_made_of_them(tmp_path):
+    taping = Taping(setup(), lambda: next_file(tmp_path), Inbox(), Choice(), threading.Event())
+    heard = [envelope("detections", n) for n in range(300)]
+    for item in heard:  # more than a batch: there is no time for other tools
+        taping.on(item)
+    taping.poll()
+    assert taping.scene._due is not None
+    taping.poll()
+    assert taping.scene._due is None
+    taping.close()
+    assert same(Tape(tmp_path).heard(), heard)
+
+
+def test_a_tape_is_over_when_the_recorder_is_gone_and_nobody_speaks():
+    ending = Ending()
+    ending.look(Presence("record", "record", alive=True, bus=BusName.WORLD), 0)
+    ending.heard(5)
+    assert not ending.is_over(10**12)
+    ending.begin(10)
+    assert not ending.is_over(SILENCE_NS * 2)
+    ending.look(Presence("record", "record", alive=False, bus=BusName.WORLD), 20)
+    assert not ending.is_over(5 + SILENCE_NS - 1)
+    assert ending.is_over(5 + SILENCE_NS)
+    ending.heard(SILENCE_NS)
+    assert not ending.is_over(5 + SILENCE_NS)
+
+
+@given(st.lists(st.integers(0, PATIENCE_NS * 2)))
+def test_patience_has_an_end(times_ns):
+    ending = Ending()
+    ending.look(Presence("record", "record", alive=True), 0)
+    ending.begin(0)
+    for now_ns in sorted(times_ns):
+        ending.heard(now_ns)
+        assert ending.is_over(now_ns) == (now_ns >= PATIENCE_NS)
+
+
+def test_without_a_world_nothing_more_is_awaited():
+    ending = Ending()
+    ending.look(Presence("edge", "edge", alive=False), 0)
+    assert not ending.is_over(10**12)
+    ending.look(Presence("sim", "sim", alive=False), 7)
+    assert ending.is_over(7 + SILENCE_NS)
