@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import re
-import shutil
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -20,8 +19,10 @@ from cpnet.cli_doctor import doctor_app
 from cpnet.cli_keys import keys_app
 from cpnet.cli_learn import learn_app
 from cpnet.cli_options import AsJson, Override, assigned, console, errors
+from cpnet.cli_replay import replay_app
 from cpnet.cli_study import study_app
 from cpnet.cli_tape import tape_app
+from cpnet.conclusion import conclude
 from protocol.errors import CpnetError
 from protocol.logs import LogStyle
 
@@ -34,6 +35,7 @@ app.add_typer(doctor_app)
 app.add_typer(learn_app)
 app.add_typer(study_app)
 app.add_typer(keys_app)
+app.add_typer(replay_app)
 app.add_typer(tape_app)
 app.add_typer(bench_app, name="bench")
 
@@ -127,34 +129,13 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
         scenario, overrides, only, *places, out, restart, metrics, log, keys, insecure=insecure
     )
     status, run_dir = up(options, console)
-    _conclude(run_dir)
+    conclude(run_dir)
     raise typer.Exit(status)
 
 
 def _run_name(file: Path) -> str:
     """Returns a name for runs of a file: what of its own a scenario's name may hold."""
     return re.sub(r"[^A-Za-z0-9_-]", "_", file.name.split(".")[0])[:80] or "own"
-
-
-def _conclude(run_dir: Path) -> None:
-    if not (run_dir / "run.sqlite").is_file():
-        console.print("the results are where the role record runs")
-        return
-    from studies.report import print_report
-    from studies.summary import summarise
-
-    summary = summarise(run_dir)
-    if not summary["frames"]:
-        console.print("no frame was recorded")
-        return
-    print_report(summary, console)
-    shown = _relative(run_dir)
-    called = Path(sys.argv[0]).absolute()
-    is_found = shutil.which("cpnet") is not None or called.name == "__main__.py"
-    command = "cpnet" if is_found else _relative(called)
-    console.print(
-        f"next: {command} draw {shown}    {command} report {shown} --json", soft_wrap=True
-    )
 
 
 @app.command("report")
@@ -221,10 +202,6 @@ def main() -> None:
     except CpnetError as error:
         errors.print(f"[bold red]error[/] {escape(str(error))}", highlight=False, soft_wrap=True)
         sys.exit(2)
-
-
-def _relative(path: Path) -> Path:
-    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 def _absolute(path: Path | None) -> str | None:

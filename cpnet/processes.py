@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from protocol.errors import ConfigError
@@ -35,6 +35,9 @@ ROLES = (
 """In starting order: the hosts of the buses first."""
 
 RELAY = RoleEntry("relay", "link_relay")
+PLAYER = "player"
+"""The module that runs, in a replay, the roles whose words are on the tape."""
+_TAPED = {"sim", "vehicle", "infra"}
 _AGENT_ID = re.compile(r"(vehicle|infra)-(0|[1-9]\d{0,3})")
 AGENTS = {"vehicle": "vehicle", "infra": "roadside"}
 """Roles whose connections a relay may shape, and what their links are called."""
@@ -122,6 +125,8 @@ def processes_of(choice: Choice, scenario: Scenario) -> list[ProcessEntry]:
             if choice.roles != ROLES:
                 raise ConfigError("--only tape: the scenario has record.tape false; see --record")
             continue
+        if scenario.replay is not None and row.role in _TAPED:
+            row = replace(row, module=PLAYER)
         if row.role not in numbers:
             result.append(ProcessEntry(row.role, row))
             continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import difflib
 from importlib import resources
 from pathlib import Path
@@ -11,6 +12,7 @@ import yaml
 from pydantic import BaseModel, Field, ValidationError
 
 from edge_server.config import EdgeConfig
+from player.config import ReplayConfig
 from protocol.config import Section
 from protocol.errors import ConfigError
 from protocol.files import is_file
@@ -67,6 +69,9 @@ class Scenario(Section):
         description="folder whose traffic and scans are played in the place of SUMO and the LiDAR "
         "model; a frame of it a step: needs traffic.step_s as frame_period_s, traffic.warmup_s 0",
     )
+    replay: ReplayConfig | None = Field(
+        None, description="the tape that is played; `cpnet replay` fills it in"
+    )
     traffic: TrafficConfig = TrafficConfig()
     cabinet: CabinetConfig = CabinetConfig()
     lidar: LidarPair = LidarPair()
@@ -99,6 +104,16 @@ def load(name_or_file: str, overrides: dict[str, Any]) -> Scenario:
         ConfigError: no such scenario, unreadable YAML, an unknown key or a value out of range.
     """
     source, data = _read(name_or_file)
+    return changed(data, overrides, source)
+
+
+def changed(data: dict[str, Any], overrides: dict[str, Any], source: str) -> Scenario:
+    """Lays overrides (dotted keys) over a scenario's data and checks it; `source` as in `validate`.
+
+    Raises:
+        ConfigError: an unknown key or a value out of range.
+    """
+    data = copy.deepcopy(data)
     for key, value in overrides.items():
         _put(data, key, value)
     return validate(data, source)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -52,8 +53,18 @@ class Options:
     insecure: bool = False
 
 
-def up(options: Options, console: Console) -> tuple[int, Path]:
+@dataclass(frozen=True, slots=True)
+class Played:
+    """A replay: what its run is called, and what makes its setup, given the run folder."""
+
+    name: str
+    setup: Callable[[Path], Setup]
+
+
+def up(options: Options, console: Console, played: Played | None = None) -> tuple[int, Path]:
     """Runs the roles of this machine to the end; returns the exit status and the run folder.
+
+    A replay takes the place of the scenario in the options.
 
     Raises:
         ConfigError: the options or the scenario cannot be.
@@ -66,18 +77,23 @@ def up(options: Options, console: Console) -> tuple[int, Path]:
     endpoints = secured(options.listen, options.connect, hosted, options.keys, options.insecure)
     place = Place.parse(options.metrics) if options.metrics is not None else None
     asked = None
-    if "sim" in names:
-        asked = scenarios.load(options.scenario, options.overrides)
+    if played is None and "sim" in names:
+        asked = _simulated(options)
     elif options.overrides:
         raise ConfigError(
             f"{', '.join(options.overrides)}: the scenario is decided where the role sim runs"
         )
-    run_dir = _make_run_dir(options.out, asked.name if asked else str(choice))
+    named = played or asked
+    run_dir = _make_run_dir(options.out, named.name if named else str(choice))
     modules = [f"{row.module}.role" for row in choice.roles if row is not TAPE]
     prepare(modules, run_dir / "logs" / "nursery.log")  # imports while the setup is being made
     try:
-        setup, scenario = _setup(asked, endpoints, run_dir)
-        if PLAYERS.intersection(names):
+        if played is not None:
+            setup = played.setup(run_dir)
+            scenario = scenarios.validate(setup.scenario, "the replay")
+        else:
+            setup, scenario = _setup(asked, endpoints, run_dir)
+        if scenario.replay is None and PLAYERS.intersection(names):
             check_recording(setup.scenario)
         if _detects(names, scenario):
             check(scenario.edge)
@@ -111,6 +127,13 @@ def up(options: Options, console: Console) -> tuple[int, Path]:
         attendant = Attendant(supervisor, scenario, interruption, console, options.restart, tally)
         status = attendant.attend(connecting(endpoints[BusName.WORLD]))
     return status, run_dir
+
+
+def _simulated(options: Options) -> scenarios.Scenario:
+    scenario = scenarios.load(options.scenario, options.overrides)
+    if scenario.replay is not None:
+        raise ConfigError(f"replay: that is played by `cpnet replay {scenario.replay.tape}`")
+    return scenario
 
 
 def _check_restart(options: Options, scenario: scenarios.Scenario) -> None:

@@ -7,6 +7,7 @@ from protocol.messages import Tick
 from protocol.process import Context
 from sensing.config import Mount
 from sensing.mounting import mounted
+from sensing.sensors import Sensors
 from sensing.station import Station
 
 
@@ -17,10 +18,11 @@ class InfraRole:
         number = int(context.id.rpartition("-")[2])
         mount = Mount.model_validate(context.setup.scenario["roadside_mounts"][number])
         self._station = Station(context, "roadside")
-        self._map_SE3_sensor = mounted(mount, context.setup.road_map, self._station.terrain)
+        sensors = Sensors(context, "roadside")
+        self._map_SE3_sensor = mounted(mount, context.setup.road_map, sensors.terrain)
         self._bus = context.open_v2x()
         radio = self._station.radio(mount.id, self._bus)
-        self._uplink = self._station.uplink(mount.id, self._bus, radio)
+        self._uplink = self._station.add(sensors.uplink(mount.id, self._bus, radio))
         self._station.open("infra")
 
     def on(self, item: Envelope | Presence) -> None:

@@ -1,27 +1,25 @@
-"""What every agent process shares: the clock it hears, the LiDAR it casts, what it reports."""
+"""What every agent process shares: the clock it hears, its ways to the edge, what it reports."""
 
 from __future__ import annotations
 
 import time
 from collections import Counter
+from typing import TypeVar
 
 import numpy as np
 
-from perception.roadway import Roadway
 from protocol.bus import Bus
 from protocol.inbox import Envelope, Presence
 from protocol.messages import End, Metrics, Plan, Roster, Sighting, Span, Tick, Upload, WireCount
 from protocol.process import Context
-from sensing.config import LidarConfig, SceneConfig, UploadConfig
+from sensing.config import UploadConfig
 from sensing.lidar import Sensed
 from sensing.link.config import LinkConfig
 from sensing.radio import AgentKind, Radio, radio_of
-from sensing.source import source_of
-from sensing.terrain import Terrain
-from sensing.uplink import Kit, Shipment, Uplink
-from sensing.upload.objects import OnBoard
 from sensing.upload.registry import POLICIES
-from sensing.upload.selection import Selector
+from sensing.way import Shipment, Way
+
+W = TypeVar("W", bound=Way)
 
 PLAN_WAIT_NS = 2_000_000_000  # in lockstep; a plan that has not come by then is lost
 
@@ -40,29 +38,10 @@ class Station:
         self.region: str = scenario["region"]
         self.link = LinkConfig.of(scenario)
         self._kind: AgentKind = kind
-        road_map = context.setup.road_map
-        config = LidarConfig.model_validate(scenario["lidar"][kind])
-        scene = SceneConfig.model_validate(scenario["scene"])
-        self.terrain = Terrain(road_map, scene, self.seed)
-        self._pattern = config.pattern
-        self._standing = kind == "roadside"
         self._keeps_truth: bool = scenario["record"]["truth"]
-        upload = UploadConfig.model_validate(scenario["upload"])
-        self._chosen = upload.of(kind)
-        self._policy = POLICIES[self._chosen.policy]
-        self._roadway = Roadway.of(road_map, margin_m=upload.roi_margin_m)
-        detects = self._policy.sends == "objects"
-        self._kit = Kit(
-            region=self.region,
-            process=context.id,
-            seed=self.seed,
-            source=source_of(context.setup, config),
-            config=upload,
-            detector=OnBoard.of(road_map, scenario["edge"]) if detects else None,
-            lockstep=scenario["mode"] == "lockstep",
-            period_ns=round(scenario["frame_period_s"] * 1e9),
-        )
-        self._uplinks: dict[str, Uplink] = {}
+        self._policy = POLICIES[UploadConfig.model_validate(scenario["upload"]).of(kind).policy]
+        self._lockstep = scenario["mode"] == "lockstep"
+        self._ways: dict[str, Way] = {}
         self._scanned: tuple[int, list[str]] = (-1, [])
         self._settled: list[WireCount] = []
         self._left: list[Shipment] = []
@@ -85,34 +64,26 @@ class Station:
         """Returns the radio of an agent with this connection."""
         return radio_of(self.context.setup.scenario, self.link, self._kind, agent, bus)
 
-    def uplink(self, agent: str, bus: Bus, radio: Radio) -> Uplink:
-        """Opens the way to the edge of one agent that has this bus for itself."""
-        if self._policy.cells or not self._kit.lockstep:
-            bus.subscribe("plan", region=self.region, agent=agent)
-        selector = Selector(
-            self._policy,
-            self._chosen.filters,
-            self._roadway,
-            self._pattern,
-            thin_m=self._kit.config.thin_m,
-            standing=self._standing,
-        )
-        self._uplinks[agent] = Uplink(agent, bus, radio, self._kit, selector)
-        return self._uplinks[agent]
+    def add(self, way: W) -> W:
+        """Takes the way to the edge of an agent that has its bus for itself, and opens it."""
+        if self._policy.cells or not self._lockstep:
+            way.bus.subscribe("plan", region=self.region, agent=way.agent)
+        self._ways[way.agent] = way
+        return way
 
     def hang_up(self, agent: str) -> None:
         """Ends an agent's way to the edge; its connection is the caller's to close."""
-        uplink = self._uplinks.pop(agent)
-        uplink.finish()
-        self._left += uplink.take_done()
-        self._settled += uplink.settle()
-        self._drops["overtaken_chunks"] += uplink.unsent_chunks
+        way = self._ways.pop(agent)
+        way.finish()
+        self._left += way.take_done()
+        self._settled += way.settle()
+        self._drops["overtaken_chunks"] += way.unsent_chunks
 
     def begin(self, tick: Tick) -> None:
         """Begins a frame on all ways to the edge."""
-        for _, uplink in sorted(self._uplinks.items()):
-            uplink.begin(tick.frame, tick.sim_time_ns)
-            self._settled += uplink.settle(tick.frame)
+        for _, way in sorted(self._ways.items()):
+            way.begin(tick.frame, tick.sim_time_ns)
+            self._settled += way.settle(tick.frame)
 
     def admits(self, radio: Radio, tick: Tick) -> bool:
         """Whether an agent takes part in a frame; if not, its link has not taken the last one."""
@@ -128,8 +99,8 @@ class Station:
             self._drops["skipped_ticks"] += self._tick is not None
             self._tick, self._ticked_ns = item.message, item.received_ns
         elif isinstance(item.message, Plan):
-            if uplink := self._uplinks.get(item.message.agent):
-                uplink.hear(item.message)
+            if way := self._ways.get(item.message.agent):
+                way.hear(item.message)
         elif isinstance(item.message, End):
             self.context.stop.set()
 
@@ -150,14 +121,19 @@ class Station:
     def publish_sighting(self, tick: Tick, agent: str, sensed: Sensed) -> None:
         """Says what the model of the sensor knows of its scan, for the recorder alone."""
         hit = np.flatnonzero(sensed.points_on)
-        if self._keeps_truth and len(hit):
+        if len(hit):
             sighting = Sighting(
                 frame=tick.frame,
                 agent=agent,
                 vehicles=[tick.ids[n] for n in hit],
                 points=sensed.points_on[hit].astype(np.int32),
             )
-            self.context.world.publish("sighting", sighting, agent=agent)
+            self.tell_sighting(sighting)
+
+    def tell_sighting(self, sighting: Sighting) -> None:
+        """Says that, if the truth is kept."""
+        if self._keeps_truth:
+            self.context.world.publish("sighting", sighting, agent=sighting.agent)
 
     def report(self, tick: Tick | None = None) -> None:
         """Accounts for the frames that are done with, and for that of a tick in any case."""
@@ -165,8 +141,8 @@ class Station:
         if tick is not None:
             frames[tick.frame] = (tick, [], [])
         done, self._left = self._left, []
-        for _, uplink in sorted(self._uplinks.items()):
-            done += uplink.take_done()
+        for _, way in sorted(self._ways.items()):
+            done += way.take_done()
         for shipment in done:
             _, uploads, spans = frames.setdefault(shipment.frame, (shipment.tick, [], []))
             uploads += shipment.uploads
@@ -176,11 +152,11 @@ class Station:
             self._publish_metrics(of, uploads, spans, wire)
 
     def _awaits_plan(self, tick: Tick) -> bool:
-        if not (self._kit.lockstep and self._policy.cells):
+        if not (self._lockstep and self._policy.cells):
             return False
         frame, scanned = self._scanned
-        uplinks = [self._uplinks[agent] for agent in scanned if agent in self._uplinks]
-        if frame != tick.frame - 1 or all(uplink.told >= frame for uplink in uplinks):
+        ways = [self._ways[agent] for agent in scanned if agent in self._ways]
+        if frame != tick.frame - 1 or all(way.told >= frame for way in ways):
             return False
         if time.monotonic_ns() - self._ticked_ns < PLAN_WAIT_NS:
             return True
@@ -191,7 +167,7 @@ class Station:
     def _publish_metrics(
         self, tick: Tick, uploads: list[Upload], spans: list[Span], wire: list[WireCount]
     ) -> None:
-        overtaken = sum(uplink.unsent_chunks for uplink in self._uplinks.values())
+        overtaken = sum(way.unsent_chunks for way in self._ways.values())
         drops = Counter(self.context.inbox.drops) + self._drops
         drops["overtaken_chunks"] += overtaken
         metrics = Metrics(

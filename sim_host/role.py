@@ -76,7 +76,16 @@ class SimRole:
     What the cabinet would refuse is refused as it comes: it neither waits nor ends a frame.
     """
 
-    def __init__(self, context: Context, world: Traffic, cabinet: Cabinet | None = None) -> None:
+    def __init__(
+        self,
+        context: Context,
+        world: Traffic,
+        cabinet: Cabinet | None = None,
+        *,
+        first_frame: int = 0,
+        speed: float = 1.0,
+    ) -> None:
+        """Begins with a frame; in realtime, the world runs so many times as fast as the clock."""
         scenario = context.setup.scenario
         self._context = context
         self._world = world
@@ -87,13 +96,14 @@ class SimRole:
         self._fleet = Fleet()
         self._roll_call = RollCall(expected_processes(scenario), self._traffic.start_timeout_s)
         self._lockstep = scenario["mode"] == "lockstep"
-        self._frames = max(1, round(scenario["duration_s"] / scenario["frame_period_s"]))
+        frames = max(1, round(scenario["duration_s"] / scenario["frame_period_s"]))
+        self._end_frame = first_frame + frames
         self._steps = max(1, round(scenario["frame_period_s"] / self._traffic.step_s))
-        self._beat = Beat(round(scenario["frame_period_s"] * 1e9))
+        self._beat = Beat(round(scenario["frame_period_s"] * 1e9 / speed))
         self._stage = Stage.ROLL_CALL
         self._since_ns = 0
         self._warm_ns = world.time_ns + round(self._traffic.warmup_s * 1e9)
-        self._frame = 0
+        self._frame = first_frame
         self._tick_ns = 0
         self._ticks = 0
         self._request: Envelope | None = None
@@ -120,12 +130,15 @@ class SimRole:
             world = World(setup, context.run_dir, Terrain(setup.road_map, scene, seed))
             world.start(seed)
             cabinet = _own_control(setup, world)
-        role = cls(context, world, cabinet)
-        context.v2x.subscribe("request", tls=setup.road_map.signal.tls)
-        context.world.watch()
-        context.v2x.watch()
-        context.announce("sim")
-        return role
+        return cls(context, world, cabinet).open()
+
+    def open(self) -> SimRole:
+        """Listens and announces the role."""
+        self._context.v2x.subscribe("request", tls=self._signal.tls)
+        self._context.world.watch()
+        self._context.v2x.watch()
+        self._context.announce("sim")
+        return self
 
     def on(self, item: Envelope | Presence) -> None:
         """Takes a presence or a request: it acts at once in realtime, else as the frame ends."""
@@ -211,7 +224,7 @@ class SimRole:
         while self._world.time_ns < self._warm_ns and time.monotonic_ns() < until_ns:
             self._step()
         if self._world.time_ns >= self._warm_ns:
-            _log.info("%d vehicles inserted; frame 0", self._world.counts.inserted)
+            _log.info("%d vehicles inserted; frame %d", self._world.counts.inserted, self._frame)
             self._stage = Stage.REST
 
     def _begin_frame(self) -> None:
@@ -266,7 +279,7 @@ class SimRole:
         self._publish_metrics(self._frame, self._tick_ns, stepped)
         self._frame += 1
         self._stage = Stage.REST
-        if self._frame == self._frames:
+        if self._frame == self._end_frame:
             self._stage = Stage.LAST
             self._since_ns = time.monotonic_ns()
 
@@ -304,7 +317,7 @@ class SimRole:
         if with_unfinished:
             trips += self._world.unfinished_trips()
         if trips:
-            frame = min(self._frame, self._frames - 1)
+            frame = min(self._frame, self._end_frame - 1)
             self._context.world.publish("trips", Trips(frame=frame, trips=trips))
 
     def _publish_metrics(self, frame: int, sim_time_ns: int, span: Span) -> None:

@@ -30,12 +30,13 @@ from vehicle_agent.role import VehicleRole
 
 IDLE_S = 0.001  # what waits for the clock alone, as the recorder's end does
 STUCK_NS = 120_000_000_000
+Builder = Callable[[Context], Role]
 
 
 class _Seat:
     """One role's place in the round."""
 
-    def __init__(self, name: str, context: Context, build: Callable[[Context], Role]) -> None:
+    def __init__(self, name: str, context: Context, build: Builder) -> None:
         self.name = name
         self._context = context
         self._role = build(context)
@@ -75,25 +76,47 @@ def play(scenario: dict[str, Any], run_dir: Path) -> None:
         ConfigError: the scenario cannot be played.
         BusError: the roles wait for one another.
     """
-    setup = build_setup(scenario, run_dir)
+    play_setup(build_setup(scenario, run_dir), run_dir)
+
+
+def play_setup(setup: Setup, run_dir: Path) -> None:
+    """Plays what a setup says, be it a tape.
+
+    Raises:
+        ConfigError: the scenario cannot be played.
+        BusError: the roles wait for one another.
+    """
     (run_dir / "setup.msgpack").write_bytes(encode(setup))
     table = _Table(setup, run_dir)
-    builders: list[tuple[str, Callable[[Context], Role]]] = [
-        ("record", RecordRole.build),
-        ("edge", EdgeRole.build),
-        ("signal", SignalRole.build),
-        *((f"infra-{n}", InfraRole) for n in range(len(scenario["roadside_mounts"]))),
-        *((f"vehicle-{n}", VehicleRole) for n in range(scenario["processes"]["vehicle"])),
-    ]
+    sim_builder, builders = _builders(setup.scenario)
     with ExitStack() as stack:
 
-        def seat(name: str, build: Callable[[Context], Role]) -> _Seat:
+        def seat(name: str, build: Builder) -> _Seat:
             taken = _Seat(name, table.context(name), build)
             stack.callback(taken.leave)
             return taken
 
-        sim = seat("sim", SimRole.build)  # leaves last: with the world goes what others may ask
+        sim = seat("sim", sim_builder)  # leaves last: with the world goes what others may ask
         _go_round(sim, [seat(name, build) for name, build in builders])
+
+
+def _builders(scenario: dict[str, Any]) -> tuple[Builder, list[tuple[str, Builder]]]:
+    """Returns what makes the world's role, and the others' by their ids."""
+    world: Builder = SimRole.build
+    infra: Builder = InfraRole
+    vehicle: Builder = VehicleRole
+    if scenario.get("replay"):
+        from player.role import PlayerRole  # tapes need an extra
+        from player.sim import sim_role
+
+        world, infra, vehicle = sim_role, PlayerRole.build, PlayerRole.build
+    return world, [
+        ("record", RecordRole.build),
+        ("edge", EdgeRole.build),
+        ("signal", SignalRole.build),
+        *((f"infra-{n}", infra) for n in range(len(scenario["roadside_mounts"]))),
+        *((f"vehicle-{n}", vehicle) for n in range(scenario["processes"]["vehicle"])),
+    ]
 
 
 class _Table:

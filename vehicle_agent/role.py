@@ -14,6 +14,7 @@ from sensing.config import PoseErrorConfig
 from sensing.noise import stream
 from sensing.pose import believed_pose, position_std_m
 from sensing.radio import ENVELOPE_BYTES, Radio
+from sensing.sensors import Sensors
 from sensing.station import Station
 from sensing.uplink import Uplink
 from vehicle_agent.connections import Connections
@@ -26,6 +27,7 @@ class VehicleRole:
         scenario = context.setup.scenario
         self._context = context
         self._station = Station(context, "vehicle")
+        self._sensors = Sensors(context, "vehicle")
         self._pose_error = PoseErrorConfig.model_validate(scenario["pose"])
         self._body_SE3_sensor = SE3.from_pose([0, 0, scenario["sensor_height_m"], 0, 0, 0])
         self._connections = Connections(context.open_v2x, wait=scenario["mode"] == "lockstep")
@@ -118,7 +120,7 @@ class VehicleRole:
         self._buses[agent] = bus
         self._radios[agent] = radio = self._station.radio(agent, bus)
         if is_cav:
-            self._uplinks[agent] = self._station.uplink(agent, bus, radio)
+            self._uplinks[agent] = self._station.add(self._sensors.uplink(agent, bus, radio))
         return True
 
     def _publish_scan(self, tick: Tick, index: int, believed: Floats) -> None:

@@ -1,0 +1,123 @@
+"""Agents of a folder: whose clouds, where they were, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from player.scans.align import refined
+from player.scans.extrinsics import read_extrinsics
+from player.scans.folder import scans_in, sensors_in
+from player.scans.poses import Track, read_poses
+from protocol.errors import ConfigError
+from protocol.geometry import SE3, Floats
+from protocol.scans import PointCloud
+from sensing.point_files import read_points
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Agent:
+    """Its clouds come from one sensor or from several, merged into the vehicle's frame.
+
+    `files` has those of a frame together, by sensor; `mounts` are `vehicle_SE3_sensor`.
+    """
+
+    name: str
+    files: list[dict[str, Path]]
+    mounts: dict[str, SE3]
+    track: Track
+
+    def cloud(self, number: int) -> PointCloud:
+        """Returns the points of a frame's files in the frame of the sensor, or of the vehicle.
+
+        Raises:
+            ConfigError: a file cannot be read.
+        """
+        parts = [
+            (self.mounts[name], read_points(path)) for name, path in self.files[number].items()
+        ]
+        points = [mount.apply(cloud.points).astype(np.float32) for mount, cloud in parts]
+        shade = [cloud.intensity for _, cloud in parts]
+        return PointCloud(np.concatenate(points), np.concatenate(shade))
+
+    def pose(self, number: int) -> Floats:
+        """Returns the pose (6,) of a frame's files; of a sensor that stood still, always one."""
+        return np.asarray(self.track.poses[number if len(self.track.poses) > 1 else 0])
+
+    def moved(self, by_m: Floats) -> Agent:
+        """Returns the agent with its poses shifted in the map frame by (3,)."""
+        shift = np.concatenate([by_m, np.zeros(3)])
+        return replace(self, track=replace(self.track, poses=self.track.poses + shift))
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """What the user named: a folder of clouds, poses, and how sensors are mounted, if several.
+
+    With `refine`, that is a first guess; see `player.scans.align`.
+    """
+
+    scans: Path
+    poses: Path
+    extrinsics: Path | None = None
+    sensors: Sequence[str] = ()
+    refine: bool = False
+
+
+def agents_of(source: Source) -> list[Agent]:
+    """Returns the agents, sorted; all have equally many frames.
+
+    Raises:
+        ConfigError: files are missing or wrong, or do not fit one another.
+    """
+    if source.extrinsics is None:
+        groups = {
+            name: [{"": file} for file in files] for name, files in scans_in(source.scans).items()
+        }
+        mounts = {"": SE3.identity()}
+    else:
+        mounts = read_extrinsics(source.extrinsics, source.sensors)
+        by_sensor = sensors_in(source.scans, list(mounts))
+        if source.refine:
+            first = {name: read_points(files[0]).points for name, files in by_sensor.items()}
+            mounts = refined(mounts, first)
+        rows = zip(*by_sensor.values(), strict=True)
+        frames = [dict(zip(by_sensor, row, strict=True)) for row in rows]
+        groups = {source.scans.resolve().name or "agent": frames}
+    tracks = read_poses(source.poses)
+    agents = [
+        Agent(name, files, mounts, _track_of(name, tracks, len(groups), source.poses))
+        for name, files in sorted(groups.items())
+    ]
+    for agent in agents:
+        _check(agent, len(agents[0].files), source.poses)
+    return agents
+
+
+def _track_of(name: str, tracks: Mapping[str, Track], agents: int, path: Path) -> Track:
+    if name in tracks:
+        return tracks[name]
+    if agents == 1 and len(tracks) == 1:
+        return next(iter(tracks.values()))
+    raise ConfigError(
+        f"{path}: has no poses of the agent {name!r}; it has those of "
+        f"{', '.join(repr(known) for known in tracks)}. With several agents, a table needs the "
+        "column agent, or a folder has one for each"
+    )
+
+
+def _check(agent: Agent, frames: int, path: Path) -> None:
+    poses = len(agent.track.poses)
+    if len(agent.files) != frames:
+        raise ConfigError(
+            f"agent {agent.name} has {len(agent.files)} scans, others have {frames}: all need "
+            "equally many"
+        )
+    if poses not in (1, frames):
+        raise ConfigError(
+            f"{path}: has {poses} poses for the {frames} scans of {agent.name}; needs as many, or "
+            "one if it stood still"
+        )

@@ -1,0 +1,208 @@
+"""Clouds of agents as a tape, as if they had been recorded in a run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from player.scans.agents import Agent
+from player.scans.ground import height_over_ground_m
+from protocol.codec import encode_cloud
+from protocol.errors import CodecError, ConfigError
+from protocol.geometry import SE3, Floats
+from protocol.inbox import Envelope
+from protocol.messages import AgentPose, Equipment, Message, Roster, Scan, Setup, SignalState, Tick
+from protocol.wire import encode
+from sensing.config import UploadConfig
+from tape.names import next_file
+from tape.writer import TapeWriter
+
+PROCESS = "vehicle-0"
+STEM = "scans"
+_SIZE_M = {"length_m": 4.5, "width_m": 1.8, "height_m": 1.5}  # a usual car
+_STD_M = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Imported:
+    """Agents with the height of each of them over the ground, and how many frames they play."""
+
+    agents: Sequence[Agent]
+    heights_m: dict[str, float]
+    frames: int
+
+    @classmethod
+    def of(cls, agents: Sequence[Agent], frames: int | None, height_m: float | None) -> Imported:
+        """Finds the ground below each agent, unless it is told how high they are over it.
+
+        Raises:
+            ConfigError: a cloud cannot be read.
+        """
+        heights_m = {
+            agent.name: height_m
+            if height_m is not None
+            else height_over_ground_m(agent.cloud(0), SE3.from_pose(agent.pose(0)))
+            for agent in agents
+        }
+        return cls(agents, heights_m, frames or len(agents[0].files))
+
+    def ways(self) -> dict[str, Floats]:
+        """Returns the poses (N, 6) on the ground below each agent."""
+        return {
+            agent.name: np.stack([self.ground_pose(agent, n) for n in range(self._numbers)])
+            for agent in self.agents
+        }
+
+    def ground_pose(self, agent: Agent, number: int) -> Floats:
+        """Returns the pose (6,) of an agent's footprint in a frame's files."""
+        pose = agent.pose(number).copy()
+        pose[2] -= self.heights_m[agent.name]
+        return pose
+
+    def number(self, frame: int) -> int:
+        """Returns which files a frame plays: after the last, they begin anew."""
+        return frame % self._numbers
+
+    @property
+    def repeats(self) -> bool:
+        """Whether files are played more than once."""
+        return self.frames > self._numbers
+
+    def times_ns(self, period_ns: int) -> list[int]:
+        """Returns the simulated time of each frame: as told, else by the period."""
+        times_s = self.agents[0].track.times_s
+        if times_s is None or len(times_s) != self._numbers or self.repeats:
+            return [frame * period_ns for frame in range(self.frames)]
+        return [round((time_s - times_s[0]) * 1e9) for time_s in times_s[: self.frames]]
+
+    @property
+    def _numbers(self) -> int:
+        return len(self.agents[0].files)
+
+
+def tape_scans(imported: Imported, setup: Setup, folder: Path) -> None:
+    """Writes the tape of a setup into a folder.
+
+    Raises:
+        ConfigError: a cloud cannot be read or encoded.
+        CpnetError: the disk is full.
+    """
+    writer = TapeWriter(lambda: next_file(folder, STEM), setup, {"source": "scans from elsewhere"})
+    try:
+        made = _Maker(imported, setup)
+        for frame in range(imported.frames):
+            for item in made.frame(frame):
+                writer.write(item)
+            writer.settle(time.monotonic_ns())
+    finally:
+        writer.close({})
+
+
+class _Maker:
+    def __init__(self, imported: Imported, setup: Setup) -> None:
+        scenario = setup.scenario
+        self._imported = imported
+        self._region: str = scenario["region"]
+        self._tls = setup.road_map.signal.tls
+        self._upload = UploadConfig.model_validate(scenario["upload"])
+        self._times_ns = imported.times_ns(round(scenario["frame_period_s"] * 1e9))
+        self._encoded: dict[tuple[str, int], Scan] = {}
+
+    def frame(self, frame: int) -> list[Envelope]:
+        """Returns all that is said in a frame."""
+        now_ns, names = self._times_ns[frame], [agent.name for agent in self._imported.agents]
+        about = {"frame": frame, "sim_time_ns": now_ns}
+        state = self._state(frame, now_ns)
+        roster = Roster(frame=frame, process=PROCESS, agents=names, scanning=names)
+        said = [
+            self._item("state", state, tls=self._tls),
+            self._item("tick", _empty_tick(frame, now_ns)),
+            self._item("roster", roster, region=self._region, process=PROCESS),
+        ]
+        number = self._imported.number(frame)
+        for agent in self._imported.agents:
+            where = {"region": self._region, "process": PROCESS, "agent": agent.name}
+            scan = self._scan(agent, number).model_copy(update=about)
+            said += [
+                self._item("pose", self._pose(agent, number).model_copy(update=about), **where),
+                self._item("scan", scan, **where, chunk="0"),
+            ]
+        return said
+
+    def _pose(self, agent: Agent, number: int) -> AgentPose:
+        return AgentPose(
+            frame=0,
+            sim_time_ns=0,
+            agent=agent.name,
+            equipment=Equipment.CAV,
+            pose=self._imported.ground_pose(agent, number),
+            position_std_m=_STD_M,
+            **_SIZE_M,
+        )
+
+    def _scan(self, agent: Agent, number: int) -> Scan:
+        key = agent.name, number
+        known = self._encoded.get(key)
+        if known is None:
+            known = self._encode(agent, number)
+            if self._imported.repeats:
+                self._encoded[key] = known
+        return known
+
+    def _encode(self, agent: Agent, number: int) -> Scan:
+        cloud, begun_ns = agent.cloud(number), time.monotonic_ns()
+        try:
+            payload = encode_cloud(
+                cloud,
+                self._upload.max_error_m,
+                profile=self._upload.profile,
+                intensity=self._upload.intensity,
+            )
+        except CodecError as error:
+            raise ConfigError(f"{next(iter(agent.files[number].values()))}: {error}") from None
+        return Scan(
+            frame=0,
+            sim_time_ns=0,
+            agent=agent.name,
+            chunk=0,
+            chunks=1,
+            points=len(cloud.points),
+            sensor_pose=agent.pose(number),
+            sense_start_ns=begun_ns,
+            sense_end_ns=begun_ns,
+            encode_end_ns=time.monotonic_ns(),
+            payload=np.frombuffer(payload, np.uint8),
+        )
+
+    def _state(self, frame: int, now_ns: int) -> SignalState:
+        return SignalState(
+            frame=frame,
+            sim_time_ns=now_ns,
+            tls=self._tls,
+            state="",
+            stage="",
+            green="",
+            source="",
+            earliest_change_ns=now_ns,
+        )
+
+    def _item(self, topic: str, message: Message, **parts: str) -> Envelope:
+        return Envelope(topic, parts, message, time.monotonic_ns(), encode(message))
+
+
+def _empty_tick(frame: int, now_ns: int) -> Tick:
+    return Tick(
+        frame=frame,
+        sim_time_ns=now_ns,
+        processes=[PROCESS],
+        ids=[],
+        types=[],
+        poses=np.zeros((0, 6)),
+        speeds_mps=np.zeros(0, np.float32),
+        equipment=np.zeros(0, np.uint8),
+        hosts=np.zeros(0, np.int32),
+    )

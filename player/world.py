@@ -1,0 +1,110 @@
+"""The world of a tape in the place of SUMO: it heeds no signal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from player.frames import CLOCK, Frames
+from protocol.errors import ConfigError
+from protocol.messages import SignalState, Tick, Trip, Trips, Truth
+from sim_host.world import Bodies, Counts
+
+WORLD_TOPICS = ("tick", "truth", "trips", CLOCK)
+_NOBODY = Bodies(
+    ids=[],
+    types=[],
+    lanes=[],
+    poses=np.zeros((0, 6)),
+    speeds_mps=np.zeros(0, np.float32),
+    lane_positions_m=np.zeros(0, np.float32),
+    equipment=np.zeros(0, np.uint8),
+)
+
+
+class TapeWorld:
+    """Plays a frame of the tape in so many steps; `sim_host.traffic.Traffic` says what of a world.
+
+    Frames have their recorded times. Of a frame that the tape lacks, bodies stay where they were.
+    """
+
+    def __init__(self, frames: Frames, *, step_ns: int, steps: int, warmup_ns: int) -> None:
+        """Goes back to before the first frame by the warm-up, which the signal goes through again.
+
+        Raises:
+            ConfigError: the tape has no frame.
+        """
+        first = frames.first("tick", CLOCK)
+        if first is None:
+            raise ConfigError("the tape holds no frame: neither a tick nor a state of the signal")
+        self._frames = frames
+        self._step_ns, self._steps = step_ns, steps
+        self._step = (
+            -warmup_ns // step_ns
+        )  # of the frame; before the first, in the warm-up: below 0
+        self._bodies, self._ended = _NOBODY, list[Trip]()
+        self._trips = list[Trip]()
+        self._frame = self.first_frame = first
+        self.time_ns = 0
+        self._open()
+        self.time_ns += self._step * step_ns
+        self.counts = Counts(inserted=len(self._bodies.ids))
+
+    def step(self) -> None:
+        """Goes on by one step, with the last of a frame to the next."""
+        self._step += 1
+        self.time_ns += self._step_ns
+        if self._step == self._steps:
+            self._step = 0
+            self._frame += 1
+            self._ended = self._trips
+            self._open()
+
+    def bodies(self) -> Bodies:
+        """Returns where every vehicle was."""
+        return self._bodies
+
+    def set_signal(self, state: str) -> None:
+        """Does nothing: what is recorded goes its way."""
+
+    def take_trips(self) -> list[Trip]:
+        """Returns the journeys that ended in the frame that is over."""
+        ended, self._ended = self._ended, []
+        return ended
+
+    def unfinished_trips(self) -> list[Trip]:
+        """Returns nothing: those that the end cut off are on the tape, with its last frame."""
+        return []
+
+    def waiting(self) -> int:
+        """Returns 0: nobody wants to enter."""
+        return 0
+
+    def close(self) -> None:
+        """Holds nothing of its own."""
+
+    def _open(self) -> None:
+        messages = [item.message for item in self._frames.take(self._frame)]
+        self._trips = [t for m in messages if isinstance(m, Trips) for t in m.trips]
+        for message in messages:
+            if isinstance(message, Tick | Truth | SignalState):
+                self.time_ns = message.sim_time_ns
+                break
+        whole = [m for m in messages if isinstance(m, Truth)]
+        places = [m for m in messages if isinstance(m, Tick)]
+        if whole:
+            self._bodies = _bodies(whole[0], whole[0].lanes, whole[0].lane_positions_m)
+        elif places:
+            nowhere = np.zeros(len(places[0].ids), np.float32)
+            self._bodies = _bodies(places[0], [""] * len(places[0].ids), nowhere)
+
+
+def _bodies(of: Tick | Truth, lanes: list[str], lane_positions_m: np.ndarray) -> Bodies:
+    return Bodies(
+        ids=of.ids,
+        types=of.types,
+        lanes=lanes,
+        poses=of.poses,
+        speeds_mps=of.speeds_mps,
+        lane_positions_m=lane_positions_m,
+        equipment=of.equipment,
+    )
