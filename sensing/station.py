@@ -19,8 +19,9 @@ from sensing.radio import AgentKind, Radio, radio_of
 from sensing.source import source_of
 from sensing.terrain import Terrain
 from sensing.uplink import Kit, Shipment, Uplink
+from sensing.upload.chooser import chooser_of
 from sensing.upload.objects import OnBoard
-from sensing.upload.registry import POLICIES
+from sensing.upload.registry import policy_of
 from sensing.upload.selection import Selector
 
 PLAN_WAIT_NS = 2_000_000_000  # in lockstep; a plan that has not come by then is lost
@@ -49,7 +50,7 @@ class Station:
         self._keeps_truth: bool = scenario["record"]["truth"]
         upload = UploadConfig.model_validate(scenario["upload"])
         self._chosen = upload.of(kind)
-        self._policy = POLICIES[self._chosen.policy]
+        self._policy = policy_of(self._chosen.policy)
         self._roadway = Roadway.of(road_map, margin_m=upload.roi_margin_m)
         detects = self._policy.sends == "objects"
         self._kit = Kit(
@@ -94,6 +95,7 @@ class Station:
             self._chosen.filters,
             self._roadway,
             self._pattern,
+            chooser_of(self._chosen.policy, self._kit.config, self._roadway, self._pattern),
             thin_m=self._kit.config.thin_m,
             standing=self._standing,
         )
