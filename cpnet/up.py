@@ -31,7 +31,8 @@ from protocol.topics import BusName
 from protocol.wire import encode
 from sensing.radio import AgentKind
 from sensing.source import check_recording
-from sensing.upload.registry import POLICIES
+from sensing.upload.registry import policy_of
+from signal_controller.registry import check as check_policy
 
 PLAYERS = {"sim", "vehicle", "infra"}  # who plays a recording, if there is one
 
@@ -97,6 +98,8 @@ def up(options: Options, console: Console, played: Played | None = None) -> tupl
             check_recording(setup.scenario)
         if _detects(names, scenario):
             check(scenario.edge)
+        if "signal" in names:
+            check_policy(scenario.signal)
         packed = encode(setup)
         _check_restart(options, scenario)
         processes = processes_of(choice, scenario)
@@ -164,7 +167,7 @@ def _detects(roles: list[str], scenario: scenarios.Scenario) -> bool:
     """Whether vehicles are looked for here: by the edge, or by agents that send what they find."""
     kinds: dict[str, AgentKind] = {"vehicle": "vehicle", "infra": "roadside"}
     policies = [scenario.upload.of(kinds[role]).policy for role in roles if role in kinds]
-    return "edge" in roles or any(POLICIES[policy].sends == "objects" for policy in policies)
+    return "edge" in roles or any(policy_of(policy).sends == "objects" for policy in policies)
 
 
 def _make_run_dir(out: Path | None, name: str) -> Path:
