@@ -21,6 +21,7 @@ from cpnet.cli_keys import keys_app
 from cpnet.cli_learn import learn_app
 from cpnet.cli_options import AsJson, Override, assigned, console, errors
 from cpnet.cli_study import study_app
+from cpnet.cli_view import view_app
 from protocol.errors import CpnetError
 from protocol.logs import LogStyle
 
@@ -33,6 +34,7 @@ app.add_typer(doctor_app)
 app.add_typer(learn_app)
 app.add_typer(study_app)
 app.add_typer(keys_app)
+app.add_typer(view_app)
 app.add_typer(bench_app, name="bench")
 
 _ADDRESS = "HOST:PORT, v2x=HOST:PORT or world=HOST:PORT"
