@@ -53,16 +53,16 @@ def text(board: Board, width: int = 100) -> str:
 
 
 def test_agents_have_their_points_rates_and_scores() -> None:
-    doubt = m.Doubt(agent="b", score=0.2, believed=False)
-X
+    doubted = measured(0, "edge", doubts=[m.Doubt(agent="b", score=0.2, believed=False)])
+    board = fed(tick(0), sent(0, "a", 12_500), sent(0, "b", 25_000), doubted)
     rows = [(r.agent, r.points, round(r.mbps, 2), r.score, r.believed) for r in board.agents()]
     assert rows == [("b", 1, 2.0, 0.2, False), ("a", 1, 1.0, 1.0, True)]
     assert "b is not believed (score 0.20)" in board.alerts()
 
 
 def test_the_signal_is_told_with_the_time_since_its_last_change() -> None:
-    board = fed(tick(0), state(0, "Gr"), tick(1), state(1, "yr", "yellow"), state(2, "yr", "yellow"),
-                tick(11))  # fmt: skip
+    changes = state(0, "Gr"), tick(1), state(1, "yr", "yellow"), state(2, "yr", "yellow")
+    board = fed(tick(0), *changes, tick(11))
     shown = board.signal()
     assert shown is not None
     assert (shown[0].state, shown[1]) == ("yr", 1.0)
