@@ -109,7 +109,8 @@ def plan_cells(plan: Plan | None, road_map: RoadMap, colours: Mapping[str, Rgb])
     x, y, z = road_map.centre
     reach_m = CELLS_REACH_M
     box = np.array([x - reach_m, y - reach_m, x + reach_m, y + reach_m])
-    parts = cells(plan.sites, plan.weights_m2, box, border=PLAIN)
+    sites, weights_m2 = np.array(plan.sites), np.array(plan.weights_m2)
+    parts = cells(sites, weights_m2, box, border=PLAIN)
     for agent, corners in zip(plan.agents, parts, strict=True):
         if len(corners) and agent in colours:
             ring = np.vstack([corners, corners[:1]])

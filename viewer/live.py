@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+from contextlib import suppress
 from typing import Protocol
 
 from protocol.errors import MessageError
@@ -85,10 +86,8 @@ class Live:
         self._moments.take(message)
         if isinstance(message, Metrics):
             self._scene.measured(message)
-        try:
+        with suppress(MessageError):  # whoever comes into a run hears ends of what had begun before
             self._stages.take(message)
-        except MessageError as error:  # of frames from before this began there is nothing to add to
-            self._onlooker.inbox.refuse(item.topic, error)
         if item.topic == "tick":
             for account in self._stages.accounts():
                 self._shows.account(account)

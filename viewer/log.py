@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
-from perception.arrays import Floats
 from studies import palette
 from viewer.colours import Rgb, rgb
 from viewer.layers import Boxes, Texts
@@ -75,9 +74,7 @@ class Log:
             self._to.log(f"/scene/cloud/{_part(agent)}", rr.Clear(recursive=False))
         self._agents = there
         for cloud in picture.clouds:
-            points = rr.Points3D(
-                cloud.points, colors=picture.colours[cloud.agent], radii=_POINT_UI
-            )
+            points = rr.Points3D(cloud.points, colors=picture.colours[cloud.agent], radii=_POINT_UI)
             self._to.log(f"/scene/cloud/{_part(cloud.agent)}", points)
         sensors = rr.Points3D(
             np.array([cloud.sensor_m for cloud in picture.clouds]).reshape(-1, 3),
