@@ -11,13 +11,14 @@ from viewer.road import camera
 from viewer.scene import Scene
 
 PLOTTED_S = 30.0
-_SHARES = (5, 2)
+_COLUMNS = (5, 2)
+_ROWS = (5, 6, 4, 4)
 
 
 def blueprint(scene: Scene) -> rrb.Blueprint:
     """Returns the layout for a run; truth is there, but hidden until it is asked for."""
     return rrb.Blueprint(
-        rrb.Horizontal(_junction(scene), rrb.Vertical(*_plots()), column_shares=_SHARES),
+        rrb.Horizontal(_junction(scene), _plots(), column_shares=_COLUMNS),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIME, play_state="following"),
@@ -38,21 +39,26 @@ def _junction(scene: Scene) -> rrb.Spatial3DView:
     )
 
 
-def _plots() -> list[rrb.TimeSeriesView]:
-    titles = {
-        "/uplink": "upload of each agent, Mbit/s",
-        "/latency": "from sensing to signal by stage, ms",
-        "/pressure": "pressure of each phase, vehicles",
-        "/e_cvpr": "E-CVPR: vehicles truly detected, %",
-    }
-    return [_plot(origin, title) for origin, title in titles.items()]
+def _plots() -> rrb.Vertical:
+    share = rrb.ScalarAxis(range=(0.0, 100.0))
+    return rrb.Vertical(
+        _plot("/uplink", "upload of each agent, Mbit/s"),
+        _plot("/latency", "from sensing to signal by stage, ms"),
+        _plot("/pressure", "pressure of each phase, vehicles"),
+        _plot("/e_cvpr", "E-CVPR: vehicles truly detected, %", axis=share, has_legend=False),
+        row_shares=_ROWS,
+    )
 
 
-def _plot(origin: str, title: str) -> rrb.TimeSeriesView:
+def _plot(
+    origin: str, title: str, *, axis: rrb.ScalarAxis | None = None, has_legend: bool = True
+) -> rrb.TimeSeriesView:
     newest = rrb.VisibleTimeRange(
         TIME,
         start=rrb.TimeRangeBoundary.cursor_relative(seconds=-PLOTTED_S),
         end=rrb.TimeRangeBoundary.cursor_relative(),
     )
-    legend = rrb.PlotLegend(visible=origin != "/e_cvpr", corner=rrb.Corner2D.LeftTop)
-    return rrb.TimeSeriesView(origin=origin, name=title, plot_legend=legend, time_ranges=newest)
+    legend = rrb.PlotLegend(visible=has_legend, corner=rrb.Corner2D.LeftTop)
+    return rrb.TimeSeriesView(
+        origin=origin, name=title, axis_y=axis, plot_legend=legend, time_ranges=newest
+    )

@@ -15,7 +15,7 @@ from protocol.errors import CodecError
 from protocol.geometry import SE3
 from protocol.messages import Scan
 
-MAX_POINTS = 120_000  # of a frame
+MAX_POINTS = 50_000  # of a frame
 MAX_AGENTS = 64
 _log = logging.getLogger(__name__)
 

@@ -51,14 +51,26 @@ def detected(message: Detections, colours: Mapping[str, Rgb]) -> Boxes:
 
     Others are numbered as in the message.
     """
-    found = zip(message.sources, message.lanes, strict=True)
-    labels = [
-        f"{source if source != 'lidar' else f'#{number}'} · {lane or 'off the lanes'}"
-        for number, (source, lane) in enumerate(found)
-    ]
-    plain = rgb(palette.BOX)
-    own = [colours.get(source, plain) for source in message.sources]
+    labels = [_label(message, number) for number in range(len(message.lanes))]
+    own = [_colour(source, colours) for source in message.sources]
     return Boxes(message.boxes.astype(np.float64), labels, own)
+
+
+def fronts(message: Detections) -> Texts:
+    """Returns the labels of those who stand first in their lane before the stop bar.
+
+    Those of all boxes would hide one another; who reports itself has a name there already.
+    """
+    ways_m = message.distances_m.tolist()
+    first: dict[str, int] = {}
+    for number in sorted(range(len(ways_m)), key=ways_m.__getitem__):
+        if ways_m[number] >= 0 and message.lanes[number]:
+            first.setdefault(message.lanes[number], number)
+    numbers = sorted(n for n in first.values() if message.sources[n] == "lidar")
+    tops = message.boxes[numbers].astype(np.float64)
+    places = tops[:, :3] + np.outer(tops[:, 5], [0.0, 0.0, 0.5])
+    texts = [_label(message, number) for number in numbers]
+    return Texts(places, texts, [rgb(palette.BOX)] * len(texts))
 
 
 def true_boxes(message: Truth, types: Mapping[str, VehicleType]) -> Boxes:
@@ -118,6 +130,15 @@ def plan_cells(plan: Plan | None, road_map: RoadMap, colours: Mapping[str, Rgb])
             found.names.append(agent)
             found.colours.append(colours[agent])
     return found
+
+
+def _label(message: Detections, number: int) -> str:
+    source, lane = message.sources[number], message.lanes[number]
+    return f"{source if source != 'lidar' else f'#{number}'} · {lane or 'off the lanes'}"
+
+
+def _colour(source: str, colours: Mapping[str, Rgb]) -> Rgb:
+    return colours.get(source, rgb(palette.BOX))
 
 
 def _lamp(shown: str, links: Sequence[int]) -> Rgb:

@@ -14,8 +14,8 @@ from viewer.stages import GROUPS, Account
 
 FRAME, TIME = "frame", "sim time"
 TRUTH = "/scene/truth"
-_POINT_UI, _LINE_M, _BAR_M, _HEAD_M = -1.5, 0.05, 0.35, 0.7
-_FAINT_LINE_M = 0.25
+_POINT_UI, _LINE_M, _BAR_M, _HEAD_M = -1.0, 0.05, 0.35, 0.6
+_EDGE_M, _CELL_M = 0.07, 0.15
 
 
 class Log:
@@ -36,6 +36,8 @@ class Log:
         self._clouds(picture)
         if picture.boxes is not None:
             self._boxes("/scene/boxes", picture.boxes)
+        if picture.fronts is not None:
+            self._texts("/scene/boxes/front", picture.fronts)
         if picture.truth is not None:
             self._boxes(TRUTH, picture.truth)
         if picture.lamps is not None:
@@ -58,7 +60,7 @@ class Log:
 
     def _road(self, scene: Scene) -> None:
         road = surface(scene.setup.road_map)
-        self._to.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        self._to.log("/scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         mesh = rr.Mesh3D(
             vertex_positions=road.vertices,
             triangle_indices=road.triangles,
@@ -95,6 +97,8 @@ class Log:
             colors=boxes.colours,
             labels=boxes.labels,
             show_labels=False,
+            radii=_EDGE_M,
+            fill_mode="majorwireframe",
         )
         self._to.log(path, drawn)
 
@@ -116,13 +120,15 @@ class Log:
             cells.lines,
             colors=cells.colours,
             labels=cells.names,
-            radii=_FAINT_LINE_M,
+            radii=_CELL_M,
             show_labels=False,
         )
         self._to.log("/scene/cells", drawn)
 
     def _style_plots(self, scene: Scene) -> None:
-        for group, colour in zip(GROUPS, _cycle(len(GROUPS)), strict=True):
+        for group, colour in zip(
+            GROUPS, [*_cycle(len(GROUPS) - 1), rgb(palette.FAINT)], strict=True
+        ):
             self._style(f"/latency/{_part(group)}", group, colour)
         self._style("/latency/end_to_end", "end to end", rgb(palette.TEXT), 2.5)
         for phase, colour in zip(scene.phases, _cycle(len(scene.phases)), strict=True):

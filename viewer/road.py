@@ -15,11 +15,11 @@ from studies.perspective import view_azimuth
 
 HEAD_ABOVE_M = 5.0
 COUNT_ABOVE_M = 2.5
-COUNT_AT_M = {"upstream": 42.0, "downstream": 30.0}
+COUNT_AT_M = {"upstream": 30.0, "downstream": 22.0}
 """How far from the stop bar, or from where the exit begins, a lane's count stands."""
 _BAR_INSET = 0.1  # of the lane's width, on either side
 _STEP_M = 5.0
-_BACK_M, _UP_M, _AHEAD_M, _TURN_RAD = 52.0, 46.0, 2.0, 0.0
+_BACK_M, _UP_M, _AHEAD_M = 60.0, 54.0, 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +92,7 @@ def approaches(road_map: RoadMap, lanes: Iterable[str]) -> list[str]:
 
 def camera(road_map: RoadMap) -> Camera:
     """Returns a look at the junction from above and behind, so that a T's stem leads away."""
-    azimuth_rad = view_azimuth(road_map) + _TURN_RAD
+    azimuth_rad = view_azimuth(road_map)
     ahead = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
     target = np.array(road_map.centre) + _AHEAD_M * ahead
     place = target - _BACK_M * ahead + _up(_UP_M)

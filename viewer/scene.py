@@ -26,6 +26,7 @@ class Picture:
     colours: Mapping[str, Rgb]
     clouds: list[Cloud]
     boxes: Boxes | None
+    fronts: Texts | None
     truth: Boxes | None
     lamps: list[Rgb] | None
     counts: Texts | None
@@ -56,9 +57,9 @@ class Scene:
         sim_time_ns = moment.sim_time_ns
         if sim_time_ns is None:
             return None
-        road_map = self.setup.road_map
+        road_map, found = self.setup.road_map, moment.detections
         shown = clouds(moment.scans)
-        said = moment.detections.agents if moment.detections else []
+        said = found.agents if found else []
         colours = self._colours.of([cloud.agent for cloud in shown] + said)
         state = moment.state
         return Picture(
@@ -66,7 +67,8 @@ class Scene:
             sim_time_ns=sim_time_ns,
             colours=colours,
             clouds=shown,
-            boxes=layers.detected(moment.detections, colours) if moment.detections else None,
+            boxes=layers.detected(found, colours) if found else None,
+            fronts=layers.fronts(found) if found else None,
             truth=layers.true_boxes(moment.truth, self._types) if moment.truth else None,
             lamps=layers.lamps(state, road_map, self.heads.lanes) if state else None,
             counts=layers.lane_counts(moment.counts, road_map) if moment.counts else None,

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
 import rerun as rr
+import rerun_cli
 
 from protocol.errors import ConfigError
 from viewer.blueprint import blueprint
 from viewer.scene import Scene
 
 APPLICATION = "cpnet"
-MEMORY = "512MiB"
+MEMORY = "128MiB"
 """What is kept for a browser that comes later; what is older is forgotten."""
 _HERE = "127.0.0.1"
 _PATIENCE_S = 20.0
@@ -43,18 +43,25 @@ def opened(port: int | None, save: Path | None, scene: Scene) -> Iterator[Sink]:
         ConfigError: the port is taken, the file cannot be written, or the viewer does not start.
     """
     recording = rr.RecordingStream(APPLICATION)
-    try:
+    with ExitStack() as stack:
         if save is not None:
-            yield _file(recording, save, scene)
+            sink = _file(recording, save, scene)
         elif port is not None:
-            with _page(port) as (url, page):
-                recording.connect_grpc(url, default_blueprint=blueprint(scene))
-                yield Sink(recording, f"view: {page}", stays=True)
+            url, page = stack.enter_context(_page(port))
+            recording.connect_grpc(url, default_blueprint=blueprint(scene))
+            sink = Sink(recording, f"view: {page}", stays=True)
         else:
-            yield _window(recording, scene)
-    finally:
+            sink = _window(recording, scene)
+        try:
+            yield sink
+        finally:
+            _finish(recording)
+
+
+def _finish(recording: rr.RecordingStream) -> None:
+    with suppress(RuntimeError):  # whoever was to draw it may be gone, or slow
         recording.flush(timeout_sec=_FLUSH_S)
-        recording.disconnect()
+    recording.disconnect()
 
 
 def _file(recording: rr.RecordingStream, path: Path, scene: Scene) -> Sink:
@@ -82,8 +89,9 @@ def _page(port: int) -> Iterator[tuple[str, str]]:
     _check_free(port)
     data = _free_port()
     places = ["--bind", _HERE, "--port", str(data), "--web-viewer-port", str(port)]
-    command = [sys.executable, "-m", "rerun_cli", "--serve-web", *places]
-    command += ["--server-memory-limit", MEMORY]
+    viewer = Path(rerun_cli.__file__).parent / "rerun"
+    command = [str(viewer), "--serve-web", *places]
+    command += ["--server-memory-limit", MEMORY, "--newest-first"]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as server:
         try:
             for place in (data, port):

@@ -15,14 +15,13 @@ LAG_FRAMES = 3
 MAX_PROCESSES = 512
 GROUPS = {
     "sense": ("sense",),
-    "encode, send": ("select", "encode", "send"),
+    "encode": ("select", "encode", "send"),
     "link": ("link",),
-    "decode, place": ("decode", "place"),
+    "decode": ("decode", "place"),
     "wait": ("wait",),
     "ground": ("merge", "ground"),
     "detect": ("detect",),
-    "fuse, count": ("fuse", "count"),
-    "signal": ("decide", "actuate"),
+    "fuse to signal": ("fuse", "count", "decide", "actuate"),
     "other": ("other",),
 }
 """Stages as they are drawn: in order, those together that are short or belong together."""

@@ -75,6 +75,15 @@ def test_boxes_are_labelled_with_who_and_where() -> None:
     assert boxes.values.shape == (2, 7)
 
 
+def test_the_first_of_each_lane_bears_its_label() -> None:
+    message = detections(
+        boxes=np.zeros((5, 7), np.float32), scores=np.ones(5, np.float32),
+        lanes=["a", "a", "b", "c", "d"], sources=["lidar", "lidar", "lidar", "self", "lidar"],
+        distances_m=np.array([9, 4, 7, 1, -2], np.float32),
+    )  # fmt: skip
+    assert layers.fronts(message).texts == ["#1 · a", "#2 · b"]
+
+
 def test_truth_stands_on_the_ground_and_unknown_types_are_left_out() -> None:
     boxes = layers.true_boxes(truth(), {"car": CAR})
     assert boxes.values.tolist() == [[0, -20.3, 0.75, 4, 2, 1.5, np.pi / 2]]
