@@ -15,6 +15,7 @@ import yaml
 from rich.markup import escape
 
 from cpnet import scenario as scenarios
+from cpnet.beside import Viewing
 from cpnet.cli_bench import bench_app
 from cpnet.cli_doctor import doctor_app
 from cpnet.cli_keys import keys_app
@@ -90,6 +91,7 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     metrics: Annotated[
         str | None, typer.Option(metavar="PORT", help="serve Prometheus' metrics: PORT, HOST:PORT")
     ] = None,
+    view: Annotated[Viewing | None, typer.Option(help="show it in Rerun, see `view`")] = None,
     log: Annotated[LogStyle, typer.Option(help="what a line of logs/ID.log is")] = LogStyle.TEXT,
     keys: Annotated[
         Path | None, typer.Option(metavar="DIR", help="buses over TLS; `cpnet keys` makes DIR")
@@ -120,7 +122,7 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     overrides |= assigned(set_)
     places = listen or [], connect or []
     options = Options(
-        scenario, overrides, only, *places, out, restart, metrics, log, keys, insecure=insecure
+        scenario, overrides, only, *places, out, restart, metrics, log, keys, insecure, view
     )
     status, run_dir = up(options, console)
     _conclude(run_dir)

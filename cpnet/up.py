@@ -13,6 +13,7 @@ from rich.console import Console
 
 from cpnet import netns
 from cpnet import scenario as scenarios
+from cpnet.beside import Viewing, check_viewing, viewed
 from cpnet.endpoints import Endpoints, connecting
 from cpnet.exporter.server import Place, serving
 from cpnet.follow import Attendant, Interruption
@@ -49,6 +50,7 @@ class Options:
     log: LogStyle = LogStyle.TEXT
     keys: Path | None = None
     insecure: bool = False
+    view: Viewing | None = None
 
 
 def up(options: Options, console: Console) -> tuple[int, Path]:
@@ -59,6 +61,7 @@ def up(options: Options, console: Console) -> tuple[int, Path]:
         MessageError: the roads are too large for a message.
         BusError: the other side cannot be reached.
     """
+    check_viewing(options.view)
     choice = choose(options.only)
     names = choice.names
     hosted = {row.hosts for row in choice.roles if row.hosts}
@@ -103,7 +106,8 @@ def up(options: Options, console: Console) -> tuple[int, Path]:
             console.print(f"metrics: http://{place}/metrics", highlight=False, soft_wrap=True)
         supervisor.start(relays + processes)
         attendant = Attendant(supervisor, scenario, interruption, console, options.restart, tally)
-        status = attendant.attend(connecting(endpoints[BusName.WORLD]))
+        with viewed(run_dir, options.view, console):
+            status = attendant.attend(connecting(endpoints[BusName.WORLD]))
     return status, run_dir
 
 

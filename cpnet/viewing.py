@@ -20,6 +20,7 @@ from viewer.scene import Scene
 from viewer.top import board, show
 
 CONNECT_MS = 20_000  # a run that has just been started
+SETUP_S = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +46,7 @@ def view(
         from viewer.log import Log
         from viewer.sinks import opened
     with _attached(run, connect, keys, live.TOPICS) as (onlooker, interruption):
-        scene = Scene(onlooker.setup())
+        scene = Scene(onlooker.setup(SETUP_S))
         with opened(screen.port, screen.save, scene) as sink:
             console.print(sink.where, highlight=False, soft_wrap=True)
             following = Live(onlooker, scene, Log(sink.recording, scene), screen.fps)
@@ -68,7 +69,7 @@ def top(
     """
     step_back()
     with _attached(run, connect, keys, board.TOPICS) as (onlooker, interruption):
-        filled = board.Board(onlooker.setup())
+        filled = board.Board(onlooker.setup(SETUP_S))
         if once:
             show.show_once(onlooker, filled, console, interruption.event)
         else:

@@ -12,7 +12,7 @@ from viewer.scene import Scene
 
 PLOTTED_S = 30.0
 _COLUMNS = (5, 2)
-_ROWS = (5, 6, 4, 4)
+_ROWS = (4, 7, 3, 3)
 
 
 def blueprint(scene: Scene) -> rrb.Blueprint:
