@@ -14,6 +14,7 @@ from rich.console import Console
 
 from cpnet import netns
 from cpnet import scenario as scenarios
+from cpnet.beside import Viewing, check_viewing, viewed
 from cpnet.endpoints import Endpoints, connecting
 from cpnet.exporter.server import Place, serving
 from cpnet.follow import Attendant, Interruption
@@ -52,6 +53,7 @@ class Options:
     log: LogStyle = LogStyle.TEXT
     keys: Path | None = None
     insecure: bool = False
+    view: Viewing | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +74,7 @@ def up(options: Options, console: Console, played: Played | None = None) -> tupl
         MessageError: the roads are too large for a message.
         BusError: the other side cannot be reached.
     """
+    check_viewing(options.view)
     choice = choose(options.only)
     names = choice.names
     hosted = {row.hosts for row in choice.roles if row.hosts}
@@ -128,7 +131,8 @@ def up(options: Options, console: Console, played: Played | None = None) -> tupl
             console.print(f"metrics: http://{place}/metrics", highlight=False, soft_wrap=True)
         supervisor.start(relays + processes)
         attendant = Attendant(supervisor, scenario, interruption, console, options.restart, tally)
-        status = attendant.attend(connecting(endpoints[BusName.WORLD]))
+        with viewed(run_dir, options.view, console):
+            status = attendant.attend(connecting(endpoints[BusName.WORLD]))
     return status, run_dir
 
 

@@ -19,6 +19,7 @@ from protocol.access import Members, access_control
 from protocol.errors import BusError, MessageError
 from protocol.inbox import Envelope, Inbox, Presence, Sealed
 from protocol.keys import Keys
+from protocol.manners import dropping, onlooker_id
 from protocol.messages import Message
 from protocol.tcpinfo import sent_bytes, unsent_bytes
 from protocol.topics import (
@@ -91,11 +92,13 @@ class Endpoint:
     """How to reach a bus: `listen` hosts its router at the locator, otherwise connect to it.
 
     With keys the locator is one of TLS, and what is not allowed to a certificate is refused.
+    Who `yields` misses what it is too slow for, instead of holding up those who say it.
     """
 
     locator: str
     listen: bool
     keys: Keys | None = None
+    yields: bool = False
 
     def __str__(self) -> str:
         return f"{'listen' if self.listen else 'connect'}:{self.locator}"
@@ -303,6 +306,10 @@ def _config(name: BusName, endpoint: Endpoint, timeout_ms: int, members: Members
         "connect/exit_on_failure": True,
         "connect/retry": {"period_init_ms": 50, "period_max_ms": 400, "period_increase_factor": 2},
     }
+    if endpoint.listen:
+        settings["qos/network"] = dropping()
+    elif endpoint.yields:
+        settings["id"] = onlooker_id()
     if endpoint.keys is not None and endpoint.listen:
         settings["access_control"] = access_control(name, members)
     for key, value in settings.items():
