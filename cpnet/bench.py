@@ -13,8 +13,9 @@ from typing import Any, get_args
 
 from rich.console import Console
 
+from cpnet.preparation import Options
 from cpnet.scenario import load
-from cpnet.up import Options, up
+from cpnet.up import up
 from protocol.errors import ConfigError
 from recorder.run import Run
 from sensing.link.named import NONE, profile_named

@@ -108,7 +108,8 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     ] = False,
 ) -> None:
     """Run the loop: world, sensors, edge, signal, record; then print the summary."""
-    from cpnet.up import Options, up
+    from cpnet.preparation import Options
+    from cpnet.up import up
 
     named = {
         "mode": mode,

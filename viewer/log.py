@@ -156,7 +156,7 @@ class Log:
 
 
 def _part(name: str) -> str:
-    return rr.escape_entity_path_part(name)
+    return str(rr.escape_entity_path_part(name))
 
 
 def _cycle(count: int) -> list[Rgb]:
