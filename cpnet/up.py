@@ -29,12 +29,14 @@ from protocol.logs import LogStyle
 from protocol.messages import Setup
 from protocol.topics import BusName
 from protocol.wire import encode
+from sensing.carla.server import load_carla
 from sensing.radio import AgentKind
-from sensing.source import check_recording
+from sensing.source import check_recording, is_of_carla
 from sensing.upload.registry import policy_of
 from signal_controller.registry import check as check_policy
 
-PLAYERS = {"sim", "vehicle", "infra"}  # who plays a recording, if there is one
+SENSING = {"vehicle", "infra"}
+PLAYERS = SENSING | {"sim"}  # who plays a recording, if there is one
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +96,8 @@ def up(options: Options, console: Console, played: Played | None = None) -> tupl
             scenario = scenarios.validate(setup.scenario, "the replay")
         else:
             setup, scenario = _setup(asked, endpoints, run_dir)
-        if scenario.replay is None and PLAYERS.intersection(names):
-            check_recording(setup.scenario)
+        if scenario.replay is None:
+            _check_scans(names, setup.scenario)
         if _detects(names, scenario):
             check(scenario.edge)
         if "signal" in names:
@@ -137,6 +139,14 @@ def _simulated(options: Options) -> scenarios.Scenario:
     if scenario.replay is not None:
         raise ConfigError(f"replay: that is played by `cpnet replay {scenario.replay.tape}`")
     return scenario
+
+
+def _check_scans(names: list[str], scenario: dict[str, Any]) -> None:
+    """Finds what would keep the roles of this machine from their scans."""
+    if PLAYERS.intersection(names):
+        check_recording(scenario)
+    if SENSING.intersection(names) and is_of_carla(scenario):
+        load_carla()
 
 
 def _check_restart(options: Options, scenario: scenarios.Scenario) -> None:
