@@ -26,12 +26,14 @@ from protocol.logs import LogStyle
 from protocol.messages import Setup
 from protocol.topics import BusName
 from protocol.wire import encode
+from sensing.carla.server import load_carla
 from sensing.radio import AgentKind
-from sensing.source import check_recording
+from sensing.source import check_recording, is_of_carla
 from sensing.upload.registry import policy_of
 from signal_controller.registry import check as check_policy
 
-PLAYERS = {"sim", "vehicle", "infra"}  # who plays a recording, if there is one
+SENSING = {"vehicle", "infra"}
+PLAYERS = SENSING | {"sim"}  # who plays a recording, if there is one
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,8 +121,8 @@ def prepared(options: Options, console: Console, played: Played | None) -> Prepa
 
 def _check(choice: Choice, options: Options, scenario: scenarios.Scenario) -> None:
     """Finds before the start what would keep the roles of this machine from taking part."""
-    if scenario.replay is None and PLAYERS.intersection(choice.names):
-        check_recording(scenario.model_dump(mode="json"))
+    if scenario.replay is None:
+        _check_scans(choice.names, scenario.model_dump(mode="json"))
     if _detects(choice.names, scenario):
         check(scenario.edge)
     if "signal" in choice.names:
@@ -133,6 +135,14 @@ def _simulated(options: Options) -> scenarios.Scenario:
     if scenario.replay is not None:
         raise ConfigError(f"replay: that is played by `cpnet replay {scenario.replay.tape}`")
     return scenario
+
+
+def _check_scans(names: list[str], scenario: dict[str, Any]) -> None:
+    """Finds what would keep the roles of this machine from their scans."""
+    if PLAYERS.intersection(names):
+        check_recording(scenario)
+    if SENSING.intersection(names) and is_of_carla(scenario):
+        load_carla()
 
 
 def _check_restart(options: Options, scenario: scenarios.Scenario) -> None:

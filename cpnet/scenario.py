@@ -17,6 +17,7 @@ from protocol.config import Section
 from protocol.errors import ConfigError
 from protocol.files import is_file
 from recorder.config import RecordConfig
+from sensing.carla.config import CarlaConfig
 from sensing.config import LidarConfig, Mount, PoseErrorConfig, SceneConfig, UploadConfig
 from sensing.link.config import LinkConfig
 from signal_controller.config import SignalConfig
@@ -26,8 +27,13 @@ _NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)  # the loader lets all 
 
 
 class LidarPair(Section):
-    """The two kinds of LiDAR."""
+    """The two kinds of LiDAR, and who casts their scans."""
 
+    source: Literal["cast", "carla"] = Field(
+        "cast",
+        description="cast: by our model, in the scene drawn for the net; carla: by a CARLA server, "
+        "in its town (section carla)",
+    )
     vehicle: LidarConfig = Field(LidarConfig(), description="on every CAV")
     roadside: LidarConfig = Field(LidarConfig(), description="on every roadside mount")
 
@@ -79,6 +85,7 @@ class Scenario(Section):
         2.4, gt=0, le=10, description="of a CAV's LiDAR, above the centre of its footprint"
     )
     roadside_mounts: list[Mount] = Field([Mount()], description="posts with a LiDAR; may be empty")
+    carla: CarlaConfig = CarlaConfig()
     scene: SceneConfig = SceneConfig()
     pose: PoseErrorConfig = PoseErrorConfig()
     upload: UploadConfig = UploadConfig()
@@ -129,6 +136,7 @@ def validate(data: dict[str, Any], source: str) -> Scenario:
     _check_period(scenario, source)
     _check_mounts(scenario, source)
     _check_recording(scenario, source)
+    _check_carla(scenario, source)
     _check_link(scenario, source)
     return scenario
 
@@ -240,6 +248,25 @@ def _check_recording(scenario: Scenario, source: str) -> None:
             f"{traffic.step_s:g}, must be frame_period_s, {scenario.frame_period_s:g}; "
             f"traffic.warmup_s is {traffic.warmup_s:g}, must be 0"
         )
+
+
+def _check_carla(scenario: Scenario, source: str) -> None:
+    lidar, needs = scenario.lidar, []
+    if lidar.source != "carla":
+        return
+    if scenario.recording is not None:
+        needs.append("no recording")
+    if scenario.scene.terrain_amplitude_m:  # bodies and posts stand on CARLA's ground
+        needs.append(f"scene.terrain_amplitude_m 0 (got {scenario.scene.terrain_amplitude_m:g})")
+    if lidar.vehicle.rotation_frequency != lidar.roadside.rotation_frequency:  # it has one step
+        needs.append("the same rotation_frequency for lidar.vehicle and lidar.roadside")
+    for kind, config in (("vehicle", lidar.vehicle), ("roadside", lidar.roadside)):
+        if config.columns % 2:  # CARLA's beams begin half a turn from the front
+            needs.append(
+                f"an even number of rays a turn and laser (lidar.{kind}: {config.columns})"
+            )
+    if needs:
+        raise ConfigError(f"{source}: lidar.source: carla needs {', and '.join(needs)}")
 
 
 def _section_of(annotation: Any) -> Any:  # noqa: ANN401 - typing has no name for what annotations are

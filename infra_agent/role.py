@@ -18,11 +18,11 @@ class InfraRole:
         number = int(context.id.rpartition("-")[2])
         mount = Mount.model_validate(context.setup.scenario["roadside_mounts"][number])
         self._station = Station(context, "roadside")
-        sensors = Sensors(context, "roadside")
-        self._map_SE3_sensor = mounted(mount, context.setup.road_map, sensors.terrain)
+        self._sensors = Sensors(context, "roadside")
+        self._map_SE3_sensor = mounted(mount, context.setup.road_map, self._sensors.terrain)
         self._bus = context.open_v2x()
         radio = self._station.radio(mount.id, self._bus)
-        self._uplink = self._station.add(sensors.uplink(mount.id, self._bus, radio))
+        self._uplink = self._station.add(self._sensors.uplink(mount.id, self._bus, radio))
         self._station.open("infra")
 
     def on(self, item: Envelope | Presence) -> None:
@@ -39,6 +39,7 @@ class InfraRole:
         """Accounts for the last frame and hangs up."""
         self._station.hang_up(self._uplink.agent)
         self._station.report()
+        self._sensors.close()
         self._bus.close()
 
     def _play(self, tick: Tick) -> None:

@@ -54,3 +54,7 @@ class Sensors:
             standing=self._standing,
         )
         return Uplink(agent, bus, radio, self._kit, selector)
+
+    def close(self) -> None:
+        """Lets go of them, once every agent has hung up."""
+        self._kit.source.close()

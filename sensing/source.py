@@ -10,6 +10,7 @@ import numpy as np
 from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from protocol.messages import Setup, Tick
+from sensing.carla.config import CarlaConfig
 from sensing.config import LidarConfig, SceneConfig
 from sensing.lidar import Lidar, Sensed
 from sensing.noise import stream
@@ -24,6 +25,9 @@ class ScanSource(Protocol):
     def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> Sensed:
         """Returns what an agent's sensor there sees; `own` is the body that carries it."""
 
+    def close(self) -> None:
+        """Lets go of what it holds."""
+
 
 class Cast:
     """Scans of the LiDAR model."""
@@ -37,6 +41,9 @@ class Cast:
         rng = stream(self._seed, "scan", agent, tick.frame)
         return self._lidar.scan(map_SE3_sensor, tick.poses, tick.types, own, rng)
 
+    def close(self) -> None:
+        """Holds nothing."""
+
 
 class Played:
     """Scans of a recording."""
@@ -47,6 +54,9 @@ class Played:
     def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> Sensed:  # noqa: ARG002 - what the sensor saw there is recorded
         """See `ScanSource.scan`; the sensor was where the recording's tick has it."""
         return Sensed(self._recording.scan(agent, tick.frame), np.zeros(0, np.int64))
+
+    def close(self) -> None:
+        """Holds nothing."""
 
 
 def check_recording(scenario: dict[str, Any]) -> None:
@@ -67,16 +77,26 @@ def check_recording(scenario: dict[str, Any]) -> None:
         )
 
 
+def is_of_carla(scenario: dict[str, Any]) -> bool:
+    """Whether a scenario's scans are cast by a CARLA server."""
+    return bool(scenario["lidar"].get("source") == "carla")
+
+
 def source_of(setup: Setup, config: LidarConfig) -> ScanSource:
     """Returns the source that a scenario asks for.
 
     Raises:
-        ConfigError: its recording cannot be read.
+        ConfigError: its recording cannot be read, or its CARLA server cannot be used.
     """
     scenario: dict[str, Any] = setup.scenario
     if scenario.get("recording"):
         return Played(_recording(scenario, config))
     seed: int = scenario["seed"]
+    if is_of_carla(scenario):
+        from sensing.carla.source import Carla
+
+        server = CarlaConfig.model_validate(scenario["carla"])
+        return Carla(server, config, setup.vehicle_types, seed)
     scene = scene_of(setup, SceneConfig.model_validate(scenario["scene"]), seed)
     return Cast(Lidar(config, scene, VehicleShapes.from_setup(setup)), seed)
 

@@ -60,6 +60,7 @@ class VehicleRole:
         """Accounts for the last frame and hangs up every agent's connection."""
         self._forget_all_but(set())
         self._station.report()
+        self._sensors.close()
         self._connections.close()
 
     def _play(self, tick: Tick) -> None:

@@ -49,6 +49,9 @@ class Tunnel:
         scan = RangeScan(PATTERN, range_m, np.zeros(shape, np.float32))
         return Sensed(scan, np.zeros(0, np.int64))
 
+    def close(self) -> None:
+        pass
+
 
 def sent(road_map: RoadMap, **config: Any) -> Scan:
     """Returns what one frame puts on the bus."""

@@ -1,0 +1,1 @@
+"""LiDAR scans of a running CARLA server, while SUMO moves the traffic."""
