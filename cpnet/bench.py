@@ -13,13 +13,14 @@ from typing import Any, get_args
 
 from rich.console import Console
 
+from cpnet.preparation import Options
 from cpnet.scenario import load
-from cpnet.up import Options, up
+from cpnet.up import up
 from protocol.errors import ConfigError
 from recorder.run import Run
 from sensing.link.named import NONE, profile_named
 from sensing.recording import Recording
-from sensing.upload.registry import POLICIES, Filter
+from sensing.upload.registry import NAMES, Filter
 from studies.bench_choices import (
     FRAME_PERIOD_S,
     LEARNING_FRAMES,
@@ -77,9 +78,8 @@ def upload_of(policy: str) -> dict[str, Any]:
         ConfigError: there is no such policy or filter.
     """
     name, *filters = policy.split("+")
-    if name not in POLICIES:
-        known = ", ".join([*POLICIES, SHARING])
-        raise ConfigError(f"policy {name!r}: must be one of {known}")
+    if not NAMES.has(name):
+        raise ConfigError(f"policy {name!r}: must be one of {SHARING}, {NAMES.listed()}")
     _check_once(f"policy {policy!r}", tuple(filters))
     unknown = sorted(set(filters) - set(get_args(Filter)))
     if unknown:

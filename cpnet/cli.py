@@ -14,6 +14,7 @@ import yaml
 from rich.markup import escape
 
 from cpnet import scenario as scenarios
+from cpnet.beside import Viewing
 from cpnet.cli_bench import bench_app
 from cpnet.cli_doctor import doctor_app
 from cpnet.cli_keys import keys_app
@@ -22,6 +23,7 @@ from cpnet.cli_options import AsJson, Override, assigned, console, errors
 from cpnet.cli_replay import replay_app
 from cpnet.cli_study import study_app
 from cpnet.cli_tape import tape_app
+from cpnet.cli_view import view_app
 from cpnet.conclusion import conclude
 from protocol.errors import CpnetError
 from protocol.logs import LogStyle
@@ -37,6 +39,7 @@ app.add_typer(study_app)
 app.add_typer(keys_app)
 app.add_typer(replay_app)
 app.add_typer(tape_app)
+app.add_typer(view_app)
 app.add_typer(bench_app, name="bench")
 
 _ADDRESS = "HOST:PORT, v2x=HOST:PORT or world=HOST:PORT"
@@ -95,6 +98,7 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     metrics: Annotated[
         str | None, typer.Option(metavar="PORT", help="serve Prometheus' metrics: PORT, HOST:PORT")
     ] = None,
+    view: Annotated[Viewing | None, typer.Option(help="show it in Rerun, see `view`")] = None,
     log: Annotated[LogStyle, typer.Option(help="what a line of logs/ID.log is")] = LogStyle.TEXT,
     keys: Annotated[
         Path | None, typer.Option(metavar="DIR", help="buses over TLS; `cpnet keys` makes DIR")
@@ -104,7 +108,8 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     ] = False,
 ) -> None:
     """Run the loop: world, sensors, edge, signal, record; then print the summary."""
-    from cpnet.up import Options, up
+    from cpnet.preparation import Options
+    from cpnet.up import up
 
     named = {
         "mode": mode,
@@ -126,7 +131,7 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     overrides |= assigned(set_)
     places = listen or [], connect or []
     options = Options(
-        scenario, overrides, only, *places, out, restart, metrics, log, keys, insecure=insecure
+        scenario, overrides, only, *places, out, restart, metrics, log, keys, insecure, view
     )
     status, run_dir = up(options, console)
     conclude(run_dir)

@@ -95,8 +95,8 @@ def bench_rate_command(
 def bench_edge_command(
     *,
     detectors: Annotated[
-        str, typer.Option(metavar="NAME,...", help=f"of {', '.join(DETECTORS)}")
-    ] = ",".join(DETECTORS),
+        str, typer.Option(metavar="NAME,...", help=f"of {', '.join(DETECTORS.builtin)}")
+    ] = ",".join(DETECTORS.builtin),
     agents: Annotated[
         str, typer.Option(metavar="N,...", help="a roadside LiDAR and CAVs, up to 16")
     ] = "1,2,4,8,16",

@@ -88,7 +88,7 @@ def eval_command(
     net: Annotated[Path | None, typer.Option(help="instead: your own .net.xml")] = None,
     tls: Annotated[str | None, typer.Option(help="id of the signal in that net")] = None,
     detectors: Annotated[
-        str, typer.Option(metavar="NAME,...", help=f"of {', '.join(DETECTORS)}")
+        str, typer.Option(metavar="NAME,...", help=f"of {', '.join(DETECTORS.builtin)}")
     ] = "fast",
     split: Annotated[str, typer.Option(help="of the dataset: train, val or test")] = "test",
     moments: Annotated[int, typer.Option(min=1, max=500, help="of your own net")] = 12,

@@ -66,8 +66,9 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
 ) -> None:
     """Play a recorded run to live processes: another detector, policy or link, the same scans."""
     from cpnet.conclusion import conclude
+    from cpnet.preparation import Options
     from cpnet.replay import Pace, played_tape
-    from cpnet.up import Options, up
+    from cpnet.up import up
 
     pace, overrides = Pace.of(speed, lockstep=lockstep), assigned(set_)
     if (tape is None) == (scans is None):

@@ -74,10 +74,11 @@ def detectors_of(text: str) -> tuple[DetectorName, ...]:
         ConfigError: there is no such detector.
     """
     names = [name.strip() for name in text.split(",")]
-    unknown = [name for name in names if name not in DETECTORS]
+    unknown = [name for name in names if not DETECTORS.has(name)]
     if unknown:
-        raise ConfigError(f"detector {unknown[0]!r}: must be one of {', '.join(DETECTORS)}")
-    return tuple(name for name in DETECTORS if name in names)
+        raise ConfigError(f"detector {unknown[0]!r}: must be one of {DETECTORS.listed()}")
+    built_in = [name for name in DETECTORS.builtin if name in names]
+    return tuple(dict.fromkeys([*built_in, *names]))
 
 
 def _split(name: str) -> Split:

@@ -143,7 +143,6 @@ class Attendant:
         return [death]
 
     def _revive(self) -> None:
-        self.supervisor.tend()
         for death in self.supervisor.revive():
             self.console.print(f"{death.id} {death.how}; started again", markup=False)
             if self.tally is not None:

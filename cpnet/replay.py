@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cpnet import scenario as scenarios
-from cpnet.up import Played
+from cpnet.preparation import Played
 from player.survey import Survey
 from protocol.errors import ConfigError
 from protocol.messages import Setup

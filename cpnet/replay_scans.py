@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from cpnet import scenario as scenarios
+from cpnet.preparation import Played
 from cpnet.replay import Pace
-from cpnet.up import Played
 from player.scans.agents import Source, agents_of
 from player.scans.extrinsics import write_extrinsics
 from player.scans.ground import open_ground

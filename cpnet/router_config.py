@@ -10,6 +10,7 @@ from protocol.access import Members, access_control
 from protocol.bus import settings_of
 from protocol.errors import ConfigError
 from protocol.keys import AUTHORITY, Keys
+from protocol.manners import dropping
 from protocol.topics import ROLES, BusName
 
 ROUTER = "router"
@@ -38,6 +39,7 @@ def router_config(folder: Path) -> dict[str, Any]:
         for name in parents:
             inner = inner.setdefault(name, {})
         inner[last] = value
+    config["qos"] = {"network": dropping()}
     config["access_control"] = access_control(BusName.V2X, members_in(folder))
     return config
 

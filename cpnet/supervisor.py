@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 from cpnet.endpoints import Endpoints, connecting, free_locator
 from cpnet.log_lines import readable
+from cpnet.nursery import Offspring, start
 from cpnet.processes import AGENTS, RELAY, ProcessEntry
 from cpnet.restarts import Restarts
-from cpnet.standby import Standby, start
 from protocol.bus import Endpoint
 from protocol.logs import LogStyle
 from protocol.topics import BusName
@@ -24,8 +22,6 @@ GRACE_S = 2.0  # then for all others, until SIGKILL: both within the 5 s that us
 WRITERS = ("record", "tape")
 LIST_NAME = "processes.json"
 TAIL_LINES = 12
-ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-"""Processes are the unit that work is spread by: a BLAS that spins on all cores slows the rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +38,7 @@ class Child:
     """A running process with its log."""
 
     entry: ProcessEntry
-    process: subprocess.Popen[bytes]
+    process: Offspring
     log_path: Path
 
     @property
@@ -69,7 +65,6 @@ class Supervisor:
         self._uplinks: dict[str, str] = {}
         self._children: list[Child] = []
         self._restarts = Restarts()
-        self._standby = Standby(run_dir / "logs" / "standby.log", ONE_THREAD)
 
     def __enter__(self) -> Supervisor:
         return self
@@ -97,18 +92,12 @@ class Supervisor:
             if death is None or child.entry.role.role == "sim":
                 continue
             if self._restarts.admits(name, time.monotonic_ns()):
-                _release(child)
+                child.process.release()
                 self._children[number] = self._spawn(child.entry)
                 found.append(death)
         if found:
             self._list()
         return found
-
-    def tend(self) -> None:
-        """Keeps a process at hand for each kind that may have to be started again."""
-        self._standby.tend(
-            {c.entry.role.module for c in self._children if c.entry.role.role != "sim"}
-        )
 
     def _list(self) -> None:
         """Writes which process is which, for whoever looks after them from outside."""
@@ -119,12 +108,7 @@ class Supervisor:
 
     def _spawn(self, entry: ProcessEntry) -> Child:
         path = self._run_dir / "logs" / f"{entry.id}.log"
-        module, arguments = entry.role.module, self._arguments(entry)
-        process = self._standby.take(module, arguments, path)
-        if process is None:
-            with path.open("ab") as log:
-                process = start([sys.executable, "-m", module, *arguments], log, ONE_THREAD)
-        return Child(entry, process, path)
+        return Child(entry, start(entry.role.module, self._arguments(entry), path), path)
 
     def death(self, *, at_end: bool) -> Death | None:
         """Returns a process that failed, or, before the run's end, that ended at all.
@@ -147,7 +131,7 @@ class Supervisor:
             status = child.process.poll()
             if child.entry.role.role == role and status is not None and not (at_end and not status):
                 self._children.remove(child)
-                _release(child)
+                child.process.release()
                 return Death(child.entry.id, _how(status), tail(child.log_path))
         return None
 
@@ -165,7 +149,6 @@ class Supervisor:
 
     def stop(self) -> list[str]:
         """Ends all processes, the world first. Returns who did not stop when asked."""
-        self._standby.stop()
         world = [child for child in self._children if child.entry.role.role == "sim"]
         if any(child.process.poll() is None for child in world):
             _interrupt(world)
@@ -174,10 +157,10 @@ class Supervisor:
         _interrupt(self._children)
         killed = _await(self._children, GRACE_S)
         for child in killed:
-            child.process.kill()
+            child.process.send_signal(signal.SIGKILL)
         for child in self._children:
             child.process.wait()
-            _release(child)
+            child.process.release()
         self._children.clear()
         return [child.entry.id for child in killed]
 
@@ -222,22 +205,14 @@ def _how(status: int) -> str:
 
 def _interrupt(children: list[Child]) -> None:
     for child in children:
-        if child.process.poll() is None:
-            child.process.send_signal(signal.SIGINT)
+        child.process.send_signal(signal.SIGINT)
 
 
 def _await(children: list[Child], grace_s: float) -> list[Child]:
     """Waits for the end of all; returns those that still run when the time is over."""
     give_up_ns = time.monotonic_ns() + int(grace_s * 1e9)
-    late = []
-    for child in children:
-        try:
-            child.process.wait(max(0.0, (give_up_ns - time.monotonic_ns()) / 1e9))
-        except subprocess.TimeoutExpired:
-            late.append(child)
-    return late
-
-
-def _release(child: Child) -> None:
-    if child.process.stdin is not None:
-        child.process.stdin.close()
+    return [
+        child
+        for child in children
+        if child.process.wait(max(0.0, (give_up_ns - time.monotonic_ns()) / 1e9)) is None
+    ]

@@ -2,62 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import shutil
-from collections.abc import Callable
-from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
 from cpnet import netns
-from cpnet import scenario as scenarios
-from cpnet.endpoints import Endpoints, connecting
+from cpnet.beside import check_viewing, viewed
+from cpnet.endpoints import connecting
 from cpnet.exporter.server import Place, serving
 from cpnet.follow import Attendant, Interruption
-from cpnet.processes import TAPE, choose, processes_of, relays_of
+from cpnet.preparation import Options, Played, prepared
 from cpnet.running import noted
-from cpnet.security import check_keys, secured
 from cpnet.supervisor import Supervisor
-from perception.registry import check
-from protocol.bus import fetch
-from protocol.errors import ConfigError, MessageError
-from protocol.logs import LogStyle
-from protocol.messages import Setup
 from protocol.topics import BusName
-from protocol.wire import encode
-from sensing.radio import AgentKind
-from sensing.source import check_recording
-from sensing.upload.registry import POLICIES
-
-PLAYERS = {"sim", "vehicle", "infra"}  # who plays a recording, if there is one
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """What the user asked `cpnet up` for."""
-
-    scenario: str
-    overrides: dict[str, Any]
-    only: str | None
-    listen: list[str]
-    connect: list[str]
-    out: Path | None
-    restart: bool = False
-    metrics: str | None = None
-    log: LogStyle = LogStyle.TEXT
-    keys: Path | None = None
-    insecure: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Played:
-    """A replay: what its run is called, and what makes its setup, given the run folder."""
-
-    name: str
-    setup: Callable[[Path], Setup]
 
 
 def up(options: Options, console: Console, played: Played | None = None) -> tuple[int, Path]:
@@ -70,110 +27,23 @@ def up(options: Options, console: Console, played: Played | None = None) -> tupl
         MessageError: the roads are too large for a message.
         BusError: the other side cannot be reached.
     """
-    choice = choose(options.only)
-    names = choice.names
-    hosted = {row.hosts for row in choice.roles if row.hosts}
-    endpoints = secured(options.listen, options.connect, hosted, options.keys, options.insecure)
+    check_viewing(options.view)
     place = Place.parse(options.metrics) if options.metrics is not None else None
-    asked = None
-    if played is None and "sim" in names:
-        asked = _simulated(options)
-    elif options.overrides:
-        raise ConfigError(
-            f"{', '.join(options.overrides)}: the scenario is decided where the role sim runs"
-        )
-    named = played or asked
-    run_dir = _make_run_dir(options.out, named.name if named else str(choice))
-    try:
-        if played is not None:
-            setup = played.setup(run_dir)
-            scenario = scenarios.validate(setup.scenario, "the replay")
-        else:
-            setup, scenario = _setup(asked, endpoints, run_dir)
-        if scenario.replay is None and PLAYERS.intersection(names):
-            check_recording(setup.scenario)
-        if _detects(names, scenario):
-            check(scenario.edge)
-        packed = encode(setup)
-        _check_restart(options, scenario)
-        processes = processes_of(choice, scenario)
-        if TAPE in (process.role for process in processes):
-            import tape  # noqa: F401 - says what to install, if it must be
-        relays = relays_of(choice, scenario)
-        check_keys(options.keys, relays + processes)
-        netns.prepare(scenario, relays, console)
-    except (ConfigError, MessageError):
-        shutil.rmtree(run_dir, ignore_errors=True)
-        raise
-    (run_dir / "setup.msgpack").write_bytes(packed)
-    (run_dir / "scenario.json").write_text(json.dumps(setup.scenario, indent=2) + "\n", "utf-8")
-    started = [process.id if choice.ids else process.role.role for process in processes]
-    here = ", ".join(dict.fromkeys(started))
-    console.print(f"{scenario.name}: {here} → {run_dir}", markup=False, soft_wrap=True)
+    run = prepared(options, console, played)
     with (
         serving(place) as tally,
         Interruption() as interruption,
-        netns.cleaned_up(scenario, relays),
-        noted(run_dir, endpoints, options.keys),
-        Supervisor(run_dir, endpoints, options.log, options.keys) as supervisor,
+        netns.cleaned_up(run.scenario, run.relays),
+        noted(run.run_dir, run.endpoints, options.keys),
+        Supervisor(run.run_dir, run.endpoints, options.log, options.keys) as supervisor,
     ):
         if tally is not None:
-            tally.expect(relays + processes)
+            tally.expect(run.relays + run.processes)
             console.print(f"metrics: http://{place}/metrics", highlight=False, soft_wrap=True)
-        supervisor.start(relays + processes)
-        attendant = Attendant(supervisor, scenario, interruption, console, options.restart, tally)
-        status = attendant.attend(connecting(endpoints[BusName.WORLD]))
-    return status, run_dir
-
-
-def _simulated(options: Options) -> scenarios.Scenario:
-    scenario = scenarios.load(options.scenario, options.overrides)
-    if scenario.replay is not None:
-        raise ConfigError(f"replay: that is played by `cpnet replay {scenario.replay.tape}`")
-    return scenario
-
-
-def _check_restart(options: Options, scenario: scenarios.Scenario) -> None:
-    if options.restart and scenario.mode != "realtime":
-        raise ConfigError(
-            "--restart needs the wall clock: give --mode realtime. In lockstep the world waits for "
-            "every frame, and a run in which a process died could not be repeated"
+        supervisor.start(run.relays + run.processes)
+        attendant = Attendant(
+            supervisor, run.scenario, interruption, console, options.restart, tally
         )
-
-
-def _setup(
-    asked: scenarios.Scenario | None, endpoints: Endpoints, run_dir: Path
-) -> tuple[Setup, scenarios.Scenario]:
-    if asked is not None:
-        # SUMO is needed only where the world runs.
-        from sim_host.setup import build_setup
-
-        try:
-            return build_setup(asked.model_dump(mode="json"), run_dir), asked
-        except OSError as error:
-            raise ConfigError(f"run folder {run_dir} cannot be written: {error}") from None
-    world = connecting(endpoints[BusName.WORLD])
-    setup = fetch(BusName.WORLD, world, "setup", Setup)
-    return setup, scenarios.validate(setup.scenario, "the scenario of the other side")
-
-
-def _detects(roles: list[str], scenario: scenarios.Scenario) -> bool:
-    """Whether vehicles are looked for here: by the edge, or by agents that send what they find."""
-    kinds: dict[str, AgentKind] = {"vehicle": "vehicle", "infra": "roadside"}
-    policies = [scenario.upload.of(kinds[role]).policy for role in roles if role in kinds]
-    return "edge" in roles or any(POLICIES[policy].sends == "objects" for policy in policies)
-
-
-def _make_run_dir(out: Path | None, name: str) -> Path:
-    if out is None:
-        stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
-        out = Path("runs") / f"{name}-{stamp}"
-    if "," in str(out.absolute()):
-        raise ConfigError(f"--out {out}: SUMO takes no path with a comma in it")
-    try:
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise ConfigError(f"--out {out}: it exists and is not an empty folder")
-        out.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"--out {out}: {error}") from None
-    return out.resolve()
+        with viewed(run.run_dir, options.view, console):
+            status = attendant.attend(connecting(run.endpoints[BusName.WORLD]))
+    return status, run.run_dir

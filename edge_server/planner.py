@@ -19,7 +19,7 @@ from protocol.roadmap import RoadMap
 from sensing.config import UploadConfig
 from sensing.link.config import LinkConfig
 from sensing.radio import ENVELOPE_BYTES
-from sensing.upload.registry import POLICIES, Policy
+from sensing.upload.registry import Policy, policy_of
 
 AHEAD_FRAMES = 2  # a plan is followed so long after its frame: by then all agents have it
 KEPT_PLANS = 8
@@ -35,7 +35,7 @@ class Planner:
     def __init__(self, scenario: dict[str, Any], config: PlanConfig, road_map: RoadMap) -> None:
         upload = UploadConfig.model_validate(scenario.get("upload", {}))
         self._vehicle, self._roadside = (
-            POLICIES[upload.of(kind).policy] for kind in ("vehicle", "roadside")
+            policy_of(upload.of(kind).policy) for kind in ("vehicle", "roadside")
         )
         self._config = config
         self._lockstep = scenario["mode"] == "lockstep"
@@ -50,7 +50,8 @@ class Planner:
     @property
     def ends_early(self) -> bool:
         """Whether frames may end before all chunks came: they take time and come in an order."""
-        in_order = self._vehicle.chunks > 1 or self._roadside.chunks > 1
+        both = (self._vehicle, self._roadside)
+        in_order = any(policy.cells and policy.chunks > 1 for policy in both)
         return in_order and self._config.early_end and (self._is_virtual or not self._lockstep)
 
     def plans(self, frame: Frame, enough_sim_ns: int | None = None) -> list[Plan]:

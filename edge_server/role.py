@@ -34,7 +34,7 @@ from protocol.process import Context
 from protocol.roadmap import RoadMap
 from sensing.config import Mount, UploadConfig
 from sensing.link.config import LinkConfig
-from sensing.upload.registry import POLICIES
+from sensing.upload.registry import policy_of
 
 _TOLD_BYTES = 200 << 10  # of a frame's times in one message
 _TIMES_BYTES = 200  # of one part, besides its agent's id, which stands there three times
@@ -250,7 +250,7 @@ def has_lidars(scenario: dict[str, Any]) -> bool:
         "vehicle": bool(scenario.get("recording")) or scenario["traffic"]["cav_rate"] > 0,
     }
     return any(
-        is_there[kind] and POLICIES[upload.of(kind).policy].sends != "nothing"
+        is_there[kind] and policy_of(upload.of(kind).policy).sends != "nothing"
         for kind in ("roadside", "vehicle")
     )
 

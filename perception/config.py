@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from protocol.config import Section
+from protocol.plugins import Catalogue, PluginSettings
 
-DetectorName = Literal["fast", "reference", "pointpillars", "pointpillars-full"]
-DETECTORS: tuple[DetectorName, ...] = get_args(DetectorName)
-LEARNED: tuple[DetectorName, ...] = ("pointpillars", "pointpillars-full")
+LEARNED = ("pointpillars", "pointpillars-full")
+DETECTORS = Catalogue("cpnet.detectors", "detector", ("fast", "reference", *LEARNED))
+"""Every detector by its name; what an installed one must be, `perception.registry` says."""
+DetectorName = Annotated[str, AfterValidator(DETECTORS.checked)]
 
 
 class GeofenceConfig(Section):
@@ -122,8 +124,10 @@ class DetectionConfig(Section):
     detector: DetectorName = Field(
         "fast",
         description="fast (ours): clustering tile by tile, boxes completed; reference: clustering "
-        "as in the paper, by Open3D (extra `reference`); pointpillars, pointpillars-full: learned",
+        "as in the paper, by Open3D (extra `reference`); pointpillars, pointpillars-full: learned; "
+        "or the name of a plug-in",
     )
+    plugin: PluginSettings = Field({})
     geofence: GeofenceConfig = Field(GeofenceConfig(), description="what belongs to the road")
     ground: GroundConfig = Field(GroundConfig(), description="ground removal, RANSAC")
     cluster: ClusterConfig = Field(ClusterConfig(), description="clustering, DBSCAN")

@@ -1,4 +1,9 @@
-"""The detectors by their names. What a detector needs is imported once it is asked for."""
+"""The detectors by their names. What a detector needs is imported once it is asked for.
+
+The entry point of a plug-in (group `cpnet.detectors`) names a `perception.detector.DetectorMaker`:
+a callable that is given the configuration, with the plug-in's settings in `plugin`, and the road,
+and returns a `perception.detector.Detector`.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from perception.config import LEARNED, DetectionConfig
+from perception.config import DETECTORS, LEARNED, DetectionConfig
 from protocol.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -29,18 +34,25 @@ def detector_of(config: DetectionConfig, roadway: Roadway) -> Detector:
             from perception.reference import Reference
 
             return Reference.of(config)
-        case name:
+        case name if name in LEARNED:
             with _torch_needed(name):
                 from perception.pillars.detector import pillars_detector
             return pillars_detector(name, config.pillars, roadway)
+        case name:
+            from perception.added import Added
+
+            return Added.of(DETECTORS.load(name), config, roadway)
 
 
 def check(config: DetectionConfig) -> None:
-    """Finds before a start what would keep a learned detector from being built.
+    """Finds before a start what would keep a learned detector or a plug-in from being built.
 
     Raises:
-        ConfigError: PyTorch is not installed, or the weights cannot be used.
+        ConfigError: PyTorch is not installed, the weights cannot be used, or the plug-in cannot be
+            imported.
     """
+    if config.detector not in DETECTORS.builtin:
+        DETECTORS.load(config.detector)
     if config.detector not in LEARNED:
         return
     with _torch_needed(config.detector):

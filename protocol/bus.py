@@ -19,6 +19,7 @@ from protocol.access import Members, access_control
 from protocol.errors import BusError, MessageError
 from protocol.inbox import Envelope, Inbox, Presence, Sealed
 from protocol.keys import Keys
+from protocol.manners import dropping, onlooker_id
 from protocol.messages import Message
 from protocol.tcpinfo import sent_bytes, unsent_bytes
 from protocol.topics import (
@@ -73,6 +74,9 @@ class Bus(Protocol):
     def watch(self) -> None:
         """Asks for the presence of all processes, those already there included."""
 
+    def router(self) -> str:
+        """Returns which router this bus is connected to now, by a name; empty if to none."""
+
     def wire_bytes(self) -> int:
         """Returns the bytes that TCP has sent for this bus, 0 if it is not one connection."""
 
@@ -88,11 +92,13 @@ class Endpoint:
     """How to reach a bus: `listen` hosts its router at the locator, otherwise connect to it.
 
     With keys the locator is one of TLS, and what is not allowed to a certificate is refused.
+    Who `yields` misses what it is too slow for, instead of holding up those who say it.
     """
 
     locator: str
     listen: bool
     keys: Keys | None = None
+    yields: bool = False
 
     def __str__(self) -> str:
         return f"{'listen' if self.listen else 'connect'}:{self.locator}"
@@ -195,6 +201,10 @@ class ZenohBus:
         queryable = self._session.declare_queryable(key, lambda query: query.reply(key, make()))
         self._kept.append(queryable)
 
+    def router(self) -> str:
+        """See `Bus.router`; who hosts it is connected to none."""
+        return ",".join(sorted(str(zid) for zid in self._session.info.routers_zid()))
+
     def wire_bytes(self) -> int:
         """See `Bus.wire_bytes`."""
         locator = self._locator()
@@ -296,6 +306,10 @@ def _config(name: BusName, endpoint: Endpoint, timeout_ms: int, members: Members
         "connect/exit_on_failure": True,
         "connect/retry": {"period_init_ms": 50, "period_max_ms": 400, "period_increase_factor": 2},
     }
+    if endpoint.listen:
+        settings["qos/network"] = dropping()
+    elif endpoint.yields:
+        settings["id"] = onlooker_id()
     if endpoint.keys is not None and endpoint.listen:
         settings["access_control"] = access_control(name, members)
     for key, value in settings.items():

@@ -97,6 +97,10 @@ class HubBus:
         for presence in self._hub.present:
             self._inbox.put(presence)
 
+    def router(self) -> str:
+        """See `Bus.router`."""
+        return self._hub.name.value
+
     def wire_bytes(self) -> int:
         """See `Bus.wire_bytes`."""
         return 0

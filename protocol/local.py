@@ -71,6 +71,10 @@ class LocalBus:
         for token in self._network.tokens:
             self._inbox.put(token)
 
+    def router(self) -> str:
+        """See `Bus.router`."""
+        return "local"
+
     def wire_bytes(self) -> int:
         """Returns the bytes published so far."""
         return self._sent_bytes

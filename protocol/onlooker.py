@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 from protocol.bus import CONNECT_TIMEOUT_MS, Endpoint, ZenohBus, open_bus
 from protocol.errors import BusError
@@ -33,6 +34,7 @@ class Onlooker:
         *,
         inbox: Inbox | None = None,
         timeout_ms: int = CONNECT_TIMEOUT_MS,
+        yields: bool = False,
     ) -> None:
         """Connects.
 
@@ -42,6 +44,8 @@ class Onlooker:
             topics: names in the topic table.
             inbox: one with limits of its own, for who cannot take all that comes.
             timeout_ms: how long the buses may take to answer.
+            yields: what this process is too slow for is dropped before it, however long it stands
+                still; else the routers wait for it, and everybody with them, until they give it up.
 
         Raises:
             BusError: a bus is not there.
@@ -50,7 +54,8 @@ class Onlooker:
         self._buses: dict[BusName, ZenohBus] = {}
         try:
             for name, endpoint in ((BusName.V2X, v2x), (BusName.WORLD, world)):
-                self._buses[name] = open_bus(name, endpoint, self.inbox, timeout_ms)
+                place = replace(endpoint, yields=yields)
+                self._buses[name] = open_bus(name, place, self.inbox, timeout_ms)
         except BusError:
             self._hang_up()
             raise

@@ -10,7 +10,6 @@ closes: a supervisor that dies takes its processes with it.
 from __future__ import annotations
 
 import argparse
-import json
 import logging
 import os
 import signal
@@ -77,12 +76,8 @@ class Role(Protocol):
 
 
 def run(role_name: str, build: Callable[[Context], Role]) -> None:
-    """Runs a role until it is told to stop; exits 0, or 1 with the reason in the log.
-
-    With `--standby` alone it waits first, with all that is imported at hand, until it is told its
-    arguments.
-    """
-    arguments = _parse(role_name, _await_order() if sys.argv[1:] == ["--standby"] else sys.argv[1:])
+    """Runs a role until it is told to stop; exits 0, or 1 with the reason in the log."""
+    arguments = _parse(role_name, sys.argv[1:])
     configure(arguments.id, arguments.log)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -170,23 +165,6 @@ def hand_over(role: Role, inbox: Inbox, item: Envelope | Presence) -> None:
 def _close(*buses: ZenohBus) -> None:
     for bus in buses:
         bus.close()
-
-
-def _await_order() -> list[str]:
-    """Returns the arguments that come as a line on standard input; the log goes where it says."""
-    line = b""
-    while not line.endswith(b"\n"):
-        byte = os.read(0, 1)
-        if not byte:
-            sys.exit(0)
-        line += byte
-    order = json.loads(line)
-    log = os.open(order["log"], os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-    for stream in (1, 2):
-        os.dup2(log, stream)
-    os.close(log)
-    arguments: list[str] = order["arguments"]
-    return arguments
 
 
 def _stop_at_end_of_input(stop: threading.Event) -> None:

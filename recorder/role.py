@@ -14,7 +14,7 @@ from protocol import messages as m
 from protocol.errors import CpnetError, MessageError
 from protocol.inbox import Envelope, Presence
 from protocol.process import Context
-from protocol.topics import TOPICS, BusName
+from protocol.topics import TOPICS, BusName, Delivery
 from recorder import rows, tables
 from recorder.config import RecordConfig
 from recorder.database import Database
@@ -22,6 +22,7 @@ from recorder.drops import MAX_PROCESSES, Drops
 from recorder.ending import Ending
 from recorder.glance import Glance
 from recorder.ledger import Ledger
+from recorder.reach import Reach
 from recorder.versions import versions
 
 COMMIT_NS = 1_000_000_000
@@ -53,6 +54,8 @@ class RecordRole:
         self._clocks: dict[str, tuple[int, int]] = {}
         self._drops = Drops(self._database.known_drops())
         self._resumed = self._database.last_frame
+        self._last_request = -1 if self._database.last_whole is None else self._database.last_whole
+        self._reaches = [Reach(BusName.V2X, context.v2x), Reach(BusName.WORLD, context.world)]
         self._commit_ns = COMMIT_NS if scenario.get("mode") == "lockstep" else 0
         self._committed_ns = self._told_ns = time.monotonic_ns()
         self._handlers = self._routes()
@@ -82,11 +85,14 @@ class RecordRole:
         except MessageError as error:
             self._context.inbox.refuse(item.topic, error)
         self._ending.heard(item.received_ns)
+        self._note_gap(item)
         if self._database.is_full:
             self._commit(time.monotonic_ns())
 
     def poll(self) -> None:
         """Commits and reports when it is time, and stops once the run is written."""
+        for reach in self._reaches:
+            reach.look(self._last_request)
         now_ns = time.monotonic_ns()
         due = now_ns - self._committed_ns >= self._commit_ns
         if due or self._database.pending_rows >= COMMIT_ROWS:
@@ -126,8 +132,8 @@ class RecordRole:
         note = self._ledger.tick(tick.frame, tick.sim_time_ns)
         if self._resumed is not None:
             self._ledger.settle(max(self._resumed, 0))
-            last = -1 if self._database.last_whole is None else self._database.last_whole
-            self._database.add(tables.GapRow, [tables.GapRow(last, tick.frame)])
+            gap = tables.GapRow(self._last_request, "recorder", tick.frame)
+            self._database.add(tables.GapRow, [gap])
             self._resumed = None
         self._glance.ticked(tick, received_ns)
         note.sim_time_ns, note.tick_ns = tick.sim_time_ns, received_ns
@@ -181,6 +187,7 @@ class RecordRole:
 
     def _on_request(self, request: m.SignalRequest, received_ns: int) -> None:
         self._ledger.note(request.frame).request_ns = received_ns
+        self._last_request = max(self._last_request, request.frame)
         self._database.add(tables.RequestRow, [rows.request_row(request)])
 
     def _on_detections(self, detections: m.Detections, _: int) -> None:
@@ -198,6 +205,15 @@ class RecordRole:
         period_ns = round(self._config.snapshot_period_s * 1e9)
         if scan.sim_time_ns % period_ns < self._frame_period_ns:
             self._database.add(tables.CloudRow, [rows.cloud_row(scan)])
+
+    def _note_gap(self, heard: Envelope) -> None:
+        """Notes the gap that a message ends; those that measure are of frames long gone."""
+        frame = getattr(heard.message, "frame", None)
+        if frame is None or TOPICS[heard.topic].delivery is Delivery.TELEMETRY:
+            return
+        for reach in self._reaches:
+            if gap := reach.heard(TOPICS[heard.topic].bus, frame):
+                self._database.add(tables.GapRow, [gap])
 
     def _begin(self, scenario: str) -> None:
         used = versions()

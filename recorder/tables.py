@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, get_args, get_type_hints
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 _SQL_TYPES = {int: "INTEGER", float: "REAL", str: "TEXT", bytes: "BLOB"}
 
 
@@ -220,13 +220,15 @@ class DropRow(NamedTuple):
 
 
 class GapRow(NamedTuple):
-    """The recorder was away: of what was said between these frames it lacks all, or a part.
+    """Of what was said between these frames all may be lacking, or a part.
 
-    `after_frame` is the last of which it had the request when it broke off, `until_frame` the first
-    that it saw begin again.
+    `away` was the recorder itself, or the router of a bus: `recorder`, `v2x` or `world`.
+    `after_frame` is the last of which there was the request when it broke off, `until_frame` the
+    first of which something came again.
     """
 
     after_frame: int
+    away: str
     until_frame: int
 
 
@@ -317,7 +319,7 @@ TABLES: dict[type, Table] = {
         Table("trips", TripRow, 1, is_result=True),
         Table("clocks", ClockRow, 1),
         Table("drops", DropRow, 2),
-        Table("gaps", GapRow, 1),
+        Table("gaps", GapRow, 2),
         Table("clouds", CloudRow, 3, rowid=True),
     )
 }

@@ -9,9 +9,10 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from protocol.config import Section
+from protocol.plugins import PluginSettings
 from protocol.profiles import Profile
 from protocol.scans import ScanPattern
-from sensing.upload.registry import POLICIES, Filter, PolicyName
+from sensing.upload.registry import POLICIES, Filter, PolicyName, policy_of
 
 MAX_COLUMNS = 8192
 
@@ -176,8 +177,10 @@ class UploadConfig(Section):
     intensity: bool = Field(False, description="Whether intensities are sent, a byte a ray.")
     policy: PolicyName = Field(
         "full",
-        description="; ".join(f"{name}: {policy.about}" for name, policy in POLICIES.items()),
+        description="; ".join(f"{name}: {policy.about}" for name, policy in POLICIES.items())
+        + "; or the name of a plug-in",
     )
+    plugin: PluginSettings = Field({})
     filters: list[Filter] = Field(
         [],
         description="What is left out besides. roi: what is off the map's road; foreground: the "
@@ -198,14 +201,14 @@ class UploadConfig(Section):
         choice = self.vehicle if kind == "vehicle" else self.roadside
         policy = self.policy if choice.policy is None else choice.policy
         filters = self.filters if choice.filters is None else choice.filters
-        return Chosen(policy, frozenset(filters) | frozenset(POLICIES[policy].filters))
+        return Chosen(policy, frozenset(filters) | frozenset(policy_of(policy).filters))
 
     @model_validator(mode="after")
     def _check_cells(self) -> Self:
         both = sorted({self.of("vehicle").policy, self.of("roadside").policy})
-        if len(both) > 1 and all(POLICIES[name].cells for name in both):
+        if len(both) > 1 and all(policy_of(name).cells for name in both):
             raise ValueError(
                 f"vehicles and roadside ask for {both[0]} and {both[1]}; all agents with cells "
-                "share one plan: choose one of voronoi, power, reap for both"
+                "share one plan: choose one of them for both"
             )
         return self

@@ -10,8 +10,9 @@ from sensing.radio import AgentKind, Radio
 from sensing.source import source_of
 from sensing.terrain import Terrain
 from sensing.uplink import Kit, Uplink
+from sensing.upload.chooser import chooser_of
 from sensing.upload.objects import OnBoard
-from sensing.upload.registry import POLICIES
+from sensing.upload.registry import policy_of
 from sensing.upload.selection import Selector
 
 
@@ -27,7 +28,7 @@ class Sensors:
         self._pattern = config.pattern
         self._standing = kind == "roadside"
         self._chosen = upload.of(kind)
-        self._policy = POLICIES[self._chosen.policy]
+        self._policy = policy_of(self._chosen.policy)
         self._roadway = Roadway.of(road_map, margin_m=upload.roi_margin_m)
         detects = self._policy.sends == "objects"
         self._kit = Kit(
@@ -48,6 +49,7 @@ class Sensors:
             self._chosen.filters,
             self._roadway,
             self._pattern,
+            chooser_of(self._chosen.policy, self._kit.config, self._roadway, self._pattern),
             thin_m=self._kit.config.thin_m,
             standing=self._standing,
         )

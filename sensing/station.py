@@ -16,7 +16,7 @@ from sensing.config import UploadConfig
 from sensing.lidar import Sensed
 from sensing.link.config import LinkConfig
 from sensing.radio import AgentKind, Radio, radio_of
-from sensing.upload.registry import POLICIES
+from sensing.upload.registry import policy_of
 from sensing.way import Shipment, Way
 
 W = TypeVar("W", bound=Way)
@@ -39,7 +39,7 @@ class Station:
         self.link = LinkConfig.of(scenario)
         self._kind: AgentKind = kind
         self._keeps_truth: bool = scenario["record"]["truth"]
-        self._policy = POLICIES[UploadConfig.model_validate(scenario["upload"]).of(kind).policy]
+        self._policy = policy_of(UploadConfig.model_validate(scenario["upload"]).of(kind).policy)
         self._lockstep = scenario["mode"] == "lockstep"
         self._ways: dict[str, Way] = {}
         self._scanned: tuple[int, list[str]] = (-1, [])

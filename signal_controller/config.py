@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from protocol.config import Section
+from protocol.plugins import Catalogue, PluginSettings
+
+POLICIES = Catalogue("cpnet.signal_policies", "signal policy", ("max_pressure", "fixed"))
+"""Every policy by its name; what an installed one must be, `signal_controller.registry` says."""
 
 
 class SignalConfig(Section):
     """Who decides on the phase; minimum green, yellow and all-red are the cabinet's."""
 
-    policy: Literal["max_pressure", "fixed"] = Field(
+    policy: Annotated[str, AfterValidator(POLICIES.checked)] = Field(
         "max_pressure",
         description="max_pressure: the phase with most vehicles before it and fewest behind it, "
-        "as in Chen et al. 2022; fixed: the plan that the net brings",
+        "as in Chen et al. 2022; fixed: the plan that the net brings; or the name of a plug-in",
     )
+    plugin: PluginSettings = Field({})
     unseen: Literal["alike", "empty"] = Field(
         "alike",
         description="ours: what max_pressure makes of the part of a lane that no LiDAR has within "

@@ -11,8 +11,8 @@ from protocol.inbox import Envelope, Presence
 from protocol.messages import LaneCounts, Metrics, SignalRequest, SignalState, Span
 from protocol.process import Context
 from signal_controller.config import SignalConfig
-from signal_controller.policies import Decision, blind, fixed, max_pressure
-from signal_controller.reckoning import Reckoning
+from signal_controller.policies import Decision
+from signal_controller.registry import policy_of
 
 MAX_KEPT = 8  # counts and states
 Kept = TypeVar("Kept", LaneCounts, SignalState)
@@ -32,7 +32,7 @@ class SignalRole:
         self._context = context
         self._signal = context.setup.road_map.signal
         self._config = SignalConfig.model_validate(scenario["signal"])
-        self._reckoning = Reckoning(self._signal, self._config, scenario["edge"]["upstream_m"])
+        self._policy = policy_of(self._config, self._signal, scenario["edge"]["upstream_m"])
         self._lockstep = scenario["mode"] == "lockstep"
         self._horizon = Horizon()
         self._shown: dict[int, SignalState] = {}
@@ -79,7 +79,7 @@ class SignalRole:
             self._horizon.reach(frame)
         self._counts = {later: kept for later, kept in self._counts.items() if later > frame}
         start_ns = time.monotonic_ns()
-        decision = self._decide(counts)
+        decision = self._policy.decide(counts, self._shown_at(frame))
         self._publish(counts, decision, start_ns)
 
     def close(self) -> None:
@@ -121,18 +121,6 @@ class SignalRole:
         """Returns the newest state that is known to be real, once a frame's counts are."""
         newest = max(frame, self._horizon.newest)
         return self._shown.get(max((n for n in self._shown if n <= newest), default=-1))
-
-    def _decide(self, counts: LaneCounts) -> Decision:
-        if self._config.policy == "fixed":
-            return fixed(self._signal, counts.sim_time_ns)
-        shown = self._shown_at(counts.frame)
-        config, reckoned = self._config, {}
-        if config.unseen == "alike":
-            estimate = self._reckoning.take(counts, shown)
-            if estimate.is_blind:
-                return blind(self._signal, counts.sim_time_ns, estimate.vehicles)
-            reckoned = estimate.vehicles
-        return max_pressure(self._signal, counts, shown, config.weight, config.unseen, reckoned)
 
     def _publish(self, counts: LaneCounts, decision: Decision, start_ns: int) -> None:
         request = SignalRequest(

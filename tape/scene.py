@@ -58,7 +58,7 @@ class Budget:
 
 
 class Scene:
-    """Converts the newest frame of which detections have come; older ones are left out.
+    """Converts the newest frame that is whole; older ones are left out.
 
     Boxes and poses are cheap and come first. Clouds cost about as much as the edge's own decoding:
     they have a budget, and while those of one frame are made others are left without.
@@ -70,6 +70,7 @@ class Scene:
         self._writer = writer
         self._budget = budget
         self._open: dict[int, _Frame] = {}
+        self._seen = -1
         self._due: _Frame | None = None
         self._now = _Frame()
         self._clouds: list[str] = []
@@ -78,7 +79,7 @@ class Scene:
         self.clouds_left_out = 0
 
     def take(self, item: Envelope) -> None:
-        """Notes a message; a frame is due when the edge has said what it sees in it."""
+        """Notes a message; a frame is due once the edge has said what it sees in the next one."""
         message = item.message
         if not isinstance(message, m.AgentPose | m.Scan | m.Truth | m.Detections):
             return
@@ -96,8 +97,7 @@ class Scene:
             frame.truth = message
         else:
             frame.detections = message
-            self.frames_left_out += self._due is not None
-            self._due = self._open.pop(message.frame)
+            self._close(message.frame)
 
     def step(self) -> None:
         """Does a little, a few milliseconds at most: the boxes of a frame, or a cloud."""
@@ -109,6 +109,14 @@ class Scene:
             start_ns = time.thread_time_ns()
             self._convert_cloud(self._clouds.pop())
             self._budget.spend(time.thread_time_ns() - start_ns)
+
+    def _close(self, number: int) -> None:
+        """Makes the frame before this one due: what is prompt may overtake the scans of its own."""
+        ready = self._open.pop(self._seen, None)
+        self._seen = number
+        if ready is not None:
+            self.frames_left_out += self._due is not None
+            self._due = ready
 
     def _frame(self, number: int) -> _Frame:
         if number not in self._open:
@@ -124,7 +132,8 @@ class Scene:
         stamp_ns = frame.heard_ns
         places = {name: pose.pose for name, pose in frame.poses.items()}
         places |= {_sensor(name): scans[0].sensor_pose for name, scans in frame.scans.items()}
-        self._add(frame, f"{_V2X}/transforms", shapes.transforms(places, stamp_ns))
+        if places:
+            self._add(frame, f"{_V2X}/transforms", shapes.transforms(places, stamp_ns))
         for name, pose in frame.poses.items():
             self._add(frame, f"{_V2X}/pose/{name}", shapes.agent_pose(pose, stamp_ns))
         if frame.detections is not None:

@@ -6,8 +6,8 @@ the axis of the tape, as its log times.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping
+import struct
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -31,13 +31,14 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from protocol.messages import AgentPose, Detections, Truth, VehicleType
 from protocol.roadmap import RoadMap
 
+Floats = npt.NDArray[np.float64]
 Shape = SceneUpdate | PointCloud | PoseInFrame | FrameTransforms
+_Color = tuple[float, float, float, float]
 MAP = "map"
+MAX_POINTS = 30_000  # enough to see by; a whole cloud takes four times as long to compress
 _FLOAT32 = PackedElementField.FLOAT32
 _XYZ = [PackedElementField(name=n, offset=4 * i, type=_FLOAT32) for i, n in enumerate("xyz")]
-_SEEN = Color(r=1.0, g=0.55, b=0.1, a=0.6)
-_REPORTED = Color(r=0.2, g=0.7, b=1.0, a=0.6)
-_TRUE = Color(r=0.2, g=0.9, b=0.3, a=0.35)
+_SEEN, _REPORTED, _TRUE = (1.0, 0.55, 0.1, 0.6), (0.2, 0.7, 1.0, 0.6), (0.2, 0.9, 0.3, 0.35)
 _LANE = Color(r=0.5, g=0.5, b=0.5, a=0.8)
 _TEXT = Color(r=1.0, g=1.0, b=1.0, a=1.0)
 _TEXT_M = 0.8
@@ -47,14 +48,15 @@ _HERE = Pose(position=Vector3(), orientation=_NO_TURN)
 
 
 def cloud(points: npt.NDArray[np.float32], sensor: str, stamp_ns: int) -> PointCloud:
-    """Returns points (N, 3) in the frame of their sensor."""
+    """Returns points (N, 3) in the frame of their sensor, of more than 30 000 every n-th."""
+    every = -(-len(points) // MAX_POINTS) or 1
     return PointCloud(
         timestamp=_stamp(stamp_ns),
         frame_id=sensor,
         pose=_HERE,
         point_stride=12,
         fields=_XYZ,
-        data=np.ascontiguousarray(points, np.float32).tobytes(),
+        data=np.ascontiguousarray(points[::every], np.float32).tobytes(),
     )
 
 
@@ -63,7 +65,7 @@ def agent_pose(message: AgentPose, stamp_ns: int) -> PoseInFrame:
     return PoseInFrame(timestamp=_stamp(stamp_ns), frame_id=MAP, pose=_pose(message.pose))
 
 
-def transforms(poses: Mapping[str, npt.NDArray[np.float64]], stamp_ns: int) -> FrameTransforms:
+def transforms(poses: Mapping[str, Floats], stamp_ns: int) -> FrameTransforms:
     """Returns `map_SE3_child` for poses (6,) by the name of the child."""
     stamp = _stamp(stamp_ns)
     return FrameTransforms(
@@ -73,7 +75,7 @@ def transforms(poses: Mapping[str, npt.NDArray[np.float64]], stamp_ns: int) -> F
                 parent_frame_id=MAP,
                 child_frame_id=child,
                 translation=_vector(pose[:3]),
-                rotation=_quaternion(*pose[3:]),
+                rotation=_quaternion(pose[3:]),
             )
             for child, pose in poses.items()
         ]
@@ -83,23 +85,27 @@ def transforms(poses: Mapping[str, npt.NDArray[np.float64]], stamp_ns: int) -> F
 def detections(message: Detections, stamp_ns: int) -> SceneUpdate:
     """Returns a box for each vehicle that the edge knows of, with its lane above it."""
     boxes = message.boxes.astype(np.float64)
-    cubes = [
-        CubePrimitive(
-            pose=Pose(position=_vector(box[:3]), orientation=_quaternion(0.0, 0.0, box[6])),
-            size=_vector(box[3:6]),
-            color=_SEEN if source == "lidar" else _REPORTED,
-        )
-        for box, source in zip(boxes, message.sources, strict=True)
-    ]
-    texts = [_label(lane, box) for box, lane in zip(boxes, message.lanes, strict=True) if lane]
-    return _scene("detections", stamp_ns, cubes=cubes, texts=texts)
+    turns = np.zeros((len(boxes), 3))
+    turns[:, 2] = boxes[:, 6]
+    colors = [_SEEN if source == "lidar" else _REPORTED for source in message.sources]
+    entity = _entity("detections", stamp_ns)
+    _add_cubes(entity, boxes[:, :3], turns, boxes[:, 3:6], colors)
+    labels = zip(boxes, message.lanes, strict=True)
+    entity.texts.extend(_label(lane, box) for box, lane in labels if lane)
+    return SceneUpdate(entities=[entity])
 
 
 def truth(message: Truth, types: Mapping[str, VehicleType], stamp_ns: int) -> SceneUpdate:
     """Returns a box for each true vehicle; one of a type that the setup lacks is left out."""
-    found = zip(message.types, message.poses, strict=True)
-    cubes = [_body(types[name], pose) for name, pose in found if name in types]
-    return _scene("truth", stamp_ns, cubes=cubes)
+    known = [n for n, name in enumerate(message.types) if name in types]
+    kinds = [types[message.types[n]] for n in known]
+    sizes = np.array([(k.length_m, k.width_m, k.height_m) for k in kinds]).reshape(-1, 3)
+    poses = message.poses[known]
+    centres = poses[:, :3].copy()
+    centres[:, 2] += sizes[:, 2] / 2  # a pose is that of the footprint
+    entity = _entity("truth", stamp_ns)
+    _add_cubes(entity, centres, poses[:, 3:], sizes, [_TRUE] * len(known))
+    return SceneUpdate(entities=[entity])
 
 
 def road(road_map: RoadMap, stamp_ns: int) -> SceneUpdate:
@@ -114,60 +120,83 @@ def road(road_map: RoadMap, stamp_ns: int) -> SceneUpdate:
         )
         for lane in road_map.lanes
     ]
-    return _scene("road", stamp_ns, lines=lines)
-
-
-def _scene(
-    name: str,
-    stamp_ns: int,
-    *,
-    cubes: Iterable[CubePrimitive] = (),
-    texts: Iterable[TextPrimitive] = (),
-    lines: Iterable[LinePrimitive] = (),
-) -> SceneUpdate:
-    """Returns one entity, which takes the place of the last one of this name."""
-    entity = SceneEntity(
-        timestamp=_stamp(stamp_ns), frame_id=MAP, id=name, cubes=cubes, texts=texts, lines=lines
-    )
+    entity = _entity("road", stamp_ns)
+    entity.lines.extend(lines)
     return SceneUpdate(entities=[entity])
 
 
-def _body(kind: VehicleType, pose: npt.NDArray[np.float64]) -> CubePrimitive:
-    """Returns a vehicle as a box; its pose is that of the footprint's centre."""
-    x, y, z, *turn = pose
-    centre = Vector3(x=x, y=y, z=z + kind.height_m / 2)
-    size = Vector3(x=kind.length_m, y=kind.width_m, z=kind.height_m)
-    return CubePrimitive(
-        pose=Pose(position=centre, orientation=_quaternion(*turn)), size=size, color=_TRUE
+def _entity(name: str, stamp_ns: int) -> SceneEntity:
+    """Returns an entity, which takes the place of the last one of this name."""
+    return SceneEntity(timestamp=_stamp(stamp_ns), frame_id=MAP, id=name)
+
+
+def _add_cubes(
+    entity: SceneEntity, centres: Floats, turns: Floats, sizes: Floats, colors: Sequence[_Color]
+) -> None:
+    """Adds cubes: centres, sizes (N, 3) in m; turns (N, 3) in rad: roll, pitch, yaw.
+
+    All cubes are equally long in protobuf, and one that follows another is added to it: so they are
+    written as the rows of an array, thirty times as fast as one by one.
+    """
+    rows = np.tile(_CUBE, (len(centres), 1))
+    values = np.hstack([centres, quaternions(turns), sizes, np.reshape(colors, (-1, 4))])
+    for column, at in enumerate(_CUBE_AT):
+        rows[:, at : at + 8] = values[:, column : column + 1].astype("<f8").view(np.uint8)
+    entity.MergeFromString(rows.tobytes())
+
+
+def _cube_row() -> tuple[npt.NDArray[np.uint8], list[int]]:
+    """Returns a cube in an entity as bytes, and where in them its numbers lie."""
+    x, y, z, qx, qy, qz, qw, length, width, height, r, g, b, a = marks = [
+        n + 0.5 for n in range(14)
+    ]
+    cube = CubePrimitive(
+        pose=Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw)),
+        size=Vector3(x=length, y=width, z=height),
+        color=Color(r=r, g=g, b=b, a=a),
     )
+    row = SceneEntity(cubes=[cube]).SerializeToString()
+    return np.frombuffer(row, np.uint8), [row.index(struct.pack("<d", mark)) for mark in marks]
 
 
-def _label(text: str, box: npt.NDArray[np.float64]) -> TextPrimitive:
+_CUBE, _CUBE_AT = _cube_row()
+
+
+def _label(text: str, box: Floats) -> TextPrimitive:
     above = Vector3(x=box[0], y=box[1], z=box[2] + box[5] / 2 + _TEXT_M)
     pose = Pose(position=above, orientation=_NO_TURN)
     return TextPrimitive(pose=pose, billboard=True, font_size=_TEXT_M, color=_TEXT, text=text)
 
 
-def _pose(pose: npt.NDArray[np.float64]) -> Pose:
-    return Pose(position=_vector(pose[:3]), orientation=_quaternion(*pose[3:]))
+def _pose(pose: Floats) -> Pose:
+    return Pose(position=_vector(pose[:3]), orientation=_quaternion(pose[3:]))
 
 
-def _vector(values: npt.NDArray[np.float64]) -> Vector3:
+def _vector(values: Floats) -> Vector3:
     x, y, z = values.tolist()
     return Vector3(x=x, y=y, z=z)
 
 
-def _quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
-    """Returns the rotation of `protocol.geometry.euler_rotation`."""
-    (cr, cp, cy), (sr, sp, sy) = (
-        [f(angle / 2) for angle in (roll_rad, pitch_rad, yaw_rad)] for f in (math.cos, math.sin)
+def quaternions(turns: Floats) -> Floats:
+    """Returns rotations (N, 4) as x, y, z, w of roll, pitch, yaw (N, 3).
+
+    They turn as `protocol.geometry.euler_rotation` does.
+    """
+    (cr, cp, cy), (sr, sp, sy) = np.cos(turns.T / 2), np.sin(turns.T / 2)
+    return np.stack(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ],
+        axis=-1,
     )
-    return Quaternion(
-        x=sr * cp * cy - cr * sp * sy,
-        y=cr * sp * cy + sr * cp * sy,
-        z=cr * cp * sy - sr * sp * cy,
-        w=cr * cp * cy + sr * sp * sy,
-    )
+
+
+def _quaternion(turn: Floats) -> Quaternion:
+    x, y, z, w = quaternions(turn[None])[0].tolist()
+    return Quaternion(x=x, y=y, z=z, w=w)
 
 
 def _stamp(time_ns: int) -> Timestamp:

@@ -20,7 +20,7 @@ FLAT_SHARE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """Faults with their recoveries, memory, and what the database says."""
+    """Faults with their recoveries, memory, and what the database says; gaps of the recorder."""
 
     minutes: float
     faults: list[Fault]
@@ -71,9 +71,10 @@ def look_back(
     damage = [f"the database is damaged: {sound}"] if sound != "ok" else []
     if lost:
         damage.append(f"requests of {len(lost)} frames were lost outside of gaps, first {lost[0]}")
-    if len(gaps) != deaths:
-        damage.append(f"{len(gaps)} gaps are noted, the recorder died {deaths} times")
-    return Findings(minutes, faults, memory, frames, len(gaps), unsafe, damage)
+    own = sum(gap.away == "recorder" for gap in gaps)
+    if own != deaths:
+        damage.append(f"{own} gaps of the recorder are noted, it died {deaths} times")
+    return Findings(minutes, faults, memory, frames, own, unsafe, damage)
 
 
 def by_victim(faults: list[Fault]) -> list[tuple[str, int, float, float]]:

@@ -82,7 +82,10 @@ def agents_of(source: Source) -> list[Agent]:
         mounts = read_extrinsics(source.extrinsics, source.sensors)
         by_sensor = sensors_in(source.scans, list(mounts))
         if source.refine:
-            first = {name: read_points(files[0]).points for name, files in by_sensor.items()}
+            first = {
+                name: read_points(files[0]).points.astype(np.float64)
+                for name, files in by_sensor.items()
+            }
             mounts = refined(mounts, first)
         rows = zip(*by_sensor.values(), strict=True)
         frames = [dict(zip(by_sensor, row, strict=True)) for row in rows]

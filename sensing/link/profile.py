@@ -20,7 +20,7 @@ MAX_RTT_US = 60_000_000
 class VaryingRate(Section):
     """A rate drawn by seed and agent: log-normal around its mean, correlated in time."""
 
-    kind: Literal["varying"] = "varying"
+    kind: Literal["varying"] = Field("varying", description="a rate drawn by seed")
     mean_mbps: float = Field(10.0, ge=0.001, le=100_000, description="mean uplink rate, Mbit/s")
     variation: float = Field(
         0.0, ge=0, le=3, description="standard deviation over mean; 0 for a fixed rate"
@@ -33,10 +33,16 @@ class VaryingRate(Section):
 class TraceRate(Section):
     """A recorded rate; it repeats after `period_us`. Rates are of IP packets, headers included."""
 
-    kind: Literal["trace"] = "trace"
-    starts_us: list[int] = Field([0], min_length=1, max_length=MAX_STEPS, description="ascending")
-    rates_bps: list[int] = Field([10_000_000], min_length=1, max_length=MAX_STEPS)
-    rtt_us: list[int] = Field([], max_length=MAX_STEPS, description="as long as rates, or empty")
+    kind: Literal["trace"] = Field("trace", description="a recorded rate")
+    starts_us: list[int] = Field(
+        [0], min_length=1, max_length=MAX_STEPS, description="when each rate begins; ascending"
+    )
+    rates_bps: list[int] = Field(
+        [10_000_000], min_length=1, max_length=MAX_STEPS, description="as many, in bit/s"
+    )
+    rtt_us: list[int] = Field(
+        [], max_length=MAX_STEPS, description="round trips, as many; empty for none"
+    )
     period_us: int = Field(1_000_000, gt=0, description="when it begins anew")
 
     @model_validator(mode="after")

@@ -14,6 +14,7 @@ from protocol.geometry import SE3
 from protocol.messages import Plan
 from protocol.scans import RangeScan, ScanPattern
 from sensing.upload.cells import NOT_SENT, cut
+from sensing.upload.chooser import Chooser
 from sensing.upload.foreground import Background, driving_foreground
 from sensing.upload.locate import locate
 from sensing.upload.registry import Filter, Policy
@@ -57,6 +58,7 @@ class Selector:
         filters: frozenset[Filter],
         roadway: Roadway,
         pattern: ScanPattern,
+        chooser: Chooser | None = None,
         *,
         thin_m: float,
         standing: bool,
@@ -65,6 +67,7 @@ class Selector:
         self._roadway = roadway
         self._roi = "roi" in filters
         self._foreground = "foreground" in filters
+        self._chooser = chooser
         self._spacing_m = thin_m
         beams = pattern.channels * pattern.columns
         self._background = Background(beams) if standing and self._foreground else None
@@ -83,7 +86,7 @@ class Selector:
         """
         shape = scan.range_m.shape
         follows = self._policy.cells and plan is not None and agent in plan.agents
-        if not (self._roi or self._foreground or follows):
+        if not (self._roi or self._foreground or follows or self._chooser):
             return Selection(np.zeros(shape, np.uint8), 1)
         range_m = np.ascontiguousarray(scan.range_m)
         located = locate(scan, map_SE3_sensor, self._roadway)
@@ -96,6 +99,10 @@ class Selector:
             thin(range_m, self._spacing_m, keep.reshape(shape))
         chunk = np.empty(range_m.size, np.uint8)
         _begin(range_m.reshape(-1), located.above_m, keep, self._roi, chunk)
+        if self._chooser is not None:
+            chosen = self._chooser.choose(scan, map_SE3_sensor)
+            left = np.where(chunk.reshape(shape) == NOT_SENT, chunk.reshape(shape), chosen)
+            return Selection(left, self._policy.chunks)
         if not follows or plan is None:
             return Selection(chunk.reshape(shape), 1)
         cut(located.xy, chunk, plan.sites, plan.weights_m2, plan.agents.index(agent))

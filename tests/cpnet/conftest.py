@@ -96,7 +96,7 @@ def children_of(run_dir: Path) -> dict[str, int]:
         if not entry.name.isdigit():
             continue
         try:
-            words = (entry / "cmdline").read_bytes().split(b"\0")
+            words = (entry / "cmdline").read_bytes().replace(b"\0", b" ").split()
         except OSError:
             continue
         if b"--id" in words and str(run_dir).encode() in words:

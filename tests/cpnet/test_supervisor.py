@@ -22,7 +22,7 @@ main()
 
 @pytest.fixture
 def supervisor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Supervisor:
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.syspath_prepend(tmp_path)
     return Supervisor(tmp_path, resolve([], [], set(BusName)))
 
 

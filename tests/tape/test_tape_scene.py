@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("mcap", reason="needs the extra `tape`")
 
 from cassette import same, setup, writer_in
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -102,8 +103,10 @@ class Booth:
         self.scene = Scene(setup(), self.writer, Budget(share, 0))
 
     def hear(self, frame: int, steps: int = 8) -> None:
+        """Hears a frame, and the end of the next, so that it is due."""
         for n, (topic, message) in enumerate(messages_of(frame).items()):
             self.scene.take(heard(topic, message, 10**9 * (frame + 1) + n))
+        self.scene.take(heard("detections", messages_of(frame + 1)["detections"], 10**9))
         for _ in range(steps):
             self.scene.step()
 
@@ -178,6 +181,12 @@ def test_true_vehicles_stand_on_the_ground_and_are_apart(tmp_path):
     (cube,) = found["foxglove/world/truth"][0].entities[0].cubes  # nobody knows the other's size
     assert place_of(cube.pose) == pytest.approx((10, -4, 0.75))
     assert (cube.size.x, cube.size.y, cube.size.z) == (4.5, 1.8, 1.5)
+
+
+def test_a_large_cloud_is_thinned():
+    points = np.random.default_rng(1).random((100_000, 3), np.float32)
+    cloud = shapes.cloud(points, "a/lidar", 1)
+    assert (points_of(cloud) == points[::4]).all()
 
 
 def test_chunks_of_a_scan_are_one_cloud(tmp_path):
@@ -266,7 +275,8 @@ def test_what_is_for_other_tools_is_not_heard_again(tmp_path):
 
 @given(st.lists(st.floats(-7, 7), min_size=3, max_size=3))
 def test_a_quaternion_turns_as_its_angles_do(angles):
-    turned = rotation_of(shapes._quaternion(*angles))
+    x, y, z, w = shapes.quaternions(np.array([angles]))[0]
+    turned = rotation_of(Quaternion(x=x, y=y, z=z, w=w))
     assert turned == pytest.approx(euler_rotation(*angles), abs=1e-9)
 
 

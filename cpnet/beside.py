@@ -1,0 +1,61 @@
+"""A viewer that is started with a run and ends with it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import Enum
+from importlib.util import find_spec
+from pathlib import Path
+
+from rich.console import Console
+
+from protocol.errors import ConfigError
+
+_GRACE_S = 8.0
+
+
+class Viewing(Enum):
+    """Where a run is shown."""
+
+    NATIVE = "native"
+    WEB = "web"
+
+
+def check_viewing(how: Viewing | None) -> None:
+    """Raises ConfigError if the viewer is wanted and its extra is missing."""
+    if how is not None and find_spec("rerun") is None:
+        raise ConfigError(
+            f"--view needs rerun (extra `view`): {sys.executable} -m pip install 'cpnet-edge[view]'"
+        )
+
+
+@contextmanager
+def viewed(run_dir: Path, how: Viewing | None, console: Console) -> Iterator[None]:
+    """Shows the run as long as the context lasts; what the viewer says is printed."""
+    if how is None:
+        yield
+        return
+    command = [sys.executable, "-m", "cpnet", "view", str(run_dir)]
+    command += ["--web"] if how is Viewing.WEB else []
+    log = (run_dir / "logs" / "view.log").open("ab")
+    with log, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True) as viewer:
+        telling = threading.Thread(target=_tell, args=(viewer, console), daemon=True)
+        telling.start()
+        try:
+            yield
+        finally:
+            viewer.terminate()
+            try:
+                viewer.wait(_GRACE_S)
+            except subprocess.TimeoutExpired:
+                viewer.kill()
+            telling.join(_GRACE_S)
+
+
+def _tell(viewer: subprocess.Popen[str], console: Console) -> None:
+    for line in viewer.stdout or ():
+        console.print(line.rstrip(), highlight=False, markup=False, soft_wrap=True)

@@ -1,0 +1,127 @@
+"""Processes forked off one that has imported what they all need, so that they begin at once.
+
+Imports are most of what a process does before it can take part: a second or two each, on every
+core. Here one process does it for all, and each of them begins where that one stands.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import runpy
+import signal
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from multiprocessing import forkserver
+from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+
+from setproctitle import setproctitle
+
+from protocol.errors import CpnetError
+
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+"""Processes are the unit that work is spread by: a BLAS that spins on all cores slows the rest."""
+
+
+class Offspring:
+    """A process whose standard input is its lifeline: it ends when that is closed."""
+
+    def __init__(self, process: ForkServerProcess, lifeline: Connection) -> None:
+        self._process = process
+        self._lifeline = lifeline
+
+    @property
+    def pid(self) -> int:
+        """Its number."""
+        return self._process.pid or 0
+
+    def poll(self) -> int | None:
+        """Returns its exit status, minus the number of the signal that ended it, or None."""
+        return self._process.exitcode
+
+    def wait(self, timeout_s: float | None = None) -> int | None:
+        """Returns the same once it has ended, or when the time is over."""
+        self._process.join(timeout_s)
+        return self.poll()
+
+    def send_signal(self, number: int) -> None:
+        """Sends it a signal, if it still runs."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def release(self) -> None:
+        """Lets go of its lifeline."""
+        self._lifeline.close()
+
+
+def prepare(modules: Iterable[str], log: Path) -> None:
+    """Begins to import these modules, and what they import, in the process that all are forked off.
+
+    It ends with this process, not before: Ctrl-C does not reach it.
+    """
+    os.environ.update(ONE_THREAD)
+    multiprocessing.set_forkserver_preload(["cpnet.__main__", *modules, "cpnet.forebear"])
+    log.parent.mkdir(parents=True, exist_ok=True)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with _printing_to(log):
+            forkserver.ensure_running()
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def start(module: str, arguments: list[str], log: Path) -> Offspring:
+    """Starts `python -m MODULE ARGUMENTS`; what it prints is added to the log.
+
+    Raises:
+        CpnetError: the process that others are forked off is gone.
+    """
+    theirs, ours = multiprocessing.Pipe(duplex=False)
+    process = ForkServerProcess(
+        target=_live, args=(module, arguments, str(log), theirs), name=module, daemon=True
+    )
+    try:
+        process.start()
+    except (OSError, EOFError) as error:
+        raise CpnetError(
+            f"{module} cannot be started: {error}; see the logs beside {log}"
+        ) from None
+    theirs.close()
+    return Offspring(process, ours)
+
+
+@contextmanager
+def _printing_to(log: Path) -> Iterator[None]:
+    """Has what is started meanwhile print to a file, so that who reads from us sees our end."""
+    kept = [os.dup(stream) for stream in (1, 2)]
+    written = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+    try:
+        for stream in (1, 2):
+            os.dup2(written, stream)
+        yield
+    finally:
+        for stream, own in zip((1, 2), kept, strict=True):
+            os.dup2(own, stream)
+            os.close(own)
+        os.close(written)
+
+
+def _live(module: str, arguments: list[str], log: str, lifeline: Connection) -> None:
+    """Becomes that process."""
+    os.setsid()  # Ctrl-C reaches the supervisor, which stops in order
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    written = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+    for source, stream in ((lifeline.fileno(), 0), (written, 1), (written, 2)):
+        os.dup2(source, stream)
+    lifeline.close()
+    os.close(written)
+    sys.argv = [module, *arguments]
+    setproctitle(" ".join(["python -m", *sys.argv]))
+    try:
+        runpy.run_module(module, run_name="__main__", alter_sys=True)
+    except Exception:  # noqa: BLE001 - told as it would be of a process that was not forked
+        sys.excepthook(*sys.exc_info())
+        sys.exit(1)

@@ -1,0 +1,106 @@
+"""Attaches viewers to a run."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from cpnet.follow import Interruption
+from cpnet.running import find
+from protocol.errors import ConfigError
+from protocol.onlooker import Onlooker
+from viewer import live
+from viewer.live import Live, modest_inbox, step_back
+from viewer.scene import Scene
+from viewer.top import board, show
+
+CONNECT_MS = 20_000  # a run that has just been started
+SETUP_S = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Screen:
+    """Where to: a page at a port, a file, or else a window; so many frames a second at most."""
+
+    port: int | None
+    save: Path | None
+    fps: float
+
+
+def view(
+    run: Path | None, connect: list[str], keys: Path | None, screen: Screen, console: Console
+) -> None:
+    """Shows a run in Rerun until it ends or is told to stop.
+
+    Raises:
+        ConfigError: there is no such run, the extra is missing, or the screen cannot be.
+        BusError: the run does not answer.
+    """
+    step_back()
+    with _needs_extra():
+        from viewer.log import Log
+        from viewer.sinks import opened
+    with _attached(run, connect, keys, live.TOPICS) as (onlooker, interruption):
+        scene = Scene(onlooker.setup(SETUP_S))
+        with opened(screen.port, screen.save, scene) as sink:
+            console.print(sink.where, highlight=False, soft_wrap=True)
+            following = Live(onlooker, scene, Log(sink.recording, scene), screen.fps)
+            following.follow(interruption.event)
+            drawn, left_out = following.drawn, following.left_out
+            console.print(f"{drawn} frames shown, {left_out} left out to keep up", highlight=False)
+            if sink.stays and not interruption.event.is_set():
+                console.print("the run has ended; Ctrl-C takes the page away")
+                interruption.event.wait()
+
+
+def top(
+    run: Path | None, connect: list[str], keys: Path | None, console: Console, *, once: bool
+) -> None:
+    """Shows a run in the terminal until it ends or is told to stop.
+
+    Raises:
+        ConfigError: there is no such run.
+        BusError: the run does not answer.
+    """
+    step_back()
+    with _attached(run, connect, keys, board.TOPICS) as (onlooker, interruption):
+        filled = board.Board(onlooker.setup(SETUP_S))
+        if once:
+            show.show_once(onlooker, filled, console, interruption.event)
+        else:
+            show.show(onlooker, filled, console, interruption.event)
+
+
+@contextmanager
+def _attached(
+    run: Path | None, connect: list[str], keys: Path | None, topics: Iterable[str]
+) -> Iterator[tuple[Onlooker, Interruption]]:
+    found = find(run, connect, keys)
+    with (
+        Interruption() as interruption,
+        Onlooker(
+            found.v2x,
+            found.world,
+            topics,
+            inbox=modest_inbox(),
+            timeout_ms=CONNECT_MS,
+            yields=True,
+        ) as onlooker,
+    ):
+        yield onlooker, interruption
+
+
+@contextmanager
+def _needs_extra() -> Iterator[None]:
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"viewing needs {error.name} (extra `view`): "
+            f"{sys.executable} -m pip install 'cpnet-edge[view]'"
+        ) from None

@@ -1,0 +1,165 @@
+"""A package with a detector, an upload policy and a signal policy is installed and used by name."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cpnet import scenario as scenarios
+from cpnet.evaluation import detectors_of
+from perception.registry import check
+from protocol.errors import ConfigError
+from recorder.run import Run
+from recorder.tables import DetectionRow, RequestRow, UploadRow
+from studies.measures import measure
+from studies.solo import play
+from tests.cpnet.conftest import Shell
+from tests.example_plugins import install, pretend
+
+SMALL = {
+    "lidar.vehicle.channels": 16,
+    "lidar.roadside.channels": 16,
+    "lidar.vehicle.points_per_second": 72_000,
+    "lidar.roadside.points_per_second": 72_000,
+    "processes.vehicle": 1,
+    "frame_period_s": 1,
+    "duration_s": 6,
+    "traffic.warmup_s": 30,
+    "traffic.cav_rate": 0.1,
+}
+BY_NAME = {
+    "edge.detector": "grid",
+    "upload.policy": "near-first",
+    "signal.policy": "longest-queue",
+}
+
+
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return install(tmp_path_factory.mktemp("packages"))
+
+
+@pytest.fixture
+def installed(packages: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.syspath_prepend(packages)
+    return packages
+
+
+def played(folder: Path, **settings: Any) -> Path:
+    folder.mkdir()
+    play(scenarios.load("t_junction", SMALL | settings).model_dump(mode="json"), folder)
+    return folder
+
+
+def test_all_three_kinds_by_name_in_one_run(installed, tmp_path) -> None:
+    run_dir = played(tmp_path / "a", **BY_NAME, **{"upload.plugin.near_m": 25})
+    assert measure(run_dir)["e_cvpr"] > 0.2
+    with Run(run_dir) as run:
+        assert {row.policy for row in run.rows(RequestRow)} == {"longest-queue"}
+        points = {0: 0, 1: 0}
+        for upload in run.rows(UploadRow):
+            points[upload.chunk] += upload.points
+    assert min(points.values()) > 0
+
+
+def test_settings_reach_the_detector(installed, tmp_path) -> None:
+    none = played(tmp_path / "a", **BY_NAME, **{"edge.plugin.least_points": 10**6})
+    with Run(none) as run:
+        assert not [row for row in run.rows(DetectionRow) if row.source == "lidar"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"edge.plugin.side_m": 3}, r"detector grid of cpnet-example 0\.1\.0 .*\n?.*side_m"),
+        ({"upload.plugin.near_m": -1}, r"policy near-first of cpnet-example 0\.1\.0 .*near_m is"),
+    ],
+)
+def test_settings_that_cannot_be_name_the_package(installed, tmp_path, settings, said) -> None:
+    with pytest.raises(ConfigError, match=said):
+        played(tmp_path / "a", **BY_NAME, **settings)
+
+
+@pytest.mark.parametrize("key", BY_NAME)
+def test_a_name_that_is_not_installed_is_refused_with_those_that_are(installed, key) -> None:
+    with pytest.raises(ConfigError) as caught:
+        scenarios.load("t_junction", {key: "nobody"})
+    for part in (key, "must be one of", BY_NAME[key], "cpnet-example 0.1.0", "got 'nobody'"):
+        assert part in str(caught.value)
+
+
+def test_detectors_are_measured_by_the_same_names(installed) -> None:
+    assert detectors_of("grid,fast") == ("fast", "grid")
+    with pytest.raises(ConfigError, match=r"'gird': must be one of fast, .* grid \(cpnet-example"):
+        detectors_of("gird")
+
+
+BAD = """
+import numpy as np
+from signal_controller.policies import Decision
+from sensing.upload.registry import Policy
+
+class Sees:
+    def __init__(self, *_): pass
+    def detect(self, cloud, rng, stage=None): return np.zeros((0, 7))
+
+class Chooses:
+    def __init__(self, *_): pass
+    def choose(self, scan, map_SE3_sensor): return np.full(scan.range_m.shape, 2, np.uint8)
+
+class Decides:
+    def __init__(self, *_): pass
+    def decide(self, counts, shown): return Decision("GG", [], "bad")
+
+CHOICE = Policy("bad", chooser=Chooses)
+"""
+
+
+@pytest.fixture
+def bad(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    points = {
+        "cpnet.detectors": {"bad": "cpnet_test_bad:Sees"},
+        "cpnet.upload_policies": {"bad": "cpnet_test_bad:CHOICE", "none": "cpnet_test_bad:Sees"},
+        "cpnet.signal_policies": {"bad": "cpnet_test_bad:Decides", "lost": "cpnet_test_lost:X"},
+    }
+    pretend(tmp_path / "bad", "bad-package", points, cpnet_test_bad=BAD)
+    monkeypatch.syspath_prepend(tmp_path / "bad")
+
+
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [
+        ("edge.detector", "found a ndarray, must find Vehicles"),
+        ("upload.policy", "chose chunk 2: it has 0 to 0, 255 is not sent"),
+        ("signal.policy", "decided 'GG', must be a G, g or r for each of"),
+    ],
+)
+def test_what_a_plugin_returns_is_looked_at(bad, tmp_path, key, said) -> None:
+    with pytest.raises(ConfigError, match=rf"bad of bad-package 1\.0 {said}"):
+        played(tmp_path / "a", **{key: "bad"})
+
+
+def test_an_upload_policy_must_be_one(bad) -> None:
+    with pytest.raises(ConfigError, match=r"none of bad-package 1\.0 is a type, must be a Policy"):
+        scenarios.load("t_junction", {"upload.policy": "none"})
+
+
+def test_a_plugin_that_cannot_be_imported_stops_before_the_start(bad, installed) -> None:
+    check(scenarios.load("t_junction", {"edge.detector": "grid"}).edge)
+    from signal_controller.registry import check as check_policy
+
+    with pytest.raises(ConfigError, match=r"lost of bad-package 1\.0 cannot be imported"):
+        check_policy(scenarios.load("t_junction", {"signal.policy": "lost"}).signal)
+
+
+def test_every_process_finds_plugins(packages: Path, shell: Shell, monkeypatch) -> None:
+    path = os.pathsep.join(filter(None, [str(packages), os.environ.get("PYTHONPATH")]))
+    monkeypatch.setenv("PYTHONPATH", path)
+    names = [f"--set={key}={name}" for key, name in BY_NAME.items()]
+    status, output = shell.up("--duration", "3", "--out", "run", *names).finish()
+    assert status == 0, output
+    with Run(shell.folder / "run") as run:
+        assert {row.policy for row in run.rows(RequestRow)} == {"longest-queue"}

@@ -1,0 +1,27 @@
+"""A signal policy: green to whom most vehicles stand still before, whatever lies behind."""
+
+from __future__ import annotations
+
+from protocol.messages import LaneCounts, SignalState
+from protocol.roadmap import Signal
+from signal_controller.config import SignalConfig
+from signal_controller.policies import Decision
+
+
+class LongestQueue:
+    """Made once, for a signal; called for every frame."""
+
+    def __init__(self, config: SignalConfig, signal: Signal, upstream_m: float) -> None:
+        self._signal = signal
+
+    def decide(self, counts: LaneCounts, shown: SignalState | None) -> Decision:
+        """Returns the green with the longest queue; the present one, if it is among them."""
+        greens = self._signal.greens
+        queues = [self._queued(green, counts) for green in greens]
+        present = shown.green if shown is not None else None
+        state = max(greens, key=lambda g: (queues[greens.index(g)], g == present))
+        return Decision(state, queues, "longest-queue")
+
+    def _queued(self, green: str, counts: LaneCounts) -> float:
+        lanes = {link.from_lane for link in self._signal.links if green[link.index] in "Gg"}
+        return float(sum(counts.queued_upstream.get(lane, 0) for lane in lanes))

@@ -1,0 +1,77 @@
+"""Who only looks on may stop, be slow or be gone: nobody waits for it."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from protocol.bus import Endpoint, open_bus
+from protocol.inbox import Envelope, Inbox
+from protocol.topics import BusName
+from tests.protocol.test_wire import SCAN
+from tests.waiting import wait_until
+
+LOOKER = """
+import sys
+from protocol.bus import Endpoint, open_bus
+from protocol.inbox import Inbox
+from protocol.topics import BusName
+inbox = Inbox()
+bus = open_bus(BusName.V2X, Endpoint(sys.argv[1], listen=False, yields=True), inbox)
+bus.subscribe("scan")
+while True:
+    if inbox.get(1.0) is not None:
+        print("heard", flush=True)
+"""
+MESSAGES = 600  # of 40 kB each: more than all buffers on the way hold
+ATTEMPTS_S = 60.0
+
+
+@pytest.fixture
+def locator() -> str:
+    from cpnet.endpoints import free_locator
+
+    return free_locator()
+
+
+@pytest.fixture
+def looker(locator: str) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-c", LOOKER, locator]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        yield process
+        process.kill()
+
+
+def test_a_stopped_onlooker_holds_up_nobody(locator, request):
+    router = open_bus(BusName.V2X, Endpoint(locator, listen=True), Inbox())
+    heard = Inbox()
+    hearer = open_bus(BusName.V2X, Endpoint(locator, listen=False), heard)
+    hearer.subscribe("scan")
+    speaker = open_bus(BusName.V2X, Endpoint(locator, listen=False), Inbox())
+    looker = request.getfixturevalue("looker")
+    scan = SCAN.model_copy(update={"payload": np.zeros(40_000, np.uint8)})
+
+    def say() -> None:
+        speaker.publish("scan", scan, region="r0", process="p", agent="rsu-0", chunk="0")
+        assert isinstance(heard.get(10.0), Envelope)
+
+    try:
+        os.set_blocking(looker.stdout.fileno(), False)
+        wait_until(lambda: (say(), looker.stdout.readline())[1], ATTEMPTS_S)
+        looker.send_signal(signal.SIGSTOP)
+        slowest_s = 0.0
+        for _ in range(MESSAGES):
+            before_s = time.monotonic()
+            say()
+            slowest_s = max(slowest_s, time.monotonic() - before_s)
+        assert slowest_s < 2  # a router that waits does so for 5 s
+        looker.send_signal(signal.SIGCONT)
+        wait_until(lambda: looker.stdout.readline(), ATTEMPTS_S)
+    finally:
+        for bus in (speaker, hearer, router):
+            bus.close()

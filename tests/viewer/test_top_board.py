@@ -1,0 +1,131 @@
+"""What the terminal view makes of messages."""
+
+import io
+from contextlib import suppress
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from protocol import messages as m
+from protocol.errors import MessageError
+from protocol.inbox import Envelope, Presence
+from protocol.topics import TOPICS, BusName
+from tests.protocol.test_wire import EXAMPLES
+from tests.viewer.test_viewer_layers import CROSSING
+from tests.viewer.test_viewer_rates import PERIOD_NS, measured, sent, tick
+from viewer.top import board as boards
+from viewer.top.board import Board
+from viewer.top.screen import picture
+
+SETUP = next(e for e in EXAMPLES if isinstance(e, m.Setup)).model_copy(
+    update={
+        "road_map": CROSSING,
+        "scenario": {"name": "crossing", "mode": "lockstep", "frame_period_s": 0.1},
+    }
+)
+NAMES = {row.message: row.name for row in TOPICS.values()}
+
+
+def envelope(message: m.Message) -> Envelope:
+    return Envelope(NAMES[type(message)], {}, message, 0, b"")
+
+
+def fed(*messages: m.Message | Presence) -> Board:
+    board = Board(SETUP)
+    for message in messages:
+        board.take(message if isinstance(message, Presence) else envelope(message))
+    return board
+
+
+def state(frame: int, shown: str, stage: str = "green") -> m.SignalState:
+    return m.SignalState(
+        frame=frame, sim_time_ns=frame * PERIOD_NS, tls="J", state=shown, stage=stage, green="rG",
+        source="max_pressure", earliest_change_ns=0,
+    )  # fmt: skip
+
+
+def text(board: Board, width: int = 100) -> str:
+    console = Console(file=io.StringIO(), width=width)
+    console.print(picture(board))
+    return console.file.getvalue()  # type: ignore[attr-defined]
+
+
+def test_agents_have_their_points_rates_and_scores() -> None:
+    doubted = measured(0, "edge", doubts=[m.Doubt(agent="b", score=0.2, believed=False)])
+    board = fed(tick(0), sent(0, "a", 12_500), sent(0, "b", 25_000), doubted)
+    rows = [(r.agent, r.points, round(r.mbps, 2), r.score, r.believed) for r in board.agents()]
+    assert rows == [("b", 1, 2.0, 0.2, False), ("a", 1, 1.0, 1.0, True)]
+    assert "b is not believed (score 0.20)" in board.alerts()
+
+
+def test_the_signal_is_told_with_the_time_since_its_last_change() -> None:
+    changes = state(0, "Gr"), tick(1), state(1, "yr", "yellow"), state(2, "yr", "yellow")
+    board = fed(tick(0), *changes, tick(11))
+    shown = board.signal()
+    assert shown is not None
+    assert (shown[0].state, shown[1]) == ("yr", 1.0)
+    assert [(row.phase, row.is_shown) for row in board.phase_rows()] == [
+        ("south", False),
+        ("west", True),
+    ]
+
+
+def test_alerts_tell_of_the_dead_the_incomplete_and_the_dropped() -> None:
+    counts = m.LaneCounts(
+        frame=1, sim_time_ns=1, tls="J", agents=[], complete=False,
+        upstream={"south_0": 4}, downstream={"north_0": 1}, queued_upstream={"south_0": 2},
+        seen_upstream={"south_0": 0.5},
+    )  # fmt: skip
+    board = fed(
+        tick(0),
+        counts,
+        measured(0, "edge", drops={"late": 7}),
+        Presence("vehicle", "vehicle-1", True, BusName.V2X),
+        Presence("vehicle", "vehicle-1", False, BusName.V2X),
+        Presence("vehicle", "never-seen", False, BusName.V2X),
+    )
+    assert board.alerts() == [
+        "vehicle vehicle-1 is gone",
+        "1 of the last 1 frames incomplete (1 since this began)",
+        "edge dropped 7 × late",
+    ]
+    assert [vars_of(row) for row in board.lanes("upstream")] == [("south_0", 4, 2, 0.5)]
+    shown = text(board)
+    for word in ("south_0", "50%", "dropped 7", "crossing"):
+        assert word in shown
+
+
+def vars_of(row: boards.LaneRow) -> tuple[object, ...]:
+    return row.lane, row.vehicles, row.queued, row.seen
+
+
+def test_the_end_is_no_alert() -> None:
+    gone = Presence("sim", "sim", False)
+    board = fed(Presence("sim", "sim", True), m.End(frames=1, reason="finished"), gone)
+    assert board.alerts() == []
+    assert board.is_over
+    assert "ended: finished" in text(board)
+
+
+def test_a_world_that_is_gone_is_the_end_too() -> None:
+    assert fed(Presence("sim", "sim", True), Presence("sim", "sim", False)).is_over
+
+
+@pytest.mark.parametrize("width", [20, 40, 80, 200])
+def test_every_message_is_taken_and_every_width_has_room(width: int) -> None:
+    board = Board(SETUP)
+    for message in EXAMPLES:
+        with suppress(MessageError):
+            board.take(envelope(message))
+    assert all(len(line) <= width for line in text(board, width).splitlines())
+
+
+@given(st.lists(st.sampled_from(EXAMPLES), max_size=20))
+def test_no_order_of_messages_breaks_the_picture(messages: list[m.Message]) -> None:
+    board = Board(SETUP)
+    for message in messages:
+        with suppress(MessageError):
+            board.take(envelope(message))
+    assert text(board)

@@ -1,0 +1,116 @@
+"""Upload rates and stage times, as a viewer shows them."""
+
+import pytest
+
+from protocol import messages as m
+from protocol.errors import MessageError
+from viewer.rates import MAX_AGENTS, Rates
+from viewer.stages import GROUPS, LAG_FRAMES, Stages
+
+PERIOD_NS = 100_000_000
+MS = 1_000_000
+
+
+def sent(frame: int, agent: str, payload_bytes: int) -> m.Metrics:
+    upload = m.Upload(
+        agent=agent, chunk=0, points=1, payload_bytes=payload_bytes, sense_start_ns=0,
+        sense_end_ns=1, encode_end_ns=2, sent_ns=3,
+    )  # fmt: skip
+    return m.Metrics(
+        process="vehicle-0", frame=frame, sim_time_ns=frame * PERIOD_NS, uploads=[upload]
+    )
+
+
+def test_a_rate_is_that_of_the_last_second_of_the_world() -> None:
+    rates = Rates(PERIOD_NS)
+    for frame in range(30):
+        rates.take(sent(frame, "a", 12_500))
+    assert rates.mbps(29 * PERIOD_NS) == pytest.approx({"a": 1.0})
+    assert rates.mbps(60 * PERIOD_NS) == {}
+
+
+def test_who_came_just_now_has_its_rate_at_once() -> None:
+    rates = Rates(PERIOD_NS)
+    rates.take(sent(100, "a", 12_500))
+    assert rates.mbps(100 * PERIOD_NS) == pytest.approx({"a": 1.0})
+
+
+def test_a_flood_of_agents_is_bounded() -> None:
+    rates = Rates(PERIOD_NS)
+    for n in range(MAX_AGENTS + 10):
+        rates.take(sent(0, str(n), 1))
+    assert len(rates.mbps(0)) == MAX_AGENTS
+
+
+def test_every_stage_of_the_account_is_drawn_once() -> None:
+    from recorder.tables import AccountRow
+
+    stages = [stage for group in GROUPS.values() for stage in group]
+    kept = {name.removesuffix("_ns") for name in AccountRow._fields if name.endswith("_ns")}
+    assert sorted(stages) == sorted(kept - {"end_to_end", "clock_error"})
+
+
+def tick(frame: int) -> m.Tick:
+    import numpy as np
+
+    return m.Tick(
+        frame=frame, sim_time_ns=frame * PERIOD_NS, processes=[], ids=[], types=[],
+        poses=np.zeros((0, 6)), speeds_mps=np.zeros(0, np.float32), equipment=np.zeros(0, np.uint8),
+        hosts=np.zeros(0, np.int32),
+    )  # fmt: skip
+
+
+def measured(
+    frame: int, process: str, *spans: tuple[str, str, int, int], **more: object
+) -> m.Metrics:
+    rows = [
+        m.Span(stage=stage, agent=agent, start_ns=a * MS, end_ns=b * MS)
+        for stage, agent, a, b in spans
+    ]
+    return m.Metrics(
+        process=process, frame=frame, sim_time_ns=frame * PERIOD_NS, spans=rows, **more
+    )
+
+
+def feed(stages: Stages, frame: int) -> None:
+    upload = m.Upload(
+        agent="a", chunk=0, points=1, payload_bytes=9, sense_start_ns=0, sense_end_ns=4 * MS,
+        encode_end_ns=6 * MS, sent_ns=7 * MS,
+    )  # fmt: skip
+    arrival = m.Arrival(agent="a", chunk=0, received_ns=9 * MS, decoded_ns=11 * MS)
+    stages.take(
+        measured(frame, "infra-0", ("sense", "a", 0, 4), ("encode", "a", 4, 6), ("send", "a", 6, 7),
+                 uploads=[upload])
+    )  # fmt: skip
+    stages.take(
+        measured(frame, "edge", ("decode", "a", 9, 11), ("wait", "", 9, 12), ("detect", "", 12, 20),
+                 arrivals=[arrival])
+    )  # fmt: skip
+    stages.take(measured(frame, "sim", ("actuate", "", 25, 26)))
+
+
+def test_accounts_come_some_frames_later_and_once() -> None:
+    stages = Stages(PERIOD_NS)
+    found = []
+    for frame in range(10):
+        stages.take(tick(frame))
+        found += list(stages.accounts())
+        feed(stages, frame)
+    assert [account.frame for account in found] == list(range(10 - LAG_FRAMES))
+    account = found[0]
+    assert account.end_to_end_ms == 26
+    assert sum(account.groups_ms.values()) == pytest.approx(26)
+    assert (account.groups_ms["sense"], account.groups_ms["detect"]) == (4, 8)
+
+
+def test_who_comes_late_begins_where_the_world_is() -> None:
+    stages = Stages(PERIOD_NS)
+    with pytest.raises(MessageError):
+        stages.take(tick(5000))
+    found = []
+    for frame in range(5001, 5010):
+        stages.take(tick(frame))
+        feed(stages, frame)
+        found += list(stages.accounts())
+    assert found
+    assert found[-1].frame == 5009 - LAG_FRAMES

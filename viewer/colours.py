@@ -1,0 +1,33 @@
+"""Which colour is whose."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+
+from studies import palette
+
+Rgb = tuple[int, int, int]
+
+
+def rgb(text: str) -> Rgb:
+    """Reads `#rrggbb`."""
+    number = int(text[1:], 16)
+    return number >> 16, number >> 8 & 255, number & 255
+
+
+class Colours:
+    """Gives each agent a colour, which it keeps as long as it is there."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[str, int] = {}
+
+    def of(self, agents: Iterable[str]) -> Mapping[str, Rgb]:
+        """Returns the colours of the agents that are there now; a newcomer gets a rare one."""
+        present = list(dict.fromkeys(agents))
+        self._numbers = {a: self._numbers[a] for a in present if a in self._numbers}
+        for agent in present:
+            if agent not in self._numbers:
+                taken = Counter(self._numbers.values())
+                self._numbers[agent] = min(range(len(palette.AGENTS)), key=lambda n: (taken[n], n))
+        return {agent: rgb(palette.AGENTS[self._numbers[agent]]) for agent in present}

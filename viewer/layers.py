@@ -1,0 +1,147 @@
+"""What moves in the picture: boxes, truth, lamps, counts, cells; as arrays, texts and colours."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from edge_server.plan import PLAIN, cells
+from perception.arrays import Floats
+from protocol.messages import Detections, LaneCounts, Plan, SignalState, Truth, VehicleType
+from protocol.roadmap import RoadMap
+from studies import palette
+from viewer.colours import Rgb, rgb
+from viewer.road import count_place
+
+CELLS_REACH_M = 120.0  # around the junction's centre
+CELLS_ABOVE_M = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Boxes:
+    """Boxes (N, 7): x, y, z of the centre, length, width, height, yaw; each with its label."""
+
+    values: Floats
+    labels: list[str]
+    colours: list[Rgb]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Texts:
+    """Texts at places (N, 3)."""
+
+    places: Floats
+    texts: list[str]
+    colours: list[Rgb]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lines:
+    """Closed lines, each (K, 3), with a name and a colour each."""
+
+    lines: list[Floats] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
+    colours: list[Rgb] = field(default_factory=list)
+
+
+def detected(message: Detections, colours: Mapping[str, Rgb]) -> Boxes:
+    """Returns the boxes that the edge found; what reports itself has its agent's colour and name.
+
+    Others are numbered as in the message.
+    """
+    labels = [_label(message, number) for number in range(len(message.lanes))]
+    own = [_colour(source, colours) for source in message.sources]
+    return Boxes(message.boxes.astype(np.float64), labels, own)
+
+
+def fronts(message: Detections) -> Texts:
+    """Returns the labels of those who stand first in their lane before the stop bar.
+
+    Those of all boxes would hide one another; who reports itself has a name there already.
+    """
+    ways_m = message.distances_m.tolist()
+    first: dict[str, int] = {}
+    for number in sorted(range(len(ways_m)), key=ways_m.__getitem__):
+        if ways_m[number] >= 0 and message.lanes[number]:
+            first.setdefault(message.lanes[number], number)
+    numbers = sorted(n for n in first.values() if message.sources[n] == "lidar")
+    tops = message.boxes[numbers].astype(np.float64)
+    places = tops[:, :3] + np.outer(tops[:, 5], [0.0, 0.0, 0.5])
+    texts = [_label(message, number) for number in numbers]
+    return Texts(places, texts, [rgb(palette.BOX)] * len(texts))
+
+
+def true_boxes(message: Truth, types: Mapping[str, VehicleType]) -> Boxes:
+    """Returns the vehicles as they truly are; of an unknown type nothing is drawn."""
+    rows, labels = [], []
+    vehicles = zip(message.ids, message.types, message.lanes, message.poses.tolist(), strict=True)
+    for vehicle, kind_name, lane, (x, y, z, _, _, yaw) in vehicles:
+        if (kind := types.get(kind_name)) is not None:
+            size = kind.length_m, kind.width_m, kind.height_m
+            rows.append((x, y, z + kind.height_m / 2, *size, yaw))
+            labels.append(f"{vehicle} · {lane}")
+    values = np.array(rows, np.float64).reshape(-1, 7)
+    return Boxes(values, labels, [rgb(palette.TRUTH)] * len(labels))
+
+
+def lamps(state: SignalState, road_map: RoadMap, lanes: Sequence[str]) -> list[Rgb]:
+    """Returns the colour that each lane is shown: green if any of its links is."""
+    links: dict[str, list[int]] = {}
+    for link in road_map.signal.links:
+        links.setdefault(link.from_lane, []).append(link.index)
+    return [_lamp(state.state, links.get(lane, ())) for lane in lanes]
+
+
+def lane_counts(message: LaneCounts, road_map: RoadMap) -> Texts:
+    """Returns the count of each lane, before the stop bar and, fainter, behind it.
+
+    A lane that nobody sees has a question mark.
+    """
+    places, texts, colours = [], [], []
+    sides = (
+        ("upstream", message.upstream, message.seen_upstream, palette.TEXT),
+        ("downstream", message.downstream, message.seen_downstream, palette.FAINT),
+    )
+    for side, counts, seen, colour in sides:
+        for name, count in counts.items():
+            if name in road_map.by_id:
+                places.append(count_place(road_map.by_id[name], side))
+                texts.append(f"{count}" if seen.get(name, 1.0) > 0 else f"{count}?")
+                colours.append(rgb(colour))
+    return Texts(np.array(places, np.float64).reshape(-1, 3), texts, colours)
+
+
+def plan_cells(plan: Plan | None, road_map: RoadMap, colours: Mapping[str, Rgb]) -> Lines:
+    """Returns the border of each agent's part of the scene; nothing where nobody has one."""
+    found = Lines()
+    if plan is None or not plan.agents:
+        return found
+    x, y, z = road_map.centre
+    reach_m = CELLS_REACH_M
+    box = np.array([x - reach_m, y - reach_m, x + reach_m, y + reach_m])
+    sites, weights_m2 = np.array(plan.sites), np.array(plan.weights_m2)
+    parts = cells(sites, weights_m2, box, border=PLAIN)
+    for agent, corners in zip(plan.agents, parts, strict=True):
+        if len(corners) and agent in colours:
+            ring = np.vstack([corners, corners[:1]])
+            found.lines.append(np.column_stack([ring, np.full(len(ring), z + CELLS_ABOVE_M)]))
+            found.names.append(agent)
+            found.colours.append(colours[agent])
+    return found
+
+
+def _label(message: Detections, number: int) -> str:
+    source, lane = message.sources[number], message.lanes[number]
+    return f"{source if source != 'lidar' else f'#{number}'} · {lane or 'off the lanes'}"
+
+
+def _colour(source: str, colours: Mapping[str, Rgb]) -> Rgb:
+    return colours.get(source, rgb(palette.BOX))
+
+
+def _lamp(shown: str, links: Sequence[int]) -> Rgb:
+    letters = [shown[index] for index in links if index < len(shown)]
+    known = min((letter for letter in letters if letter in "Ggyr"), key="Ggyr".find, default="")
+    return rgb(palette.SIGNAL.get(known, palette.FAINT))

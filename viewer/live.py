@@ -1,0 +1,107 @@
+"""Looks on at a run and shows it, at a rate that it can keep up with."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from contextlib import suppress
+from typing import Protocol
+
+from protocol.errors import MessageError
+from protocol.inbox import Envelope, Inbox, Presence
+from protocol.messages import End, Metrics
+from protocol.onlooker import Onlooker
+from viewer.moments import Moments
+from viewer.scene import Picture, Scene
+from viewer.stages import Account, Stages
+
+TOPICS = frozenset({
+    "tick", "truth", "metrics", "clock", "end",
+    "state", "request", "scan", "plan", "detections", "lanes",
+})  # fmt: skip
+NICENESS = 19
+_WAITING = {"scan": 4, "truth": 4, "tick": 8, "detections": 4, "metrics": 16}
+_INBOX_ITEMS, _INBOX_BYTES = 4096, 64 << 20
+_POLL_S = 0.2
+
+
+class Shows(Protocol):
+    """Whoever draws."""
+
+    def picture(self, picture: Picture) -> None:
+        """Draws a frame."""
+
+    def account(self, account: Account) -> None:
+        """Adds a frame's times to the plots."""
+
+
+def modest_inbox() -> Inbox:
+    """Returns an inbox in which newer messages drive out older ones of who cannot keep up."""
+    inbox = Inbox(_INBOX_ITEMS, _INBOX_BYTES)
+    for topic, waiting in _WAITING.items():
+        inbox.limit(topic, waiting)
+    return inbox
+
+
+def step_back() -> None:
+    """Lets every process that takes part in the run go first."""
+    os.nice(NICENESS)
+
+
+class Live:
+    """Follows a run until it ends."""
+
+    def __init__(self, onlooker: Onlooker, scene: Scene, shows: Shows, fps: float) -> None:
+        self._onlooker = onlooker
+        self._scene = scene
+        self._shows = shows
+        self._period_ns = round(1e9 / fps)
+        self._moments = Moments()
+        self._stages = Stages(round(float(scene.setup.scenario["frame_period_s"]) * 1e9))
+        self._drawn_ns = 0
+        self.is_over = False
+        self.drawn = 0
+
+    @property
+    def left_out(self) -> int:
+        """Frames that were whole and were not drawn."""
+        return self._moments.left_out
+
+    def follow(self, stop: threading.Event) -> None:
+        """Draws until the run or somebody's patience ends."""
+        while not (self.is_over or stop.is_set()):
+            if (item := self._onlooker.next(_POLL_S)) is not None:
+                self._take(item)
+            self._draw_when_due()
+        self._moments.finish()
+        self._draw()
+
+    def _take(self, item: Envelope | Presence) -> None:
+        if isinstance(item, Presence):
+            self.is_over |= item.role == "sim" and not item.alive
+            return
+        message = item.message
+        self.is_over |= isinstance(message, End)
+        self._moments.take(message)
+        if isinstance(message, Metrics):
+            self._scene.measured(message)
+        with suppress(MessageError):  # whoever comes into a run hears ends of what had begun before
+            self._stages.take(message)
+        if item.topic == "tick":
+            for account in self._stages.accounts():
+                self._shows.account(account)
+
+    def _draw_when_due(self) -> None:
+        now_ns = time.monotonic_ns()
+        if now_ns - self._drawn_ns >= self._period_ns and self._draw():
+            self._drawn_ns = now_ns
+
+    def _draw(self) -> bool:
+        moment = self._moments.newest()
+        picture = self._scene.picture(moment) if moment is not None else None
+        if picture is None:
+            return False
+        self._shows.picture(picture)
+        self.drawn += 1
+        return True

@@ -1,0 +1,163 @@
+"""Pictures and figures, drawn with Rerun."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+
+from studies import palette
+from viewer.colours import Rgb, rgb
+from viewer.layers import Boxes, Texts
+from viewer.road import surface
+from viewer.scene import Picture, Scene
+from viewer.stages import GROUPS, Account
+
+FRAME, TIME = "frame", "sim time"
+TRUTH = "/scene/truth"
+_POINT_UI, _LINE_M, _BAR_M, _HEAD_M = -1.0, 0.05, 0.35, 0.6
+_EDGE_M, _CELL_M = 0.07, 0.15
+
+
+class Log:
+    """Draws into one recording."""
+
+    def __init__(self, recording: rr.RecordingStream, scene: Scene) -> None:
+        """Draws what stands still."""
+        self._to = recording
+        self._heads = scene.heads
+        self._agents: set[str] = set()
+        self._plotted: set[str] = set()
+        self._road(scene)
+        self._style_plots(scene)
+
+    def picture(self, picture: Picture) -> None:
+        """See `viewer.live.Shows.picture`."""
+        self._set_time(picture.frame, picture.sim_time_ns)
+        self._clouds(picture)
+        if picture.boxes is not None:
+            self._boxes("/scene/boxes", picture.boxes)
+        if picture.fronts is not None:
+            self._texts("/scene/boxes/front", picture.fronts)
+        if picture.truth is not None:
+            self._boxes(TRUTH, picture.truth)
+        if picture.lamps is not None:
+            self._lamps(picture.lamps)
+        if picture.counts is not None:
+            self._texts("/scene/counts", picture.counts)
+        self._cells(picture)
+        self._figures(picture)
+
+    def account(self, account: Account) -> None:
+        """See `viewer.live.Shows.account`."""
+        self._set_time(account.frame, account.sim_time_ns)
+        for group, ms in account.groups_ms.items():
+            self._scalar(f"/latency/{_part(group)}", ms)
+        self._scalar("/latency/end_to_end", account.end_to_end_ms)
+
+    def _set_time(self, frame: int, sim_time_ns: int) -> None:
+        self._to.set_time(FRAME, sequence=frame)
+        self._to.set_time(TIME, duration=sim_time_ns / 1e9)
+
+    def _road(self, scene: Scene) -> None:
+        road = surface(scene.setup.road_map)
+        self._to.log("/scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        mesh = rr.Mesh3D(
+            vertex_positions=road.vertices,
+            triangle_indices=road.triangles,
+            albedo_factor=rgb(palette.ASPHALT),
+        )
+        self._to.log("/scene/road/surface", mesh, static=True)
+        lines = rr.LineStrips3D(road.markings, radii=_LINE_M, colors=rgb(palette.MARKING))
+        self._to.log("/scene/road/lanes", lines, static=True)
+
+    def _clouds(self, picture: Picture) -> None:
+        there = {cloud.agent for cloud in picture.clouds}
+        for agent in self._agents - there:
+            self._to.log(f"/scene/cloud/{_part(agent)}", rr.Clear(recursive=False))
+        self._agents = there
+        for cloud in picture.clouds:
+            points = rr.Points3D(cloud.points, colors=picture.colours[cloud.agent], radii=_POINT_UI)
+            self._to.log(f"/scene/cloud/{_part(cloud.agent)}", points)
+        sensors = rr.Points3D(
+            np.array([cloud.sensor_m for cloud in picture.clouds]).reshape(-1, 3),
+            colors=[picture.colours[cloud.agent] for cloud in picture.clouds],
+            labels=[cloud.agent for cloud in picture.clouds],
+            radii=_HEAD_M,
+            show_labels=True,
+        )
+        self._to.log("/scene/agents", sensors)
+
+    def _boxes(self, path: str, boxes: Boxes) -> None:
+        half_yaw = boxes.values[:, 6] / 2
+        zeros = np.zeros_like(half_yaw)
+        drawn = rr.Boxes3D(
+            centers=boxes.values[:, :3],
+            half_sizes=boxes.values[:, 3:6] / 2,
+            quaternions=np.stack([zeros, zeros, np.sin(half_yaw), np.cos(half_yaw)], axis=1),
+            colors=boxes.colours,
+            labels=boxes.labels,
+            show_labels=False,
+            radii=_EDGE_M,
+            fill_mode="majorwireframe",
+        )
+        self._to.log(path, drawn)
+
+    def _lamps(self, colours: list[Rgb]) -> None:
+        bars = rr.LineStrips3D(self._heads.bars, radii=_BAR_M, colors=colours)
+        self._to.log("/scene/signal/stop_bars", bars)
+        heads = rr.Points3D(self._heads.places, radii=_HEAD_M, colors=colours)
+        self._to.log("/scene/signal/heads", heads)
+
+    def _texts(self, path: str, texts: Texts) -> None:
+        drawn = rr.Points3D(
+            texts.places, radii=0.05, labels=texts.texts, colors=texts.colours, show_labels=True
+        )
+        self._to.log(path, drawn)
+
+    def _cells(self, picture: Picture) -> None:
+        cells = picture.cells
+        drawn = rr.LineStrips3D(
+            cells.lines,
+            colors=cells.colours,
+            labels=cells.names,
+            radii=_CELL_M,
+            show_labels=False,
+        )
+        self._to.log("/scene/cells", drawn)
+
+    def _style_plots(self, scene: Scene) -> None:
+        for group, colour in zip(
+            GROUPS, [*_cycle(len(GROUPS) - 1), rgb(palette.FAINT)], strict=True
+        ):
+            self._style(f"/latency/{_part(group)}", group, colour)
+        self._style("/latency/end_to_end", "end to end", rgb(palette.TEXT), 2.5)
+        for phase, colour in zip(scene.phases, _cycle(len(scene.phases)), strict=True):
+            self._style(f"/pressure/{_part(phase)}", phase, colour, 2.0)
+        self._style("/e_cvpr", "E-CVPR %", rgb(palette.AGENTS[2]), 2.0)
+
+    def _figures(self, picture: Picture) -> None:
+        for agent, mbps in picture.mbps.items():
+            path = f"/uplink/{_part(agent)}"
+            if path not in self._plotted and agent in picture.colours:
+                self._plotted.add(path)
+                self._style(path, agent, picture.colours[agent], 2.0)
+            self._scalar(path, mbps)
+        for phase, pressure in picture.pressures.items():
+            self._scalar(f"/pressure/{_part(phase)}", pressure)
+        if picture.score is not None and picture.score.e_cvpr is not None:
+            self._scalar("/e_cvpr", 100 * picture.score.e_cvpr)
+
+    def _style(self, path: str, name: str, colour: Rgb, width: float = 1.5) -> None:
+        style = rr.SeriesLines(colors=colour, names=name, widths=width)
+        self._to.log(path, style, static=True)
+
+    def _scalar(self, path: str, value: float) -> None:
+        self._to.log(path, rr.Scalars(value))
+
+
+def _part(name: str) -> str:
+    return str(rr.escape_entity_path_part(name))
+
+
+def _cycle(count: int) -> list[Rgb]:
+    return [rgb(palette.AGENTS[n % len(palette.AGENTS)]) for n in range(count)]

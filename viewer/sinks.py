@@ -1,0 +1,130 @@
+"""Where drawings go: a page for browsers, a window, a file."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+import rerun as rr
+import rerun_cli
+
+from protocol.errors import ConfigError
+from viewer.blueprint import blueprint
+from viewer.scene import Scene
+
+APPLICATION = "cpnet"
+MEMORY = "128MiB"
+"""What is kept for a browser that comes later; what is older is forgotten."""
+_HERE = "127.0.0.1"
+_PATIENCE_S = 20.0
+_FLUSH_S = 5.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sink:
+    """A recording to draw into, where that can be seen, and whether it stays until told to go."""
+
+    recording: rr.RecordingStream
+    where: str
+    stays: bool = False
+
+
+@contextmanager
+def opened(port: int | None, save: Path | None, scene: Scene) -> Iterator[Sink]:
+    """Opens a page at a port, or a file, or else a window of Rerun's viewer.
+
+    Raises:
+        ConfigError: the port is taken, the file cannot be written, or the viewer does not start.
+    """
+    recording = rr.RecordingStream(APPLICATION)
+    with ExitStack() as stack:
+        if save is not None:
+            sink = _file(recording, save, scene)
+        elif port is not None:
+            url, page = stack.enter_context(_page(port))
+            recording.connect_grpc(url, default_blueprint=blueprint(scene))
+            sink = Sink(recording, f"view: {page}", stays=True)
+        else:
+            sink = _window(recording, scene)
+        try:
+            yield sink
+        finally:
+            _finish(recording)
+
+
+def _finish(recording: rr.RecordingStream) -> None:
+    with suppress(RuntimeError):  # whoever was to draw it may be gone, or slow
+        recording.flush(timeout_sec=_FLUSH_S)
+    recording.disconnect()
+
+
+def _file(recording: rr.RecordingStream, path: Path, scene: Scene) -> Sink:
+    try:
+        path.touch()
+    except OSError as error:
+        raise ConfigError(f"--save {path}: {error.strerror}") from None
+    recording.save(path, default_blueprint=blueprint(scene))
+    return Sink(recording, f"writing {path}; `rerun {path}` shows it")
+
+
+def _window(recording: rr.RecordingStream, scene: Scene) -> Sink:
+    try:
+        recording.spawn(
+            port=_free_port(), hide_welcome_screen=True, default_blueprint=blueprint(scene)
+        )
+    except RuntimeError as error:
+        raise ConfigError(f"Rerun's window does not open ({error}); --web shows a page") from None
+    return Sink(recording, "view: in Rerun's window")
+
+
+@contextmanager
+def _page(port: int) -> Iterator[tuple[str, str]]:
+    """Serves page and data on this machine alone; yields where drawings go and where they show."""
+    _check_free(port)
+    data = _free_port()
+    places = ["--bind", _HERE, "--port", str(data), "--web-viewer-port", str(port)]
+    viewer = Path(rerun_cli.__file__).parent / "rerun"
+    command = [str(viewer), "--serve-web", *places]
+    command += ["--server-memory-limit", MEMORY, "--newest-first"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as server:
+        try:
+            for place in (data, port):
+                _await(server, place)
+            url = f"rerun+http://{_HERE}:{data}/proxy"
+            yield url, f"http://{_HERE}:{port}/?url={quote(url, safe='')}"
+        finally:
+            server.terminate()
+
+
+def _await(server: subprocess.Popen[bytes], port: int) -> None:
+    give_up_ns = time.monotonic_ns() + round(_PATIENCE_S * 1e9)
+    while time.monotonic_ns() < give_up_ns and server.poll() is None:
+        with socket.socket() as probe:
+            if probe.connect_ex((_HERE, port)) == 0:
+                return
+        time.sleep(0.05)
+    raise ConfigError(f"Rerun serves nothing at port {port}; give another --port")
+
+
+def _check_free(port: int) -> None:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((_HERE, port))
+        except OSError as error:
+            raise ConfigError(
+                f"--port {port}: {error.strerror}; another run may be viewed there"
+            ) from None
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind((_HERE, 0))
+        port: int = probe.getsockname()[1]
+        return port

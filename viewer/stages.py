@@ -1,0 +1,92 @@
+"""Where the time of a frame goes, stage by stage, a few frames after it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from protocol.errors import MessageError
+from protocol.messages import ClockReading, LaneCounts, Message, Metrics, Tick
+from recorder.ledger import Ledger
+from recorder.tables import AccountRow
+
+LAG_FRAMES = 3
+"""Measuring travels last: so much later what is said of a frame is there."""
+MAX_PROCESSES = 512
+GROUPS = {
+    "sense": ("sense",),
+    "encode": ("select", "encode", "send"),
+    "link": ("link",),
+    "decode": ("decode", "place"),
+    "wait": ("wait",),
+    "ground": ("merge", "ground"),
+    "detect": ("detect",),
+    "fuse to signal": ("fuse", "count", "decide", "actuate"),
+    "other": ("other",),
+}
+"""Stages as they are drawn: in order, those together that are short or belong together."""
+
+
+@dataclass(frozen=True, slots=True)
+class Account:
+    """The slowest way of a frame: milliseconds by group of stages, and of all of them."""
+
+    frame: int
+    sim_time_ns: int
+    groups_ms: dict[str, float]
+    end_to_end_ms: float
+
+
+class Stages:
+    """Puts frames' accounts together as the recorder does."""
+
+    def __init__(self, frame_period_ns: int) -> None:
+        self._ledger = Ledger(frame_period_ns)
+        self._clocks: dict[str, tuple[int, int]] = {}
+        self._told = -1
+
+    def take(self, message: Message) -> None:
+        """Takes what tells of times.
+
+        Raises:
+            MessageError: it is of a frame that cannot be.
+        """
+        match message:
+            case Tick():
+                note = self._ledger.tick(message.frame, message.sim_time_ns)
+                note.sim_time_ns = message.sim_time_ns
+            case Metrics():
+                self._ledger.measured(message)
+            case LaneCounts():
+                self._ledger.note(message.frame).counted(message)
+            case ClockReading():
+                self._hear(message)
+
+    def accounts(self) -> Iterator[Account]:
+        """Yields the frames whose times are known since the last call."""
+        self._ledger.take_changed()
+        newest = self._ledger.newest_tick - LAG_FRAMES
+        first = max(self._told + 1, newest - LAG_FRAMES)
+        for frame in range(first, newest + 1):
+            note = self._ledger.get(frame)
+            if note is None or note.sim_time_ns is None:
+                continue
+            rows = note.accounts(self._clocks)
+            if rows:
+                slowest = max(rows, key=lambda row: row.end_to_end_ns)
+                yield _account(slowest, note.sim_time_ns)
+        self._told = max(self._told, newest)
+
+    def _hear(self, reading: ClockReading) -> None:
+        if reading.process not in self._clocks and len(self._clocks) >= MAX_PROCESSES:
+            raise MessageError(f"{reading.process} is one process more than {MAX_PROCESSES}")
+        self._clocks[reading.process] = reading.offset_ns, reading.error_ns
+
+
+def _account(row: AccountRow, sim_time_ns: int) -> Account:
+    took_ns = row._asdict()
+    groups_ms = {
+        group: sum(took_ns[f"{stage}_ns"] for stage in stages) / 1e6
+        for group, stages in GROUPS.items()
+    }
+    return Account(row.frame, sim_time_ns, groups_ms, row.end_to_end_ns / 1e6)

@@ -1,0 +1,260 @@
+"""What the terminal shows: messages become rows."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from protocol.inbox import Envelope, Presence
+from protocol.messages import (
+    Doubt,
+    End,
+    LaneCounts,
+    Message,
+    Metrics,
+    Progress,
+    Setup,
+    SignalRequest,
+    SignalState,
+    Tick,
+)
+from recorder.drops import Drops
+from viewer.figures import phase_names, pressures
+from viewer.rates import MAX_AGENTS, Rates
+from viewer.stages import GROUPS, Account, Stages
+
+TOPICS = frozenset(
+    {"tick", "metrics", "clock", "progress", "end", "state", "request", "lanes"}
+)  # no scans: they are what is heavy
+AVERAGED_FRAMES = 50
+MAX_ALERTS = 64
+_STAGES = (Tick, Metrics, LaneCounts)
+
+
+@dataclass(frozen=True, slots=True)
+class AgentRow:
+    """An agent that uploads; `score` is how far the edge believes it, 0 to 1."""
+
+    agent: str
+    points: int
+    mbps: float
+    score: float
+    believed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class StageRow:
+    """A group of stages: of the newest frame, and on average, in ms."""
+
+    stage: str
+    newest_ms: float
+    mean_ms: float
+
+
+@dataclass(frozen=True, slots=True)
+class LaneRow:
+    """A lane's counts; `seen` is the share of it within sight, None where nobody can know."""
+
+    lane: str
+    vehicles: int
+    queued: int
+    seen: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseRow:
+    """A phase of the signal; `is_shown` if it is green, or what a change leads to."""
+
+    phase: str
+    is_shown: bool
+    pressure: float | None
+
+
+@dataclass(slots=True)
+class _Shown:
+    state: SignalState
+    since_ns: int
+
+
+@dataclass(slots=True)
+class _Frames:
+    """How many of the newest frames were incomplete."""
+
+    complete: deque[bool] = field(default_factory=lambda: deque(maxlen=AVERAGED_FRAMES))
+    incomplete: int = 0
+
+    def take(self, counts: LaneCounts) -> None:
+        self.complete.append(counts.complete)
+        self.incomplete += not counts.complete
+
+
+class Board:
+    """Follows a run; rows are made when they are asked for."""
+
+    def __init__(self, setup: Setup) -> None:
+        period_ns = round(float(setup.scenario["frame_period_s"]) * 1e9)
+        self.setup = setup
+        self.phases = phase_names(setup.road_map)
+        self.progress: Progress | None = None
+        self.end: End | None = None
+        self.sim_time_ns = 0
+        self.frame = -1
+        self.present: set[tuple[str, str]] = set()
+        self.gone: set[tuple[str, str]] = set()
+        self._rates = Rates(period_ns)
+        self._stages = Stages(period_ns)
+        self._accounts: deque[Account] = deque(maxlen=AVERAGED_FRAMES)
+        self._points: dict[str, int] = {}
+        self._doubts: dict[str, Doubt] = {}
+        self._drops = Drops()
+        self._dropped: dict[tuple[str, str], int] = {}
+        self._shown: _Shown | None = None
+        self._request: SignalRequest | None = None
+        self.counts: LaneCounts | None = None
+        self._frames = _Frames()
+
+    @property
+    def is_filled(self) -> bool:
+        """Whether there is something of all kinds to be shown."""
+        told = self.progress, self.counts, self._shown
+        return all(one is not None for one in told) and bool(self._accounts)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the world has ended or is gone."""
+        return self.end is not None or any(role == "sim" for role, _ in self.gone)
+
+    def take(self, item: Envelope | Presence) -> None:
+        """Takes what came.
+
+        Raises:
+            MessageError: it is of a frame that cannot be, or one process or agent too many.
+        """
+        if isinstance(item, Presence):
+            self._take_presence(item)
+            return
+        message = item.message
+        self._take_plain(message)
+        if isinstance(message, _STAGES) or item.topic == "clock":
+            self._stages.take(message)
+        if isinstance(message, Tick):
+            self.frame, self.sim_time_ns = message.frame, message.sim_time_ns
+            self._accounts.extend(self._stages.accounts())
+        elif isinstance(message, Metrics):
+            self._take_metrics(message)
+
+    def agents(self) -> list[AgentRow]:
+        """Returns who uploads now, the fastest first."""
+        rates = self._rates.mbps(self.sim_time_ns)
+        self._points = {agent: self._points.get(agent, 0) for agent in rates}
+        rows = [
+            AgentRow(agent, self._points[agent], mbps, *_belief(self._doubts.get(agent)))
+            for agent, mbps in rates.items()
+        ]
+        return sorted(rows, key=lambda row: (-row.mbps, row.agent))
+
+    def stages(self) -> list[StageRow]:
+        """Returns where the time goes, the whole way last; nothing before a frame is whole."""
+        if not self._accounts:
+            return []
+        newest = self._accounts[-1]
+        rows = [
+            StageRow(
+                name, newest.groups_ms[name], _mean([a.groups_ms[name] for a in self._accounts])
+            )
+            for name in GROUPS
+        ]
+        whole = _mean([a.end_to_end_ms for a in self._accounts])
+        return [*rows, StageRow("end to end", newest.end_to_end_ms, whole)]
+
+    def lanes(self, side: str) -> list[LaneRow]:
+        """Returns the lanes "upstream" or "downstream" with their counts."""
+        if self.counts is None:
+            return []
+        counts: Mapping[str, int] = getattr(self.counts, side)
+        queued: Mapping[str, int] = getattr(self.counts, f"queued_{side}")
+        seen: Mapping[str, float] = getattr(self.counts, f"seen_{side}")
+        return [LaneRow(n, counts[n], queued.get(n, 0), seen.get(n)) for n in counts]
+
+    def signal(self) -> tuple[SignalState, float] | None:
+        """Returns what the signal shows, and for how many simulated seconds so."""
+        if self._shown is None:
+            return None
+        since_s = max(0, self.sim_time_ns - self._shown.since_ns) / 1e9
+        return self._shown.state, since_s
+
+    def phase_rows(self) -> list[PhaseRow]:
+        """Returns the phases with their pressures."""
+        known = pressures(self._request, self.phases)
+        greens = self.setup.road_map.signal.greens
+        shown = self._shown.state.green if self._shown else ""
+        return [
+            PhaseRow(name, green == shown, known.get(name))
+            for name, green in zip(self.phases, greens, strict=True)
+        ]
+
+    def alerts(self) -> list[str]:
+        """Returns what somebody should know of, the gravest first."""
+        found = [f"{role} {name} is gone" for role, name in sorted(self.gone) if not self.end]
+        recent = self._frames.complete
+        if missing := recent.count(False):
+            found.append(
+                f"{missing} of the last {len(recent)} frames incomplete "
+                f"({self._frames.incomplete} since this began)"
+            )
+        found += [
+            f"{agent} is not believed (score {doubt.score:.2f})"
+            for agent, doubt in sorted(self._doubts.items())
+            if not doubt.believed
+        ]
+        drops = sorted(self._dropped.items(), key=lambda one: (-one[1], one[0]))
+        found += [f"{process} dropped {n} × {reason}" for (process, reason), n in drops if n]
+        return found[:MAX_ALERTS]
+
+    def _take_presence(self, presence: Presence) -> None:
+        who = (presence.role, presence.id)
+        if presence.alive:
+            if len(self.present | self.gone) < MAX_AGENTS or who in self.gone:
+                self.present.add(who)
+                self.gone.discard(who)
+        elif who in self.present:
+            self.present.discard(who)
+            self.gone.add(who)
+
+    def _take_plain(self, message: Message) -> None:
+        match message:
+            case Progress():
+                self.progress = message
+            case End():
+                self.end = message
+            case SignalRequest():
+                self._request = message
+            case LaneCounts():
+                self.counts = message
+                self._frames.take(message)
+            case SignalState():
+                before = self._shown
+                goes_on = before is not None and before.state.state == message.state
+                since_ns = before.since_ns if before and goes_on else message.sim_time_ns
+                self._shown = _Shown(message, since_ns)
+
+    def _take_metrics(self, metrics: Metrics) -> None:
+        self._rates.take(metrics)
+        sent: dict[str, int] = {}
+        for upload in metrics.uploads:
+            sent[upload.agent] = sent.get(upload.agent, 0) + upload.points
+        self._points |= sent
+        for doubt in metrics.doubts:
+            if doubt.agent in self._doubts or len(self._doubts) < MAX_AGENTS:
+                self._doubts[doubt.agent] = doubt
+        self._drops.heard(metrics.process, metrics.drops)
+        self._dropped |= {(r.process, r.reason): r.times for r in self._drops.take_changed()}
+
+
+def _belief(doubt: Doubt | None) -> tuple[float, bool]:
+    return (1.0, True) if doubt is None else (doubt.score, doubt.believed)
+
+
+def _mean(values: list[float]) -> float:
+    return sum(values) / len(values)

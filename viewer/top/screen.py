@@ -1,0 +1,116 @@
+"""The rows of a board as one picture for a terminal of any width."""
+
+from __future__ import annotations
+
+from rich.columns import Columns
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from viewer.top.board import AgentRow, Board, LaneRow
+
+MAX_AGENTS = 16
+MAX_LANES = 24
+MAX_ALERTS = 8
+
+
+def picture(board: Board) -> RenderableType:
+    """Returns what is to be shown now."""
+    tables = [_agents(board.agents()), _stages(board), _signal(board)]
+    tables += [_lanes(board.lanes(side), side) for side in ("upstream", "downstream")]
+    shown = [table for table in tables if table.row_count]
+    return Group(_head(board), Columns(shown, padding=(0, 3)), _alerts(board))
+
+
+def _head(board: Board) -> RenderableType:
+    scenario, progress = board.setup.scenario, board.progress
+    title = Text.assemble(
+        (str(scenario.get("name", "")), "bold"),
+        f"  {scenario.get('mode', '')}  frame {max(board.frame, 0)}",
+        f"  {board.sim_time_ns / 1e9:.1f} s",
+    )
+    if board.end is not None:
+        title.append(f"  ended: {board.end.reason}", "bold yellow")
+    if progress is None:
+        return title
+    title.append(
+        f"\n×{progress.real_time_factor:.2f} real time   {progress.vehicles} vehicles, "
+        f"{progress.cavs} CAVs, {progress.cvs} CVs   {progress.detections} detected   "
+        f"{sum(progress.mbps.values()):.1f} Mbit/s   {progress.end_to_end_ms:.0f} ms end to end   "
+        f"{len(board.present)} processes"
+    )
+    return title
+
+
+def _agents(rows: list[AgentRow]) -> Table:
+    table = _table("agent", "points", "Mbit/s", "score")
+    for row in rows[:MAX_AGENTS]:
+        style = "" if row.believed else "red"
+        table.add_row(
+            Text(row.agent, style or "cyan"),
+            f"{row.points}",
+            f"{row.mbps:.2f}",
+            Text(f"{row.score:.2f}", style),
+        )
+    if len(rows) > MAX_AGENTS:
+        rest = rows[MAX_AGENTS:]
+        points, mbps = sum(row.points for row in rest), sum(row.mbps for row in rest)
+        table.add_row(f"and {len(rest)} more", f"{points}", f"{mbps:.2f}", "")
+    return table
+
+
+def _stages(board: Board) -> Table:
+    table = _table("stage", "ms", "mean")
+    for row in board.stages():
+        style = "bold" if row.stage == "end to end" else ""
+        figures = (row.stage, f"{row.newest_ms:.1f}", f"{row.mean_ms:.1f}")
+        table.add_row(*(Text(figure, style) for figure in figures))
+    return table
+
+
+def _signal(board: Board) -> Table:
+    table = _table("phase", "pressure", "")
+    shown = board.signal()
+    for row in board.phase_rows():
+        lamp = Text("●", _lamp(shown[0].stage) if shown and row.is_shown else "red")
+        pressure = "–" if row.pressure is None else f"{row.pressure:.1f}"
+        table.add_row(Text(row.phase, "bold" if row.is_shown else ""), pressure, lamp)
+    if shown is not None:
+        state, since_s = shown
+        asked = f"{state.stage.replace('_', ' ')} for {since_s:.1f} s, by {state.source}"
+        table.add_row(Text(asked, "dim"), "", "")
+    return table
+
+
+def _lanes(rows: list[LaneRow], side: str) -> Table:
+    table = _table(side, "vehicles", "queued", "seen")
+    for row in rows[:MAX_LANES]:
+        is_blind = row.seen is not None and row.seen == 0
+        seen = "–" if row.seen is None else f"{row.seen:.0%}"
+        table.add_row(
+            Text(row.lane, "dim" if is_blind else ""), f"{row.vehicles}", f"{row.queued}", seen
+        )
+    return table
+
+
+def _alerts(board: Board) -> RenderableType:
+    alerts = board.alerts()
+    if not alerts:
+        return Text("no alerts", "dim")
+    lines = alerts[:MAX_ALERTS]
+    if len(alerts) > MAX_ALERTS:
+        lines.append(f"and {len(alerts) - MAX_ALERTS} more")
+    return Panel(Text("\n".join(lines)), title="alerts", title_align="left", border_style="red")
+
+
+def _lamp(stage: str) -> str:
+    return {"green": "green", "yellow": "yellow"}.get(stage, "red")
+
+
+def _table(first: str, *others: str) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold", show_edge=False)
+    table.add_column(first, no_wrap=True, overflow="ellipsis", max_width=40)
+    for name in others:
+        table.add_column(name, justify="right", no_wrap=True)
+    return table
