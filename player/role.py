@@ -82,6 +82,8 @@ class PlayerRole:
     def _play(self, tick: Tick) -> None:
         begun_ns = time.monotonic_ns()
         said = words_of(self._context.id, self._kind, self._frames.take(tick.frame))
+        drops = {"late_on_tape": self._frames.late, "absurd_on_tape": self._frames.absurd}
+        self._context.inbox.drops |= {reason: n for reason, n in drops.items() if n}
         self._seen |= dict.fromkeys(said, tick.frame)
         here = {agent: words for agent, words in said.items() if self._connect(agent, words)}
         self._station.begin(tick)

@@ -1,0 +1,154 @@
+"""A run that was taped, played again: as it was, and to others."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("mcap", reason="needs the extra `tape`")
+
+from typer.testing import CliRunner
+
+from cpnet import scenario as scenarios
+from cpnet.cli import app
+from cpnet.replay import Pace, setup_of
+from protocol.errors import ConfigError
+from recorder.run import Run
+from recorder.tables import (
+    AccountRow,
+    DetectionRow,
+    FrameRow,
+    RequestRow,
+    SightingRow,
+    TruthRow,
+    UploadRow,
+)
+from studies.solo import play_setup
+from tests.cpnet.conftest import Shell
+
+REAP = ["upload.policy=reap", "link.profile=300kbit,20ms", "link.roadside_profile=lte"]
+
+
+@pytest.fixture(scope="module")
+def taped(tmp_path_factory) -> Path:
+    """Returns a run over virtual links that are too slow for all that agents have to say."""
+    shell = Shell(tmp_path_factory.mktemp("taped"))
+    settings = [f"--set={setting}" for setting in REAP]
+    status, output = shell.up(
+        "--duration=3", "--record", "--cav-rate=0.1", "--cv-rate=0.1", "--out=run", *settings
+    ).finish()
+    assert status == 0, output
+    return shell.folder / "run"
+
+
+def solo(taped: Path, folder: Path, *settings: str) -> Path:
+    overrides = dict(scenarios.parse_assignment(setting) for setting in settings)
+    folder.mkdir()
+    play_setup(setup_of(taped, overrides, Pace()), folder)
+    return folder
+
+
+def rows(run_dir: Path, table: type) -> list:
+    with Run(run_dir) as run:
+        return [*run.rows(table)]
+
+
+def sent_by(run_dir: Path) -> list:
+    """Returns what each chunk took, but those of the end, of which no plan may have told yet."""
+    sent = [row for row in rows(run_dir, UploadRow) if row.frame < 28]
+    return [(row.agent, row.chunk, row.payload_bytes, row.link_sim_ns) for row in sent]
+
+
+def test_with_its_own_settings_every_result_is_the_same(shell, taped):
+    status, output = shell.run("replay", str(taped), "--out", "again")
+    assert status == 0, output
+    assert "edge, sim, record, signal, infra, vehicle" in output
+    status, output = shell.run("report", str(taped), "--against", "again")
+    assert (status, output.strip()) == (0, "the results are the same, row for row")
+    again = shell.folder / "again"
+    sent = [sent_by(run) for run in (taped, again)]
+    assert sent[0] == sent[1]
+    sensed = [sum(row.sense_ns for row in rows(run, AccountRow)) for run in (taped, again)]
+    assert sensed[0] == sensed[1] > 0
+    assert json.loads((again / "scenario.json").read_text())["replay"]["tape"] == str(taped)
+
+
+def test_over_another_link_more_arrives(tmp_path, taped):
+    faster = solo(taped, tmp_path / "faster", "link.profile=none", "link.roadside_profile=none")
+    used = [sum(row.points or 0 for row in rows(run, FrameRow)) for run in (taped, faster)]
+    assert used[1] > used[0]
+
+
+def test_over_a_slower_link_less_is_sent(tmp_path, taped):
+    slower = solo(taped, tmp_path / "slower", "link.profile=60kbit,20ms", "duration_s=1")
+    sent = [
+        sum(row.agent != "rsu-0" and row.frame < 10 for row in rows(run, UploadRow))
+        for run in (taped, slower)
+    ]
+    assert 0 < sent[1] < sent[0]
+
+
+def test_another_detector_finds_others_in_the_same_scans(tmp_path, taped):
+    other = solo(
+        taped,
+        tmp_path / "other",
+        "edge.boxes.complete=false",
+        "signal.policy=fixed",
+        "duration_s=2",
+    )
+    assert {row.policy for row in rows(other, RequestRow)} == {"fixed"}
+    for table, is_same in ((TruthRow, True), (SightingRow, True), (DetectionRow, False)):
+        before = [row for row in rows(taped, table) if row.frame < 20]
+        assert (rows(other, table) == before) is is_same
+
+
+def test_in_realtime_a_tape_goes_as_fast_as_asked(shell, taped):
+    status, output = shell.run("replay", str(taped), "--speed=2", "--set=link.profile=none",
+                               "--set=link.roadside_profile=none", "--out=fast")  # fmt: skip
+    assert status == 0, output
+    facts = json.loads(shell.run("report", "fast", "--json")[1])
+    assert 1.5 < facts["real_time_factor"] < 2.1
+    assert facts["frames"] == 30
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["none"], "there is no such tape, neither a file nor"),
+        ([], "give the tape that is to be played, or --scans DIR --poses FILE"),
+        (["{tape}", "--scans=x"], "give the tape that is to be played, or --scans"),
+        (["{tape}", "--frames=3"], "needs --scans DIR"),
+        (["--scans=x"], "--scans needs --poses FILE"),
+        (["--scans=x", "--poses=y", "--refine"], "--refine needs --extrinsics FILE"),
+        (["{tape}", "--lockstep", "--speed=2"], "--lockstep has no speed"),
+        (["{tape}", "--set=upload.policy=full"], "upload.policy: what it decides is on the tape"),
+        (["{tape}", "--set=seed=2"], "seed: what it decides is on the tape already"),
+        (["{tape}", "--set=mode=realtime"], "mode: a replay takes --lockstep or --speed N instead"),
+        (["{tape}", "--set=duration_s=9"], "duration_s is 9, the tape has 3 s"),
+        (["{tape}", "--set=cabinet.control=actuated"], "add --set cabinet.control=requests"),
+        (
+            ["{tape}", "--set=edge.detecter=fast"],
+            "unknown key edge.detecter; did you mean detector",
+        ),
+    ],
+)
+def test_what_cannot_be_played_is_said(taped, options, said):
+    asked = CliRunner().invoke(app, ["replay", *(word.format(tape=taped) for word in options)])
+    assert isinstance(asked.exception, ConfigError)
+    assert said in str(asked.exception)
+
+
+def test_a_mistake_is_said_in_a_line_and_leaves_nothing_behind(shell):
+    status, output = shell.run("replay", "none")
+    assert status == 2
+    assert "there is no such tape" in output
+    assert "Traceback" not in output
+    assert not (shell.folder / "runs").exists()
+
+
+def test_a_scenario_of_a_replay_is_not_simulated(tmp_path, taped):
+    saved = json.loads((taped / "scenario.json").read_text())
+    saved["replay"] = {"tape": str(taped), "speed": 1.0}
+    (tmp_path / "saved.yaml").write_text(json.dumps(saved))
+    asked = CliRunner().invoke(app, ["up", str(tmp_path / "saved.yaml")])
+    assert "that is played by `cpnet replay" in str(asked.exception)
