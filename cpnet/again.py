@@ -20,7 +20,9 @@ _OPTIONS = {
 
 
 def command_of(recorded: dict[str, Any]) -> str:
-    """Returns the shortest `cpnet up` that gives this scenario; empty if none does."""
+    """Returns the shortest `cpnet up` that gives this scenario; empty if none does, as of a replay."""
+    if recorded.get("replay"):
+        return ""
     name = recorded.get("name")
     base = name if name in scenarios.builtin_names() else "t_junction"
     changed = dict(_changes(recorded, scenarios.load(base, {}).model_dump(mode="json")))

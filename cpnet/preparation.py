@@ -17,7 +17,15 @@ from cpnet import scenario as scenarios
 from cpnet.beside import Viewing
 from cpnet.endpoints import Endpoints, connecting
 from cpnet.nursery import prepare
-from cpnet.processes import TAPE, Choice, ProcessEntry, choose, processes_of, relays_of
+from cpnet.processes import (
+    TAPE,
+    Choice,
+    ProcessEntry,
+    choose,
+    in_replay,
+    processes_of,
+    relays_of,
+)
 from cpnet.security import check_keys, secured
 from perception.registry import check
 from protocol.bus import fetch
@@ -93,7 +101,8 @@ def prepared(options: Options, console: Console, played: Played | None) -> Prepa
         )
     named = played or asked
     run_dir = _make_run_dir(options.out, named.name if named else str(choice))
-    modules = [f"{row.module}.role" for row in choice.roles if row is not TAPE]
+    rows = [row if played is None else in_replay(row) for row in choice.roles if row is not TAPE]
+    modules = list(dict.fromkeys(f"{row.module}.role" for row in rows))
     prepare(modules, run_dir / "logs" / "nursery.log")  # imports while the setup is being made
     try:
         if played is not None:

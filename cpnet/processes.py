@@ -98,6 +98,11 @@ def choose(only: str | None) -> Choice:
     return Choice(tuple(row for row in ROLES if row.role in roles), kept)
 
 
+def in_replay(row: RoleEntry) -> RoleEntry:
+    """Returns the row as it is in a replay: what was taped is said by the player."""
+    return replace(row, module=PLAYER) if row.role in _TAPED else row
+
+
 def relays_of(choice: Choice, scenario: Scenario) -> list[ProcessEntry]:
     """Returns the relays that the agents of this machine need on it."""
     link = scenario.link
@@ -125,8 +130,8 @@ def processes_of(choice: Choice, scenario: Scenario) -> list[ProcessEntry]:
             if choice.roles != ROLES:
                 raise ConfigError("--only tape: the scenario has record.tape false; see --record")
             continue
-        if scenario.replay is not None and row.role in _TAPED:
-            row = replace(row, module=PLAYER)
+        if scenario.replay is not None:
+            row = in_replay(row)
         if row.role not in numbers:
             result.append(ProcessEntry(row.role, row))
             continue

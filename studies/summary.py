@@ -40,6 +40,7 @@ def summarise(run_dir: Path) -> Summary:
             "scenario": run.scenario.get("name"),
             "seed": run.scenario.get("seed"),
             "mode": run.scenario.get("mode"),
+            "replay_of": (run.scenario.get("replay") or {}).get("tape"),
             "ended": run.meta.get("end_reason"),
             **_pace(run, period_s),
             "agents": by_agent(run, period_s),
