@@ -20,7 +20,7 @@ _OPTIONS = {
 
 
 def command_of(recorded: dict[str, Any]) -> str:
-    """Returns the shortest `cpnet up` that gives this scenario; empty if none does, as of a replay."""
+    """Returns the shortest `cpnet up` that gives this scenario; empty if none does."""
     if recorded.get("replay"):
         return ""
     name = recorded.get("name")

@@ -36,11 +36,10 @@ def print_report(summary: Summary, console: Console) -> None:
 def _headline(summary: Summary) -> str:
     ended = summary["ended"] or "cut off"
     name = escape(str(summary["scenario"] or "run"))
-    tape = summary["replay_of"]
-    played = f"  [dim]replay of {escape(tape)}: traffic and delay are its own[/dim]" if tape else ""
+    told = "; a replay: traffic and delay are the recording's" if summary["replay_of"] else ""
     return (
         f"[bold]{name}[/bold]  {summary['mode'] or ''}  "
-        f"seed {summary['seed']}  [dim]({escape(ended)})[/dim]{played}"
+        f"seed {summary['seed']}  [dim]({escape(ended)}{told})[/dim]"
     )
 
 
