@@ -75,6 +75,7 @@ def _scenario(asked: Scans, pace: Pace, frames: int) -> scenarios.Scenario:
     facts: dict[str, Any] = {
         "duration_s": frames * base.frame_period_s,
         "traffic.warmup_s": 0.0,
+        "traffic.cav_rate": base.traffic.cav_rate or 1.0,  # so that the edge knows of LiDARs
         "traffic.step_s": base.frame_period_s if base.frame_period_s <= 1 else base.traffic.step_s,
         "roadside_mounts": [],
         "processes.vehicle": 1,
