@@ -1,0 +1,40 @@
+"""Pictures are drawn whatever is missing from them."""
+
+import numpy as np
+import pytest
+
+rr = pytest.importorskip("rerun", reason="the extra `view` is not installed")
+
+from protocol.codec import encode_cloud  # noqa: E402 - what follows is of use with the extra alone
+from protocol.scans import PointCloud  # noqa: E402
+from tests.protocol.test_wire import SCAN  # noqa: E402
+from tests.viewer.test_top_board import SETUP  # noqa: E402
+from tests.viewer.test_viewer_layers import CAR, detections, truth  # noqa: E402
+from viewer.blueprint import blueprint  # noqa: E402
+from viewer.log import Log  # noqa: E402
+from viewer.moments import Moment  # noqa: E402
+from viewer.scene import Scene  # noqa: E402
+from viewer.stages import GROUPS, Account  # noqa: E402
+
+
+@pytest.mark.parametrize("agents", [[], ["a"], ["a", "b/c d"]])
+def test_a_frame_is_drawn_with_and_without_clouds(agents: list[str]) -> None:
+    scene = Scene(SETUP.model_copy(update={"vehicle_types": [CAR]}))
+    recording = rr.RecordingStream("test")
+    kept = recording.memory_recording()
+    log = Log(recording, scene)
+    cloud = PointCloud(np.ones((5, 3), np.float32), np.zeros(5, np.float32))
+    payload = np.frombuffer(encode_cloud(cloud, 0.02), np.uint8)
+    scans = [SCAN.model_copy(update={"payload": payload, "agent": agent}) for agent in agents]
+    whole = Moment(1, scans=scans, detections=detections(), truth=truth())
+    for moment in (whole, Moment(2, detections=detections()), Moment(3, truth=truth())):
+        picture = scene.picture(moment)
+        assert picture is not None
+        log.picture(picture)
+    log.account(Account(1, 1, dict.fromkeys(GROUPS, 1.0), 9.0))
+    assert len(kept.drain_as_bytes()) > 1000
+    assert scene.picture(Moment(4)) is None
+
+
+def test_there_is_a_layout() -> None:
+    assert blueprint(Scene(SETUP)) is not None
