@@ -35,7 +35,7 @@ def tape_run(
     os.nice(NICENESS)
     with (
         Interruption() as interruption,
-        Onlooker(running.v2x, running.world, choice.topics) as onlooker,
+        Onlooker(running.v2x, running.world, choice.topics, yields=True) as onlooker,
     ):
         stop = interruption.event
         taping = Taping(onlooker.setup(), next_path, onlooker.inbox, choice, stop)
