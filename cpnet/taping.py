@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import signal
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +15,7 @@ from protocol.errors import ConfigError
 from protocol.onlooker import Onlooker
 from protocol.process import loop
 from tape.names import next_file
-from tape.role import NICENESS
+from tape.role import give_way
 from tape.taping import Choice, Taping
 
 STEM = "record"
@@ -26,16 +26,22 @@ def tape_run(
 ) -> None:
     """Tapes a run until it is over, the duration has passed or a signal comes.
 
+    A run of this machine waits for its tape, so that nothing is missing; one elsewhere does not:
+    the network between may be slow.
+
     Raises:
         ConfigError: there can be no such file.
         BusError: a bus is not there, or nobody tells the setup.
         CpnetError: the disk is full, or fails.
     """
     next_path = _next_path(running, out)
-    os.nice(NICENESS)
+    give_way()
+    signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # a run that waits would stand still as well
     with (
         Interruption() as interruption,
-        Onlooker(running.v2x, running.world, choice.topics) as onlooker,
+        Onlooker(
+            running.v2x, running.world, choice.topics, yields=running.run_dir is None
+        ) as onlooker,
     ):
         stop = interruption.event
         taping = Taping(onlooker.setup(), next_path, onlooker.inbox, choice, stop)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote
 
-from protocol.topics import ALIVE, ALIVE_IN_ANY, ASKED, LOOKERS, TOPICS, BusName
+from protocol.topics import ALIVE, ALIVE_IN_ANY, ASKED, LOOKERS, ONLOOKERS, TOPICS, BusName
 
 MOST_VEHICLES = 64
 """Vehicle processes that can have keys: `vehicle-0` and on."""
@@ -77,8 +77,11 @@ def access_control(bus: BusName, members: Members) -> dict[str, Any]:
 def _rules(
     bus: BusName, process_id: str, role: str, region: str | None
 ) -> Iterable[dict[str, Any]]:
-    """Yields what one process may do, one rule for each direction and kind of message."""
-    place = {} if region is None else {"region": region}
+    """Yields what one process may do, one rule for each direction and kind of message.
+
+    Onlookers ask before they know of which region, so they may hear all that is on the bus.
+    """
+    place = {} if region is None or role in ONLOOKERS else {"region": region}
     for topic in TOPICS.values():
         if topic.bus is not bus:
             continue

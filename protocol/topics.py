@@ -106,15 +106,17 @@ _B, _P, _T = Delivery.BULK, Delivery.PROMPT, Delivery.TELEMETRY
 
 _AGENTS = frozenset({"vehicle", "infra"})
 _SIM, _EDGE, _SIGNAL, _RECORD = (frozenset({r}) for r in ("sim", "edge", "signal", "record"))
-_ONLOOKERS = frozenset({"watch", "tape"})  # whoever looks on and hears all: viewers, the supervisor
+ONLOOKERS = frozenset({"watch", "tape"})
+"""Who hears all and says nothing (a tape: how its clock goes): viewers, the supervisor, tapes."""
 _RELAY = frozenset({"relay"})
 _ALL = _AGENTS | _SIM | _EDGE | _SIGNAL | _RECORD
-ROLES = _ALL | _ONLOOKERS | _RELAY
+_CLOCKS = _ALL | _RELAY | {"tape"}
+ROLES = _ALL | ONLOOKERS | _RELAY
 """Whoever may be on a bus."""
 
 
 def _table(*rows: Topic) -> dict[str, Topic]:
-    return {row.name: replace(row, hearers=row.hearers | _ONLOOKERS) for row in rows}
+    return {row.name: replace(row, hearers=row.hearers | ONLOOKERS) for row in rows}
 
 
 TOPICS = _table(
@@ -124,9 +126,9 @@ TOPICS = _table(
     Topic("sighting", "world/sighting/{agent}", m.Sighting, _W, _B, _AGENTS, _RECORD),
     Topic("trips", "world/trips", m.Trips, _W, _B, _SIM, _RECORD),
     Topic("end", "world/end", m.End, _W, _B, _SIM, _AGENTS | _RELAY | _RECORD),
-    Topic("progress", "world/progress", m.Progress, _W, _T, _RECORD, _ONLOOKERS),
+    Topic("progress", "world/progress", m.Progress, _W, _T, _RECORD, ONLOOKERS),
     Topic("time", "world/time", m.TimeReply, _W, _P, _SIM, ROLES),
-    Topic("clock", "world/clock/{process}", m.ClockReading, _W, _T, _ALL | _RELAY, _RECORD),
+    Topic("clock", "world/clock/{process}", m.ClockReading, _W, _T, _CLOCKS, _RECORD),
     Topic("state", "signal/{tls}/state", m.SignalState, _V, _P, _SIM, _EDGE | _SIGNAL | _RECORD),
     Topic("request", "signal/{tls}/request", m.SignalRequest, _V, _P, _SIGNAL, _SIM | _RECORD),
     Topic("roster", "{region}/roster/{process}", m.Roster, _V, _P, _AGENTS, _EDGE),
@@ -156,7 +158,7 @@ ALIVE = f"{PREFIX}/alive"
 ALIVE_IN_ANY = "cpnet/*/alive/*/*"
 """The tokens of any version of the protocol."""
 
-LOOKERS = {BusName.WORLD: _SIM | _ONLOOKERS, BusName.V2X: _SIM | _EDGE | _ONLOOKERS}
+LOOKERS = {BusName.WORLD: _SIM | ONLOOKERS, BusName.V2X: _SIM | _EDGE | ONLOOKERS}
 """Who sees, on each bus, which processes are there."""
 
 MAX_NAME = 128  # characters of a role or of an id, as in messages

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,8 @@ MESSAGE_MIB = 64
 # the result and its intensity.
 SCAN_MIB = (MAX_BODY_BYTES + MAX_POINTS * (24 + 24 + 24 + 8 + 12 + 4)) >> 20
 FILE_MIB = 64
+# A chunk unpacked, and its messages.
+TAPE_MIB = 4 * MAX_BODY_BYTES >> 20
 
 _SCRATCH = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())
 
@@ -188,6 +191,15 @@ def _read_recording(data: bytes) -> None:
         recording.scan(recording.agents[0], 1)
 
 
+def _read_tape(path: Path) -> None:
+    from tape.reader import Tape
+
+    tape = Tape(path)
+    for item in tape.heard():
+        encode(item.message)
+    assert not tape.is_whole or not tape.drops["damaged"]
+
+
 def _message_target(message: type[Message]) -> Target:
     topic = next(topic for topic in TOPICS.values() if topic.message is message)
     name = f"message-{message.__name__}"
@@ -236,6 +248,11 @@ TARGETS = {
         Target("lzf", _read_lzf, (ValueError,), shake, FILE_MIB),
         Target("trace-csv", _from_file(".csv", read_trace), (ConfigError,), _table, FILE_MIB),
         Target("trace-mahimahi", _from_file(".up", read_trace), (ConfigError,), shake, FILE_MIB),
+        *(
+            [Target("tape", _from_file(".mcap", _read_tape), (ConfigError,), shake, TAPE_MIB)]
+            if find_spec("mcap")  # the extra `tape`
+            else []
+        ),
         Target("recording", _read_recording, (ConfigError,), shake_parts, FILE_MIB, weight=0.25),
     )
 }

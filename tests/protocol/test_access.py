@@ -69,6 +69,13 @@ def test_each_may_say_and_hear_what_the_table_says_and_say_it_under_its_own_id(
         assert not may(other, process_id, "egress", "put", key)
 
 
+@pytest.mark.parametrize("process_id", ["watch", "tape"])
+def test_onlookers_may_ask_for_all_before_they_know_the_region(process_id):
+    for topic in TOPICS.values():
+        if topic.name not in ASKED:
+            assert may(topic.bus, process_id, "ingress", "declare_subscriber", topic.key())
+
+
 @pytest.mark.parametrize(("process_id", "role"), EVERYBODY)
 def test_nothing_that_one_says_can_be_taken_for_what_it_may_not_say(process_id, role):
     for topic in TOPICS.values():
