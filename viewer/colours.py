@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from studies import palette
 
 Rgb = tuple[int, int, int]
+MAX_REMEMBERED = 256
 
 
 def rgb(text: str) -> Rgb:
@@ -17,7 +18,7 @@ def rgb(text: str) -> Rgb:
 
 
 class Colours:
-    """Gives each agent a colour, which it keeps as long as it is there."""
+    """Gives each agent a colour, which it still has when it comes again."""
 
     def __init__(self) -> None:
         self._numbers: dict[str, int] = {}
@@ -25,9 +26,13 @@ class Colours:
     def of(self, agents: Iterable[str]) -> Mapping[str, Rgb]:
         """Returns the colours of the agents that are there now; a newcomer gets a rare one."""
         present = list(dict.fromkeys(agents))
-        self._numbers = {a: self._numbers[a] for a in present if a in self._numbers}
+        for agent in present:
+            if agent in self._numbers:
+                self._numbers[agent] = self._numbers.pop(agent)  # the newest stand last
         for agent in present:
             if agent not in self._numbers:
-                taken = Counter(self._numbers.values())
+                taken = Counter(self._numbers[other] for other in present if other in self._numbers)
                 self._numbers[agent] = min(range(len(palette.AGENTS)), key=lambda n: (taken[n], n))
+        while len(self._numbers) > max(MAX_REMEMBERED, len(present)):
+            del self._numbers[next(iter(self._numbers))]
         return {agent: rgb(palette.AGENTS[self._numbers[agent]]) for agent in present}

@@ -11,7 +11,7 @@ from studies import palette
 from tests.protocol.test_wire import SCAN
 from viewer import layers
 from viewer.clouds import clouds
-from viewer.colours import Colours, rgb
+from viewer.colours import MAX_REMEMBERED, Colours, rgb
 from viewer.figures import Judge, phase_names, pressures
 from viewer.moments import Moment
 from viewer.road import camera, count_place, heads, surface
@@ -152,7 +152,10 @@ def test_an_agent_keeps_its_colour_and_a_newcomer_gets_a_free_one() -> None:
     later = colours.of(["c", "b"])
     assert later["b"] == first["b"]
     assert later["c"] == first["a"]
-    assert len(colours.of(map(str, range(100)))) == 100
+    assert colours.of(["a"])["a"] == first["a"]
+    assert len(colours.of(map(str, range(500)))) == 500
+    colours.of([])
+    assert len(colours._numbers) == MAX_REMEMBERED
 
 
 def test_the_road_has_a_surface_stop_bars_and_a_camera_above_it() -> None:
