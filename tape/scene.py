@@ -99,16 +99,22 @@ class Scene:
             frame.detections = message
             self._close(message.frame)
 
-    def step(self) -> None:
-        """Does a little, a few milliseconds at most: the boxes of a frame, or a cloud."""
+    def step(self) -> bool:
+        """Does a little, a few milliseconds at most: the boxes of a frame, or a cloud.
+
+        Returns whether there was anything to do.
+        """
         if self._due is not None:
             self._convert(self._due)
             self._begin_clouds(self._due)
             self._due = None
-        elif self._clouds:
+            return True
+        if self._clouds:
             start_ns = time.thread_time_ns()
             self._convert_cloud(self._clouds.pop())
             self._budget.spend(time.thread_time_ns() - start_ns)
+            return True
+        return False
 
     def _close(self, number: int) -> None:
         """Makes the frame before this one due: what is prompt may overtake the scans of its own."""
