@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,9 @@ from tests.waiting import wait_until
 
 LEFT_SCREEN = "\x1b[?1049l"  # what makes a terminal show again what was there before
 
+NEEDS_VIEW = pytest.mark.skipif(
+    find_spec("rerun") is None, reason="the extra `view` is not installed"
+)
 ENOUGH_BYTES = 500_000  # more than what stands still
 
 
@@ -82,7 +86,7 @@ def test_a_run_is_kept_as_a_drawing(shell: Shell) -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["view"], "no run goes on in runs/"),
+        pytest.param(["view"], "no run goes on in runs/", marks=NEEDS_VIEW),
         (["top", "nowhere"], "no run goes on there"),
         (["view", "--web", "--save", "a.rrd"], "give one of them"),
         (["top", "--connect", "here"], "HOST:PORT"),

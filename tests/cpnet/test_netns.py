@@ -23,7 +23,7 @@ def relay_of(command: Command, folder: Path) -> int:
     """Returns the relay's process id when agents are connected through its namespaces."""
     command.read_until("vehicles")
     relay = children_of(folder / "run")["relay-vehicle"]
-    wait_until(lambda: made_by(relay))
+    wait_until(lambda: made_by(relay), 60)  # until there is a CAV
     return relay
 
 
