@@ -113,11 +113,7 @@ class Attendant:
             if watch.update(POLL_S) and watch.progress:
                 display.show(watch.progress)
             self._await_overtaken_end(watch)
-            if self.restart and watch.end is None:
-                self._revive()
-            if watch.progress is not None:
-                tapes += self._dismiss_tape(at_end=watch.end is not None)
-            if death := self.supervisor.death(at_end=watch.end is not None):
+            if death := self._fatal(watch, tapes):
                 return death
             if watch.end is None and (elsewhere := self._lost_elsewhere(watch)):
                 return elsewhere
@@ -135,6 +131,18 @@ class Attendant:
         if watch.end is None and has_left and self.supervisor.death(at_end=True) is None:
             watch.await_end(OVERTAKEN_S)
 
+    def _fatal(self, watch: Watch, tapes: list[Death]) -> Death | None:
+        """Returns a death that ends the run; others are started again, or are a tape's."""
+        at_end = watch.end is not None
+        if self.restart and not at_end:
+            lost = self._revive()
+            if any(death.id == TAPE.role for death in lost):
+                tapes += self._dismiss_tape(at_end=False)
+            return next((death for death in lost if death.id != TAPE.role), None)
+        if watch.progress is not None:
+            tapes += self._dismiss_tape(at_end=at_end)
+        return self.supervisor.death(at_end=at_end)
+
     def _dismiss_tape(self, *, at_end: bool) -> list[Death]:
         death = self.supervisor.dismiss(TAPE.role, at_end=at_end)
         if death is None:
@@ -142,11 +150,13 @@ class Attendant:
         self.console.print(f"{death.id} {death.how}; the run goes on without it", markup=False)
         return [death]
 
-    def _revive(self) -> None:
-        for death in self.supervisor.revive():
+    def _revive(self) -> list[Death]:
+        found, lost = self.supervisor.revive()
+        for death in found:
             self.console.print(f"{death.id} {death.how}; started again", markup=False)
             if self.tally is not None:
                 self.tally.restarted(death.id)
+        return lost
 
     def _lost_elsewhere(self, watch: Watch) -> Death | None:
         """Returns a process of another machine that left before the run's end, if that matters."""

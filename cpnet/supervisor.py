@@ -81,23 +81,27 @@ class Supervisor:
         self._children += [self._spawn(entry) for entry in entries]
         self._list()
 
-    def revive(self) -> list[Death]:
-        """Starts again what has ended too early, but the world; returns who that was.
+    def revive(self) -> tuple[list[Death], list[Death]]:
+        """Starts again what has ended too early; returns who that was, and who stays dead.
 
-        A process that dies again and again stays dead: `death` tells of it.
+        The world stays dead, and so does a process that dies again and again. Who dies after this
+        looked is found by the next call.
         """
-        found = []
+        found, lost = [], []
         for number, child in enumerate(self._children):
-            name, death = child.entry.id, child.death
-            if death is None or child.entry.role.role == "sim":
+            death = child.death
+            if death is None:
                 continue
-            if self._restarts.admits(name, time.monotonic_ns()):
+            may = child.entry.role.role != "sim"
+            if may and self._restarts.admits(child.entry.id, time.monotonic_ns()):
                 child.process.release()
                 self._children[number] = self._spawn(child.entry)
                 found.append(death)
+            else:
+                lost.append(death)
         if found:
             self._list()
-        return found
+        return found, lost
 
     def _list(self) -> None:
         """Writes which process is which, for whoever looks after them from outside."""

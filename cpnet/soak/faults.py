@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from cpnet.supervisor import LIST_NAME
+from protocol.errors import BusError
 
 SPARED = {"sim"}  # the world; what it is to others, nothing can stand in for
 
@@ -41,5 +42,12 @@ def victims_of(processes: Sequence[str], kills: int, rng: np.random.Generator) -
 
 
 def kill(run_dir: Path, victim: str) -> None:
-    """Kills a process without warning."""
-    os.kill(processes_of(run_dir)[victim], signal.SIGKILL)
+    """Kills a process without warning.
+
+    Raises:
+        BusError: it is gone already, and was not started again.
+    """
+    try:
+        os.kill(processes_of(run_dir)[victim], signal.SIGKILL)
+    except ProcessLookupError:
+        raise BusError(f"{victim} is gone, and with it the run: see {run_dir}/logs") from None

@@ -4,6 +4,7 @@ import pytest
 
 from cpnet.endpoints import resolve
 from cpnet.processes import ROLES, ProcessEntry, RoleEntry, choose, processes_of
+from cpnet.restarts import MAX_RESTARTS
 from cpnet.scenario import Scenario
 from cpnet.supervisor import Supervisor
 from protocol.errors import ConfigError
@@ -59,6 +60,18 @@ def test_a_killed_process_is_named_before_those_that_fell_with_it(supervisor, tm
         wait_until(lambda: not supervisor.running("fell", "killed"))
         death = supervisor.death(at_end=False)
     assert (death.id, death.how) == ("killed", "was killed by SIGKILL")
+
+
+def test_whoever_died_is_started_again_and_dying_all_the_time_is_no_life(supervisor, tmp_path):
+    with supervisor:
+        supervisor.start([entry(tmp_path, "frail", "raise SystemExit(3)")])
+        for _ in range(MAX_RESTARTS):
+            wait_until(lambda: not supervisor.running("frail"))
+            found, lost = supervisor.revive()
+            assert ([death.how for death in found], lost) == (["ended with status 3"], [])
+        wait_until(lambda: not supervisor.running("frail"))
+        found, lost = supervisor.revive()
+        assert (found, [death.id for death in lost]) == ([], ["frail"])
 
 
 def test_at_the_runs_end_a_process_that_ends_well_is_no_death(supervisor, tmp_path):
