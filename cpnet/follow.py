@@ -112,7 +112,6 @@ class Attendant:
         while not self.interruption.event.is_set():
             if watch.update(POLL_S) and watch.progress:
                 display.show(watch.progress)
-            self._await_overtaken_end(watch)
             if death := self._fatal(watch, tapes):
                 return death
             if watch.end is None and (elsewhere := self._lost_elsewhere(watch)):
@@ -133,6 +132,7 @@ class Attendant:
 
     def _fatal(self, watch: Watch, tapes: list[Death]) -> Death | None:
         """Returns a death that ends the run; others are started again, or are a tape's."""
+        self._await_overtaken_end(watch)
         at_end = watch.end is not None
         if self.restart and not at_end:
             lost = self._revive()
@@ -141,7 +141,9 @@ class Attendant:
             return next((death for death in lost if death.id != TAPE.role), None)
         if watch.progress is not None:
             tapes += self._dismiss_tape(at_end=at_end)
-        return self.supervisor.death(at_end=at_end)
+        if self.supervisor.death(at_end=at_end) is not None:
+            self._await_overtaken_end(watch)  # it may have left only just now
+        return self.supervisor.death(at_end=watch.end is not None)
 
     def _dismiss_tape(self, *, at_end: bool) -> list[Death]:
         death = self.supervisor.dismiss(TAPE.role, at_end=at_end)
