@@ -22,13 +22,14 @@ from recorder.drops import MAX_PROCESSES, Drops
 from recorder.ending import Ending
 from recorder.glance import Glance
 from recorder.ledger import Ledger
-from recorder.reach import Reach
+from recorder.reach import Reach, Return
 from recorder.versions import versions
 
 COMMIT_NS = 1_000_000_000
 COMMIT_ROWS = 5_000
 PROGRESS_NS = 1_000_000_000
 _log = logging.getLogger(__name__)
+_ASKED_LAST = ("tick", "state")  # of each bus one: who hears it hears all others too
 MAX_TOTAL = (1 << 53) - 1  # what a message takes
 
 
@@ -55,6 +56,7 @@ class RecordRole:
         self._drops = Drops(self._database.known_drops())
         self._resumed = self._database.last_frame
         self._last_request = -1 if self._database.last_whole is None else self._database.last_whole
+        self._return = None if self._resumed is None else Return(self._last_request)
         self._reaches = [Reach(BusName.V2X, context.v2x), Reach(BusName.WORLD, context.world)]
         self._commit_ns = COMMIT_NS if scenario.get("mode") == "lockstep" else 0
         self._committed_ns = self._told_ns = time.monotonic_ns()
@@ -69,7 +71,7 @@ class RecordRole:
         """Makes the role and announces that it listens."""
         role = cls(context)
         region = str(context.setup.scenario.get("region", "r0"))
-        for name in role._handlers:
+        for name in sorted(role._handlers, key=_ASKED_LAST.__contains__):
             topic = TOPICS[name]
             bus = context.world if topic.bus is BusName.WORLD else context.v2x
             bus.subscribe(name, **({"region": region} if "{region}" in topic.template else {}))
@@ -80,20 +82,20 @@ class RecordRole:
         """Takes a message; one of a frame that cannot be is counted and dropped."""
         if isinstance(item, Presence) or item.topic not in self._handlers:
             return
+        self._look(time.monotonic_ns())
         try:
             self._handlers[item.topic](item.message, item.received_ns)
         except MessageError as error:
             self._context.inbox.refuse(item.topic, error)
         self._ending.heard(item.received_ns)
-        self._note_gap(item)
+        self._note_gaps(item)
         if self._database.is_full:
             self._commit(time.monotonic_ns())
 
     def poll(self) -> None:
         """Commits and reports when it is time, and stops once the run is written."""
-        for reach in self._reaches:
-            reach.look(self._last_request)
         now_ns = time.monotonic_ns()
+        self._look(now_ns)
         due = now_ns - self._committed_ns >= self._commit_ns
         if due or self._database.pending_rows >= COMMIT_ROWS:
             self._commit(now_ns)
@@ -132,8 +134,6 @@ class RecordRole:
         note = self._ledger.tick(tick.frame, tick.sim_time_ns)
         if self._resumed is not None:
             self._ledger.settle(max(self._resumed, 0))
-            gap = tables.GapRow(self._last_request, "recorder", tick.frame)
-            self._database.add(tables.GapRow, [gap])
             self._resumed = None
         self._glance.ticked(tick, received_ns)
         note.sim_time_ns, note.tick_ns = tick.sim_time_ns, received_ns
@@ -206,14 +206,20 @@ class RecordRole:
         if scan.sim_time_ns % period_ns < self._frame_period_ns:
             self._database.add(tables.CloudRow, [rows.cloud_row(scan)])
 
-    def _note_gap(self, heard: Envelope) -> None:
-        """Notes the gap that a message ends; those that measure are of frames long gone."""
-        frame = getattr(heard.message, "frame", None)
-        if frame is None or TOPICS[heard.topic].delivery is Delivery.TELEMETRY:
-            return
+    def _look(self, now_ns: int) -> None:
         for reach in self._reaches:
-            if gap := reach.heard(TOPICS[heard.topic].bus, frame):
-                self._database.add(tables.GapRow, [gap])
+            reach.look(self._last_request, now_ns)
+
+    def _note_gaps(self, heard: Envelope) -> None:
+        """Notes the gaps that a message ends; those that measure are of frames long gone."""
+        frame = getattr(heard.message, "frame", None)
+        topic = TOPICS[heard.topic]
+        if frame is None or topic.delivery is Delivery.TELEMETRY:
+            return
+        found = [reach.heard(topic.bus, frame, heard.received_ns) for reach in self._reaches]
+        if self._return is not None and topic.name in _ASKED_LAST:
+            found.append(self._return.heard(topic.bus, frame))
+        self._database.add(tables.GapRow, filter(None, found))
 
     def _begin(self, scenario: str) -> None:
         used = versions()

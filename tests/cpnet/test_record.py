@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip("mcap", reason="needs the extra `tape`")
 
+from protocol.errors import ConfigError
 from recorder.rows import count_rows, detection_rows, phase_row, request_row, truth_rows
 from recorder.run import Run
 from recorder.tables import (
@@ -55,11 +56,19 @@ def size_bytes(path: Path) -> int:
     return path.stat().st_size if path.exists() else 0
 
 
+def frames_on(run_dir: Path) -> list[int]:
+    """Returns the frames whose tick can be read off a tape that may still grow."""
+    try:
+        return [item.message.frame for item in Tape(run_dir).heard(["tick"])]
+    except ConfigError:  # not so far yet
+        return []
+
+
 def test_a_dead_tape_stops_no_city(shell):
-    command = shell.up("--duration=40", "--record", "--out=run")
+    command = shell.up("--duration=20", "--record", "--out=run")
     command.read_until("vehicles")
     run_dir = shell.folder / "run"
-    wait_until(lambda: size_bytes(run_dir / "run.mcap") > 300_000)
+    wait_until(lambda: len(frames_on(run_dir)) > 5)
     os.kill(children_of(run_dir)["tape"], signal.SIGKILL)
     command.read_until("tape was killed by SIGKILL; the run goes on without it")
     status, output = command.finish()
@@ -67,12 +76,11 @@ def test_a_dead_tape_stops_no_city(shell):
     assert "the tape is not whole: tape was killed by SIGKILL" in output
     assert "Traceback" not in output
     with sqlite3.connect(run_dir / "run.sqlite") as database:
-        assert database.execute("SELECT count(*) FROM frames").fetchone() == (400,)
-    tape = Tape(run_dir)
-    seen = [item.message.frame for item in tape.heard(["tick"])]
+        assert database.execute("SELECT count(*) FROM frames").fetchone() == (200,)
+    seen = frames_on(run_dir)
     assert seen == [*range(len(seen))]
     assert len(seen) > 5
-    assert not tape.is_whole
+    assert not Tape(run_dir).is_whole
 
 
 def test_a_tape_is_started_again_and_others_come_and_go(shell):
