@@ -36,7 +36,7 @@ from protocol.topics import BusName
 from protocol.wire import encode
 from sensing.carla.server import load_carla
 from sensing.radio import AgentKind
-from sensing.source import check_recording, is_of_carla
+from sensing.source_check import check_recording, is_of_carla
 from sensing.upload.registry import policy_of
 from signal_controller.registry import check as check_policy
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from protocol.messages import Setup, Tick
 from sensing.carla.config import CarlaConfig
@@ -17,6 +15,7 @@ from sensing.noise import stream
 from sensing.recording import Recording
 from sensing.scene import scene_of
 from sensing.shapes import VehicleShapes
+from sensing.source_check import is_of_carla, recording_of
 
 
 class ScanSource(Protocol):
@@ -59,29 +58,6 @@ class Played:
         """Holds nothing."""
 
 
-def check_recording(scenario: dict[str, Any]) -> None:
-    """Finds before the start what would keep the roles from playing a scenario's recording.
-
-    Raises:
-        ConfigError: it cannot be read, or does not fit the scenario's LiDARs or mounts.
-    """
-    if not scenario.get("recording"):
-        return
-    mounts = [mount["id"] for mount in scenario["roadside_mounts"]]
-    for kind in ["vehicle", "roadside"] if mounts else ["vehicle"]:
-        recording = _recording(scenario, LidarConfig.model_validate(scenario["lidar"][kind]))
-    if missing := [mount for mount in mounts if mount not in recording.agents]:
-        raise ConfigError(
-            f"recording {scenario['recording']}: has no scans of the roadside mount {missing[0]}; "
-            f"it has {', '.join(recording.agents)}"
-        )
-
-
-def is_of_carla(scenario: dict[str, Any]) -> bool:
-    """Whether a scenario's scans are cast by a CARLA server."""
-    return bool(scenario["lidar"].get("source") == "carla")
-
-
 def source_of(setup: Setup, config: LidarConfig) -> ScanSource:
     """Returns the source that a scenario asks for.
 
@@ -90,7 +66,7 @@ def source_of(setup: Setup, config: LidarConfig) -> ScanSource:
     """
     scenario: dict[str, Any] = setup.scenario
     if scenario.get("recording"):
-        return Played(_recording(scenario, config))
+        return Played(recording_of(scenario, config))
     seed: int = scenario["seed"]
     if is_of_carla(scenario):
         from sensing.carla.source import Carla
@@ -99,13 +75,3 @@ def source_of(setup: Setup, config: LidarConfig) -> ScanSource:
         return Carla(server, config, setup.vehicle_types, seed)
     scene = scene_of(setup, SceneConfig.model_validate(scenario["scene"]), seed)
     return Cast(Lidar(config, scene, VehicleShapes.from_setup(setup)), seed)
-
-
-def _recording(scenario: dict[str, Any], config: LidarConfig) -> Recording:
-    recording = Recording(Path(scenario["recording"]))
-    if recording.pattern != config.pattern:
-        raise ConfigError(
-            f"recording {scenario['recording']}: its scans are of {recording.pattern}, the "
-            f"scenario's LiDARs of {config.pattern}"
-        )
-    return recording

@@ -23,7 +23,9 @@ def relay_of(command: Command, folder: Path) -> int:
     """Returns the relay's process id when agents are connected through its namespaces."""
     command.read_until("vehicles")
     relay = children_of(folder / "run")["relay-vehicle"]
-    wait_until(lambda: made_by(relay), 60)  # until there is a CAV
+    ended = lambda: command.process.poll() is not None  # noqa: E731
+    wait_until(lambda: made_by(relay) or ended(), 60, what="no CAV ever came")
+    assert not ended(), command.finish()
     return relay
 
 

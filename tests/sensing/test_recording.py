@@ -11,7 +11,7 @@ from protocol.messages import Equipment, Truth
 from protocol.scans import RangeScan, ScanPattern
 from sensing.config import LidarConfig
 from sensing.recording import Recording, write_recording
-from sensing.source import check_recording
+from sensing.source_check import check_recording
 
 CONFIG = LidarConfig(channels=4, points_per_second=320)
 SCAN = RangeScan(CONFIG.pattern, np.full((4, 8), 7, np.float32), np.zeros((4, 8), np.float32))
