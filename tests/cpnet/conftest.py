@@ -91,14 +91,16 @@ def first_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def children_of(run_dir: Path) -> dict[str, int]:
     """Returns process id by role id of everything that runs for this run folder."""
-    found = {}
+    found: dict[int, tuple[str, int]] = {}
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit():
             continue
         try:
             words = (entry / "cmdline").read_bytes().replace(b"\0", b" ").split()
+            parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
         except OSError:
             continue
         if b"--id" in words and str(run_dir).encode() in words:
-            found[words[words.index(b"--id") + 1].decode()] = int(entry.name)
-    return found
+            found[int(entry.name)] = (words[words.index(b"--id") + 1].decode(), parent)
+    # What a role starts, such as `ip`, bears the role's name for a moment.
+    return {name: pid for pid, (name, parent) in found.items() if parent not in found}
