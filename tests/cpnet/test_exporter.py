@@ -154,8 +154,8 @@ def test_the_signals_age_is_simulated_time_since_its_state_changed():
 def test_absurd_figures_leave_a_page_that_can_be_read():
     tally = Tally()
     huge = {"real_time_factor": -1e308, "end_to_end_ms": 1.7e308, "vehicles": (1 << 40) - 1}
-    tally.take(progress(sim_time_ns=(1 << 62) - 1, state="\n" * 512, **huge))
-    tally.take(progress(sim_time_ns=1 - (1 << 62), state="\n" * 512, **huge))
+    tally.take(progress(sim_time_ns=(1 << 62) - 1, state="u" * 512, **huge))
+    tally.take(progress(sim_time_ns=1 - (1 << 62), state="u" * 512, **huge))
     for told in ((1 << 53) - 1, 0) * 50:
         tally.take(metrics(drops={"late": told}))
     samples = page(tally)
