@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from rich.console import Console
 from rich.markup import escape
 
+from cpnet.crowd import everybody
 from cpnet.display import Display
 from cpnet.exporter.tally import Tally
 from cpnet.processes import TAPE
@@ -18,7 +19,6 @@ from cpnet.supervisor import Death, Supervisor
 from cpnet.watch import Watch
 from protocol.bus import Endpoint
 from protocol.errors import BusError
-from sim_host.roll_call import expected_processes
 
 POLL_S = 0.05
 OVERTAKEN_S = 2.0
@@ -102,7 +102,7 @@ class Attendant:
             if death := self.supervisor.death(at_end=False):
                 return death
             try:
-                return Watch(world, self.tally)
+                return Watch(world, everybody(self.scenario), self.tally)
             except BusError:
                 self.interruption.event.wait(POLL_S)
         return None
@@ -164,7 +164,7 @@ class Attendant:
         """Returns a process of another machine that left before the run's end, if that matters."""
         needed = {"sim"}
         if not self.restart:
-            needed.update(expected_processes(self.scenario.model_dump(mode="json")))
+            needed.update(process for _, process in everybody(self.scenario))
             needed.discard(TAPE.role)
         for _, process in watch.lost():
             if process in needed and not self.supervisor.holds(process):

@@ -8,6 +8,7 @@ from rich.console import Console
 
 from cpnet import netns
 from cpnet.beside import check_viewing, viewed
+from cpnet.crowd import everybody
 from cpnet.endpoints import connecting
 from cpnet.exporter.server import Place, serving
 from cpnet.follow import Attendant, Interruption
@@ -38,7 +39,7 @@ def up(options: Options, console: Console, played: Played | None = None) -> tupl
         Supervisor(run.run_dir, run.endpoints, options.log, options.keys) as supervisor,
     ):
         if tally is not None:
-            tally.expect(run.relays + run.processes)
+            tally.expect(run.relays + run.processes, everybody(run.scenario))
             console.print(f"metrics: http://{place}/metrics", highlight=False, soft_wrap=True)
         supervisor.start(run.relays + run.processes)
         attendant = Attendant(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterable
 
+from cpnet.crowd import Crowd, Who
 from cpnet.exporter.tally import Tally
 from protocol.bus import Endpoint, open_bus
 from protocol.inbox import Envelope, Inbox, Presence
@@ -15,13 +17,14 @@ CONNECT_TIMEOUT_MS = 300
 CLOSE_S = 1.0
 MAX_BATCH = 256  # so that a flood cannot keep the supervisor from its processes
 METRICS_WAITING = 64  # of each process
-MAX_SEEN = 1024  # processes
 
 
 class Watch:
     """A listener that disturbs nobody; a context manager."""
 
-    def __init__(self, world: Endpoint, tally: Tally | None = None) -> None:
+    def __init__(
+        self, world: Endpoint, expected: Iterable[Who], tally: Tally | None = None
+    ) -> None:
         """Connects; all that comes is told to the tally, if there is one.
 
         Raises:
@@ -32,8 +35,7 @@ class Watch:
         self._bus = open_bus(BusName.WORLD, world, self._inbox, CONNECT_TIMEOUT_MS)
         self.progress: Progress | None = None
         self.end: End | None = None
-        self.present: set[tuple[str, str]] = set()
-        self.left: set[tuple[str, str]] = set()
+        self._crowd = Crowd(expected)
         for topic in ("progress", "end"):
             self._bus.subscribe(topic)
         if tally is not None:
@@ -71,21 +73,17 @@ class Watch:
 
     def here(self, role: str) -> bool:
         """Whether a process of this role lives on any machine."""
-        return any(present == role for present, _ in self.present)
+        return any(present == role for present, _ in self._crowd.present)
 
-    def lost(self) -> list[tuple[str, str]]:
-        """Returns role and id of the processes that were there and have left."""
-        return sorted(self.left)
+    def lost(self) -> list[Who]:
+        """Returns role and id of the expected processes that have left."""
+        return sorted(self._crowd.left)
 
     def _take(self, item: Envelope | Presence) -> None:
         if self._tally is not None:
             self._tally.take(item)
         if isinstance(item, Presence):
-            who = (item.role, item.id)
-            if who not in self.present | self.left and len(self.present | self.left) >= MAX_SEEN:
-                return
-            (self.present.add if item.alive else self.present.discard)(who)
-            (self.left.discard if item.alive else self.left.add)(who)
+            self._crowd.hear(item)
         elif isinstance(item.message, Progress):
             self.progress = item.message
         elif isinstance(item.message, End):

@@ -194,7 +194,7 @@ class EdgeRole:
         try:
             piece = opening.piece()
         except CodecError as error:
-            self._context.inbox.refuse(f"scan of {scan.agent}", error)
+            self._context.inbox.refuse("scan", error, f"scan of {scan.agent}")
             piece = spoilt_scan(scan, opening.received_ns)
         except (ValueError, LookupError, TypeError) as error:
             self._context.inbox.fail("scan", error)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import logging
 import queue
 import threading
 from collections import Counter, deque
 from dataclasses import dataclass, replace
 
+from protocol.complaints import Complaints
 from protocol.errors import MessageError, ProtocolError
 from protocol.messages import Message
 from protocol.shares import Shares
@@ -17,8 +17,6 @@ from protocol.wire import decode
 CAPACITY = 16_384
 CAPACITY_BYTES = 256 << 20  # sixteen of the largest messages, or 8000 scans
 MAX_KEY = 8 << 10  # characters: more than the longest ids take, percent-encoded
-_TOLD = 200  # characters of a key, in the log
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +54,7 @@ class Sealed:
 class Inbox:
     """A queue, bounded in items and in bytes.
 
-    A bad message is dropped, counted in `drops`, and logged once a key.
+    A bad message is dropped, counted in `drops`, and logged once a topic and kind of error.
     """
 
     def __init__(self, capacity: int = CAPACITY, max_bytes: int = CAPACITY_BYTES) -> None:
@@ -69,7 +67,7 @@ class Inbox:
         self._waiting: dict[_Place, deque[Sealed]] = {}
         self._lock = threading.Lock()
         self._woken = False
-        self._told: set[tuple[str, str]] = set()
+        self._complaints = Complaints()
         self.drops: Counter[str] = Counter()
 
     def limit(self, topic_name: str, waiting: int) -> None:
@@ -94,7 +92,8 @@ class Inbox:
     def put(self, item: Sealed | Presence) -> None:
         """Takes an item from a transport's thread; a full inbox counts and drops it."""
         if isinstance(item, Sealed) and len(item.key) > MAX_KEY:
-            self.refuse(item.key, MessageError(f"its key has {len(item.key)} characters"))
+            error = MessageError(f"its key has {len(item.key)} characters")
+            self.refuse(item.topic.name, error, item.key)
             return
         with self._lock:
             item = self._signed(item)
@@ -143,33 +142,15 @@ class Inbox:
             self._take_share(item, -1)
         return item if isinstance(item, Presence) else self._open(item)
 
-    def refuse(self, key: str, error: ProtocolError) -> None:
-        """Counts a message that a later stage found to be bad."""
-        reason = type(error).__name__
-        self.drops[reason] += 1
-        if self._is_news(key, reason):
-            _log.warning(
-                "dropped a message on %s: %s (later ones are only counted)",
-                _printable(key),
-                _printable(str(error)),
-            )
+    def refuse(self, topic: str, error: ProtocolError, key: str = "") -> None:
+        """Counts a message that this or a later stage found to be bad; `key` says where it came."""
+        self.drops[type(error).__name__] += 1
+        self._complaints.refused(topic, key or topic, error)
 
-    def fail(self, key: str, error: Exception) -> None:
+    def fail(self, topic: str, error: Exception) -> None:
         """Counts a message that its role could not take, by a fault of the role."""
         self.drops["role_error"] += 1
-        if self._is_news(key, "role_error"):
-            _log.error(
-                "a message on %s went wrong (later ones are only counted)",
-                _printable(key),
-                exc_info=error,
-            )
-
-    def _is_news(self, key: str, reason: str) -> bool:
-        news = key[:_TOLD], reason
-        if news in self._told or len(self._told) >= CAPACITY:
-            return False
-        self._told.add(news)
-        return True
+        self._complaints.failed(topic, error)
 
     def _signed(self, item: Sealed | Presence) -> Sealed | Presence:
         """Returns an item with the sender whose share it takes; learns who is there."""
@@ -217,7 +198,7 @@ class Inbox:
             message = decode(sealed.data, sealed.topic.message)
             parts = sealed.topic.parts(sealed.key)
         except ProtocolError as error:
-            self.refuse(sealed.key, error)
+            self.refuse(sealed.topic.name, error, sealed.key)
             return None
         return Envelope(sealed.topic.name, parts, message, sealed.received_ns, sealed.data)
 
@@ -232,8 +213,3 @@ def _place(item: Sealed) -> _Place:
 
 def _size_bytes(item: Sealed | Presence | None) -> int:
     return len(item.data) if isinstance(item, Sealed) else 0
-
-
-def _printable(text: str) -> str:
-    """Returns the beginning of what others wrote, so that it cannot break a line of the log."""
-    return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text[:_TOLD])

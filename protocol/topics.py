@@ -162,6 +162,7 @@ LOOKERS = {BusName.WORLD: _SIM | ONLOOKERS, BusName.V2X: _SIM | _EDGE | ONLOOKER
 """Who sees, on each bus, which processes are there."""
 
 MAX_NAME = 128  # characters of a role or of an id, as in messages
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")  # none of these either
 
 
 def alive_parts(key: str) -> tuple[str, str]:
@@ -171,6 +172,7 @@ def alive_parts(key: str) -> tuple[str, str]:
         MessageError: no process of this system announces itself so.
     """
     names = key.removeprefix(f"{ALIVE}/").split("/")
-    if len(names) != 2 or "*" in key or max(map(len, names)) > MAX_NAME:
+    is_long = max(map(len, names)) > MAX_NAME
+    if len(names) != 2 or is_long or "*" in key or _CONTROL.search(key):
         raise MessageError(f"{key:.200} is no key of a liveliness token")
     return names[0], names[1]

@@ -22,3 +22,7 @@ class Names:
                 return OTHER
             self._known.add(name)
         return name
+
+    def release(self, name: str) -> None:
+        """Makes room for another name."""
+        self._known.discard(name)

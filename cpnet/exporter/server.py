@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from cpnet.exporter.tally import Tally
@@ -67,19 +67,16 @@ def serving(place: Place | None) -> Iterator[Tally | None]:
         yield None
         return
     # Few runs need it, and each start of the command would wait for it.
-    from prometheus_client import CollectorRegistry, start_http_server
+    from prometheus_client import CollectorRegistry
 
     from cpnet.exporter.families import TallyCollector
+    from cpnet.exporter.pages import serving_pages
 
     tally, registry = Tally(), CollectorRegistry()
     registry.register(TallyCollector(tally))
-    try:
-        server, thread = start_http_server(place.port, place.host, registry)
-    except OSError as error:
-        raise place._taken(error) from None
-    try:
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(serving_pages(place.host, place.port, registry))
+        except OSError as error:
+            raise place._taken(error) from None
         yield tally
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()

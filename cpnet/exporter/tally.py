@@ -11,14 +11,15 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
+from cpnet.crowd import Who
 from cpnet.exporter.counts import Histogram
 from cpnet.exporter.names import OTHER, Names
 from cpnet.processes import ProcessEntry
 from protocol.inbox import Envelope, Presence
 from protocol.messages import Metrics, Progress, Span
 from protocol.rising import Rising
+from protocol.topics import ROLES
 
-MAX_ROLES = 16
 MAX_PROCESSES = 256
 MAX_REASONS = 64
 MAX_STAGES = 32
@@ -55,16 +56,17 @@ class Tally:
     drops: dict[str, Rising] = field(default_factory=lambda: defaultdict(Rising))
     present: dict[tuple[str, str], bool] = field(default_factory=dict)
     restarts: Counter[str] = field(default_factory=Counter)
-    _roles: Names = field(default_factory=lambda: Names(MAX_ROLES))
+    _expected: set[Who] = field(default_factory=set)
     _processes: Names = field(default_factory=lambda: Names(MAX_PROCESSES))
     _reasons: Names = field(default_factory=lambda: Names(MAX_REASONS))
     _stages: Names = field(default_factory=lambda: Names(MAX_STAGES))
 
-    def expect(self, entries: Iterable[ProcessEntry]) -> None:
-        """Counts processes as down until they show themselves."""
+    def expect(self, entries: Iterable[ProcessEntry], elsewhere: Iterable[Who] = ()) -> None:
+        """Counts processes as down until they show themselves; keeps places for those elsewhere."""
         with self.lock:
-            for entry in entries:
-                self.present[self._who(entry.role.role, entry.id)] = False
+            here = [self._who(entry.role.role, entry.id) for entry in entries]
+            self.present.update(dict.fromkeys(here, False))
+            self._expected.update(here, (self._who(*who) for who in elsewhere))
 
     def restarted(self, process: str) -> None:
         """Counts a process that was started again after its end."""
@@ -82,11 +84,28 @@ class Tally:
         """Takes what came over the world bus; what says nothing of the run is left."""
         with self.lock:
             if isinstance(item, Presence):
-                self.present[self._who(item.role, item.id)] = item.alive
+                self._meet(item)
             elif isinstance(item.message, Progress):
                 self._glimpse(item.message)
             elif isinstance(item.message, Metrics):
                 self._measure(item.message)
+
+    def _meet(self, presence: Presence) -> None:
+        who = self._who(presence.role, presence.id)
+        if presence.alive or who in self._expected:
+            self.present[who] = presence.alive
+            return
+        self.present.pop(who, None)
+        process = who[1]
+        if process not in {name for _, name in self._expected.union(self.present)}:
+            self._forget(process)
+
+    def _forget(self, process: str) -> None:
+        """Makes room, for anybody may invent processes; what is told as `other` goes on."""
+        if process != OTHER:
+            for counts in (self.uploaded_bytes, self.sent_bytes, self.restarts, self.drops):
+                counts.pop(process, None)
+            self._processes.release(process)
 
     def _glimpse(self, progress: Progress) -> None:
         last, since_ns = self.glimpse, progress.sim_time_ns
@@ -126,4 +145,4 @@ class Tally:
         (rising.take_highest if process == OTHER else rising.take)(told)
 
     def _who(self, role: str, process: str) -> tuple[str, str]:
-        return self._roles.label(role), self._processes.label(process)
+        return role if role in ROLES else OTHER, self._processes.label(process)

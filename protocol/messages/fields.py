@@ -48,10 +48,16 @@ def _plausible(boxes: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     return boxes
 
 
-Id = Annotated[str, Field(min_length=1, max_length=128)]
+# Whoever shows a text may show it on a terminal, which obeys control characters. A pattern costs
+# least: pydantic looks for it without calling Python.
+_SEEN = r"^[^\x00-\x1f\x7f-\x9f]*$"
+Id = Annotated[str, Field(min_length=1, max_length=128, pattern=_SEEN)]
 AgentId = Annotated[Id, AfterValidator(_short)]  # many of them must fit into one message
-NetId = Annotated[str, Field(min_length=1, max_length=512)]  # joined junctions have long ones
-Text = Annotated[str, Field(max_length=512)]
+NetId = Annotated[
+    str, Field(min_length=1, max_length=512, pattern=_SEEN)  # joined junctions have long ones
+]
+Text = Annotated[str, Field(max_length=512, pattern=_SEEN)]
+Lights = Annotated[str, Field(max_length=512, pattern="^[GgyYrRsuoO]*$")]  # a letter a link
 FrameNumber = Annotated[int, Field(ge=0, lt=1 << 40)]
 Count = Annotated[int, Field(ge=0, lt=1 << 40)]
 Total = Annotated[int, Field(ge=0, lt=1 << 53)]

@@ -14,6 +14,7 @@ from protocol.messages.fields import (
     DelayNs,
     FrameNumber,
     Id,
+    Lights,
     Text,
     TimeNs,
     Total,
@@ -123,5 +124,5 @@ class Progress(Message):
     detections: Count
     mbps: Annotated[dict[Id, float], *BOUNDED]
     end_to_end_ms: float
-    state: Text
+    state: Lights
     drops: Total

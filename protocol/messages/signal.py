@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 
 from protocol.messages.base import Message
-from protocol.messages.fields import BOUNDED, DelayNs, FrameNumber, NetId, Text, TimeNs
+from protocol.messages.fields import BOUNDED, DelayNs, FrameNumber, Lights, NetId, Text, TimeNs
 
 
 class SignalState(Message):
@@ -17,7 +17,7 @@ class SignalState(Message):
     frame: FrameNumber
     sim_time_ns: TimeNs
     tls: NetId
-    state: Text
+    state: Lights
     stage: Text
     green: Text
     source: Text

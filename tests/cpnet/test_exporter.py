@@ -135,6 +135,34 @@ def test_a_process_is_down_until_it_shows_itself_and_when_it_leaves():
     assert [samples[("cpnet_process_up", "edge", "edge")] for samples in seen] == [0, 1, 0]
 
 
+def test_ghosts_that_come_and_go_leave_no_series_and_a_newcomer_has_its_own():
+    tally = Tally()
+    edge = ProcessEntry("edge", RoleEntry("edge", "edge_server"))
+    tally.expect([edge], [("vehicle", "vehicle-0")])
+    for n in range(4000):
+        tally.take(Presence(f"role{n}", f"ghost{n}", alive=True))
+        tally.take(metrics(f"ghost{n}", drops={"late": 1}))
+        tally.take(Presence(f"role{n}", f"ghost{n}", alive=False))
+    for process in ("vehicle-0", "vehicle-9"):
+        tally.take(Presence("vehicle", process, alive=True))
+        tally.take(metrics(process, drops={"late": 2}))
+    tally.take(Presence("vehicle", "vehicle-0", alive=False))
+    samples = page(tally)
+    up = {key[1:]: value for key, value in samples.items() if key[0] == "cpnet_process_up"}
+    assert up == {("edge", "edge"): 0, ("vehicle-0", "vehicle"): 0, ("vehicle-9", "vehicle"): 1}
+    drops = {key[1:]: value for key, value in samples.items() if key[0] == "cpnet_drops_total"}
+    assert drops == {("vehicle-0", "late"): 2, ("vehicle-9", "late"): 2}
+
+
+def test_ghosts_that_stay_take_no_label_of_those_who_are_expected():
+    tally = Tally()
+    tally.expect([], [("vehicle", "vehicle-0")])
+    for n in range(4000):
+        tally.take(Presence("vehicle", f"ghost{n}", alive=True))
+    tally.take(Presence("vehicle", "vehicle-0", alive=True))
+    assert page(tally)[("cpnet_process_up", "vehicle-0", "vehicle")] == 1
+
+
 def test_restarts_are_counted_and_begin_with_0():
     tally = Tally()
     tally.expect([ProcessEntry("edge", RoleEntry("edge", "edge_server"))])
@@ -154,8 +182,8 @@ def test_the_signals_age_is_simulated_time_since_its_state_changed():
 def test_absurd_figures_leave_a_page_that_can_be_read():
     tally = Tally()
     huge = {"real_time_factor": -1e308, "end_to_end_ms": 1.7e308, "vehicles": (1 << 40) - 1}
-    tally.take(progress(sim_time_ns=(1 << 62) - 1, state="\n" * 512, **huge))
-    tally.take(progress(sim_time_ns=1 - (1 << 62), state="\n" * 512, **huge))
+    tally.take(progress(sim_time_ns=(1 << 62) - 1, state="u" * 512, **huge))
+    tally.take(progress(sim_time_ns=1 - (1 << 62), state="u" * 512, **huge))
     for told in ((1 << 53) - 1, 0) * 50:
         tally.take(metrics(drops={"late": told}))
     samples = page(tally)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from fuzz_watch import forget_peak, peak_kib
 
-from cpnet.watch import MAX_SEEN, Watch
+from cpnet.crowd import MAX_STRANGERS, Crowd
 from edge_server import gathering
 from edge_server.assembler import MAX_OPEN_FRAMES, MAX_PROCESSES, Assembler
 from edge_server.bandwidth import MAX_AGENTS as MAX_BANDWIDTHS
@@ -137,7 +137,7 @@ def test_an_inbox_holds_no_more_than_its_messages_whatever_their_keys():
         assert len(inbox._waiting) <= CAPACITY
         while inbox._queue.qsize():
             inbox.get()
-    assert len(inbox._told) <= CAPACITY
+    assert len(inbox._complaints._told) == 1
     assert len(inbox.drops) < 8
     assert growth.mib < CAPACITY * MAX_KEY >> 20
 
@@ -281,12 +281,11 @@ def test_the_world_counts_the_processes_it_expects_and_a_few_more():
 
 
 def test_whoever_watches_remembers_so_many_processes():
-    watch = Watch.__new__(Watch)
-    watch.present, watch.left, watch._tally = set(), set(), None
+    crowd = Crowd([("edge", "edge")])
     for n in range(5000):
-        watch._take(Presence("vehicle", f"{n}", alive=True))
-        watch._take(Presence("vehicle", f"{n}", alive=bool(n % 2)))
-    assert len(watch.present | watch.left) == MAX_SEEN
+        crowd.hear(Presence("vehicle", f"{n}", alive=True))
+        crowd.hear(Presence("vehicle", f"{n}", alive=bool(n % 2)))
+    assert len(crowd.present | crowd.left) == MAX_STRANGERS
 
 
 @pytest.fixture

@@ -190,7 +190,28 @@ def test_a_key_that_nobody_could_have_made_is_not_kept(caplog: pytest.LogCapture
 
 
 def test_what_others_write_breaks_no_line_of_the_log(caplog):
-    Inbox().refuse("cpnet/v1/a\nERROR all is lost", MessageError("bad\rthing\udcc9"))
+    Inbox().refuse("a", MessageError("bad\rthing\udcc9"), "cpnet/v1/a\nERROR all is lost")
     (record,) = caplog.records
     assert record.getMessage().isprintable()
     assert "a\\x0aERROR all is lost: bad\\x0dthing\\xdcc9" in record.getMessage()
+
+
+def test_one_sender_of_garbage_gets_one_line_whatever_it_writes(caplog: pytest.LogCaptureFixture):
+    inbox = Inbox()
+    for n in range(5000):
+        inbox.put(Sealed(TOPICS["roster"], f"cpnet/v1/r0/roster/p{n}", b"%016d" % n, 0))
+        inbox.get()
+    assert inbox.drops == {"MessageError": 5000}
+    (record,) = caplog.records
+    assert record.getMessage().endswith("(later ones are only counted)")
+
+
+def test_the_log_says_which_line_about_bad_messages_is_the_last(caplog: pytest.LogCaptureFixture):
+    inbox = Inbox()
+    for n in range(200):
+        inbox.refuse(f"topic {n}", MessageError("bad"))
+        inbox.fail(f"topic {n}", ValueError("bad"))
+    assert inbox.drops == {"MessageError": 200, "role_error": 200}
+    assert len(caplog.records) == 64
+    lasts = ["all later ones are only counted" in r.getMessage() for r in caplog.records]
+    assert lasts == [False] * 63 + [True]

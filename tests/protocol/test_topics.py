@@ -72,7 +72,17 @@ def test_a_liveliness_token_tells_role_and_id():
     assert alive_parts(f"{ALIVE}/vehicle/vehicle-0") == ("vehicle", "vehicle-0")
 
 
-@pytest.mark.parametrize("name", ["**", f"{ALIVE}/**", f"{ALIVE}/*/*", f"{ALIVE}/edge/{'x' * 129}"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        f"{ALIVE}/edge/\x1b[2J",
+        f"{ALIVE}/a\nb/edge",
+        "**",
+        f"{ALIVE}/**",
+        f"{ALIVE}/*/*",
+        f"{ALIVE}/edge/{'x' * 129}",
+    ],
+)
 def test_a_token_that_no_process_declares_is_refused(name):
     with pytest.raises(MessageError, match="liveliness"):
         alive_parts(name)

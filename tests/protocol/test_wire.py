@@ -311,6 +311,15 @@ def packed(kind: type[m.Message], header: dict, body: bytes = b"") -> bytes:
         (m.SignalRequest, {"policy": "x" * 513}),
         (m.SignalRequest, {"pressures": [float("nan")]}),
         (m.Progress, {"real_time_factor": float("inf")}),
+        (m.Progress, {"state": "\x1b[2J\x1b]0;owned\x07RED"}),
+        (m.Progress, {"state": "Gx"}),
+        (m.Progress, {"mbps": {"\x1b[2J": 1.0}}),
+        (m.SignalState, {"state": "G\n"}),
+        (m.SignalState, {"tls": "J\x9b2J"}),
+        (m.SignalState, {"source": "plan\n"}),
+        (m.SignalRequest, {"policy": "a\x7f"}),
+        (m.Roster, {"agents": ["a\0"]}),
+        (m.End, {"reason": "\x1b]0;owned\x07"}),
         (m.Metrics, {"drops": {"late": 1 << 53}}),
         (m.Metrics, {"spans": [{"stage": "x", "start_ns": 1 << 63, "end_ns": 0}]}),
         (m.LaneCounts, {"upstream": {"a": -1}}),
@@ -336,6 +345,7 @@ def test_what_is_out_of_bounds_is_refused(example: type[m.Message], changes: dic
         (m.Detections, {"sources": []}, "lists have lengths"),
         (m.AgentPose, {"pose": np.full(6, 1e4)}, "1e3 rad"),
         (m.AgentPose, {"position_std_m": 1001.0}, "position_std_m"),
+        (m.AgentPose, {"agent": "a\r"}, "AgentPose.agent"),
         (m.AgentPose, {"agent": "é" * 65}, "more than 128 bytes"),
         (m.Objects, {"boxes": np.full((1, 7), 2e7, np.float32)}, "beyond 1e7"),
         (m.Objects, {"boxes": np.ones((4097, 7), np.float32)}, "4097 boxes, limit 4096"),
@@ -380,3 +390,19 @@ def test_only_a_setup_may_have_a_large_header():
         head = wire.PREFIX.pack(wire.MAGIC, 1, kind.kind, limit + 1, 0)
         with pytest.raises(MessageError, match=f"limit {limit}"):
             wire.decode(head, kind)
+
+
+@given(st.text(max_size=512))
+def test_a_text_comes_through_unless_a_terminal_would_obey_it(text: str):
+    controls = {chr(code) for code in (*range(32), *range(127, 160))}
+    data = packed(m.End, {"frames": 1, "reason": text})
+    if controls & set(text):
+        with pytest.raises(MessageError, match=r"End\.reason"):
+            wire.decode(data, m.End)
+    else:
+        assert wire.decode(data, m.End).reason == text
+
+
+def test_a_setups_scenario_may_hold_several_lines():
+    setup = EXAMPLES[0].model_copy(update={"scenario": {"note": "one\nanother\n"}})
+    assert wire.decode(wire.encode(setup), m.Setup).scenario == {"note": "one\nanother\n"}
