@@ -44,7 +44,8 @@ def view(
     step_back()
     with _needs_extra():
         from viewer.log import Log
-        from viewer.sinks import opened
+        from viewer.sinks import check, opened
+    check(screen.port, screen.save)
     with _attached(run, connect, keys, live.TOPICS) as (onlooker, interruption):
         scene = Scene(onlooker.setup(SETUP_S))
         with opened(screen.port, screen.save, scene) as sink:
