@@ -5,11 +5,13 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 from rich.console import Console
 
 from cpnet.follow import Interruption
+from cpnet.looking import looking_for
 from cpnet.running import Running
 from protocol.errors import ConfigError
 from protocol.onlooker import Onlooker
@@ -37,14 +39,15 @@ def tape_run(
     next_path = _next_path(running, out)
     give_way()
     signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # a run that waits would stand still as well
-    with (
-        Interruption() as interruption,
-        Onlooker(
-            running.v2x, running.world, choice.topics, yields=running.run_dir is None
-        ) as onlooker,
-    ):
-        stop = interruption.event
-        taping = Taping(onlooker.setup(), next_path, onlooker.inbox, choice, stop)
+    with ExitStack() as stack:
+        with looking_for(running, console):
+            yields = running.run_dir is None
+            onlooker = stack.enter_context(
+                Onlooker(running.v2x, running.world, choice.topics, yields=yields)
+            )
+            setup = onlooker.setup()
+        stop = stack.enter_context(Interruption()).event
+        taping = Taping(setup, next_path, onlooker.inbox, choice, stop)
         console.print(f"taping to {taping.writer.files[0]}; Ctrl-C ends it", soft_wrap=True)
         if duration_s is not None:
             alarm = threading.Timer(duration_s, stop.set)
