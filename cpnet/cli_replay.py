@@ -90,7 +90,9 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
 
         names = [name.strip() for name in sensors.split(",")] if sensors else []
         source = Source(scans, poses, extrinsics, names, refine=refine)
-        played = played_scans(Scans(source, scenario, overrides, frames, height, width), pace)
+        played = played_scans(
+            Scans(source, scenario, overrides, frames, height, width), pace, console
+        )
     status, run_dir = up(Options("", {}, None, [], [], out), console, played)
     conclude(run_dir)
     raise typer.Exit(status)
