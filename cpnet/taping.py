@@ -13,7 +13,8 @@ from rich.console import Console
 from cpnet.follow import Interruption
 from cpnet.looking import looking_for
 from cpnet.running import Running
-from protocol.errors import ConfigError
+from protocol.errors import ConfigError, CpnetError
+from protocol.files import is_file, is_free
 from protocol.onlooker import Onlooker
 from protocol.process import loop
 from tape.names import next_file
@@ -54,25 +55,33 @@ def tape_run(
             alarm.daemon = True
             alarm.start()
         try:
-            loop(taping, onlooker.inbox, stop)
-        finally:
-            taping.close()
+            _tape(taping, onlooker, stop)
+        except CpnetError:
+            _tell(taping, console, "readable as far as it goes: ")
+            raise
     _tell(taping, console)
+
+
+def _tape(taping: Taping, onlooker: Onlooker, stop: threading.Event) -> None:
+    try:
+        loop(taping, onlooker.inbox, stop)
+    finally:
+        taping.close()
 
 
 def _next_path(running: Running, out: Path | None) -> Callable[[], Path]:
     if out is None:
         folder = running.run_dir or Path()
         return lambda: next_file(folder, STEM)
-    if out.suffix != ".mcap" or out.exists() or not out.parent.is_dir():
+    if out.suffix != ".mcap" or not is_free(out):
         raise ConfigError(f"--out {out}: needs a new file NAME.mcap in a folder that is there")
-    return lambda: out if not out.exists() else next_file(out.parent, out.stem)
+    return lambda: out if not is_file(out) else next_file(out.parent, out.stem)
 
 
-def _tell(taping: Taping, console: Console) -> None:
+def _tell(taping: Taping, console: Console, before: str = "") -> None:
     writer = taping.writer
     names = ", ".join(map(str, writer.files))
-    line = f"{names}: {writer.messages} messages, {writer.size_bytes / 1e6:.1f} MB"
+    line = f"{before}{names}: {writer.messages} messages, {writer.size_bytes / 1e6:.1f} MB"
     line += f", {taping.dropped} dropped"
     if taping.scene is not None:
         frames, clouds = taping.scene.frames_left_out, taping.scene.clouds_left_out

@@ -16,7 +16,7 @@ import rerun as rr
 import rerun_cli
 
 from protocol.errors import ConfigError, CpnetError
-from protocol.files import is_folder
+from protocol.files import is_free
 from viewer.blueprint import blueprint
 from viewer.scene import Scene
 
@@ -74,17 +74,10 @@ def check(port: int | None, save: Path | None) -> None:
         ConfigError: the port is taken, or the file is there already or cannot be.
     """
     if save is not None:
-        if save.suffix != ".rrd" or _is_taken(save) or not is_folder(save.parent):
+        if save.suffix != ".rrd" or not is_free(save):
             raise ConfigError(f"--save {save}: needs a new file NAME.rrd in a folder that is there")
     elif port is not None:
         _check_free(port)
-
-
-def _is_taken(path: Path) -> bool:
-    try:
-        return path.exists() or path.is_symlink()
-    except (OSError, ValueError) as error:  # no file can be called so
-        raise ConfigError(f"--save {path}: {error}") from None
 
 
 def _finish(recording: rr.RecordingStream) -> None:
