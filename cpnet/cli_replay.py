@@ -77,7 +77,7 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
         named = [scans, poses, extrinsics, sensors, scenario, frames, height]
         if any(option is not None for option in named):
             raise ConfigError("--poses and all that is for scans from elsewhere needs --scans DIR")
-        played = played_tape(tape, overrides, pace)
+        played = played_tape(tape, overrides, pace, console)
     elif refine and extrinsics is None:
         raise ConfigError(
             "--refine needs --extrinsics FILE: a first guess of how sensors are mounted"
@@ -90,7 +90,9 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
 
         names = [name.strip() for name in sensors.split(",")] if sensors else []
         source = Source(scans, poses, extrinsics, names, refine=refine)
-        played = played_scans(Scans(source, scenario, overrides, frames, height, width), pace)
+        played = played_scans(
+            Scans(source, scenario, overrides, frames, height, width), pace, console
+        )
     status, run_dir = up(Options("", {}, None, [], [], out), console, played)
     conclude(run_dir)
     raise typer.Exit(status)

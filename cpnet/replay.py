@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from rich.console import Console
+
 from cpnet import scenario as scenarios
 from cpnet.preparation import Played
 from player.survey import Survey
@@ -42,9 +44,17 @@ class Pace:
         return cls() if speed is None else cls("realtime", speed)
 
 
-def played_tape(path: Path, overrides: dict[str, Any], pace: Pace) -> Played:
-    """Returns the replay of a tape; see `setup_of`."""
+def played_tape(path: Path, overrides: dict[str, Any], pace: Pace, console: Console) -> Played:
+    """Returns the replay of a tape, and says what of it cannot be read; see `setup_of`."""
     setup = setup_of(path, overrides, pace)
+    if damaged := setup.scenario["replay"]["damaged"]:
+        frames = round(setup.scenario["duration_s"] / setup.scenario["frame_period_s"])
+        parts = "1 part" if damaged == 1 else f"{damaged} parts"
+        console.print(
+            f"{path}: the tape is damaged or was cut off: {parts} cannot be read; "
+            f"{frames} frames are played",
+            markup=False, highlight=False, soft_wrap=True,
+        )  # fmt: skip
     return Played(setup.scenario["name"], lambda _: setup)
 
 
@@ -60,7 +70,7 @@ def setup_of(path: Path, overrides: dict[str, Any], pace: Pace) -> Setup:
     data = tape.setup.scenario
     most_s = survey.frames * float(data["frame_period_s"])
     facts: dict[str, Any] = {
-        "replay": {"tape": str(path.resolve()), "speed": pace.speed},
+        "replay": {"tape": str(path.resolve()), "speed": pace.speed, "damaged": _damaged(tape)},
         "duration_s": most_s,
         "processes.vehicle": max(survey.vehicles, 1),
         "record.tape": False,
@@ -77,6 +87,14 @@ def setup_of(path: Path, overrides: dict[str, Any], pace: Pace) -> Setup:
     _check_cabinet(scenario)
     changed = {"scenario": scenario.model_dump(mode="json"), "version": own_version()}
     return tape.setup.model_copy(update=changed)
+
+
+def _damaged(tape: Tape) -> int:
+    """Returns how many parts of a tape that was gone through cannot be read.
+
+    An end that is missing is one: nobody can know how much would have followed.
+    """
+    return tape.drops.total() or int(not tape.is_whole)
 
 
 def check_overrides(overrides: dict[str, Any]) -> None:

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
 
 from cpnet import scenario as scenarios
 from cpnet.preparation import Played
 from cpnet.replay import Pace
-from player.scans.agents import Source, agents_of
+from player.scans.agents import Source, agents_of, check_clocks
 from player.scans.extrinsics import write_extrinsics
 from player.scans.ground import open_ground
 from player.scans.taping import STEM, Imported, tape_scans
@@ -39,8 +40,8 @@ class Scans:
     width_m: float = 60.0
 
 
-def played_scans(asked: Scans, pace: Pace) -> Played:
-    """Returns the replay; the tape is made in its run folder.
+def played_scans(asked: Scans, pace: Pace, console: Console) -> Played:
+    """Returns the replay; the tape is made in its run folder, and clouds without points are told.
 
     Raises:
         ConfigError: files or the scenario cannot be used.
@@ -51,6 +52,7 @@ def played_scans(asked: Scans, pace: Pace) -> Played:
         agents = [agent.moved(-origin_m) for agent in agents]
     imported = Imported.of(agents, asked.frames, asked.height_m)
     scenario = _scenario(asked, pace, imported.frames)
+    check_clocks(agents, scenario.frame_period_s, asked.source.poses)
 
     def setup(run_dir: Path) -> Setup:
         tape = str(run_dir / f"{STEM}.mcap")
@@ -62,7 +64,9 @@ def played_scans(asked: Scans, pace: Pace) -> Played:
             from sim_host.setup import build_setup  # SUMO is needed for its roads alone
 
             made = build_setup(whole, run_dir)
-        tape_scans(imported, made, run_dir)
+        if empty := tape_scans(imported, made, run_dir):
+            clouds = imported.frames * len(agents)
+            console.print(f"{empty} of {clouds} clouds hold no point", highlight=False)
         if asked.source.refine:
             write_extrinsics(run_dir / EXTRINSICS, agents[0].mounts)
         return made

@@ -13,6 +13,7 @@ from cpnet.endpoints import Endpoints, connecting, places
 from cpnet.security import WATCH
 from protocol.bus import Endpoint
 from protocol.errors import ConfigError
+from protocol.files import is_file
 from protocol.keys import Keys
 from protocol.topics import BusName
 
@@ -76,7 +77,7 @@ def _newest() -> Running:
 
 def _in(run_dir: Path, keys: Path | None) -> Running:
     path = run_dir / FILE_NAME
-    if not path.is_file() or not _is_alive(path):
+    if not is_file(path) or not _is_alive(path):
         raise ConfigError(
             f"{run_dir}: no run goes on there; `cpnet up --out {run_dir}` would start one"
         )
@@ -119,4 +120,7 @@ def _is_alive(path: Path) -> bool:
 
 
 def _age_ns(path: Path) -> int:
-    return -path.stat().st_mtime_ns
+    try:
+        return -path.stat().st_mtime_ns
+    except OSError:  # the run has ended since it was found
+        return 0

@@ -5,13 +5,16 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 from rich.console import Console
 
 from cpnet.follow import Interruption
+from cpnet.looking import looking_for
 from cpnet.running import Running
-from protocol.errors import ConfigError
+from protocol.errors import ConfigError, CpnetError
+from protocol.files import is_file, is_free
 from protocol.onlooker import Onlooker
 from protocol.process import loop
 from tape.names import next_file
@@ -37,39 +40,48 @@ def tape_run(
     next_path = _next_path(running, out)
     give_way()
     signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # a run that waits would stand still as well
-    with (
-        Interruption() as interruption,
-        Onlooker(
-            running.v2x, running.world, choice.topics, yields=running.run_dir is None
-        ) as onlooker,
-    ):
-        stop = interruption.event
-        taping = Taping(onlooker.setup(), next_path, onlooker.inbox, choice, stop)
+    with ExitStack() as stack:
+        with looking_for(running, console):
+            yields = running.run_dir is None
+            onlooker = stack.enter_context(
+                Onlooker(running.v2x, running.world, choice.topics, yields=yields)
+            )
+            setup = onlooker.setup()
+        stop = stack.enter_context(Interruption()).event
+        taping = Taping(setup, next_path, onlooker.inbox, choice, stop)
         console.print(f"taping to {taping.writer.files[0]}; Ctrl-C ends it", soft_wrap=True)
         if duration_s is not None:
             alarm = threading.Timer(duration_s, stop.set)
             alarm.daemon = True
             alarm.start()
         try:
-            loop(taping, onlooker.inbox, stop)
-        finally:
-            taping.close()
+            _tape(taping, onlooker, stop)
+        except CpnetError:
+            _tell(taping, console, "readable as far as it goes: ")
+            raise
     _tell(taping, console)
+
+
+def _tape(taping: Taping, onlooker: Onlooker, stop: threading.Event) -> None:
+    try:
+        loop(taping, onlooker.inbox, stop)
+    finally:
+        taping.close()
 
 
 def _next_path(running: Running, out: Path | None) -> Callable[[], Path]:
     if out is None:
         folder = running.run_dir or Path()
         return lambda: next_file(folder, STEM)
-    if out.suffix != ".mcap" or out.exists() or not out.parent.is_dir():
+    if out.suffix != ".mcap" or not is_free(out):
         raise ConfigError(f"--out {out}: needs a new file NAME.mcap in a folder that is there")
-    return lambda: out if not out.exists() else next_file(out.parent, out.stem)
+    return lambda: out if not is_file(out) else next_file(out.parent, out.stem)
 
 
-def _tell(taping: Taping, console: Console) -> None:
+def _tell(taping: Taping, console: Console, before: str = "") -> None:
     writer = taping.writer
     names = ", ".join(map(str, writer.files))
-    line = f"{names}: {writer.messages} messages, {writer.size_bytes / 1e6:.1f} MB"
+    line = f"{before}{names}: {writer.messages} messages, {writer.size_bytes / 1e6:.1f} MB"
     line += f", {taping.dropped} dropped"
     if taping.scene is not None:
         frames, clouds = taping.scene.frames_left_out, taping.scene.clouds_left_out

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 
 from cpnet.follow import Interruption
-from cpnet.running import find
+from cpnet.looking import looking_for
+from cpnet.running import Running, find
 from protocol.errors import ConfigError
+from protocol.messages import Setup
 from protocol.onlooker import Onlooker
 from viewer import live
 from viewer.live import Live, modest_inbox, step_back
@@ -44,9 +46,11 @@ def view(
     step_back()
     with _needs_extra():
         from viewer.log import Log
-        from viewer.sinks import opened
-    with _attached(run, connect, keys, live.TOPICS) as (onlooker, interruption):
-        scene = Scene(onlooker.setup(SETUP_S))
+        from viewer.sinks import check, opened
+    check(screen.port, screen.save)
+    found = find(run, connect, keys)
+    with _attached(found, live.TOPICS, console) as (onlooker, setup, interruption):
+        scene = Scene(setup)
         with opened(screen.port, screen.save, scene) as sink:
             console.print(sink.where, highlight=False, soft_wrap=True)
             following = Live(onlooker, scene, Log(sink.recording, scene), screen.fps)
@@ -68,8 +72,9 @@ def top(
         BusError: the run does not answer.
     """
     step_back()
-    with _attached(run, connect, keys, board.TOPICS) as (onlooker, interruption):
-        filled = board.Board(onlooker.setup(SETUP_S))
+    found = find(run, connect, keys)
+    with _attached(found, board.TOPICS, console) as (onlooker, setup, interruption):
+        filled = board.Board(setup)
         if once:
             show.show_once(onlooker, filled, console, interruption.event)
         else:
@@ -78,21 +83,23 @@ def top(
 
 @contextmanager
 def _attached(
-    run: Path | None, connect: list[str], keys: Path | None, topics: Iterable[str]
-) -> Iterator[tuple[Onlooker, Interruption]]:
-    found = find(run, connect, keys)
-    with (
-        Interruption() as interruption,
-        Onlooker(
-            found.v2x,
-            found.world,
-            topics,
-            inbox=modest_inbox(),
-            timeout_ms=CONNECT_MS,
-            yields=True,
-        ) as onlooker,
-    ):
-        yield onlooker, interruption
+    run: Running, topics: Iterable[str], console: Console
+) -> Iterator[tuple[Onlooker, Setup, Interruption]]:
+    """Until it is attached a signal ends the command as any other; there is nothing to close."""
+    with ExitStack() as stack:
+        with looking_for(run, console):
+            onlooker = stack.enter_context(
+                Onlooker(
+                    run.v2x,
+                    run.world,
+                    topics,
+                    inbox=modest_inbox(),
+                    timeout_ms=CONNECT_MS,
+                    yields=True,
+                )
+            )
+            setup = onlooker.setup(SETUP_S)
+        yield onlooker, setup, stack.enter_context(Interruption())
 
 
 @contextmanager

@@ -14,3 +14,4 @@ class ReplayConfig(Section):
     speed: float = Field(
         1.0, gt=0, le=100, description="realtime: how many times as fast as it was recorded"
     )
+    damaged: int = Field(0, ge=0, description="parts of the tape that cannot be read: told once")

@@ -28,5 +28,7 @@ def sim_role(context: Context) -> SimRole:
         steps=max(1, round(scenario["frame_period_s"] / traffic.step_s)),
         warmup_ns=round(traffic.warmup_s * 1e9),
     )
+    if replay.damaged:  # found before the start; of all who read the tape, this one tells
+        context.inbox.drops["damaged_on_tape"] += replay.damaged
     role = SimRole(context, world, first_frame=world.first_frame, speed=replay.speed)
     return role.open()

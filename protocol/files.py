@@ -19,3 +19,14 @@ def is_folder(name: str | Path) -> bool:
         return Path(name).is_dir()
     except (OSError, ValueError):
         return False
+
+
+def is_free(path: Path) -> bool:
+    """Returns whether a new file may be made there: nothing is, but its folder."""
+    try:
+        path.lstat()
+    except FileNotFoundError:
+        return is_folder(path.parent)
+    except (OSError, ValueError):
+        return False
+    return False

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from typing import TypeVar
 
 from protocol.bus import CONNECT_TIMEOUT_MS, Endpoint, ZenohBus, open_bus
 from protocol.errors import BusError
@@ -17,6 +18,8 @@ ALL_TOPICS = frozenset(TOPICS) - ASKED
 _ASK_S = 2.0
 _CLOSE_S = 1.0
 _POLL_S = 0.1
+
+T = TypeVar("T")
 
 
 class Onlooker:
@@ -55,8 +58,8 @@ class Onlooker:
         try:
             for name, endpoint in ((BusName.V2X, v2x), (BusName.WORLD, world)):
                 place = replace(endpoint, yields=yields)
-                self._buses[name] = open_bus(name, place, self.inbox, timeout_ms)
-        except BusError:
+                self._open(name, place, timeout_ms)
+        except BaseException:  # an interruption as well
             self._hang_up()
             raise
         self._world = world
@@ -80,7 +83,7 @@ class Onlooker:
         """
         until_ns = time.monotonic_ns() + round(patience_s * 1e9)
         while time.monotonic_ns() < until_ns:
-            if found := self._buses[BusName.WORLD].ask("setup", Setup, _ASK_S):
+            if found := _aside(lambda: self._buses[BusName.WORLD].ask("setup", Setup, _ASK_S)):
                 return found
         raise BusError(f"{self._world.locator} is up, but nobody there tells the setup of a run")
 
@@ -100,6 +103,9 @@ class Onlooker:
         for bus in self._buses.values():
             bus.announce(role, process_id)
 
+    def _open(self, name: BusName, place: Endpoint, timeout_ms: int) -> None:
+        self._buses[name] = _aside(lambda: open_bus(name, place, self.inbox, timeout_ms))
+
     def _hang_up(self) -> None:
         """Closes both buses; a router may be gone already, and nobody is to wait for it."""
         closing = [threading.Thread(target=bus.close, daemon=True) for bus in self._buses.values()]
@@ -107,3 +113,26 @@ class Onlooker:
             thread.start()
         for thread in closing:
             thread.join(_CLOSE_S)
+
+
+def _aside(work: Callable[[], T]) -> T:
+    """Works in another thread: within a call into Zenoh no signal would be heeded.
+
+    Short tries would heed them too, but a handshake over a slow link may take longer than one.
+    """
+    done: list[T] = []
+    failed: list[Exception] = []
+
+    def run() -> None:
+        try:
+            done.append(work())
+        except Exception as error:  # noqa: BLE001 - is raised again below
+            failed.append(error)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    while thread.is_alive():
+        thread.join(_POLL_S)
+    if failed:
+        raise failed[0]
+    return done[0]

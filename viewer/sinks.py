@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import socket
 import subprocess
 import time
@@ -14,7 +15,8 @@ from urllib.parse import quote
 import rerun as rr
 import rerun_cli
 
-from protocol.errors import ConfigError
+from protocol.errors import ConfigError, CpnetError
+from protocol.files import is_free
 from viewer.blueprint import blueprint
 from viewer.scene import Scene
 
@@ -24,6 +26,8 @@ MEMORY = "128MiB"
 _HERE = "127.0.0.1"
 _PATIENCE_S = 20.0
 _FLUSH_S = 5.0
+_SAVE_S = 60.0
+_LEAST_FREE_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +45,9 @@ def opened(port: int | None, save: Path | None, scene: Scene) -> Iterator[Sink]:
 
     Raises:
         ConfigError: the port is taken, the file cannot be written, or the viewer does not start.
+        CpnetError: at the end: the file is not whole, for the disk is full or fails.
     """
+    check(port, save)
     recording = rr.RecordingStream(APPLICATION)
     with ExitStack() as stack:
         if save is not None:
@@ -55,7 +61,23 @@ def opened(port: int | None, save: Path | None, scene: Scene) -> Iterator[Sink]:
         try:
             yield sink
         finally:
-            _finish(recording)
+            if save is None:
+                _finish(recording)
+            else:
+                _finish_file(recording, save)
+
+
+def check(port: int | None, save: Path | None) -> None:
+    """Finds what can be found wrong before there is a run to show.
+
+    Raises:
+        ConfigError: the port is taken, or the file is there already or cannot be.
+    """
+    if save is not None:
+        if save.suffix != ".rrd" or not is_free(save):
+            raise ConfigError(f"--save {save}: needs a new file NAME.rrd in a folder that is there")
+    elif port is not None:
+        _check_free(port)
 
 
 def _finish(recording: rr.RecordingStream) -> None:
@@ -64,12 +86,34 @@ def _finish(recording: rr.RecordingStream) -> None:
     recording.disconnect()
 
 
+def _finish_file(recording: rr.RecordingStream, path: Path) -> None:
+    try:
+        recording.flush(timeout_sec=_SAVE_S)
+    except RuntimeError as error:
+        raise CpnetError(
+            f"--save {path} is not whole: {error}; {_free_bytes(path)} bytes of the disk are free"
+        ) from None
+    finally:
+        recording.disconnect()
+    if (free_bytes := _free_bytes(path)) < _LEAST_FREE_BYTES:  # its end is written without a word
+        raise CpnetError(
+            f"--save {path} is not whole: {free_bytes} bytes of the disk are free, its end may lack"
+        )
+
+
+def _free_bytes(path: Path) -> int:
+    try:
+        return shutil.disk_usage(path.parent).free
+    except OSError:  # the disk is gone as a whole
+        return 0
+
+
 def _file(recording: rr.RecordingStream, path: Path, scene: Scene) -> Sink:
     try:
-        path.touch()
-    except OSError as error:
-        raise ConfigError(f"--save {path}: {error.strerror}") from None
-    recording.save(path, default_blueprint=blueprint(scene))
+        path.open("xb").close()
+        recording.save(path, default_blueprint=blueprint(scene))
+    except (OSError, RuntimeError) as error:
+        raise ConfigError(f"--save {path}: {error}") from None
     return Sink(recording, f"writing {path}; `rerun {path}` shows it")
 
 

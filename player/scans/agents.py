@@ -47,6 +47,12 @@ class Agent:
         """Returns the pose (6,) of a frame's files; of a sensor that stood still, always one."""
         return np.asarray(self.track.poses[number if len(self.track.poses) > 1 else 0])
 
+    @property
+    def times_s(self) -> Floats | None:
+        """When each frame was (N,); None if nobody told, or of the one pose alone."""
+        times_s = self.track.times_s
+        return times_s if times_s is not None and len(times_s) == len(self.files) else None
+
     def moved(self, by_m: Floats) -> Agent:
         """Returns the agent with its poses shifted in the map frame by (3,)."""
         shift = np.concatenate([by_m, np.zeros(3)])
@@ -98,6 +104,24 @@ def agents_of(source: Source) -> list[Agent]:
     for agent in agents:
         _check(agent, len(agents[0].files), source.poses)
     return agents
+
+
+def check_clocks(agents: Sequence[Agent], period_s: float, path: Path) -> None:
+    """Finds agents whose poses were timed by other clocks, or whose frames are not together.
+
+    Raises:
+        ConfigError: the times of a frame are more than half a period apart.
+    """
+    timed = [agent for agent in agents if agent.times_s is not None]
+    for other in timed[1:]:
+        assert timed[0].times_s is not None
+        assert other.times_s is not None
+        apart = np.abs(other.times_s - timed[0].times_s) > period_s / 2
+        if apart.any():
+            raise ConfigError(
+                f"{path}: agents {timed[0].name} and {other.name} have other times in frame "
+                f"{int(apart.argmax())}: all need one clock"
+            )
 
 
 def _track_of(name: str, tracks: Mapping[str, Track], agents: int, path: Path) -> Track:

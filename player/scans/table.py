@@ -38,15 +38,11 @@ def rows_of(path: Path, others: Sequence[str]) -> Iterator[Row]:
     try:
         names = [name.strip() for name in reader.fieldnames or []]
         reader.fieldnames = names
-        allowed = [*PLACE, *TURN, *others]
-        if missing := [name for name in PLACE if name not in names]:
-            raise ConfigError(f"{path}: line 1: lacks the column {missing[0]}")
-        if odd := [name for name in names if name not in allowed]:
-            raise ConfigError(
-                f"{path}: line 1: unknown column {odd[0]!r:.40}; allowed: {', '.join(allowed)}"
-            )
+        _check_names(names, [*PLACE, *TURN, *others], path)
         for line in reader:
             where = f"{path}: line {reader.line_num}"
+            if None in line:  # where the reader puts what has no column
+                raise ConfigError(f"{where}: has more fields than the {len(names)} columns")
             yield Row(
                 where,
                 _pose(line, where),
@@ -54,6 +50,17 @@ def rows_of(path: Path, others: Sequence[str]) -> Iterator[Row]:
             )
     except csv.Error as error:  # it has not counted the line that it failed on
         raise ConfigError(f"{path}: line {reader.line_num + 1}: {error}") from None
+
+
+def _check_names(names: Sequence[str], allowed: Sequence[str], path: Path) -> None:
+    if missing := [name for name in PLACE if name not in names]:
+        raise ConfigError(f"{path}: line 1: lacks the column {missing[0]}")
+    if odd := [name for name in names if name not in allowed]:
+        raise ConfigError(
+            f"{path}: line 1: unknown column {odd[0]!r:.40}; allowed: {', '.join(allowed)}"
+        )
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ConfigError(f"{path}: line 1: has the column {twice[0]} twice")
 
 
 def _pose(line: dict[str, str | None], where: str) -> Floats:

@@ -40,14 +40,15 @@ class Imported:
         """Finds the ground below each agent, unless it is told how high they are over it.
 
         Raises:
-            ConfigError: a cloud cannot be read.
+            ConfigError: a cloud cannot be read, or the first of an agent is empty.
         """
-        heights_m = {
-            agent.name: height_m
-            if height_m is not None
-            else height_over_ground_m(agent.cloud(0), SE3.from_pose(agent.pose(0)))
-            for agent in agents
-        }
+        heights_m: dict[str, float] = {}
+        for agent in agents:
+            cloud = agent.cloud(0)
+            if not len(cloud.points):
+                raise ConfigError(f"{next(iter(agent.files[0].values()))}: holds no point")
+            found_m = height_over_ground_m(cloud, SE3.from_pose(agent.pose(0)))
+            heights_m[agent.name] = found_m if height_m is None else height_m
         return cls(agents, heights_m, frames or len(agents[0].files))
 
     def ways(self) -> dict[str, Floats]:
@@ -74,18 +75,18 @@ class Imported:
 
     def times_ns(self, period_ns: int) -> list[int]:
         """Returns the simulated time of each frame: as told, else by the period."""
-        times_s = self.agents[0].track.times_s
-        if times_s is None or len(times_s) != self._numbers or self.repeats:
-            return [frame * period_ns for frame in range(self.frames)]
-        return [round((time_s - times_s[0]) * 1e9) for time_s in times_s[: self.frames]]
+        for agent in self.agents:
+            if (times_s := agent.times_s) is not None and not self.repeats:
+                return [round((time_s - times_s[0]) * 1e9) for time_s in times_s[: self.frames]]
+        return [frame * period_ns for frame in range(self.frames)]
 
     @property
     def _numbers(self) -> int:
         return len(self.agents[0].files)
 
 
-def tape_scans(imported: Imported, setup: Setup, folder: Path) -> None:
-    """Writes the tape of a setup into a folder.
+def tape_scans(imported: Imported, setup: Setup, folder: Path) -> int:
+    """Writes the tape of a setup into a folder; returns how many clouds have no point.
 
     Raises:
         ConfigError: a cloud cannot be read or encoded.
@@ -100,6 +101,7 @@ def tape_scans(imported: Imported, setup: Setup, folder: Path) -> None:
             writer.settle(time.monotonic_ns())
     finally:
         writer.close({})
+    return made.empty
 
 
 class _Maker:
@@ -111,6 +113,7 @@ class _Maker:
         self._upload = UploadConfig.model_validate(scenario["upload"])
         self._times_ns = imported.times_ns(round(scenario["frame_period_s"] * 1e9))
         self._encoded: dict[tuple[str, int], Scan] = {}
+        self.empty = 0
 
     def frame(self, frame: int) -> list[Envelope]:
         """Returns all that is said in a frame."""
@@ -127,6 +130,7 @@ class _Maker:
         for agent in self._imported.agents:
             where = {"region": self._region, "process": PROCESS, "agent": agent.name}
             scan = self._scan(agent, number).model_copy(update=about)
+            self.empty += not scan.points
             said += [
                 self._item("pose", self._pose(agent, number).model_copy(update=about), **where),
                 self._item("scan", scan, **where, chunk="0"),

@@ -91,6 +91,14 @@ def test_links_out_of_the_docs_lead_to_files(generate) -> None:
     assert [path for path in linked if not (ROOT / path).is_file()] == []
 
 
+def test_files_that_the_docs_include_are_there_and_marked_as_the_site_reads_it() -> None:
+    pages = [page.read_text("utf-8") for page in (ROOT / "docs").glob("*.md")]
+    assert [line for page in pages for line in page.splitlines() if "8 <" in line] == []
+    included = [path for page in pages for path in re.findall(r'^--8<-- "([^"]+)"$', page, re.M)]
+    assert included
+    assert [path for path in included if not (ROOT / path).is_file()] == []
+
+
 @pytest.mark.skipif(
     importlib.util.find_spec("material") is None, reason="needs mkdocs-material (extra `docs`)"
 )

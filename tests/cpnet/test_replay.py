@@ -7,11 +7,12 @@ import pytest
 
 pytest.importorskip("mcap", reason="needs the extra `tape`")
 
+from rich.console import Console
 from typer.testing import CliRunner
 
 from cpnet import scenario as scenarios
 from cpnet.cli import app
-from cpnet.replay import Pace, setup_of
+from cpnet.replay import Pace, played_tape, setup_of
 from protocol.errors import ConfigError
 from recorder.run import Run
 from recorder.tables import (
@@ -24,6 +25,7 @@ from recorder.tables import (
     UploadRow,
 )
 from studies.solo import play_setup
+from studies.summary import summarise
 from tests.cpnet.conftest import Shell
 
 REAP = ["upload.policy=reap", "link.profile=300kbit,20ms", "link.roadside_profile=lte"]
@@ -86,6 +88,24 @@ def test_over_a_slower_link_less_is_sent(tmp_path, taped):
         for run in (taped, slower)
     ]
     assert 0 < sent[1] < sent[0]
+
+
+def test_of_a_tape_that_was_cut_off_all_are_told_and_it_is_counted_once(tmp_path, taped, capsys):
+    whole = (taped / "run.mcap").read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[: len(whole) * 3 // 4])
+    setup = played_tape(cut, {}, Pace(), Console()).setup(tmp_path)
+    frames = round(setup.scenario["duration_s"] * 10)
+    said = f"cut off: 1 part cannot be read; {frames} frames are played"
+    assert said in capsys.readouterr().out
+    assert 5 < frames < 30
+    run_dir = solo(cut, tmp_path / "played")
+    summary = summarise(run_dir)
+    counts = [reasons.get("damaged_on_tape", 0) for reasons in summary["drops_by_reason"].values()]
+    assert sum(counts) == 1
+    assert summary["frames"] == frames
+    played_tape(taped, {}, Pace(), Console())
+    assert capsys.readouterr().out == ""
 
 
 def test_another_detector_finds_others_in_the_same_scans(tmp_path, taped):

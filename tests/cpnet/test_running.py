@@ -49,6 +49,19 @@ def test_a_run_elsewhere_has_two_buses():
         find(None, ["v2x=host:7447"], None)
 
 
+def test_a_run_that_ends_while_it_is_looked_for_is_none(tmp_path, monkeypatch):
+    monkeypatch.setattr(running, "RUNS", tmp_path)
+    (tmp_path / "gone").mkdir()
+    (tmp_path / "gone" / "buses.json").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(ConfigError, match="no run goes on in"):
+        find(None, [], None)
+
+
+def test_a_name_that_no_folder_can_have_is_no_run(tmp_path):
+    with pytest.raises(ConfigError, match="no run goes on there"):
+        find(tmp_path / ("x" * 300), [], None)
+
+
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"pid": "x"}'])
 def test_a_damaged_note_is_no_run(tmp_path, text):
     (tmp_path / "buses.json").write_text(text)

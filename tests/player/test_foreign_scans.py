@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 import places
 import pytest
+from rich.console import Console
 
 pytest.importorskip("mcap", reason="needs the extra `tape`")
 
 from cpnet.replay import Pace
 from cpnet.replay_scans import Scans, played_scans
 from player.scans.agents import Source, agents_of
+from player.scans.taping import Imported
 from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from recorder.run import Run
@@ -24,7 +26,7 @@ CARS = [(9.0, 3.0, 0.1), (-8.0, -5.0, 0.0)]
 
 
 def played(folder: Path, asked: Scans) -> Path:
-    made = played_scans(asked, Pace())
+    made = played_scans(asked, Pace(), Console())
     folder.mkdir()
     play_setup(made.setup(folder), folder)
     return folder
@@ -109,6 +111,38 @@ def test_poses_that_do_not_fit_the_scans_are_refused(tmp_path):
         agents_of(Source(tmp_path / "a", poses))
     with pytest.raises(ConfigError, match=r"has no poses of the agent 'x'; .* the column agent"):
         agents_of(Source(tmp_path / "b", poses))
+
+
+def two_agents(folder: Path, times: str) -> Source:
+    """Returns two frames of each of two agents, and a table of when they were."""
+    for name in ("a", "b"):
+        for frame in range(2):
+            places.write_bin(folder / "all" / name / f"{frame}.bin", places.scene(walls=False))
+    (folder / "p.csv").write_text("agent,time_s,x_m,y_m,z_m\n" + times)
+    return Source(folder / "all", folder / "p.csv")
+
+
+def test_agents_that_were_timed_by_other_clocks_are_refused(tmp_path):
+    source = two_agents(tmp_path, "a,5,0,0,2\na,5.1,0,0,2\nb,5.04,9,0,2\nb,5.16,9,0,2\n")
+    with pytest.raises(ConfigError, match=r"p\.csv: agents a and b have other times in frame 1"):
+        played_scans(Scans(source, None, {}), Pace(), Console())
+
+
+def test_the_times_are_those_of_an_agent_that_has_them(tmp_path):
+    source = two_agents(tmp_path, "a,5,0,0,2\nb,7,9,0,2\nb,7.2,9,0,2\n")
+    agents = agents_of(source)
+    assert Imported.of(agents, None, 2.0).times_ns(100_000_000) == [0, 200_000_000]
+    assert Imported.of(agents, 3, 2.0).times_ns(100_000_000) == [0, 100_000_000, 200_000_000]
+
+
+def test_a_first_cloud_without_a_point_is_refused_and_later_ones_are_counted(tmp_path, capsys):
+    source = two_agents(tmp_path, "a,5,0,0,2\nb,5,9,0,2\n")
+    places.write_bin(tmp_path / "all" / "b" / "1.bin", np.full((3, 3), np.nan))
+    played_scans(Scans(source, None, {}), Pace(), Console()).setup(tmp_path)
+    assert "1 of 4 clouds hold no point" in capsys.readouterr().out
+    places.write_bin(tmp_path / "all" / "b" / "0.bin", np.full((3, 3), np.inf))
+    with pytest.raises(ConfigError, match=r"0\.bin: holds no point"):
+        played_scans(Scans(source, None, {}, height_m=2.0), Pace(), Console())
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the real car's scans are not on this machine")

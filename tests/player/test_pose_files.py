@@ -101,6 +101,8 @@ def test_a_table_may_name_agents_and_times(written):
         ("p.csv", "x_m,y_m,z_m\n1,2,3\n1,two,3\n", r"line 3: 'two' is no finite number"),
         ("p.csv", "x_m,y_m,z_m\n1,2\n", r"line 2: None is no finite number"),
         ("p.csv", "x_m,y_m,z_m\n", r"line 2: no pose follows"),
+        ("p.csv", "x_m,y_m, x_m,z_m\n1,2,3,4\n", r"line 1: has the column x_m twice"),
+        ("p.csv", "x_m,y_m,z_m\n1,2,3\n1,2,3,4\n", r"line 3: has more fields than the 3 columns"),
         ("p.csv", "time_s,x_m,y_m,z_m\n2,0,0,0\n1,0,0,0\n", r"line 3: time_s must ascend"),
         ("p.txt", "1 2 3\n", r"p\.txt: line 1: has 3 numbers, needs 6, 12 or 30"),
         ("p.txt", "1 2 3 4 5 6\n" + "0 " * 30, r"line 2: has 30 numbers, needs 6"),

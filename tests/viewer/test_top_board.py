@@ -122,6 +122,18 @@ def test_every_message_is_taken_and_every_width_has_room(width: int) -> None:
     assert all(len(line) <= width for line in text(board, width).splitlines())
 
 
+def test_in_a_narrow_terminal_names_are_cut_and_numbers_are_whole() -> None:
+    side = {f"a_lane_with_a_long_name_{n}": n for n in (12, 3456)}
+    lanes = m.LaneCounts(
+        frame=0, sim_time_ns=0, tls="J", agents=[], complete=True, upstream=side, downstream={},
+        queued_upstream=side, seen_upstream=dict.fromkeys(side, 1.0),
+    )  # fmt: skip
+    lines = text(fed(lanes), 30).splitlines()
+    assert all(len(line) <= 30 for line in lines)
+    assert any(line.split() == ["upstr…", "vehicles", "queued", "seen"] for line in lines), lines
+    assert any(line.split() == ["a_lan…", "3456", "3456", "100%"] for line in lines), lines
+
+
 @given(st.lists(st.sampled_from(EXAMPLES), max_size=20))
 def test_no_order_of_messages_breaks_the_picture(messages: list[m.Message]) -> None:
     board = Board(SETUP)

@@ -13,6 +13,7 @@ from viewer.top.board import AgentRow, Board, LaneRow
 MAX_AGENTS = 16
 MAX_LANES = 24
 MAX_ALERTS = 8
+_LEAST_NAME = 6
 
 
 def picture(board: Board) -> RenderableType:
@@ -48,7 +49,7 @@ def _agents(rows: list[AgentRow]) -> Table:
     for row in rows[:MAX_AGENTS]:
         style = "" if row.believed else "red"
         table.add_row(
-            Text(row.agent, style or "cyan"),
+            _name(row.agent, style or "cyan"),
             f"{row.points}",
             f"{row.mbps:.2f}",
             Text(f"{row.score:.2f}", style),
@@ -56,7 +57,7 @@ def _agents(rows: list[AgentRow]) -> Table:
     if len(rows) > MAX_AGENTS:
         rest = rows[MAX_AGENTS:]
         points, mbps = sum(row.points for row in rest), sum(row.mbps for row in rest)
-        table.add_row(f"and {len(rest)} more", f"{points}", f"{mbps:.2f}", "")
+        table.add_row(_name(f"and {len(rest)} more"), f"{points}", f"{mbps:.2f}", "")
     return table
 
 
@@ -64,8 +65,8 @@ def _stages(board: Board) -> Table:
     table = _table("stage", "ms", "mean")
     for row in board.stages():
         style = "bold" if row.stage == "end to end" else ""
-        figures = (row.stage, f"{row.newest_ms:.1f}", f"{row.mean_ms:.1f}")
-        table.add_row(*(Text(figure, style) for figure in figures))
+        figures = (f"{row.newest_ms:.1f}", f"{row.mean_ms:.1f}")
+        table.add_row(_name(row.stage, style), *(Text(figure, style) for figure in figures))
     return table
 
 
@@ -75,11 +76,11 @@ def _signal(board: Board) -> Table:
     for row in board.phase_rows():
         lamp = Text("●", _lamp(shown[0].stage) if shown and row.is_shown else "red")
         pressure = "–" if row.pressure is None else f"{row.pressure:.1f}"
-        table.add_row(Text(row.phase, "bold" if row.is_shown else ""), pressure, lamp)
+        table.add_row(_name(row.phase, "bold" if row.is_shown else ""), pressure, lamp)
     if shown is not None:
         state, since_s = shown
         asked = f"{state.stage.replace('_', ' ')} for {since_s:.1f} s, by {state.source}"
-        table.add_row(Text(asked, "dim"), "", "")
+        table.add_row(_name(asked, "dim"), "", "")
     return table
 
 
@@ -89,7 +90,7 @@ def _lanes(rows: list[LaneRow], side: str) -> Table:
         is_blind = row.seen is not None and row.seen == 0
         seen = "–" if row.seen is None else f"{row.seen:.0%}"
         table.add_row(
-            Text(row.lane, "dim" if is_blind else ""), f"{row.vehicles}", f"{row.queued}", seen
+            _name(row.lane, "dim" if is_blind else ""), f"{row.vehicles}", f"{row.queued}", seen
         )
     return table
 
@@ -110,7 +111,12 @@ def _lamp(stage: str) -> str:
 
 def _table(first: str, *others: str) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold", show_edge=False)
-    table.add_column(first, no_wrap=True, overflow="ellipsis", max_width=40)
+    # In a narrow terminal columns that may wrap give way first: that of names, whose text does not.
+    table.add_column(_name(first), min_width=_LEAST_NAME, max_width=40)
     for name in others:
-        table.add_column(name, justify="right", no_wrap=True)
+        table.add_column(name, justify="right", no_wrap=True, min_width=len(name))
     return table
+
+
+def _name(text: str, style: str = "") -> Text:
+    return Text(text, style, no_wrap=True, overflow="ellipsis")

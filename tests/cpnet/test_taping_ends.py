@@ -1,0 +1,67 @@
+"""What `cpnet record` says when it cannot go on, or cannot begin."""
+
+from __future__ import annotations
+
+import io
+import signal
+from contextlib import nullcontext
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("mcap", reason="needs the extra `tape`")
+
+from rich.console import Console
+
+from cpnet import taping
+from cpnet.running import Running
+from protocol.bus import Endpoint
+from protocol.errors import ConfigError, CpnetError
+from protocol.inbox import Inbox
+from tape.reader import Tape
+from tape.taping import Choice
+from tests.tape.cassette import envelope, setup
+
+NOWHERE = Endpoint("tcp/127.0.0.1:1", listen=False)
+PLAIN = Choice(foxglove=False)
+
+
+class Silent:
+    """An onlooker of nobody."""
+
+    def __init__(self) -> None:
+        self.inbox = Inbox()
+
+    def setup(self):
+        return setup()
+
+
+def test_a_full_disk_leaves_what_can_be_read_and_says_so(tmp_path, monkeypatch):
+    def loop(role, *_):
+        role.on(envelope("tick", 1))
+        raise CpnetError("record.mcap cannot be written: No space left on device")
+
+    monkeypatch.setattr(taping, "Onlooker", lambda *_, **__: nullcontext(Silent()))
+    monkeypatch.setattr(taping, "loop", loop)
+    monkeypatch.setattr(taping, "give_way", lambda: None)
+    said = io.StringIO()
+    before = signal.getsignal(signal.SIGTSTP)
+    try:
+        run = Running(NOWHERE, NOWHERE, tmp_path)
+        with pytest.raises(CpnetError, match="No space left"):
+            taping.tape_run(run, PLAIN, None, None, Console(file=said, width=200))
+    finally:
+        signal.signal(signal.SIGTSTP, before)
+    assert f"readable as far as it goes: {tmp_path / 'record.mcap'}: 1 messages" in said.getvalue()
+    assert len([*Tape(tmp_path / "record.mcap").heard(["tick"])]) == 1
+
+
+@pytest.mark.parametrize(
+    "name", ["a", f"{'x' * 300}.mcap", f"{'x' * 5000}.mcap", "there.mcap", "none/a.mcap"]
+)
+def test_what_cannot_be_a_new_file_is_refused_before_all_else(tmp_path, monkeypatch, name):
+    (tmp_path / "there.mcap").touch()
+    with pytest.raises(ConfigError, match="--out"):
+        taping.tape_run(
+            Running(NOWHERE, NOWHERE), PLAIN, tmp_path / Path(name), None, Console(quiet=True)
+        )
