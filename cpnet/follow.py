@@ -134,6 +134,12 @@ class Attendant:
         """Returns a death that ends the run; others are started again, or are a tape's."""
         self._await_overtaken_end(watch)
         at_end = watch.end is not None
+        if not at_end and (death := self.supervisor.bereft()) is not None:
+            if not self.restart:
+                return death
+            self.console.print(
+                f"{death.id} {death.how}; another starts with the next process", markup=False
+            )
         if self.restart and not at_end:
             lost = self._revive()
             if any(death.id == TAPE.role for death in lost):
@@ -155,7 +161,7 @@ class Attendant:
     def _revive(self) -> list[Death]:
         found, lost = self.supervisor.revive()
         for death in found:
-            self.console.print(f"{death.id} {death.how}; started again", markup=False)
+            self.console.print(f"{death.id} {death.how}", markup=False)
             if self.tally is not None:
                 self.tally.restarted(death.id)
         return lost

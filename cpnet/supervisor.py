@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 import signal
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cpnet.endpoints import Endpoints, connecting, free_locator
 from cpnet.log_lines import readable
-from cpnet.nursery import Offspring, start
+from cpnet.nursery import UNKNOWN_STATUS, Offspring, renew, start
 from cpnet.processes import AGENTS, RELAY, ProcessEntry
 from cpnet.restarts import Restarts
 from protocol.bus import Endpoint
+from protocol.errors import CpnetError
 from protocol.logs import LogStyle
 from protocol.topics import BusName
 
@@ -21,7 +22,9 @@ WORLD_GRACE_S = 1.0  # for the world to tell its end and the recorder to write i
 GRACE_S = 2.0  # then for all others, until SIGKILL: both within the 5 s that users wait
 WRITERS = ("record", "tape")
 LIST_NAME = "processes.json"
+NURSERY = "nursery"
 TAIL_LINES = 12
+WELL = (0, UNKNOWN_STATUS)  # at the end; who outlived the fork server has nobody to tell of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +67,7 @@ class Supervisor:
         self._log_style = log_style
         self._uplinks: dict[str, str] = {}
         self._children: list[Child] = []
+        self._orphans: set[int] = set()
         self._restarts = Restarts()
 
     def __enter__(self) -> Supervisor:
@@ -85,7 +89,7 @@ class Supervisor:
         """Starts again what has ended too early; returns who that was, and who stays dead.
 
         The world stays dead, and so does a process that dies again and again. Who dies after this
-        looked is found by the next call.
+        looked, or cannot be started yet, is found by the next call.
         """
         found, lost = [], []
         for number, child in enumerate(self._children):
@@ -94,14 +98,35 @@ class Supervisor:
                 continue
             may = child.entry.role.role != "sim"
             if may and self._restarts.admits(child.entry.id, time.monotonic_ns()):
-                child.process.release()
-                self._children[number] = self._spawn(child.entry)
-                found.append(death)
+                found.append(self._again(number, death))
             else:
                 lost.append(death)
         if found:
             self._list()
         return found, lost
+
+    def _again(self, number: int, death: Death) -> Death:
+        """Starts a child again; returns its death with what became of it."""
+        child = self._children[number]
+        child.process.release()
+        try:
+            self._children[number] = self._spawn(child.entry)
+        except CpnetError as error:
+            return replace(death, how=f"{death.how}; {error}")
+        return replace(death, how=f"{death.how}; started again")
+
+    def bereft(self) -> Death | None:
+        """Returns the death of the fork server, once, if processes have outlived it."""
+        orphans = {c.process.pid for c in self._children if c.process.orphaned}
+        if orphans <= self._orphans:
+            return None
+        self._orphans = orphans
+        how = "was killed or crashed, the fork server that starts all others"
+        return Death(NURSERY, how, tail(self._nursery_log))
+
+    @property
+    def _nursery_log(self) -> Path:
+        return self._run_dir / "logs" / f"{NURSERY}.log"
 
     def _list(self) -> None:
         """Writes which process is which, for whoever looks after them from outside."""
@@ -112,6 +137,8 @@ class Supervisor:
 
     def _spawn(self, entry: ProcessEntry) -> Child:
         path = self._run_dir / "logs" / f"{entry.id}.log"
+        if self._orphans:
+            renew(self._nursery_log)
         return Child(entry, start(entry.role.module, self._arguments(entry), path), path)
 
     def death(self, *, at_end: bool) -> Death | None:
@@ -122,7 +149,7 @@ class Supervisor:
         dead = [
             (status, child)
             for child in self._children
-            if (status := child.process.poll()) is not None and not (at_end and status == 0)
+            if (status := child.process.poll()) is not None and not (at_end and status in WELL)
         ]
         if not dead:
             return None
@@ -133,7 +160,8 @@ class Supervisor:
         """Returns a process of this role that is dead as in `death`, and no longer asks for it."""
         for child in self._children:
             status = child.process.poll()
-            if child.entry.role.role == role and status is not None and not (at_end and not status):
+            is_dead = status is not None and not (at_end and status in WELL)
+            if child.entry.role.role == role and status is not None and is_dead:
                 self._children.remove(child)
                 child.process.release()
                 return Death(child.entry.id, _how(status), tail(child.log_path))
@@ -202,6 +230,8 @@ def tail(path: Path, lines: int = TAIL_LINES) -> str:
 
 
 def _how(status: int) -> str:
+    if status == UNKNOWN_STATUS:
+        return "ended, and the fork server that would know how had gone"
     if status >= 0:
         return f"ended with status {status}"
     return f"was killed by {signal.Signals(-status).name}"

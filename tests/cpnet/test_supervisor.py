@@ -1,3 +1,8 @@
+import errno
+import json
+import os
+import signal
+from multiprocessing import forkserver
 from pathlib import Path
 
 import pytest
@@ -6,7 +11,7 @@ from cpnet.endpoints import resolve
 from cpnet.processes import ROLES, ProcessEntry, RoleEntry, choose, processes_of
 from cpnet.restarts import MAX_RESTARTS
 from cpnet.scenario import Scenario
-from cpnet.supervisor import Supervisor
+from cpnet.supervisor import LIST_NAME, Supervisor
 from protocol.errors import ConfigError
 from protocol.topics import BusName
 from tests.waiting import wait_until
@@ -68,7 +73,10 @@ def test_whoever_died_is_started_again_and_dying_all_the_time_is_no_life(supervi
         for _ in range(MAX_RESTARTS):
             wait_until(lambda: not supervisor.running("frail"))
             found, lost = supervisor.revive()
-            assert ([death.how for death in found], lost) == (["ended with status 3"], [])
+            assert ([death.how for death in found], lost) == (
+                ["ended with status 3; started again"],
+                [],
+            )
         wait_until(lambda: not supervisor.running("frail"))
         found, lost = supervisor.revive()
         assert (found, [death.id for death in lost]) == ([], ["frail"])
@@ -95,6 +103,67 @@ def test_a_process_that_stops_when_asked_is_not_killed(supervisor, tmp_path):
     supervisor.start([entry(tmp_path, "polite", SLEEPER.format(ignore=heed))])
     wait_for(tmp_path / "logs" / "polite.log", "ready")
     assert supervisor.stop() == []
+
+
+def kill_fork_server() -> None:
+    os.kill(forkserver._forkserver._forkserver_pid, signal.SIGKILL)
+
+
+def test_who_outlives_the_fork_server_stays_and_is_stopped(supervisor, tmp_path):
+    heed = "signal.signal(signal.SIGINT, signal.default_int_handler)"
+    supervisor.start([entry(tmp_path, "orphan", SLEEPER.format(ignore=heed))])
+    wait_for(tmp_path / "logs" / "orphan.log", "ready")
+    assert supervisor.bereft() is None
+    kill_fork_server()
+    death = wait_until(supervisor.bereft)
+    assert (death.id, supervisor.bereft()) == ("nursery", None)
+    assert (supervisor.running("orphan"), supervisor.death(at_end=False)) == (True, None)
+    assert supervisor.revive() == ([], [])
+    number = json.loads((tmp_path / LIST_NAME).read_text())["orphan"]
+    assert supervisor.stop() == []
+    wait_until(lambda: not Path(f"/proc/{number}").exists())
+
+
+def test_without_its_fork_server_a_death_is_seen_and_another_server_starts(supervisor, tmp_path):
+    heed = "signal.signal(signal.SIGINT, signal.default_int_handler)"
+    names = ["one", "other"]
+    with supervisor:
+        supervisor.start([entry(tmp_path, n, SLEEPER.format(ignore=heed)) for n in names])
+        for name in names:
+            wait_for(tmp_path / "logs" / f"{name}.log", "ready")
+        kill_fork_server()
+        wait_until(supervisor.bereft)
+        before = json.loads((tmp_path / LIST_NAME).read_text())
+        os.kill(before["one"], signal.SIGKILL)
+        wait_until(lambda: not supervisor.running("one"))
+        assert supervisor.death(at_end=True) is None
+        assert "had gone" in supervisor.death(at_end=False).how
+        found, lost = supervisor.revive()
+        after = json.loads((tmp_path / LIST_NAME).read_text())
+        assert ([death.id for death in found], lost) == (["one"], [])
+        assert after["other"] == before["other"]
+        assert supervisor.running("one")
+
+
+def test_who_cannot_be_started_again_is_tried_again(supervisor, tmp_path, monkeypatch):
+    def no_pipe(**_: bool) -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    with supervisor:
+        supervisor.start([entry(tmp_path, "unlucky", "raise SystemExit(3)")])
+        wait_until(lambda: not supervisor.running("unlucky"))
+        with monkeypatch.context() as without_files:
+            without_files.setattr("multiprocessing.Pipe", no_pipe)
+            for _ in range(MAX_RESTARTS - 1):
+                found, lost = supervisor.revive()
+                assert ("Too many open files" in found[0].how, lost) == (True, [])
+        found, lost = supervisor.revive()
+        assert ([death.how for death in found], lost) == (
+            ["ended with status 3; started again"],
+            [],
+        )
+        wait_until(lambda: not supervisor.running("unlucky"))
+        assert [death.id for death in supervisor.revive()[1]] == ["unlucky"]
 
 
 def test_hosts_of_the_buses_start_first():
