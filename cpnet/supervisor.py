@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import logging
+import shutil
 import signal
 import time
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,10 +16,13 @@ from cpnet.log_lines import readable
 from cpnet.nursery import UNKNOWN_STATUS, Offspring, renew, start
 from cpnet.processes import AGENTS, RELAY, ProcessEntry
 from cpnet.restarts import Restarts
+from cpnet.run_folder import written
 from protocol.bus import Endpoint
 from protocol.errors import CpnetError
 from protocol.logs import LogStyle
 from protocol.topics import BusName
+
+_log = logging.getLogger(__name__)
 
 WORLD_GRACE_S = 1.0  # for the world to tell its end and the recorder to write it
 GRACE_S = 2.0  # then for all others, until SIGKILL: both within the 5 s that users wait
@@ -24,6 +30,7 @@ WRITERS = ("record", "tape")
 LIST_NAME = "processes.json"
 NURSERY = "nursery"
 TAIL_LINES = 12
+FULL_BYTES = 1 << 20
 WELL = (0, UNKNOWN_STATUS)  # at the end; who outlived the fork server has nobody to tell of it
 
 
@@ -68,6 +75,7 @@ class Supervisor:
         self._uplinks: dict[str, str] = {}
         self._children: list[Child] = []
         self._orphans: set[int] = set()
+        self._is_listed = True
         self._restarts = Restarts()
 
     def __enter__(self) -> Supervisor:
@@ -77,12 +85,18 @@ class Supervisor:
         self.stop()
 
     def start(self, entries: list[ProcessEntry]) -> None:
-        """Starts the processes; their standard error goes to `logs/ID.log` of the run folder."""
+        """Starts the processes; their standard error goes to `logs/ID.log` of the run folder.
+
+        Raises:
+            CpnetError: the run folder cannot be written, or a process cannot be started.
+        """
         for relay in (entry for entry in entries if entry.role is RELAY):
             kind = relay.id.removeprefix("relay-")
             self._uplinks[kind] = free_locator("tls" if self._keys else "tcp")
-        (self._run_dir / "logs").mkdir(parents=True, exist_ok=True)
-        self._children += [self._spawn(entry) for entry in entries]
+        with written(self._run_dir):
+            (self._run_dir / "logs").mkdir(parents=True, exist_ok=True)
+        for entry in entries:
+            self._children.append(self._spawn(entry))
         self._list()
 
     def revive(self) -> tuple[list[Death], list[Death]]:
@@ -129,11 +143,23 @@ class Supervisor:
         return self._run_dir / "logs" / f"{NURSERY}.log"
 
     def _list(self) -> None:
-        """Writes which process is which, for whoever looks after them from outside."""
+        """Writes which process is which, for whoever looks after them from outside.
+
+        A full disk is said once, and is no reason to end a run: the old list goes, being wrong.
+        """
         path = self._run_dir / LIST_NAME
         fresh = path.with_suffix(".new")
-        fresh.write_text(json.dumps({c.entry.id: c.process.pid for c in self._children}), "utf-8")
-        fresh.replace(path)
+        listed = json.dumps({c.entry.id: c.process.pid for c in self._children})
+        try:
+            fresh.write_text(listed, "utf-8")
+            fresh.replace(path)
+        except OSError as error:
+            if self._is_listed:
+                _log.warning("%s cannot be written: %s", path, error.strerror)
+            self._is_listed = False
+            for left in (fresh, path):
+                with suppress(OSError):
+                    left.unlink(missing_ok=True)
 
     def _spawn(self, entry: ProcessEntry) -> Child:
         path = self._run_dir / "logs" / f"{entry.id}.log"
@@ -226,7 +252,14 @@ def tail(path: Path, lines: int = TAIL_LINES) -> str:
     except OSError as error:
         return f"(no log: {error})"
     told = "\n".join(map(readable, text.splitlines()[-lines:]))
-    return "\n".join(told.splitlines()[-lines:]) or "(its log is empty)"
+    return "\n".join(told.splitlines()[-lines:]) or _why_empty(path.parent)
+
+
+def _why_empty(folder: Path) -> str:
+    """Says of an empty log whether the disk could not take what would stand in it."""
+    if shutil.disk_usage(folder).free < FULL_BYTES:
+        return f"(its log is empty: the disk that holds {folder} is full)"
+    return "(its log is empty)"
 
 
 def _how(status: int) -> str:

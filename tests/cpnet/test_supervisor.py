@@ -1,6 +1,7 @@
 import errno
 import json
 import os
+import shutil
 import signal
 from multiprocessing import forkserver
 from pathlib import Path
@@ -11,7 +12,7 @@ from cpnet.endpoints import resolve
 from cpnet.processes import ROLES, ProcessEntry, RoleEntry, choose, processes_of
 from cpnet.restarts import MAX_RESTARTS
 from cpnet.scenario import Scenario
-from cpnet.supervisor import LIST_NAME, Supervisor
+from cpnet.supervisor import LIST_NAME, Supervisor, tail
 from protocol.errors import ConfigError
 from protocol.topics import BusName
 from tests.waiting import wait_until
@@ -164,6 +165,41 @@ def test_who_cannot_be_started_again_is_tried_again(supervisor, tmp_path, monkey
         )
         wait_until(lambda: not supervisor.running("unlucky"))
         assert [death.id for death in supervisor.revive()[1]] == ["unlucky"]
+
+
+def refuse_to_write(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_text", full)
+
+
+def test_a_full_disk_ends_no_run_for_want_of_its_list(supervisor, tmp_path, monkeypatch, caplog):
+    frail = entry(tmp_path, "frail", "raise SystemExit(3)")
+    with supervisor:
+        supervisor.start([frail])
+        assert (tmp_path / LIST_NAME).exists()
+        refuse_to_write(monkeypatch)
+        for _ in range(2):
+            wait_until(lambda: not supervisor.running("frail"))
+            assert [death.id for death in supervisor.revive()[0]] == ["frail"]
+    assert not list(tmp_path.glob("processes.*"))
+    assert caplog.text.count("No space left on device") == 1
+
+
+def test_an_empty_log_on_a_full_disk_says_why_it_is_empty(tmp_path, monkeypatch):
+    log = tmp_path / "record.log"
+    log.touch()
+    assert tail(log) == "(its log is empty)"
+    usage = shutil.disk_usage(tmp_path)._replace(free=4096)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: usage)
+    assert tail(log) == f"(its log is empty: the disk that holds {tmp_path} is full)"
+
+
+def test_a_folder_that_cannot_be_written_is_a_plain_mistake(tmp_path):
+    (tmp_path / "logs").write_text("no folder")
+    with pytest.raises(ConfigError, match="cannot be written: .*File exists"):
+        Supervisor(tmp_path, resolve([], [], set(BusName))).start([])
 
 
 def test_hosts_of_the_buses_start_first():
