@@ -14,6 +14,7 @@ from cpnet.display import Display
 from cpnet.exporter.tally import Tally
 from cpnet.processes import TAPE
 from cpnet.scenario import Scenario
+from cpnet.stillness import PATIENCE_NS, Stillness
 from cpnet.supervisor import Death, Supervisor
 from cpnet.watch import Watch
 from protocol.bus import Endpoint
@@ -109,9 +110,12 @@ class Attendant:
 
     def _follow(self, watch: Watch, display: Display, tapes: list[Death]) -> Death | None:
         ended_ns = 0
+        stillness = Stillness()
         while not self.interruption.event.is_set():
             if watch.update(POLL_S) and watch.progress:
                 display.show(watch.progress)
+            if watch.end is None:
+                self._tell_stillness(stillness, watch)
             if death := self._fatal(watch, tapes):
                 return death
             if watch.end is None and (elsewhere := self._lost_elsewhere(watch)):
@@ -123,6 +127,14 @@ class Attendant:
                 if not self.supervisor.running("sim", "record") and (late or not awaited):
                     return None
         return None
+
+    def _tell_stillness(self, stillness: Stillness, watch: Watch) -> None:
+        has_begun = watch.progress is not None and watch.progress.end_to_end_ms > 0
+        frame = watch.progress.frame if watch.progress and has_begun else None
+        news = stillness.stopped(self.supervisor.stopped(PATIENCE_NS))
+        for line in (*news, stillness.frames(frame, time.monotonic_ns())):
+            if line is not None:
+                self.console.print(line, markup=False, highlight=False)
 
     def _await_overtaken_end(self, watch: Watch) -> None:
         """Waits a little if a process has left and none failed: the end may be on its way."""

@@ -17,6 +17,7 @@ from cpnet.nursery import UNKNOWN_STATUS, Offspring, renew, start
 from cpnet.processes import AGENTS, RELAY, ProcessEntry
 from cpnet.restarts import Restarts
 from cpnet.run_folder import written
+from cpnet.stillness import is_stopped
 from protocol.bus import Endpoint
 from protocol.errors import CpnetError
 from protocol.logs import LogStyle
@@ -25,6 +26,7 @@ from protocol.topics import BusName
 _log = logging.getLogger(__name__)
 
 WORLD_GRACE_S = 1.0  # for the world to tell its end and the recorder to write it
+STOPPED_NS = 5_000_000_000  # then it is as good as dead
 GRACE_S = 2.0  # then for all others, until SIGKILL: both within the 5 s that users wait
 WRITERS = ("record", "tape")
 LIST_NAME = "processes.json"
@@ -50,6 +52,15 @@ class Child:
     entry: ProcessEntry
     process: Offspring
     log_path: Path
+    still_since_ns: int | None = None
+
+    def stopped_ns(self, now_ns: int) -> int:
+        """For how long it has been stopped by a signal, 0 if it is not."""
+        if self.process.poll() is not None or not is_stopped(self.process.pid):
+            self.still_since_ns = None
+            return 0
+        self.still_since_ns = self.still_since_ns or now_ns
+        return now_ns - self.still_since_ns
 
     @property
     def death(self) -> Death | None:
@@ -102,15 +113,16 @@ class Supervisor:
     def revive(self) -> tuple[list[Death], list[Death]]:
         """Starts again what has ended too early; returns who that was, and who stays dead.
 
+        Who was stopped by a signal and does not go on is ended first.
         The world stays dead, and so does a process that dies again and again. Who dies after this
         looked, or cannot be started yet, is found by the next call.
         """
         found, lost = [], []
         for number, child in enumerate(self._children):
-            death = child.death
+            may = child.entry.role.role != "sim"
+            death = child.death or (self._end_stopped(child) if may else None)
             if death is None:
                 continue
-            may = child.entry.role.role != "sim"
             if may and self._restarts.admits(child.entry.id, time.monotonic_ns()):
                 found.append(self._again(number, death))
             else:
@@ -118,6 +130,20 @@ class Supervisor:
         if found:
             self._list()
         return found, lost
+
+    def stopped(self, for_ns: int) -> list[str]:
+        """Returns who was stopped by a signal that long ago, and did not go on."""
+        now_ns = time.monotonic_ns()
+        return [c.entry.id for c in self._children if c.stopped_ns(now_ns) >= for_ns]
+
+    def _end_stopped(self, child: Child) -> Death | None:
+        stopped_ns = child.stopped_ns(time.monotonic_ns())
+        if stopped_ns < STOPPED_NS:
+            return None
+        child.process.send_signal(signal.SIGKILL)
+        child.process.wait(GRACE_S)
+        how = f"was stopped (SIGSTOP) for {stopped_ns / 1e9:.0f} s"
+        return Death(child.entry.id, how, tail(child.log_path))
 
     def _again(self, number: int, death: Death) -> Death:
         """Starts a child again; returns its death with what became of it."""

@@ -82,6 +82,16 @@ def test_a_run_outlives_its_fork_server_and_has_no_twins(shell):
     assert children_of(run_dir) == {}
 
 
+def test_who_is_stopped_is_told_of_and_starts_again(shell):
+    with observed(shell) as (command, observer, run_dir):
+        os.kill(processes_of(run_dir)["infra-0"], signal.SIGSTOP)
+        command.read_until("nothing heard from infra-0: it is stopped")
+        command.read_until("infra-0 was stopped (SIGSTOP) for 5 s; started again")
+        observer.health.doubt()
+        assert observer.listen(PATIENCE_S, observer.is_right), observer.health.wrong
+    stop(command)
+
+
 def test_without_restart_the_fork_servers_death_ends_the_run(shell):
     command = shell.up("--duration=600", "--out=run")
     command.read_until("vehicles")

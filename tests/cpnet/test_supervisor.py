@@ -167,6 +167,20 @@ def test_who_cannot_be_started_again_is_tried_again(supervisor, tmp_path, monkey
         assert [death.id for death in supervisor.revive()[1]] == ["unlucky"]
 
 
+def test_who_is_stopped_and_does_not_go_on_is_started_again(supervisor, tmp_path, monkeypatch):
+    monkeypatch.setattr("cpnet.supervisor.STOPPED_NS", 50_000_000)
+    with supervisor:
+        supervisor.start([entry(tmp_path, "stuck", SLEEPER.format(ignore=""))])
+        wait_for(tmp_path / "logs" / "stuck.log", "ready")
+        assert (supervisor.revive(), supervisor.stopped(1)) == (([], []), [])
+        number = json.loads((tmp_path / LIST_NAME).read_text())["stuck"]
+        os.kill(number, signal.SIGSTOP)
+        wait_until(lambda: supervisor.stopped(1))
+        found, _ = wait_until(lambda: any(told := supervisor.revive()) and told)
+        assert found[0].how == "was stopped (SIGSTOP) for 0 s; started again"
+        assert json.loads((tmp_path / LIST_NAME).read_text())["stuck"] != number
+
+
 def refuse_to_write(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
