@@ -15,6 +15,7 @@ from cpnet.display import Display
 from cpnet.exporter.tally import Tally
 from cpnet.processes import TAPE
 from cpnet.scenario import Scenario
+from cpnet.stillness import PATIENCE_NS, Stillness
 from cpnet.supervisor import Death, Supervisor
 from cpnet.watch import Watch
 from protocol.bus import Endpoint
@@ -109,9 +110,12 @@ class Attendant:
 
     def _follow(self, watch: Watch, display: Display, tapes: list[Death]) -> Death | None:
         ended_ns = 0
+        stillness = Stillness()
         while not self.interruption.event.is_set():
             if watch.update(POLL_S) and watch.progress:
                 display.show(watch.progress)
+            if watch.end is None:
+                self._tell_stillness(stillness, watch)
             if death := self._fatal(watch, tapes):
                 return death
             if watch.end is None and (elsewhere := self._lost_elsewhere(watch)):
@@ -124,6 +128,14 @@ class Attendant:
                     return None
         return None
 
+    def _tell_stillness(self, stillness: Stillness, watch: Watch) -> None:
+        has_begun = watch.progress is not None and watch.progress.end_to_end_ms > 0
+        frame = watch.progress.frame if watch.progress and has_begun else None
+        news = stillness.stopped(self.supervisor.stopped(PATIENCE_NS))
+        for line in (*news, stillness.frames(frame, time.monotonic_ns())):
+            if line is not None:
+                self.console.print(line, markup=False, highlight=False)
+
     def _await_overtaken_end(self, watch: Watch) -> None:
         """Waits a little if a process has left and none failed: the end may be on its way."""
         has_left = self.supervisor.death(at_end=False) is not None
@@ -134,6 +146,12 @@ class Attendant:
         """Returns a death that ends the run; others are started again, or are a tape's."""
         self._await_overtaken_end(watch)
         at_end = watch.end is not None
+        if not at_end and (death := self.supervisor.bereft()) is not None:
+            if not self.restart:
+                return death
+            self.console.print(
+                f"{death.id} {death.how}; another starts with the next process", markup=False
+            )
         if self.restart and not at_end:
             lost = self._revive()
             if any(death.id == TAPE.role for death in lost):
@@ -155,7 +173,7 @@ class Attendant:
     def _revive(self) -> list[Death]:
         found, lost = self.supervisor.revive()
         for death in found:
-            self.console.print(f"{death.id} {death.how}; started again", markup=False)
+            self.console.print(f"{death.id} {death.how}", markup=False)
             if self.tally is not None:
                 self.tally.restarted(death.id)
         return lost

@@ -12,9 +12,9 @@ import runpy
 import signal
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import forkserver
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
@@ -26,35 +26,65 @@ ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """Processes are the unit that work is spread by: a BLAS that spins on all cores slows the rest."""
 
 
+UNKNOWN_STATUS = 255  # what multiprocessing says where the fork server that would tell has gone
+TOLD_WITHIN_S = 1.0  # the fork server hears of an end at once, if it lives
+
+
 class Offspring:
-    """A process whose standard input is its lifeline: it ends when that is closed."""
+    """A process whose standard input is its lifeline: it ends when that is closed.
+
+    Whether it lives is asked of the kernel; the fork server, which may die before it, only tells
+    how it ended.
+    """
 
     def __init__(self, process: ForkServerProcess, lifeline: Connection) -> None:
+        """Takes hold of a process that was started.
+
+        Raises:
+            OSError: too many files are open.
+        """
         self._process = process
         self._lifeline = lifeline
+        self._status: int | None = None
+        self._pidfd: int | None = None
+        with suppress(ProcessLookupError):  # it has ended already
+            self._pidfd = os.pidfd_open(self.pid)
 
     @property
     def pid(self) -> int:
         """Its number."""
         return self._process.pid or 0
 
+    @property
+    def orphaned(self) -> bool:
+        """Whether it lives while the fork server, which all are forked off, has gone."""
+        told = self._process.exitcode  # first: who has ended since is no orphan
+        return told is not None and self.poll() is None
+
     def poll(self) -> int | None:
         """Returns its exit status, minus the number of the signal that ended it, or None."""
-        return self._process.exitcode
+        return self.wait(0.0)
 
     def wait(self, timeout_s: float | None = None) -> int | None:
         """Returns the same once it has ended, or when the time is over."""
-        self._process.join(timeout_s)
-        return self.poll()
+        if self._status is None and (self._pidfd is None or wait([self._pidfd], timeout_s)):
+            self._process.join(TOLD_WITHIN_S)
+            told = self._process.exitcode
+            self._status = UNKNOWN_STATUS if told is None else told
+        return self._status
 
     def send_signal(self, number: int) -> None:
         """Sends it a signal, if it still runs."""
-        if self.poll() is None:
-            os.kill(self.pid, number)
+        if self._pidfd is not None and self.poll() is None:
+            with suppress(ProcessLookupError):
+                signal.pidfd_send_signal(self._pidfd, number)
 
     def release(self) -> None:
-        """Lets go of its lifeline."""
+        """Lets go of one that has ended, and of its lifeline."""
         self._lifeline.close()
+        if self._pidfd is not None:
+            os.close(self._pidfd)
+            self._pidfd = None
 
 
 def prepare(modules: Iterable[str], log: Path) -> None:
@@ -65,10 +95,21 @@ def prepare(modules: Iterable[str], log: Path) -> None:
     os.environ.update(ONE_THREAD)
     multiprocessing.set_forkserver_preload(["cpnet.__main__", *modules, "cpnet.forebear"])
     log.parent.mkdir(parents=True, exist_ok=True)
+    renew(log)
+
+
+def renew(log: Path) -> None:
+    """Starts the fork server if it is not there; it imports what it was last told to.
+
+    Raises:
+        CpnetError: it cannot be started.
+    """
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         with _printing_to(log):
             forkserver.ensure_running()
+    except OSError as error:
+        raise CpnetError(f"the fork server cannot be started: {error}") from None
     finally:
         signal.signal(signal.SIGINT, before)
 
@@ -77,20 +118,28 @@ def start(module: str, arguments: list[str], log: Path) -> Offspring:
     """Starts `python -m MODULE ARGUMENTS`; what it prints is added to the log.
 
     Raises:
-        CpnetError: the process that others are forked off is gone.
+        CpnetError: the fork server does not answer, or too many files are open.
     """
-    theirs, ours = multiprocessing.Pipe(duplex=False)
-    process = ForkServerProcess(
-        target=_live, args=(module, arguments, str(log), theirs), name=module, daemon=True
-    )
     try:
-        process.start()
+        return _start(module, arguments, log)
     except (OSError, EOFError) as error:
         raise CpnetError(
             f"{module} cannot be started: {error}; see the logs beside {log}"
         ) from None
-    theirs.close()
-    return Offspring(process, ours)
+
+
+def _start(module: str, arguments: list[str], log: Path) -> Offspring:
+    theirs, ours = multiprocessing.Pipe(duplex=False)
+    with theirs:
+        process = ForkServerProcess(
+            target=_live, args=(module, arguments, str(log), theirs), name=module, daemon=True
+        )
+        try:
+            process.start()
+            return Offspring(process, ours)
+        except BaseException:
+            ours.close()  # whoever was started after all ends by that
+            raise
 
 
 @contextmanager

@@ -26,6 +26,7 @@ from cpnet.processes import (
     processes_of,
     relays_of,
 )
+from cpnet.run_folder import written
 from cpnet.security import check_keys, secured
 from perception.registry import check
 from protocol.bus import fetch
@@ -103,7 +104,8 @@ def prepared(options: Options, console: Console, played: Played | None) -> Prepa
     run_dir = _make_run_dir(options.out, named.name if named else str(choice))
     rows = [row if played is None else in_replay(row) for row in choice.roles if row is not TAPE]
     modules = list(dict.fromkeys(f"{row.module}.role" for row in rows))
-    prepare(modules, run_dir / "logs" / "nursery.log")  # imports while the setup is being made
+    with written(run_dir):  # imports while the setup is being made
+        prepare(modules, run_dir / "logs" / "nursery.log")
     try:
         if played is not None:
             setup = played.setup(run_dir)
@@ -117,11 +119,13 @@ def prepared(options: Options, console: Console, played: Played | None) -> Prepa
             import tape  # noqa: F401 - says what to install, if it must be
         check_keys(options.keys, relays + processes)
         netns.prepare(scenario, relays, console)
+        with written(run_dir):
+            (run_dir / "setup.msgpack").write_bytes(packed)
+            shown = json.dumps(setup.scenario, indent=2) + "\n"
+            (run_dir / "scenario.json").write_text(shown, "utf-8")
     except (ConfigError, MessageError):
         shutil.rmtree(run_dir, ignore_errors=True)
         raise
-    (run_dir / "setup.msgpack").write_bytes(packed)
-    (run_dir / "scenario.json").write_text(json.dumps(setup.scenario, indent=2) + "\n", "utf-8")
     started = [process.id if choice.ids else process.role.role for process in processes]
     here = ", ".join(dict.fromkeys(started))
     console.print(f"{scenario.name}: {here} → {run_dir}", markup=False, soft_wrap=True)
@@ -169,10 +173,8 @@ def _setup(
         # SUMO is needed only where the world runs.
         from sim_host.setup import build_setup
 
-        try:
+        with written(run_dir):
             return build_setup(asked.model_dump(mode="json"), run_dir), asked
-        except OSError as error:
-            raise ConfigError(f"run folder {run_dir} cannot be written: {error}") from None
     world = connecting(endpoints[BusName.WORLD])
     setup = fetch(BusName.WORLD, world, "setup", Setup)
     return setup, scenarios.validate(setup.scenario, "the scenario of the other side")

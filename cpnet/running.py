@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cpnet.endpoints import Endpoints, connecting, places
+from cpnet.run_folder import written
 from cpnet.security import WATCH
 from protocol.bus import Endpoint
 from protocol.errors import ConfigError
@@ -33,12 +34,17 @@ class Running:
 
 @contextmanager
 def noted(run_dir: Path, endpoints: Endpoints, keys: Path | None) -> Iterator[None]:
-    """Says in the run folder where the buses are, as long as the context lasts."""
+    """Says in the run folder where the buses are, as long as the context lasts.
+
+    Raises:
+        ConfigError: it cannot be written.
+    """
     path = run_dir / FILE_NAME
     facts = {bus.value: connecting(endpoints[bus]).locator for bus in BusName}
     facts |= {"keys": str(keys.resolve())} if keys is not None else {}
-    path.write_text(json.dumps({**facts, "pid": os.getpid()}, indent=2) + "\n", "utf-8")
     try:
+        with written(run_dir):
+            path.write_text(json.dumps({**facts, "pid": os.getpid()}, indent=2) + "\n", "utf-8")
         yield
     finally:
         path.unlink(missing_ok=True)

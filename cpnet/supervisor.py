@@ -3,25 +3,37 @@
 from __future__ import annotations
 
 import json
+import logging
+import shutil
 import signal
 import time
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cpnet.endpoints import Endpoints, connecting, free_locator
 from cpnet.log_lines import readable
-from cpnet.nursery import Offspring, start
+from cpnet.nursery import UNKNOWN_STATUS, Offspring, renew, start
 from cpnet.processes import AGENTS, RELAY, ProcessEntry
 from cpnet.restarts import Restarts
+from cpnet.run_folder import written
+from cpnet.stillness import is_stopped
 from protocol.bus import Endpoint
+from protocol.errors import CpnetError
 from protocol.logs import LogStyle
 from protocol.topics import BusName
 
+_log = logging.getLogger(__name__)
+
 WORLD_GRACE_S = 1.0  # for the world to tell its end and the recorder to write it
+STOPPED_NS = 5_000_000_000  # then it is as good as dead
 GRACE_S = 2.0  # then for all others, until SIGKILL: both within the 5 s that users wait
 WRITERS = ("record", "tape")
 LIST_NAME = "processes.json"
+NURSERY = "nursery"
 TAIL_LINES = 12
+FULL_BYTES = 1 << 20
+WELL = (0, UNKNOWN_STATUS)  # at the end; who outlived the fork server has nobody to tell of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +52,15 @@ class Child:
     entry: ProcessEntry
     process: Offspring
     log_path: Path
+    still_since_ns: int | None = None
+
+    def stopped_ns(self, now_ns: int) -> int:
+        """For how long it has been stopped by a signal, 0 if it is not."""
+        if self.process.poll() is not None or not is_stopped(self.process.pid):
+            self.still_since_ns = None
+            return 0
+        self.still_since_ns = self.still_since_ns or now_ns
+        return now_ns - self.still_since_ns
 
     @property
     def death(self) -> Death | None:
@@ -64,6 +85,8 @@ class Supervisor:
         self._log_style = log_style
         self._uplinks: dict[str, str] = {}
         self._children: list[Child] = []
+        self._orphans: set[int] = set()
+        self._is_listed = True
         self._restarts = Restarts()
 
     def __enter__(self) -> Supervisor:
@@ -73,45 +96,101 @@ class Supervisor:
         self.stop()
 
     def start(self, entries: list[ProcessEntry]) -> None:
-        """Starts the processes; their standard error goes to `logs/ID.log` of the run folder."""
+        """Starts the processes; their standard error goes to `logs/ID.log` of the run folder.
+
+        Raises:
+            CpnetError: the run folder cannot be written, or a process cannot be started.
+        """
         for relay in (entry for entry in entries if entry.role is RELAY):
             kind = relay.id.removeprefix("relay-")
             self._uplinks[kind] = free_locator("tls" if self._keys else "tcp")
-        (self._run_dir / "logs").mkdir(parents=True, exist_ok=True)
-        self._children += [self._spawn(entry) for entry in entries]
+        with written(self._run_dir):
+            (self._run_dir / "logs").mkdir(parents=True, exist_ok=True)
+        for entry in entries:
+            self._children.append(self._spawn(entry))
         self._list()
 
     def revive(self) -> tuple[list[Death], list[Death]]:
         """Starts again what has ended too early; returns who that was, and who stays dead.
 
+        Who was stopped by a signal and does not go on is ended first.
         The world stays dead, and so does a process that dies again and again. Who dies after this
-        looked is found by the next call.
+        looked, or cannot be started yet, is found by the next call.
         """
         found, lost = [], []
         for number, child in enumerate(self._children):
-            death = child.death
+            may = child.entry.role.role != "sim"
+            death = child.death or (self._end_stopped(child) if may else None)
             if death is None:
                 continue
-            may = child.entry.role.role != "sim"
             if may and self._restarts.admits(child.entry.id, time.monotonic_ns()):
-                child.process.release()
-                self._children[number] = self._spawn(child.entry)
-                found.append(death)
+                found.append(self._again(number, death))
             else:
                 lost.append(death)
         if found:
             self._list()
         return found, lost
 
+    def stopped(self, for_ns: int) -> list[str]:
+        """Returns who was stopped by a signal that long ago, and did not go on."""
+        now_ns = time.monotonic_ns()
+        return [c.entry.id for c in self._children if c.stopped_ns(now_ns) >= for_ns]
+
+    def _end_stopped(self, child: Child) -> Death | None:
+        stopped_ns = child.stopped_ns(time.monotonic_ns())
+        if stopped_ns < STOPPED_NS:
+            return None
+        child.process.send_signal(signal.SIGKILL)
+        child.process.wait(GRACE_S)
+        how = f"was stopped (SIGSTOP) for {stopped_ns / 1e9:.0f} s"
+        return Death(child.entry.id, how, tail(child.log_path))
+
+    def _again(self, number: int, death: Death) -> Death:
+        """Starts a child again; returns its death with what became of it."""
+        child = self._children[number]
+        child.process.release()
+        try:
+            self._children[number] = self._spawn(child.entry)
+        except CpnetError as error:
+            return replace(death, how=f"{death.how}; {error}")
+        return replace(death, how=f"{death.how}; started again")
+
+    def bereft(self) -> Death | None:
+        """Returns the death of the fork server, once, if processes have outlived it."""
+        orphans = {c.process.pid for c in self._children if c.process.orphaned}
+        if orphans <= self._orphans:
+            return None
+        self._orphans = orphans
+        how = "was killed or crashed, the fork server that starts all others"
+        return Death(NURSERY, how, tail(self._nursery_log))
+
+    @property
+    def _nursery_log(self) -> Path:
+        return self._run_dir / "logs" / f"{NURSERY}.log"
+
     def _list(self) -> None:
-        """Writes which process is which, for whoever looks after them from outside."""
+        """Writes which process is which, for whoever looks after them from outside.
+
+        A full disk is said once, and is no reason to end a run: the old list goes, being wrong.
+        """
         path = self._run_dir / LIST_NAME
         fresh = path.with_suffix(".new")
-        fresh.write_text(json.dumps({c.entry.id: c.process.pid for c in self._children}), "utf-8")
-        fresh.replace(path)
+        listed = json.dumps({c.entry.id: c.process.pid for c in self._children})
+        try:
+            fresh.write_text(listed, "utf-8")
+            fresh.replace(path)
+        except OSError as error:
+            if self._is_listed:
+                _log.warning("%s cannot be written: %s", path, error.strerror)
+            self._is_listed = False
+            for left in (fresh, path):
+                with suppress(OSError):
+                    left.unlink(missing_ok=True)
 
     def _spawn(self, entry: ProcessEntry) -> Child:
         path = self._run_dir / "logs" / f"{entry.id}.log"
+        if self._orphans:
+            renew(self._nursery_log)
         return Child(entry, start(entry.role.module, self._arguments(entry), path), path)
 
     def death(self, *, at_end: bool) -> Death | None:
@@ -122,7 +201,7 @@ class Supervisor:
         dead = [
             (status, child)
             for child in self._children
-            if (status := child.process.poll()) is not None and not (at_end and status == 0)
+            if (status := child.process.poll()) is not None and not (at_end and status in WELL)
         ]
         if not dead:
             return None
@@ -133,7 +212,8 @@ class Supervisor:
         """Returns a process of this role that is dead as in `death`, and no longer asks for it."""
         for child in self._children:
             status = child.process.poll()
-            if child.entry.role.role == role and status is not None and not (at_end and not status):
+            is_dead = status is not None and not (at_end and status in WELL)
+            if child.entry.role.role == role and status is not None and is_dead:
                 self._children.remove(child)
                 child.process.release()
                 return Death(child.entry.id, _how(status), tail(child.log_path))
@@ -198,10 +278,19 @@ def tail(path: Path, lines: int = TAIL_LINES) -> str:
     except OSError as error:
         return f"(no log: {error})"
     told = "\n".join(map(readable, text.splitlines()[-lines:]))
-    return "\n".join(told.splitlines()[-lines:]) or "(its log is empty)"
+    return "\n".join(told.splitlines()[-lines:]) or _why_empty(path.parent)
+
+
+def _why_empty(folder: Path) -> str:
+    """Says of an empty log whether the disk could not take what would stand in it."""
+    if shutil.disk_usage(folder).free < FULL_BYTES:
+        return f"(its log is empty: the disk that holds {folder} is full)"
+    return "(its log is empty)"
 
 
 def _how(status: int) -> str:
+    if status == UNKNOWN_STATUS:
+        return "ended, and the fork server that would know how had gone"
     if status >= 0:
         return f"ended with status {status}"
     return f"was killed by {signal.Signals(-status).name}"

@@ -59,6 +59,48 @@ def test_whoever_dies_comes_back_and_all_is_right_again(shell):
     assert children_of(run_dir) == {}
 
 
+def fork_server_of(command: Command) -> int:
+    children = Path(f"/proc/{command.process.pid}/task/{command.process.pid}/children")
+    return next(
+        int(number)
+        for number in children.read_text().split()
+        if b"forkserver" in Path(f"/proc/{number}/cmdline").read_bytes()
+    )
+
+
+def test_a_run_outlives_its_fork_server_and_has_no_twins(shell):
+    with observed(shell) as (command, observer, run_dir):
+        before = processes_of(run_dir)
+        os.kill(fork_server_of(command), signal.SIGKILL)
+        command.read_until("nursery was killed")
+        fault = hurt_once(observer, run_dir, "record", patience_s=PATIENCE_S)
+        assert fault.recovery_s is not None, fault
+        after = processes_of(run_dir)
+        assert {name for name in before if before[name] != after[name]} == {"record"}
+        assert children_of(run_dir) == after
+    stop(command)
+    assert children_of(run_dir) == {}
+
+
+def test_who_is_stopped_is_told_of_and_starts_again(shell):
+    with observed(shell) as (command, observer, run_dir):
+        os.kill(processes_of(run_dir)["infra-0"], signal.SIGSTOP)
+        command.read_until("nothing heard from infra-0: it is stopped")
+        command.read_until("infra-0 was stopped (SIGSTOP) for 5 s; started again")
+        observer.health.doubt()
+        assert observer.listen(PATIENCE_S, observer.is_right), observer.health.wrong
+    stop(command)
+
+
+def test_without_restart_the_fork_servers_death_ends_the_run(shell):
+    command = shell.up("--duration=600", "--out=run")
+    command.read_until("vehicles")
+    os.kill(fork_server_of(command), signal.SIGKILL)
+    status, output = command.finish()
+    assert (status, "nursery was killed" in output) == (1, True), output
+    assert children_of(shell.folder / "run") == {}
+
+
 def test_a_lost_agents_cavs_move_to_the_others_and_newcomers_join(shell):
     with observed(shell) as (command, observer, _):
         place = command.process.args

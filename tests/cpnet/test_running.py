@@ -29,6 +29,12 @@ def test_a_run_can_be_found_as_long_as_it_goes_on(tmp_path):
         find(tmp_path, [], None)
 
 
+def test_a_folder_that_cannot_take_the_note_is_a_plain_mistake(tmp_path):
+    gone = tmp_path / "gone"
+    with pytest.raises(ConfigError, match="cannot be written"), noted(gone, BUSES, None):
+        pass
+
+
 def test_without_a_folder_it_is_the_newest_that_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(running, "RUNS", tmp_path)
     with pytest.raises(ConfigError, match="no run goes on in"):

@@ -1,3 +1,9 @@
+import errno
+import json
+import os
+import shutil
+import signal
+from multiprocessing import forkserver
 from pathlib import Path
 
 import pytest
@@ -6,7 +12,7 @@ from cpnet.endpoints import resolve
 from cpnet.processes import ROLES, ProcessEntry, RoleEntry, choose, processes_of
 from cpnet.restarts import MAX_RESTARTS
 from cpnet.scenario import Scenario
-from cpnet.supervisor import Supervisor
+from cpnet.supervisor import LIST_NAME, Supervisor, tail
 from protocol.errors import ConfigError
 from protocol.topics import BusName
 from tests.waiting import wait_until
@@ -68,7 +74,10 @@ def test_whoever_died_is_started_again_and_dying_all_the_time_is_no_life(supervi
         for _ in range(MAX_RESTARTS):
             wait_until(lambda: not supervisor.running("frail"))
             found, lost = supervisor.revive()
-            assert ([death.how for death in found], lost) == (["ended with status 3"], [])
+            assert ([death.how for death in found], lost) == (
+                ["ended with status 3; started again"],
+                [],
+            )
         wait_until(lambda: not supervisor.running("frail"))
         found, lost = supervisor.revive()
         assert (found, [death.id for death in lost]) == ([], ["frail"])
@@ -95,6 +104,116 @@ def test_a_process_that_stops_when_asked_is_not_killed(supervisor, tmp_path):
     supervisor.start([entry(tmp_path, "polite", SLEEPER.format(ignore=heed))])
     wait_for(tmp_path / "logs" / "polite.log", "ready")
     assert supervisor.stop() == []
+
+
+def kill_fork_server() -> None:
+    os.kill(forkserver._forkserver._forkserver_pid, signal.SIGKILL)
+
+
+def test_who_outlives_the_fork_server_stays_and_is_stopped(supervisor, tmp_path):
+    heed = "signal.signal(signal.SIGINT, signal.default_int_handler)"
+    supervisor.start([entry(tmp_path, "orphan", SLEEPER.format(ignore=heed))])
+    wait_for(tmp_path / "logs" / "orphan.log", "ready")
+    assert supervisor.bereft() is None
+    kill_fork_server()
+    death = wait_until(supervisor.bereft)
+    assert (death.id, supervisor.bereft()) == ("nursery", None)
+    assert (supervisor.running("orphan"), supervisor.death(at_end=False)) == (True, None)
+    assert supervisor.revive() == ([], [])
+    number = json.loads((tmp_path / LIST_NAME).read_text())["orphan"]
+    assert supervisor.stop() == []
+    wait_until(lambda: not Path(f"/proc/{number}").exists())
+
+
+def test_without_its_fork_server_a_death_is_seen_and_another_server_starts(supervisor, tmp_path):
+    heed = "signal.signal(signal.SIGINT, signal.default_int_handler)"
+    names = ["one", "other"]
+    with supervisor:
+        supervisor.start([entry(tmp_path, n, SLEEPER.format(ignore=heed)) for n in names])
+        for name in names:
+            wait_for(tmp_path / "logs" / f"{name}.log", "ready")
+        kill_fork_server()
+        wait_until(supervisor.bereft)
+        before = json.loads((tmp_path / LIST_NAME).read_text())
+        os.kill(before["one"], signal.SIGKILL)
+        wait_until(lambda: not supervisor.running("one"))
+        assert supervisor.death(at_end=True) is None
+        assert "had gone" in supervisor.death(at_end=False).how
+        found, lost = supervisor.revive()
+        after = json.loads((tmp_path / LIST_NAME).read_text())
+        assert ([death.id for death in found], lost) == (["one"], [])
+        assert after["other"] == before["other"]
+        assert supervisor.running("one")
+
+
+def test_who_cannot_be_started_again_is_tried_again(supervisor, tmp_path, monkeypatch):
+    def no_pipe(**_: bool) -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    with supervisor:
+        supervisor.start([entry(tmp_path, "unlucky", "raise SystemExit(3)")])
+        wait_until(lambda: not supervisor.running("unlucky"))
+        with monkeypatch.context() as without_files:
+            without_files.setattr("multiprocessing.Pipe", no_pipe)
+            for _ in range(MAX_RESTARTS - 1):
+                found, lost = supervisor.revive()
+                assert ("Too many open files" in found[0].how, lost) == (True, [])
+        found, lost = supervisor.revive()
+        assert ([death.how for death in found], lost) == (
+            ["ended with status 3; started again"],
+            [],
+        )
+        wait_until(lambda: not supervisor.running("unlucky"))
+        assert [death.id for death in supervisor.revive()[1]] == ["unlucky"]
+
+
+def test_who_is_stopped_and_does_not_go_on_is_started_again(supervisor, tmp_path, monkeypatch):
+    monkeypatch.setattr("cpnet.supervisor.STOPPED_NS", 50_000_000)
+    with supervisor:
+        supervisor.start([entry(tmp_path, "stuck", SLEEPER.format(ignore=""))])
+        wait_for(tmp_path / "logs" / "stuck.log", "ready")
+        assert (supervisor.revive(), supervisor.stopped(1)) == (([], []), [])
+        number = json.loads((tmp_path / LIST_NAME).read_text())["stuck"]
+        os.kill(number, signal.SIGSTOP)
+        wait_until(lambda: supervisor.stopped(1))
+        found, _ = wait_until(lambda: any(told := supervisor.revive()) and told)
+        assert found[0].how == "was stopped (SIGSTOP) for 0 s; started again"
+        assert json.loads((tmp_path / LIST_NAME).read_text())["stuck"] != number
+
+
+def refuse_to_write(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_text", full)
+
+
+def test_a_full_disk_ends_no_run_for_want_of_its_list(supervisor, tmp_path, monkeypatch, caplog):
+    frail = entry(tmp_path, "frail", "raise SystemExit(3)")
+    with supervisor:
+        supervisor.start([frail])
+        assert (tmp_path / LIST_NAME).exists()
+        refuse_to_write(monkeypatch)
+        for _ in range(2):
+            wait_until(lambda: not supervisor.running("frail"))
+            assert [death.id for death in supervisor.revive()[0]] == ["frail"]
+    assert not list(tmp_path.glob("processes.*"))
+    assert caplog.text.count("No space left on device") == 1
+
+
+def test_an_empty_log_on_a_full_disk_says_why_it_is_empty(tmp_path, monkeypatch):
+    log = tmp_path / "record.log"
+    log.touch()
+    assert tail(log) == "(its log is empty)"
+    usage = shutil.disk_usage(tmp_path)._replace(free=4096)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: usage)
+    assert tail(log) == f"(its log is empty: the disk that holds {tmp_path} is full)"
+
+
+def test_a_folder_that_cannot_be_written_is_a_plain_mistake(tmp_path):
+    (tmp_path / "logs").write_text("no folder")
+    with pytest.raises(ConfigError, match="cannot be written: .*File exists"):
+        Supervisor(tmp_path, resolve([], [], set(BusName))).start([])
 
 
 def test_hosts_of_the_buses_start_first():
