@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +24,11 @@ from cpnet.processes import (
     processes_of,
     relays_of,
 )
+from cpnet.run_folder import RunFolder
 from cpnet.security import check_keys, secured
 from perception.registry import check
 from protocol.bus import fetch
-from protocol.errors import ConfigError, MessageError
+from protocol.errors import ConfigError
 from protocol.logs import LogStyle
 from protocol.messages import Setup
 from protocol.topics import BusName
@@ -100,11 +99,12 @@ def prepared(options: Options, console: Console, played: Played | None) -> Prepa
             f"{', '.join(options.overrides)}: the scenario is decided where the role sim runs"
         )
     named = played or asked
-    run_dir = _make_run_dir(options.out, named.name if named else str(choice))
+    folder = RunFolder.at(options.out, named.name if named else str(choice))
     rows = [row if played is None else in_replay(row) for row in choice.roles if row is not TAPE]
     modules = list(dict.fromkeys(f"{row.module}.role" for row in rows))
-    prepare(modules, run_dir / "logs" / "nursery.log")  # imports while the setup is being made
     try:
+        run_dir = folder.make()
+        prepare(modules, run_dir / "logs" / "nursery.log")  # imports while the setup is being made
         if played is not None:
             setup = played.setup(run_dir)
             scenario = scenarios.validate(setup.scenario, "the replay")
@@ -117,8 +117,8 @@ def prepared(options: Options, console: Console, played: Played | None) -> Prepa
             import tape  # noqa: F401 - says what to install, if it must be
         check_keys(options.keys, relays + processes)
         netns.prepare(scenario, relays, console)
-    except (ConfigError, MessageError):
-        shutil.rmtree(run_dir, ignore_errors=True)
+    except BaseException:  # Ctrl-C and SIGTERM too
+        folder.take_back()
         raise
     (run_dir / "setup.msgpack").write_bytes(packed)
     (run_dir / "scenario.json").write_text(json.dumps(setup.scenario, indent=2) + "\n", "utf-8")
@@ -183,18 +183,3 @@ def _detects(roles: list[str], scenario: scenarios.Scenario) -> bool:
     kinds: dict[str, AgentKind] = {"vehicle": "vehicle", "infra": "roadside"}
     policies = [scenario.upload.of(kinds[role]).policy for role in roles if role in kinds]
     return "edge" in roles or any(policy_of(policy).sends == "objects" for policy in policies)
-
-
-def _make_run_dir(out: Path | None, name: str) -> Path:
-    if out is None:
-        stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
-        out = Path("runs") / f"{name}-{stamp}"
-    if "," in str(out.absolute()):
-        raise ConfigError(f"--out {out}: SUMO takes no path with a comma in it")
-    try:
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise ConfigError(f"--out {out}: it exists and is not an empty folder")
-        out.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"--out {out}: {error}") from None
-    return out.resolve()
