@@ -14,6 +14,7 @@ from cpnet import netns
 from cpnet import scenario as scenarios
 from cpnet.beside import Viewing
 from cpnet.endpoints import Endpoints, connecting
+from cpnet.joining import joined
 from cpnet.nursery import prepare
 from cpnet.processes import (
     TAPE,
@@ -27,7 +28,6 @@ from cpnet.processes import (
 from cpnet.run_folder import RunFolder
 from cpnet.security import check_keys, secured
 from perception.registry import check
-from protocol.bus import fetch
 from protocol.errors import ConfigError
 from protocol.logs import LogStyle
 from protocol.messages import Setup
@@ -109,7 +109,7 @@ def prepared(options: Options, console: Console, played: Played | None) -> Prepa
             setup = played.setup(run_dir)
             scenario = scenarios.validate(setup.scenario, "the replay")
         else:
-            setup, scenario = _setup(asked, endpoints, run_dir)
+            setup, scenario = _setup(asked, endpoints, run_dir, options.restart, console)
         _check(choice, options, scenario)
         packed = encode(setup)
         processes, relays = processes_of(choice, scenario), relays_of(choice, scenario)
@@ -163,7 +163,11 @@ def _check_restart(options: Options, scenario: scenarios.Scenario) -> None:
 
 
 def _setup(
-    asked: scenarios.Scenario | None, endpoints: Endpoints, run_dir: Path
+    asked: scenarios.Scenario | None,
+    endpoints: Endpoints,
+    run_dir: Path,
+    restart: bool,
+    console: Console,
 ) -> tuple[Setup, scenarios.Scenario]:
     if asked is not None:
         # SUMO is needed only where the world runs.
@@ -173,8 +177,9 @@ def _setup(
             return build_setup(asked.model_dump(mode="json"), run_dir), asked
         except OSError as error:
             raise ConfigError(f"run folder {run_dir} cannot be written: {error}") from None
-    world = connecting(endpoints[BusName.WORLD])
-    setup = fetch(BusName.WORLD, world, "setup", Setup)
+    place = connecting(endpoints[BusName.WORLD])
+    with joined(place, console, lasting=restart) as world:
+        setup = world.setup()
     return setup, scenarios.validate(setup.scenario, "the scenario of the other side")
 
 

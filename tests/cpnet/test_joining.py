@@ -1,0 +1,114 @@
+"""Joining a world that is elsewhere: nobody waits unheard, and nobody waits in vain."""
+
+import io
+import os
+import signal
+import time
+from collections.abc import Iterator
+
+import pytest
+from rich.console import Console
+
+from cpnet import joining
+from cpnet.endpoints import free_locator
+from cpnet.joining import joined
+from protocol.bus import Endpoint, ZenohBus, open_bus
+from protocol.errors import BusError
+from protocol.inbox import Inbox
+from protocol.keys import Keys
+from protocol.messages import Setup
+from protocol.topics import BusName
+from tests.certificates import make_keys
+from tests.cpnet.conftest import Shell
+from tests.protocol.test_wire import EXAMPLES
+
+WAIT_S = 60.0
+ENDS_WITHIN_S = 10.0
+
+
+@pytest.fixture
+def console() -> Console:
+    return Console(file=io.StringIO(), width=200)
+
+
+@pytest.fixture
+def place() -> Endpoint:
+    return Endpoint(free_locator(), listen=False)
+
+
+@pytest.fixture
+def host(place: Endpoint) -> Iterator[ZenohBus]:
+    bus = open_bus(BusName.WORLD, Endpoint(place.locator, listen=True), Inbox())
+    yield bus
+    bus.close()
+
+
+def said(console: Console) -> str:
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_who_waits_says_for_what_and_ends_when_told(shell: Shell, number):
+    start = shell.start("up", "--only=vehicle", "--connect=127.0.0.1:1", "--out=run")
+    start.read_until("waiting for the world bus at 127.0.0.1:2 (Ctrl-C ends)")
+    told_s = time.monotonic()
+    os.kill(start.process.pid, number)
+    status, output = start.finish(WAIT_S)
+    assert time.monotonic() - told_s < ENDS_WITHIN_S
+    assert status == 128 + number
+    assert "Traceback" not in output
+    assert list(shell.folder.iterdir()) == []
+
+
+def test_a_world_that_does_not_come_is_named_with_all_the_time_it_had(place, console, monkeypatch):
+    monkeypatch.setattr(joining, "PATIENCE_S", 1.5)
+    with (
+        pytest.raises(BusError, match=rf"answers at {place.locator} for .* \(waited 1.5 s\)"),
+        joined(place, console, lasting=False),
+    ):
+        pass
+    assert said(console).count("waiting for the world bus") == 1
+
+
+def test_keys_of_another_authority_are_named(tmp_path, console, monkeypatch):
+    monkeypatch.setattr(joining, "PATIENCE_S", 0.1)
+    own, other = (make_keys(tmp_path / name) for name in ("own", "other"))
+    locator = free_locator("tls")
+    host = Endpoint(locator, listen=True, keys=Keys.of(own, "sim"))
+    bus = open_bus(BusName.WORLD, host, Inbox())
+    stranger = Endpoint(locator, listen=False, keys=Keys.of(other, "watch"))
+    with (
+        pytest.raises(BusError, match="certificate of the same authority that names 127.0.0.1"),
+        joined(stranger, console, lasting=False),
+    ):
+        pass
+    bus.close()
+
+
+def test_a_world_that_serves_nothing_is_named(place, host, console, monkeypatch):
+    monkeypatch.setattr(joining, "PATIENCE_S", 0.1)
+    with (
+        joined(place, console, lasting=False) as world,
+        pytest.raises(BusError, match="nobody there serves setup"),
+    ):
+        world.setup()
+
+
+def test_who_lasts_waits_beyond_the_time_and_says_why_once(console):
+    patience = joining.Patience("the world bus", console, endless=True)
+    patience._began_s -= joining.PATIENCE_S
+    for _ in range(2):
+        patience.wait(BusError("nothing answers"))
+    assert said(console).splitlines() == [
+        "waiting for the world bus (Ctrl-C ends)",
+        "still waiting: nothing answers",
+    ]
+
+
+def test_the_setup_is_what_the_host_serves(place, host, console):
+    (setup,) = (message for message in EXAMPLES if isinstance(message, Setup))
+    host.serve("setup", setup)
+    with joined(place, console, lasting=False) as world:
+        assert world.setup().scenario == setup.scenario
+    assert said(console) == ""
