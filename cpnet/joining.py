@@ -12,12 +12,14 @@ from protocol.bus import Endpoint, ZenohBus, open_bus, unanswered
 from protocol.errors import BusError
 from protocol.inbox import Inbox
 from protocol.messages import Setup
+from protocol.roll import Roll
 from protocol.topics import BusName
 
 PATIENCE_S = 60.0
 TELL_S = 1.0
 FIRST_OPEN_MS, LONGEST_OPEN_MS = 400, 3_200  # nothing else, no signal either, is dealt with then
 ASK_S = 2.0
+ROLL_CALL_S = 0.5
 POLL_S = 0.1
 
 
@@ -67,15 +69,22 @@ class World:
         """Returns what every process of the run is given.
 
         Raises:
-            BusError: nobody said it in time.
+            BusError: nobody said it in time, or they speak another version of the protocol.
             ProtocolError: what was said is no setup.
         """
         what = f"the world: nobody at {_place(self._endpoint)} tells the setup of a run"
         patience = Patience(what, self._console, endless=self._lasting)
         nobody = BusError(f"{self._endpoint.locator} is up, but nobody there serves setup")
         while (setup := self._bus.ask("setup", Setup, ASK_S)) is None:
+            self._refuse_strangers()
             patience.wait(nobody)
         return setup
+
+    def _refuse_strangers(self) -> None:
+        """Waits for nobody where all that live speak another version of the protocol."""
+        roll = Roll.of(self._bus.roll_call(ROLL_CALL_S))
+        if roll.strangers and not roll.present:
+            raise BusError(f"{self._endpoint.locator}: {roll.misfit()}")
 
 
 @contextmanager

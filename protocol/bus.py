@@ -194,7 +194,8 @@ class ZenohBus:
         """Returns protocol version, role and id of all that live, whatever version they speak."""
         replies = self._session.liveliness().get(ALIVE_IN_ANY, timeout=timeout_s)
         keys = [str(reply.ok.key_expr).split("/") for reply in replies if reply.ok is not None]
-        return sorted({(version, role, process) for _, version, _, role, process in keys})
+        names = {(key[1], key[3], key[4]) for key in keys if len(key) == 5}  # no `**` among them
+        return sorted(names)
 
     def _answer(self, topic_name: str, make: Callable[[], bytes]) -> None:
         key = self._topic(topic_name).key()

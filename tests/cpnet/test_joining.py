@@ -112,3 +112,25 @@ def test_the_setup_is_what_the_host_serves(place, host, console):
     with joined(place, console, lasting=False) as world:
         assert world.setup().scenario == setup.scenario
     assert said(console) == ""
+
+
+def test_a_world_of_another_version_is_named_at_once(place, host, console, monkeypatch):
+    monkeypatch.setattr("protocol.bus.ALIVE", "cpnet/v0/alive")
+    host.announce("sim", "sim")
+    with (
+        joined(place, console, lasting=True) as world,
+        pytest.raises(BusError, match="they speak version 0 of the protocol, this side 1: install"),
+    ):
+        world.setup()
+
+
+def test_strangers_on_the_same_bus_keep_nobody_from_waiting(place, host, console, monkeypatch):
+    monkeypatch.setattr(joining, "PATIENCE_S", 0.1)
+    host.announce("sim", "sim")
+    monkeypatch.setattr("protocol.bus.ALIVE", "cpnet/v0/alive")
+    host.announce("signal", "signal")
+    with (
+        joined(place, console, lasting=False) as world,
+        pytest.raises(BusError, match="nobody there serves setup"),
+    ):
+        world.setup()
