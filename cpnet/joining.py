@@ -1,15 +1,15 @@
-"""Joining a run whose world is elsewhere: waits for it, hears its setup."""
+"""Joining a run whose world is elsewhere: waits for it, hears its setup, looks for twins."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
 
 from protocol.bus import Endpoint, ZenohBus, open_bus, unanswered
-from protocol.errors import BusError
+from protocol.errors import BusError, ConfigError
 from protocol.inbox import Inbox
 from protocol.messages import Setup
 from protocol.roll import Roll
@@ -21,6 +21,7 @@ FIRST_OPEN_MS, LONGEST_OPEN_MS = 400, 3_200  # nothing else, no signal either, i
 ASK_S = 2.0
 ROLL_CALL_S = 0.5
 POLL_S = 0.1
+LOST_S = 25.0  # the token of a machine that was lost stands for the lease of 20 s
 
 
 class Patience:
@@ -42,16 +43,13 @@ class Patience:
         waited_s = time.monotonic() - self._began_s
         if waited_s >= TELL_S and not self._is_told:
             self._is_told = True
-            self._say(f"waiting for {self._what} (Ctrl-C ends)")
+            say(self._console, f"waiting for {self._what} (Ctrl-C ends)")
         if waited_s >= PATIENCE_S and not self._is_over:
             if not self._endless:
                 raise why
             self._is_over = True
-            self._say(f"still waiting: {why}")
+            say(self._console, f"still waiting: {why}")
         time.sleep(POLL_S)
-
-    def _say(self, text: str) -> None:
-        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 class World:
@@ -80,11 +78,40 @@ class World:
             patience.wait(nobody)
         return setup
 
+    def refuse_twins(self, ids: Iterable[str]) -> None:
+        """Sees to it that nobody on this bus goes by these ids, for two would speak for the same.
+
+        Who is lasting gives what may be left of a machine that was lost the time to vanish.
+
+        Raises:
+            ConfigError: somebody does.
+        """
+        gone_by_s = time.monotonic() + (LOST_S if self._lasting else 0)
+        wanted, is_told = set(ids), False
+        while twins := sorted(wanted.intersection(self._roll().present)):
+            if time.monotonic() >= gone_by_s:
+                raise ConfigError(
+                    f"{', '.join(twins)} runs on this bus already: stop it, or take another with "
+                    "--only"
+                )
+            if not is_told:
+                say(self._console, f"waiting for another {', '.join(twins)} to be gone")
+            is_told = True
+            time.sleep(POLL_S)
+
+    def _roll(self) -> Roll:
+        return Roll.of(self._bus.roll_call(ROLL_CALL_S))
+
     def _refuse_strangers(self) -> None:
         """Waits for nobody where all that live speak another version of the protocol."""
-        roll = Roll.of(self._bus.roll_call(ROLL_CALL_S))
+        roll = self._roll()
         if roll.strangers and not roll.present:
             raise BusError(f"{self._endpoint.locator}: {roll.misfit()}")
+
+
+def say(console: Console, text: str) -> None:
+    """Prints a line as it is."""
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 @contextmanager

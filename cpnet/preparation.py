@@ -28,6 +28,7 @@ from cpnet.processes import (
 from cpnet.run_folder import RunFolder
 from cpnet.security import check_keys, secured
 from perception.registry import check
+from protocol.bus import Endpoint
 from protocol.errors import ConfigError
 from protocol.logs import LogStyle
 from protocol.messages import Setup
@@ -116,6 +117,7 @@ def prepared(options: Options, console: Console, played: Played | None) -> Prepa
         if TAPE in (process.role for process in processes):
             import tape  # noqa: F401 - says what to install, if it must be
         check_keys(options.keys, relays + processes)
+        _refuse_twins(endpoints[BusName.WORLD], processes, options.restart, console)
         netns.prepare(scenario, relays, console)
     except BaseException:  # Ctrl-C and SIGTERM too
         folder.take_back()
@@ -181,6 +183,14 @@ def _setup(
     with joined(place, console, lasting=restart) as world:
         setup = world.setup()
     return setup, scenarios.validate(setup.scenario, "the scenario of the other side")
+
+
+def _refuse_twins(
+    world: Endpoint, processes: list[ProcessEntry], restart: bool, console: Console
+) -> None:
+    if not world.listen:  # else nobody can be there yet
+        with joined(connecting(world), console, lasting=restart) as found:
+            found.refuse_twins(process.id for process in processes)
 
 
 def _detects(roles: list[str], scenario: scenarios.Scenario) -> bool:

@@ -3,6 +3,7 @@
 import io
 import os
 import signal
+import threading
 import time
 from collections.abc import Iterator
 
@@ -13,14 +14,16 @@ from cpnet import joining
 from cpnet.endpoints import free_locator
 from cpnet.joining import joined
 from protocol.bus import Endpoint, ZenohBus, open_bus
-from protocol.errors import BusError
+from protocol.errors import BusError, ConfigError
 from protocol.inbox import Inbox
 from protocol.keys import Keys
 from protocol.messages import Setup
 from protocol.topics import BusName
 from tests.certificates import make_keys
 from tests.cpnet.conftest import Shell
+from tests.cpnet.test_loop import free_ports
 from tests.protocol.test_wire import EXAMPLES
+from tests.waiting import wait_until
 
 WAIT_S = 60.0
 ENDS_WITHIN_S = 10.0
@@ -134,3 +137,46 @@ def test_strangers_on_the_same_bus_keep_nobody_from_waiting(place, host, console
         pytest.raises(BusError, match="nobody there serves setup"),
     ):
         world.setup()
+
+
+def test_who_is_there_already_is_not_started_twice(place, host, console):
+    host.announce("signal", "signal")
+    host.announce("vehicle", "vehicle-0")
+    with joined(place, console, lasting=False) as world:
+        world.refuse_twins(["edge", "vehicle-1"])
+        with pytest.raises(ConfigError, match="^vehicle-0 runs on this bus already: stop it, or"):
+            world.refuse_twins(["vehicle-0", "vehicle-1"])
+
+
+def test_who_lasts_waits_until_what_is_left_of_a_lost_machine_has_gone(place, host, console):
+    lost = open_bus(BusName.WORLD, place, Inbox())
+    lost.announce("vehicle", "vehicle-0")
+    with joined(place, console, lasting=True) as world:
+        wait_until(lambda: world._roll().present == ["vehicle-0"])
+        going = threading.Timer(1.5, lost.close)
+        going.start()
+        world.refuse_twins(["vehicle-0"])
+        going.join()
+    assert said(console).splitlines() == ["waiting for another vehicle-0 to be gone"]
+
+
+def test_who_lasts_gives_up_on_one_that_stays(place, host, console, monkeypatch):
+    monkeypatch.setattr(joining, "LOST_S", 0.2)
+    host.announce("vehicle", "vehicle-0")
+    with (
+        joined(place, console, lasting=True) as world,
+        pytest.raises(ConfigError, match="runs on this bus already"),
+    ):
+        world.refuse_twins(["vehicle-0"])
+
+
+def test_a_second_signal_beside_a_whole_run_is_refused(shell: Shell):
+    ports = free_ports()
+    run = shell.up("--duration=600", "--mode=realtime", f"--listen=127.0.0.1:{ports}", "--out=run")
+    run.read_until("vehicles")
+    again = shell.start("up", "--only=signal", f"--connect=127.0.0.1:{ports}", "--out=again")
+    status, output = again.finish(WAIT_S)
+    assert status == 2, output
+    assert "signal runs on this bus already: stop it, or take another with --only" in output
+    assert not (shell.folder / "again").exists()
+    assert run.process.poll() is None
