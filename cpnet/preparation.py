@@ -20,6 +20,7 @@ from cpnet.processes import (
     TAPE,
     Choice,
     ProcessEntry,
+    certain,
     choose,
     in_replay,
     processes_of,
@@ -92,6 +93,7 @@ def prepared(options: Options, console: Console, played: Played | None) -> Prepa
     choice = choose(options.only)
     hosted = {row.hosts for row in choice.roles if row.hosts}
     endpoints = secured(options.listen, options.connect, hosted, options.keys, options.insecure)
+    check_keys(options.keys, certain(choice))  # the others' once the scenario is known
     asked = None
     if played is None and "sim" in choice.names:
         asked = _simulated(options)
