@@ -32,7 +32,7 @@ def doctor_command(
     from cpnet.doctor import checks, machine
     from cpnet.doctor.finding import as_json as to_json
     from cpnet.doctor.finding import print_findings
-    from cpnet.endpoints import places
+    from cpnet.endpoints import implies_world, places
     from cpnet.security import WATCH
     from protocol.bus import Endpoint
     from protocol.keys import Keys
@@ -46,7 +46,7 @@ def doctor_command(
     findings = checks.examine()
     if keys is not None:
         findings += checks.examine_keys(keys)
-    findings += checks.examine_buses(elsewhere)
+    findings += checks.examine_buses(elsewhere, implied=implies_world(connect or []))
     if as_json:
         typer.echo(json.dumps(to_json(findings), indent=2))
     else:

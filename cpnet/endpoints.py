@@ -74,6 +74,13 @@ def places(option: str, texts: list[str], protocol: str = "tcp") -> dict[BusName
     return result
 
 
+def implies_world(texts: list[str]) -> bool:
+    """Whether the world bus is looked for one port above another that was named."""
+    matches = [match for text in texts if (match := _LOCATOR.fullmatch(text))]
+    buses = [match["bus"] for match in matches if match["bus"] != BusName.V2X.value]
+    return bool(buses) and buses[-1] is None
+
+
 def free_locator(protocol: str = "tcp") -> str:
     """Returns a place on loopback that nobody uses now."""
     with socket.socket() as probe:

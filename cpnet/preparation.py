@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,21 +14,23 @@ from cpnet import netns
 from cpnet import scenario as scenarios
 from cpnet.beside import Viewing
 from cpnet.endpoints import Endpoints, connecting
+from cpnet.joining import joined
 from cpnet.nursery import prepare
 from cpnet.processes import (
     TAPE,
     Choice,
     ProcessEntry,
+    certain,
     choose,
     in_replay,
     processes_of,
     relays_of,
 )
-from cpnet.run_folder import written
+from cpnet.run_folder import RunFolder, written
 from cpnet.security import check_keys, secured
 from perception.registry import check
-from protocol.bus import fetch
-from protocol.errors import ConfigError, MessageError
+from protocol.bus import Endpoint
+from protocol.errors import ConfigError
 from protocol.logs import LogStyle
 from protocol.messages import Setup
 from protocol.topics import BusName
@@ -93,6 +93,7 @@ def prepared(options: Options, console: Console, played: Played | None) -> Prepa
     choice = choose(options.only)
     hosted = {row.hosts for row in choice.roles if row.hosts}
     endpoints = secured(options.listen, options.connect, hosted, options.keys, options.insecure)
+    check_keys(options.keys, certain(choice))  # the others' once the scenario is known
     asked = None
     if played is None and "sim" in choice.names:
         asked = _simulated(options)
@@ -101,30 +102,32 @@ def prepared(options: Options, console: Console, played: Played | None) -> Prepa
             f"{', '.join(options.overrides)}: the scenario is decided where the role sim runs"
         )
     named = played or asked
-    run_dir = _make_run_dir(options.out, named.name if named else str(choice))
+    folder = RunFolder.at(options.out, named.name if named else str(choice))
     rows = [row if played is None else in_replay(row) for row in choice.roles if row is not TAPE]
     modules = list(dict.fromkeys(f"{row.module}.role" for row in rows))
-    with written(run_dir):  # imports while the setup is being made
-        prepare(modules, run_dir / "logs" / "nursery.log")
     try:
+        run_dir = folder.make()
+        with written(run_dir):  # imports while the setup is being made
+            prepare(modules, run_dir / "logs" / "nursery.log")
         if played is not None:
             setup = played.setup(run_dir)
             scenario = scenarios.validate(setup.scenario, "the replay")
         else:
-            setup, scenario = _setup(asked, endpoints, run_dir)
+            setup, scenario = _setup(asked, endpoints, run_dir, options.restart, console)
         _check(choice, options, scenario)
         packed = encode(setup)
         processes, relays = processes_of(choice, scenario), relays_of(choice, scenario)
         if TAPE in (process.role for process in processes):
             import tape  # noqa: F401 - says what to install, if it must be
         check_keys(options.keys, relays + processes)
+        _refuse_twins(endpoints[BusName.WORLD], processes, options.restart, console)
         netns.prepare(scenario, relays, console)
         with written(run_dir):
             (run_dir / "setup.msgpack").write_bytes(packed)
             shown = json.dumps(setup.scenario, indent=2) + "\n"
             (run_dir / "scenario.json").write_text(shown, "utf-8")
-    except (ConfigError, MessageError):
-        shutil.rmtree(run_dir, ignore_errors=True)
+    except BaseException:  # Ctrl-C and SIGTERM too
+        folder.take_back()
         raise
     started = [process.id if choice.ids else process.role.role for process in processes]
     here = ", ".join(dict.fromkeys(started))
@@ -167,7 +170,11 @@ def _check_restart(options: Options, scenario: scenarios.Scenario) -> None:
 
 
 def _setup(
-    asked: scenarios.Scenario | None, endpoints: Endpoints, run_dir: Path
+    asked: scenarios.Scenario | None,
+    endpoints: Endpoints,
+    run_dir: Path,
+    restart: bool,
+    console: Console,
 ) -> tuple[Setup, scenarios.Scenario]:
     if asked is not None:
         # SUMO is needed only where the world runs.
@@ -175,9 +182,18 @@ def _setup(
 
         with written(run_dir):
             return build_setup(asked.model_dump(mode="json"), run_dir), asked
-    world = connecting(endpoints[BusName.WORLD])
-    setup = fetch(BusName.WORLD, world, "setup", Setup)
+    place = connecting(endpoints[BusName.WORLD])
+    with joined(place, console, lasting=restart) as world:
+        setup = world.setup()
     return setup, scenarios.validate(setup.scenario, "the scenario of the other side")
+
+
+def _refuse_twins(
+    world: Endpoint, processes: list[ProcessEntry], restart: bool, console: Console
+) -> None:
+    if not world.listen:  # else nobody can be there yet
+        with joined(connecting(world), console, lasting=restart) as found:
+            found.refuse_twins(process.id for process in processes)
 
 
 def _detects(roles: list[str], scenario: scenarios.Scenario) -> bool:
@@ -185,18 +201,3 @@ def _detects(roles: list[str], scenario: scenarios.Scenario) -> bool:
     kinds: dict[str, AgentKind] = {"vehicle": "vehicle", "infra": "roadside"}
     policies = [scenario.upload.of(kinds[role]).policy for role in roles if role in kinds]
     return "edge" in roles or any(policy_of(policy).sends == "objects" for policy in policies)
-
-
-def _make_run_dir(out: Path | None, name: str) -> Path:
-    if out is None:
-        stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
-        out = Path("runs") / f"{name}-{stamp}"
-    if "," in str(out.absolute()):
-        raise ConfigError(f"--out {out}: SUMO takes no path with a comma in it")
-    try:
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise ConfigError(f"--out {out}: it exists and is not an empty folder")
-        out.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"--out {out}: {error}") from None
-    return out.resolve()

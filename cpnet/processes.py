@@ -78,6 +78,16 @@ class Choice:
         return named or [f"{row.role}-{n}" for n in range(count)]
 
 
+def certain(choice: Choice) -> list[ProcessEntry]:
+    """Returns the processes that run here whatever the scenario is: those of agents if named."""
+    return [
+        ProcessEntry(name, row)
+        for row in choice.roles
+        if row is not TAPE
+        for name in (choice.processes(row, 0) if row.role in AGENTS else [row.role])
+    ]
+
+
 def choose(only: str | None) -> Choice:
     """Reads `--only ROLE,...` and `--only vehicle-1,...`; all roles without it.
 

@@ -40,10 +40,10 @@ __all__ = [
     "Inbox",
     "Presence",
     "ZenohBus",
-    "fetch",
     "open_bus",
     "roomy",
     "settings_of",
+    "unanswered",
 ]
 
 M = TypeVar("M", bound=Message)
@@ -194,7 +194,8 @@ class ZenohBus:
         """Returns protocol version, role and id of all that live, whatever version they speak."""
         replies = self._session.liveliness().get(ALIVE_IN_ANY, timeout=timeout_s)
         keys = [str(reply.ok.key_expr).split("/") for reply in replies if reply.ok is not None]
-        return sorted({(version, role, process) for _, version, _, role, process in keys})
+        names = {(key[1], key[3], key[4]) for key in keys if len(key) == 5}  # no `**` among them
+        return sorted(names)
 
     def _answer(self, topic_name: str, make: Callable[[], bytes]) -> None:
         key = self._topic(topic_name).key()
@@ -255,20 +256,14 @@ def roomy(endpoint: Endpoint) -> Endpoint:
     return replace(endpoint, locator=f"{endpoint.locator}#so_sndbuf={SEND_BUFFER_BYTES}")
 
 
-def fetch(name: BusName, endpoint: Endpoint, topic_name: str, message: type[M]) -> M:
-    """Asks a bus for the message that its router's host serves.
-
-    Raises:
-        BusError: nobody answered.
-        ProtocolError: the answer is not such a message.
-    """
-    with _open_session(name, endpoint) as session:
-        give_up_ns = time.monotonic_ns() + CONNECT_TIMEOUT_MS * 1_000_000
-        while time.monotonic_ns() < give_up_ns:
-            for reply in session.get(TOPICS[topic_name].key(), timeout=2.0):
-                if reply.ok is not None:
-                    return decode(reply.ok.payload.to_bytes(), message)
-        raise BusError(f"{endpoint.locator} is up, but nobody there serves {topic_name}")
+def unanswered(name: BusName, endpoint: Endpoint, waited_s: float) -> str:
+    """Returns what to say of a bus that was waited for in vain."""
+    host = endpoint.locator.partition("/")[2].rpartition(":")[0]
+    why = f", with a certificate of the same authority that names {host}"
+    return (
+        f"nothing answers at {endpoint.locator} for the {name.value} bus "
+        f"(waited {waited_s:g} s); is the other side up{why if endpoint.keys else ''}?"
+    )
 
 
 def _open_session(
@@ -324,12 +319,7 @@ def _explain(name: BusName, endpoint: Endpoint, timeout_ms: int, error: str) -> 
             "stop what uses it or choose another with --listen"
         )
     if not endpoint.listen:
-        host = endpoint.locator.partition("/")[2].rpartition(":")[0]
-        why = f", with a certificate of the same authority that names {host}"
-        return (
-            f"nothing answers at {endpoint.locator} for the {name.value} bus "
-            f"(waited {timeout_ms / 1000:g} s); is the other side up{why if endpoint.keys else ''}?"
-        )
+        return unanswered(name, endpoint, timeout_ms / 1000)
     return (
         f"cannot listen at {endpoint.locator} for the {name.value} bus: {error.split(' at /')[0]}"
     )

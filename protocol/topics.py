@@ -158,6 +158,8 @@ ALIVE = f"{PREFIX}/alive"
 ALIVE_IN_ANY = "cpnet/*/alive/*/*"
 """The tokens of any version of the protocol."""
 
+OWN_VERSION = PREFIX.partition("/")[2]
+
 LOOKERS = {BusName.WORLD: _SIM | ONLOOKERS, BusName.V2X: _SIM | _EDGE | ONLOOKERS}
 """Who sees, on each bus, which processes are there."""
 

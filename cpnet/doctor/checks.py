@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from protocol.bus import Endpoint
 from protocol.topics import BusName
 
 REMOTE_S = 5.0
+IMPLIED = "(one port above the V2X bus; give world=HOST:PORT if it is elsewhere)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,13 +54,21 @@ def examine_keys(folder: Path) -> list[Finding]:
     return carry_out(Check("certificates", partial(certificates, folder)))
 
 
-def examine_buses(places: Mapping[BusName, Endpoint]) -> list[Finding]:
-    """Asks the buses that are reached so."""
+def examine_buses(places: Mapping[BusName, Endpoint], *, implied: bool = False) -> list[Finding]:
+    """Asks the buses that are reached so; `implied` if nobody said where the world's is."""
     checks = [
         Check(f"{bus.value}_bus", partial(remote.examine_bus, bus, endpoint), REMOTE_S)
         for bus, endpoint in places.items()
     ]
-    return [finding for check in checks for finding in carry_out(check)]
+    found = [finding for check in checks for finding in carry_out(check)]
+    return [_with_origin(finding) if implied else finding for finding in found]
+
+
+def _with_origin(finding: Finding) -> Finding:
+    """Explains a port that the user did not name."""
+    if finding.ok or finding.check not in ("world_reached", "world_zenoh", "world_mistaken"):
+        return finding
+    return replace(finding, advice=f"{finding.advice} {IMPLIED}")
 
 
 def carry_out(check: Check) -> list[Finding]:

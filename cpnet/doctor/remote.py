@@ -14,7 +14,8 @@ from protocol.clock import BURST, Exchange, OffsetFilter, this_machine
 from protocol.errors import BusError
 from protocol.inbox import Inbox
 from protocol.messages import Setup, TimeReply
-from protocol.topics import PREFIX, BusName
+from protocol.roll import Roll
+from protocol.topics import BusName
 from protocol.version import own_version
 
 ZENOH_MS = 1_500
@@ -63,13 +64,11 @@ def examine_bus(name: BusName, endpoint: Endpoint) -> Iterator[Finding]:
 
 
 def _ask(name: BusName, bus: ZenohBus) -> Iterator[Finding]:
-    rows = bus.roll_call(ANSWER_S)
-    own = PREFIX.split("/")[1]
-    strangers = sorted({version for version, _, _ in rows} - {own})
-    present = [process for version, _, process in rows if version == own]
+    roll = Roll.of(bus.roll_call(ANSWER_S))
+    present = roll.present
     clock = ask_clock(bus)
-    if strangers:
-        yield _of_another_version(name, strangers, own)
+    if roll.strangers:
+        yield _of_another_version(name, roll)
     if clock is not None and name is BusName.V2X:
         yield _mistaken(name, BusName.WORLD, "below")
     elif clock is None and name is BusName.WORLD and present:
@@ -77,7 +76,7 @@ def _ask(name: BusName, bus: ZenohBus) -> Iterator[Finding]:
     elif present:
         what = f"on the {name.value} bus: {', '.join(present)}"
         yield Finding(f"{name.value}_processes", what, ok=True, measured={"processes": present})
-    elif not strangers:
+    elif not roll.strangers:
         what, advice = f"on the {name.value} bus: nobody", "still starting, or not a bus of cpnet?"
         yield Finding(f"{name.value}_processes", what, ok=False, advice=advice)
     if clock is not None and name is BusName.WORLD:
@@ -131,10 +130,9 @@ def _version(bus: ZenohBus) -> Iterator[Finding]:
     yield Finding("world_version", what, ok, advice, optional=True, measured=measured)
 
 
-def _of_another_version(name: BusName, strangers: list[str], own: str) -> Finding:
-    what = f"on the {name.value} bus: processes that speak protocol {', '.join(strangers)}"
-    advice = f"this side speaks {own}: install the same cpnet on all machines"
-    return Finding(f"{name.value}_protocol", what, ok=False, advice=advice)
+def _of_another_version(name: BusName, roll: Roll) -> Finding:
+    what = f"on the {name.value} bus: processes that speak protocol {', '.join(roll.strangers)}"
+    return Finding(f"{name.value}_protocol", what, ok=False, advice=roll.misfit())
 
 
 def _mistaken(name: BusName, found: BusName, way: str) -> Finding:

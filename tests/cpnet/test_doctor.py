@@ -199,6 +199,14 @@ def test_a_dead_port_is_a_fault_for_programs_too(shell: Shell):
     assert "nobody listens at this port: is the role sim running there" in last["advice"]
 
 
+@pytest.mark.parametrize("implied", [True, False])
+def test_a_port_that_nobody_named_is_explained(implied):
+    dead = {bus: Endpoint("tcp/127.0.0.1:1", listen=False) for bus in BusName}
+    found = by_check(checks.examine_buses(dead, implied=implied))
+    assert ("one port above the V2X bus" in found["world_reached"].advice) is implied
+    assert "one port above" not in found["v2x_reached"].advice
+
+
 def test_certificates_are_looked_through(tmp_path):
     make_keys(tmp_path, now=datetime.now(UTC) - timedelta(days=350))
     (tmp_path / "signal.key").unlink()

@@ -2,7 +2,7 @@ import socket
 
 import pytest
 
-from cpnet.endpoints import connecting, resolve
+from cpnet.endpoints import connecting, implies_world, resolve
 from protocol.bus import Endpoint
 from protocol.errors import ConfigError
 from protocol.topics import BusName
@@ -26,6 +26,21 @@ def test_each_bus_can_have_a_place_of_its_own():
     places = resolve([], ["v2x=edge.city:7447", "world=tcp/[fe80::1]:9000"], set())
     assert places[V2X].locator == "tcp/edge.city:7447"
     assert places[WORLD].locator == "tcp/[fe80::1]:9000"
+
+
+@pytest.mark.parametrize(
+    ("texts", "implied"),
+    [
+        (["a:7447"], True),
+        (["[::1]:7447"], True),
+        (["a:7447", "v2x=b:7447"], True),
+        (["a:7447", "world=b:7448"], False),
+        (["v2x=a:7447"], False),
+        ([], False),
+    ],
+)
+def test_a_world_bus_that_nobody_named_is_told_from_one_that_was(texts, implied):
+    assert implies_world(texts) is implied
 
 
 def test_a_bus_whose_host_runs_elsewhere_needs_a_place():

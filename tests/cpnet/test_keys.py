@@ -158,6 +158,22 @@ def test_keys_are_looked_at_before_anything_starts(shell: Shell, folder):
     assert not (shell.folder / "run").exists()
 
 
+@pytest.mark.parametrize("named", ["vehicle-7", "signal,vehicle", "infra-0,edge"])
+def test_keys_that_are_surely_needed_are_missed_before_anybody_is_asked(
+    shell: Shell, folder, named
+):
+    missing = named.split(",")[0]
+    (folder / f"{missing}.key").unlink(missing_ok=True)
+    (folder / f"{missing}.pem").unlink(missing_ok=True)
+    status, output = shell.run(
+        "up", f"--only={named}", "--keys=keys", "--connect=127.0.0.1:1", "--out=run"
+    )
+    assert status == 2, output
+    assert f"keys/{missing}.pem: there is no such file, and {missing} runs here" in output
+    assert "waiting" not in output
+    assert not (shell.folder / "run").exists()
+
+
 @pytest.mark.parametrize("place", ["0.0.0.0:7447", "[::]:7447", "192.0.2.1:7447", "edge.city:7447"])
 def test_a_bus_without_keys_stays_on_loopback(place):
     with pytest.raises(ConfigError, match=NOBODY_ELSE):

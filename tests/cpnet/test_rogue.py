@@ -7,6 +7,7 @@ message: wherever it arrived, it would be counted and stand in the run's drops.
 import json
 import signal
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -14,14 +15,15 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from protocol.bus import Endpoint, fetch
+from protocol.bus import Endpoint, open_bus
+from protocol.inbox import Inbox
 from protocol.keys import Keys
 from protocol.messages import Setup
 from protocol.topics import ALIVE, PREFIX, TOPICS, BusName
 from tests.certificates import make_keys
 from tests.cpnet.conftest import Command, Shell
 from tests.cpnet.test_loop import free_ports
-from tests.waiting import wait_until
+from tests.waiting import PATIENCE_S, wait_until
 
 FORGED = b"forged"
 V2X, WORLD = BusName.V2X, BusName.WORLD
@@ -226,9 +228,12 @@ def test_nobody_answers_in_the_place_of_the_world(attacked):
     rogue = attacked.member(WORLD, "vehicle-1")
     key = TOPICS["setup"].key()
     false = rogue.declare_queryable(key, lambda query: query.reply(key, FORGED))
-    asking = Endpoint(attacked.locator(WORLD), False, Keys.of(attacked.keys, "watch"))
+    watch = Endpoint(attacked.locator(WORLD), False, Keys.of(attacked.keys, "watch"))
     for _ in range(5):
-        assert fetch(WORLD, asking, "setup", Setup).scenario["name"] == "t_junction"
+        with closing(open_bus(WORLD, watch, Inbox())) as asking:
+            setup = asking.ask("setup", Setup, PATIENCE_S)
+        assert setup is not None
+        assert setup.scenario["name"] == "t_junction"
     assert false
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from cpnet.endpoints import resolve
-from cpnet.processes import ROLES, ProcessEntry, RoleEntry, choose, processes_of
+from cpnet.processes import ROLES, ProcessEntry, RoleEntry, certain, choose, processes_of
 from cpnet.restarts import MAX_RESTARTS
 from cpnet.scenario import Scenario
 from cpnet.supervisor import LIST_NAME, Supervisor, tail
@@ -237,3 +237,8 @@ def test_every_role_is_a_package_with_a_main_module():
     root = Path(__file__).parents[2]
     for row in ROLES:
         assert (root / row.module / "__main__.py").is_file(), row.module
+
+
+def test_what_was_named_runs_whatever_the_scenario_is():
+    found = [process.id for process in certain(choose("edge,tape,infra,vehicle-7,vehicle-1"))]
+    assert found == ["edge", "vehicle-1", "vehicle-7"]

@@ -9,7 +9,7 @@ import pytest
 import zenoh
 
 from protocol import bus as buses
-from protocol.bus import Endpoint, ZenohBus, fetch, open_bus
+from protocol.bus import Endpoint, ZenohBus, open_bus
 from protocol.errors import BusError
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Roster
@@ -98,12 +98,14 @@ def test_a_silent_place_is_named(locator, monkeypatch):
         open_bus(BusName.V2X, Endpoint(locator, listen=False), Inbox())
 
 
-def test_the_setup_can_be_fetched(locator):
+def test_what_the_host_serves_can_be_asked_for(locator):
     end = End(frames=3, reason="finished")
-    with_setup = open_bus(BusName.WORLD, Endpoint(locator, listen=True), Inbox())
-    with_setup.serve("end", end)
-    assert fetch(BusName.WORLD, Endpoint(locator, listen=False), "end", End) == end
-    with_setup.close()
+    host = open_bus(BusName.WORLD, Endpoint(locator, listen=True), Inbox())
+    host.serve("end", end)
+    asking = open_bus(BusName.WORLD, Endpoint(locator, listen=False), Inbox())
+    assert asking.ask("end", End, WAIT_S) == end
+    asking.close()
+    host.close()
 
 
 def test_a_topic_of_the_other_bus_is_refused(router):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from protocol.access import members_of
-from protocol.bus import Endpoint, ZenohBus, fetch, open_bus, roomy
+from protocol.bus import Endpoint, ZenohBus, open_bus, roomy
 from protocol.errors import BusError
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.keys import Keys
@@ -86,14 +86,16 @@ def test_presence_comes_and_goes_over_tls(router, folder, place, edge_inbox):
     assert edge_inbox.get(WAIT_S) == Presence("vehicle", "vehicle-0", alive=False)
 
 
-def test_what_the_host_serves_can_be_fetched_over_tls(folder, place):
+def test_what_the_host_serves_can_be_asked_for_over_tls(folder, place):
     end = End(frames=3, reason="finished")
     locator = f"tls/{place}"
     host = Endpoint(locator, listen=True, keys=Keys.of(folder, "sim"))
     bus = open_bus(BusName.WORLD, host, Inbox(), members=MEMBERS)
     bus.serve("setup", end)
-    asking = Endpoint(locator, listen=False, keys=Keys.of(folder, "watch"))
-    assert fetch(BusName.WORLD, asking, "setup", End) == end
+    watch = Endpoint(locator, listen=False, keys=Keys.of(folder, "watch"))
+    asking = open_bus(BusName.WORLD, watch, Inbox())
+    assert asking.ask("setup", End, WAIT_S) == end
+    asking.close()
     bus.close()
 
 

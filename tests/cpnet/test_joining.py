@@ -1,0 +1,182 @@
+"""Joining a world that is elsewhere: nobody waits unheard, and nobody waits in vain."""
+
+import io
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+from rich.console import Console
+
+from cpnet import joining
+from cpnet.endpoints import free_locator
+from cpnet.joining import joined
+from protocol.bus import Endpoint, ZenohBus, open_bus
+from protocol.errors import BusError, ConfigError
+from protocol.inbox import Inbox
+from protocol.keys import Keys
+from protocol.messages import Setup
+from protocol.topics import BusName
+from tests.certificates import make_keys
+from tests.cpnet.conftest import Shell
+from tests.cpnet.test_loop import free_ports
+from tests.protocol.test_wire import EXAMPLES
+from tests.waiting import wait_until
+
+WAIT_S = 60.0
+ENDS_WITHIN_S = 10.0
+
+
+@pytest.fixture
+def console() -> Console:
+    return Console(file=io.StringIO(), width=200)
+
+
+@pytest.fixture
+def place() -> Endpoint:
+    return Endpoint(free_locator(), listen=False)
+
+
+@pytest.fixture
+def host(place: Endpoint) -> Iterator[ZenohBus]:
+    bus = open_bus(BusName.WORLD, Endpoint(place.locator, listen=True), Inbox())
+    yield bus
+    bus.close()
+
+
+def said(console: Console) -> str:
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_who_waits_says_for_what_and_ends_when_told(shell: Shell, number):
+    start = shell.start("up", "--only=vehicle", "--connect=127.0.0.1:1", "--out=run")
+    start.read_until("waiting for the world bus at 127.0.0.1:2 (Ctrl-C ends)")
+    told_s = time.monotonic()
+    os.kill(start.process.pid, number)
+    status, output = start.finish(WAIT_S)
+    assert time.monotonic() - told_s < ENDS_WITHIN_S
+    assert status == 128 + number
+    assert "Traceback" not in output
+    assert list(shell.folder.iterdir()) == []
+
+
+def test_a_world_that_does_not_come_is_named_with_all_the_time_it_had(place, console, monkeypatch):
+    monkeypatch.setattr(joining, "PATIENCE_S", 1.5)
+    with (
+        pytest.raises(BusError, match=rf"answers at {place.locator} for .* \(waited 1.5 s\)"),
+        joined(place, console, lasting=False),
+    ):
+        pass
+    assert said(console).count("waiting for the world bus") == 1
+
+
+def test_keys_of_another_authority_are_named(tmp_path, console, monkeypatch):
+    monkeypatch.setattr(joining, "PATIENCE_S", 0.1)
+    own, other = (make_keys(tmp_path / name) for name in ("own", "other"))
+    locator = free_locator("tls")
+    host = Endpoint(locator, listen=True, keys=Keys.of(own, "sim"))
+    bus = open_bus(BusName.WORLD, host, Inbox())
+    stranger = Endpoint(locator, listen=False, keys=Keys.of(other, "watch"))
+    with (
+        pytest.raises(BusError, match="certificate of the same authority that names 127.0.0.1"),
+        joined(stranger, console, lasting=False),
+    ):
+        pass
+    bus.close()
+
+
+def test_a_world_that_serves_nothing_is_named(place, host, console, monkeypatch):
+    monkeypatch.setattr(joining, "PATIENCE_S", 0.1)
+    with (
+        joined(place, console, lasting=False) as world,
+        pytest.raises(BusError, match="nobody there serves setup"),
+    ):
+        world.setup()
+
+
+def test_who_lasts_waits_beyond_the_time_and_says_why_once(console):
+    patience = joining.Patience("the world bus", console, endless=True)
+    patience._began_s -= joining.PATIENCE_S
+    for _ in range(2):
+        patience.wait(BusError("nothing answers"))
+    assert said(console).splitlines() == [
+        "waiting for the world bus (Ctrl-C ends)",
+        "still waiting: nothing answers",
+    ]
+
+
+def test_the_setup_is_what_the_host_serves(place, host, console):
+    (setup,) = (message for message in EXAMPLES if isinstance(message, Setup))
+    host.serve("setup", setup)
+    with joined(place, console, lasting=False) as world:
+        assert world.setup().scenario == setup.scenario
+    assert said(console) == ""
+
+
+def test_a_world_of_another_version_is_named_at_once(place, host, console, monkeypatch):
+    monkeypatch.setattr("protocol.bus.ALIVE", "cpnet/v0/alive")
+    host.announce("sim", "sim")
+    with (
+        joined(place, console, lasting=True) as world,
+        pytest.raises(BusError, match="they speak version 0 of the protocol, this side 1: install"),
+    ):
+        world.setup()
+
+
+def test_strangers_on_the_same_bus_keep_nobody_from_waiting(place, host, console, monkeypatch):
+    monkeypatch.setattr(joining, "PATIENCE_S", 0.1)
+    host.announce("sim", "sim")
+    monkeypatch.setattr("protocol.bus.ALIVE", "cpnet/v0/alive")
+    host.announce("signal", "signal")
+    with (
+        joined(place, console, lasting=False) as world,
+        pytest.raises(BusError, match="nobody there serves setup"),
+    ):
+        world.setup()
+
+
+def test_who_is_there_already_is_not_started_twice(place, host, console):
+    host.announce("signal", "signal")
+    host.announce("vehicle", "vehicle-0")
+    with joined(place, console, lasting=False) as world:
+        world.refuse_twins(["edge", "vehicle-1"])
+        with pytest.raises(ConfigError, match="^vehicle-0 runs on this bus already: stop it, or"):
+            world.refuse_twins(["vehicle-0", "vehicle-1"])
+
+
+def test_who_lasts_waits_until_what_is_left_of_a_lost_machine_has_gone(place, host, console):
+    lost = open_bus(BusName.WORLD, place, Inbox())
+    lost.announce("vehicle", "vehicle-0")
+    with joined(place, console, lasting=True) as world:
+        wait_until(lambda: world._roll().present == ["vehicle-0"])
+        going = threading.Timer(1.5, lost.close)
+        going.start()
+        world.refuse_twins(["vehicle-0"])
+        going.join()
+    assert said(console).splitlines() == ["waiting for another vehicle-0 to be gone"]
+
+
+def test_who_lasts_gives_up_on_one_that_stays(place, host, console, monkeypatch):
+    monkeypatch.setattr(joining, "LOST_S", 0.2)
+    host.announce("vehicle", "vehicle-0")
+    with (
+        joined(place, console, lasting=True) as world,
+        pytest.raises(ConfigError, match="runs on this bus already"),
+    ):
+        world.refuse_twins(["vehicle-0"])
+
+
+def test_a_second_signal_beside_a_whole_run_is_refused(shell: Shell):
+    ports = free_ports()
+    run = shell.up("--duration=600", "--mode=realtime", f"--listen=127.0.0.1:{ports}", "--out=run")
+    run.read_until("vehicles")
+    again = shell.start("up", "--only=signal", f"--connect=127.0.0.1:{ports}", "--out=again")
+    status, output = again.finish(WAIT_S)
+    assert status == 2, output
+    assert "signal runs on this bus already: stop it, or take another with --only" in output
+    assert not (shell.folder / "again").exists()
+    assert run.process.poll() is None
