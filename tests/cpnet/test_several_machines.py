@@ -113,14 +113,23 @@ class Machines:
         since_ns = time.monotonic_ns()
         wait_until(lambda: self._right_frames(since_ns) >= STEADY_FRAMES, PATIENCE_S)
 
+    def await_measured(self, process: str) -> None:
+        """Waits for frames from now on in which a process plays agents."""
+        sql = "SELECT count(*) FROM stages WHERE start_ns > ? AND process = ?"
+        since_ns = time.monotonic_ns()
+        wait_until(lambda: self._count(sql, since_ns, process) >= STEADY_FRAMES, PATIENCE_S)
+
     def _right_frames(self, since_ns: int) -> int:
         sql = (
             "SELECT count(*) FROM frames WHERE tick_ns > ? AND complete = 1 "
             "AND agents > cavs AND request_ns NOT NULL"  # the post, and all CAVs
         )
+        return self._count(sql, since_ns)
+
+    def _count(self, sql: str, *values: int | str) -> int:
         try:
             with Run(self.run_dir("world")) as run:
-                return int(run.query(sql, since_ns)[0][0])
+                return int(run.query(sql, *values)[0][0])
         except ConfigError:  # the recorder has not begun
             return 0
 
@@ -174,6 +183,7 @@ def test_hosts_and_roles_come_and_go_while_the_world_goes_on(machines: Machines)
     machines.lose("car-0")  # its CAVs go to the other host
     machines.await_right()
     machines.up_on("car-0", "--restart", out="car-0-again")
+    machines.await_measured("vehicle-0")
     machines.await_right()
     machines.stop()
     with Run(machines.run_dir("world")) as run:
