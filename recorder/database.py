@@ -26,7 +26,7 @@ class Database:
     """The open database of a run that is being recorded.
 
     `last_frame` is the last of which a recorder that died before knew, `last_whole` the last with
-    a request; None if this is the first.
+    a request, `last_tick` frame and ns of simulation of the last tick; None if this is the first.
     """
 
     def __init__(self, run_dir: Path, scenario: str = "") -> None:
@@ -47,6 +47,7 @@ class Database:
             self._connection.execute("PRAGMA synchronous = NORMAL")
             self.last_frame = self._resume(scenario) if is_there else None
             self.last_whole = self._newest("requests") if is_there else None
+            self.last_tick = self._last_tick() if is_there else None
         except sqlite3.Error as error:
             raise ConfigError(f"{self.path} cannot be written: {error}") from None
         self._pending: dict[type, list[Row]] = {row: [] for row in TABLES}
@@ -114,6 +115,14 @@ class Database:
     def _newest(self, table: str) -> int:
         ((newest,),) = self._connection.execute(f"SELECT max(frame) FROM {table}").fetchall()
         return -1 if newest is None else int(newest)
+
+    def _last_tick(self) -> tuple[int, int] | None:
+        sql = (
+            "SELECT frame, sim_time_ns FROM frames WHERE sim_time_ns NOT NULL "
+            "ORDER BY frame DESC LIMIT 1"
+        )
+        found: tuple[int, int] | None = self._connection.execute(sql).fetchone()
+        return found
 
     def _create(self) -> None:
         self._connection.execute("BEGIN")

@@ -117,10 +117,11 @@ class FrameNote:
 class Ledger:
     """Notes of the newest frames; a frame is written again whenever more was heard of it."""
 
-    def __init__(self, frame_period_ns: int) -> None:
+    def __init__(self, frame_period_ns: int, last_tick: tuple[int, int] | None = None) -> None:
+        """Begins after a recording's last tick, frame and ns of simulation, if it goes on."""
         self._notes: dict[int, FrameNote] = {}
         self._changed: set[int] = set()
-        self._pulse = Pulse(frame_period_ns)
+        self._pulse = Pulse(frame_period_ns, last_tick)
         self._settled = -1
 
     def __len__(self) -> int:

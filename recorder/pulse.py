@@ -11,11 +11,12 @@ OPEN_FRAMES = 256
 class Pulse:
     """Follows ticks; one that leads elsewhere is believed when the next goes on from there."""
 
-    def __init__(self, period_ns: int) -> None:
+    def __init__(self, period_ns: int, last: tuple[int, int] | None = None) -> None:
+        """Begins after the last tick, frame and ns of simulation, that is known from before."""
         self._period_ns = period_ns
-        self._last: tuple[int, int] | None = None
+        self._last = last
         self._doubted: tuple[int, int] | None = None
-        self.frame = -1
+        self.frame = last[0] if last else -1
 
     def take(self, frame: int, sim_time_ns: int) -> None:
         """Moves on to a tick.

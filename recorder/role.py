@@ -49,22 +49,24 @@ class RecordRole:
         written = json.dumps(scenario)
         self._database = Database(context.run_dir, written)
         self._is_broken = False
-        self._ledger = Ledger(self._frame_period_ns)
+        self._ledger = Ledger(self._frame_period_ns, self._database.last_tick)
         self._glance = Glance(self._frame_period_ns)
         self._ending = Ending()
         self._clocks: dict[str, tuple[int, int]] = {}
         self._drops = Drops(self._database.known_drops())
-        self._resumed = self._database.last_frame
         self._last_request = -1 if self._database.last_whole is None else self._database.last_whole
-        self._return = None if self._resumed is None else Return(self._last_request)
+        self._return: Return | None = None
         self._reaches = [Reach(BusName.V2X, context.v2x), Reach(BusName.WORLD, context.world)]
         self._commit_ns = COMMIT_NS if scenario.get("mode") == "lockstep" else 0
         self._committed_ns = self._told_ns = time.monotonic_ns()
         self._handlers = self._routes()
-        if self._resumed is None:
+        resumed = self._database.last_frame
+        if resumed is None:
             self._begin(written)
         else:
-            _log.warning("the recording goes on after frame %d", self._resumed)
+            _log.warning("the recording goes on after frame %d", resumed)
+            self._ledger.settle(resumed)
+            self._return = Return(self._last_request)
 
     @classmethod
     def build(cls, context: Context) -> RecordRole:
@@ -85,10 +87,10 @@ class RecordRole:
         self._look(time.monotonic_ns())
         try:
             self._handlers[item.topic](item.message, item.received_ns)
+            self._note_gaps(item)
         except MessageError as error:
             self._context.inbox.refuse(item.topic, error)
         self._ending.heard(item.received_ns)
-        self._note_gaps(item)
         if self._database.is_full:
             self._commit(time.monotonic_ns())
 
@@ -132,9 +134,6 @@ class RecordRole:
 
     def _on_tick(self, tick: m.Tick, received_ns: int) -> None:
         note = self._ledger.tick(tick.frame, tick.sim_time_ns)
-        if self._resumed is not None:
-            self._ledger.settle(max(self._resumed, 0))
-            self._resumed = None
         self._glance.ticked(tick, received_ns)
         note.sim_time_ns, note.tick_ns = tick.sim_time_ns, received_ns
         note.vehicles, note.cavs, note.cvs = (

@@ -16,7 +16,7 @@ import typer
 
 from cpnet.cli_options import console, errors
 from cpnet.endpoints import connecting, free_locator
-from cpnet.soak.faults import processes_of
+from cpnet.soak.faults import Fault, processes_of
 from cpnet.soak.findings import Findings, look_back
 from cpnet.soak.health import Health
 from cpnet.soak.observer import Observer
@@ -28,7 +28,7 @@ from protocol.errors import BusError, CpnetError
 
 START_S = 120.0
 POLL_S = 0.1
-END_S = 60.0
+END_S = 300.0  # it reads all frames of the run for its summary
 BEYOND_S = 600.0  # of the run's own duration: it is stopped before
 
 
@@ -75,12 +75,18 @@ def soak(minutes: float, kills: int, seed: int, out: Path, keys: list[str]) -> F
                 if not observer.listen(START_S, observer.is_right):
                     raise BusError(f"the run never went right: {observer.health.wrong}")
                 rng = np.random.default_rng(seed)
-                faults, memory = hurt(observer, out, minutes=minutes, kills=kills, rng=rng)
+                faults, memory = hurt(
+                    observer, out, minutes=minutes, kills=kills, rng=rng, tell=_tell
+                )
                 asked = set(observer.asked)
         finally:
             run.send_signal(signal.SIGINT)
             run.wait(END_S)
     return look_back(out, minutes, faults, memory, asked)
+
+
+def _tell(fault: Fault) -> None:
+    console.print(str(fault), markup=False, soft_wrap=True)
 
 
 def _observe(

@@ -26,6 +26,11 @@ class Fault:
     recovery_s: float | None
     wrong: str = ""
 
+    def __str__(self) -> str:
+        took = f"right again after {self.recovery_s or 0:.2f} s"
+        outcome = f"never right again ({self.wrong})" if self.recovery_s is None else took
+        return f"{self.victim} at frame {self.frame}: {outcome}"
+
 
 def processes_of(run_dir: Path) -> dict[str, int]:
     """Returns the process numbers of a run by id, as its supervisor has them now."""

@@ -35,7 +35,7 @@ class Findings:
         late = [f for f in self.faults if f.recovery_s is None or f.recovery_s > LIMIT_S]
         grown = [g for g in self.memory if not is_flat(g)]
         return [
-            *(f"{f.victim} at frame {f.frame}: {_took(f)}" for f in late),
+            *map(str, late),
             *(f"{g.process} grew from {g.early_mib:.0f} to {g.late_mib:.0f} MiB" for g in grown),
             *self.unsafe,
             *self.damage,
@@ -83,9 +83,3 @@ def by_victim(faults: list[Fault]) -> list[tuple[str, int, float, float]]:
     for fault in faults:
         times[fault.victim].append(float("inf") if fault.recovery_s is None else fault.recovery_s)
     return [(name, len(took), median(took), max(took)) for name, took in sorted(times.items())]
-
-
-def _took(fault: Fault) -> str:
-    if fault.recovery_s is None:
-        return f"never right again ({fault.wrong})"
-    return f"right again after {fault.recovery_s:.1f} s"

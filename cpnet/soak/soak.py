@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +17,18 @@ SAMPLE_S = 5.0
 
 
 def hurt(
-    observer: Observer, run_dir: Path, *, minutes: float, kills: int, rng: np.random.Generator
+    observer: Observer,
+    run_dir: Path,
+    *,
+    minutes: float,
+    kills: int,
+    rng: np.random.Generator,
+    tell: Callable[[Fault], None],
 ) -> tuple[list[Fault], list[Growth]]:
     """Kills so many processes in so many minutes, at random times; returns what came of it.
 
-    A process is killed once all is right; how long that stays so is drawn at random.
+    A process is killed once all is right; how long that stays so is drawn at random. Each fault is
+    told at once.
     """
     memory = Memory(run_dir)
     faults = []
@@ -34,6 +41,7 @@ def hurt(
             memory.sample()
         observer.listen(GIVE_UP_S, observer.is_right)
         faults.append(hurt_once(observer, run_dir, victim))
+        tell(faults[-1])
     return faults, memory.growth()
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.cpnet.forked import SETTINGS, Forked
+
 SMALL = [
     "--set=lidar.vehicle.channels=16",
     "--set=lidar.roadside.channels=16",
@@ -22,15 +24,8 @@ class Command:
     """A `cpnet` command, in a network namespace if one is named."""
 
     def __init__(self, folder: Path, arguments: list[str], within: str = "") -> None:
-        enter = ["ip", "netns", "exec", within] if within else []
-        self.process = subprocess.Popen(
-            [*enter, sys.executable, "-m", "cpnet", *arguments],
-            cwd=folder,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            env=os.environ | {"COLUMNS": "120", "PYTHONWARNINGS": "error"},
-        )
+        is_fresh = within or "PYTHONPATH" in os.environ  # which only a new interpreter heeds
+        self.process = _fresh(folder, arguments, within) if is_fresh else Forked(folder, arguments)
 
     def finish(self, timeout_s: float = 120) -> tuple[int, str]:
         """Waits for the end; returns the exit status and what was printed."""
@@ -46,6 +41,18 @@ class Command:
             if text in line:
                 return "".join(seen)
         raise AssertionError(f"{text!r} was never printed:\n{''.join(seen)}")
+
+
+def _fresh(folder: Path, arguments: list[str], within: str) -> subprocess.Popen[str]:
+    enter = ["ip", "netns", "exec", within] if within else []
+    return subprocess.Popen(
+        [*enter, sys.executable, "-m", "cpnet", *arguments],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=os.environ | SETTINGS,
+    )
 
 
 class Shell:

@@ -305,7 +305,7 @@ def rogue_on(port: int) -> zenoh.Session:
 
 def test_bad_messages_are_counted_and_the_run_goes_on(shell):
     port = free_ports()
-    command = shell.up("--duration=20", "--out=run", f"--listen=127.0.0.1:{port}")
+    command = shell.up("--duration=12", "--out=run", f"--listen=127.0.0.1:{port}")
     command.read_until("vehicles")
     rogue = rogue_on(port)
     good = encode(Roster(frame=0, process="x", agents=[], scanning=[]))

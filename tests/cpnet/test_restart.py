@@ -120,15 +120,15 @@ def test_a_lost_agents_cavs_move_to_the_others_and_newcomers_join(shell):
 
 
 def test_a_process_that_dies_all_the_time_ends_the_run(shell):
-    with observed(shell) as (command, observer, run_dir):
+    with observed(shell) as (command, _, run_dir):
         for _ in range(MAX_RESTARTS + 1):
             number = processes_of(run_dir)["signal"]
             os.kill(number, signal.SIGKILL)
-            observer.listen(
-                PATIENCE_S,
+            wait_until(
                 lambda number=number: (
                     processes_of(run_dir)["signal"] != number or command.process.poll() is not None
                 ),
+                PATIENCE_S,
             )
     status, output = command.finish()
     assert status == 1

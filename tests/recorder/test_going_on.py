@@ -24,7 +24,7 @@ def frame_row(frame: int) -> FrameRow:
 def break_off(run_dir: Path, *meta: MetaRow) -> None:
     database = Database(run_dir)
     database.add(MetaRow, [MetaRow("scenario", "{}"), *meta])
-    database.add(FrameRow, [frame_row(41)])
+    database.add(FrameRow, [frame_row(39)._replace(sim_time_ns=3_900_000_000), frame_row(41)])
     database.add(RequestRow, [RequestRow(40, "tls", "G", "max_pressure", "[]", None, "")])
     database.add(DropRow, [DropRow("edge", "late", 3)])
     database.commit()
@@ -35,11 +35,12 @@ def test_a_recording_of_the_same_scenario_is_gone_on_with(tmp_path: Path) -> Non
     break_off(tmp_path)
     database = Database(tmp_path, "{}")
     assert (database.last_frame, database.last_whole) == (41, 40)
+    assert database.last_tick == (39, 3_900_000_000)  # of the later ones no tick was heard
     assert database.known_drops() == [DropRow("edge", "late", 3)]
     database.add(FrameRow, [frame_row(50)])
     database.close()
     with Run(tmp_path) as run:
-        assert [row.frame for row in run.rows(FrameRow)] == [41, 50]
+        assert [row.frame for row in run.rows(FrameRow)] == [39, 41, 50]
 
 
 def test_a_new_recording_goes_on_after_nothing(tmp_path: Path) -> None:
@@ -64,6 +65,15 @@ def test_what_was_recorded_before_stays_as_it_is() -> None:
     with pytest.raises(MessageError, match="before the recorder broke off"):
         ledger.note(0)
     assert ledger.note(1).frame == 1
+
+
+def test_the_first_tick_after_a_break_is_believed_if_it_goes_on_from_the_last() -> None:
+    ledger = Ledger(100_000_000, (999, 99_900_000_000))
+    ledger.settle(1000)
+    assert ledger.note(1002).frame == 1002  # before any tick: the recorder knows where it was
+    assert ledger.tick(1003, 100_300_000_000).frame == 1003
+    with pytest.raises(MessageError, match="does not follow"):
+        ledger.tick(9000, 900_000_000_000)
 
 
 @given(st.lists(st.lists(st.dictionaries(st.sampled_from("ab"), st.integers(0, 9)), max_size=4)))

@@ -132,7 +132,7 @@ def test_the_page_names_what_is_not_as_it_must_be() -> None:
     text = page(found, "scripts/soak")
     assert "1 of them right again within 3 s" in text
     for fault in (
-        "edge at frame 9: right again after 3.5 s",
+        "edge at frame 9: right again after 3.50 s",
         "signal at frame 11: never right again (silence)",
         "edge grew from 100 to 180 MiB",
         "lost",
