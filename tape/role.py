@@ -10,13 +10,14 @@ from protocol.topics import TOPICS, BusName
 from tape.names import next_file
 from tape.taping import Choice, Taping
 
-_NICENESS = 10  # a tenth of a core, where all others want both: native messages take half of that
-
 
 def give_way() -> None:
-    """Lets all others go first, however urgent this process was when it was started."""
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    os.nice(_NICENESS)
+    """Lets all others go first, however urgent this process was when it was started.
+
+    Who is merely less urgent still keeps a core for its slice of milliseconds from who wakes up
+    meanwhile, which a frame that goes through many hands feels; the idle give it up at once.
+    """
+    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
 def build(context: Context) -> Taping:
