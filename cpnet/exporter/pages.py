@@ -16,6 +16,7 @@ from prometheus_client import CollectorRegistry, make_wsgi_app
 MAX_ASKERS = 16
 SILENCE_S = 5.0  # of an asker, before it is hung up on
 _PLACE_S = 1.0  # for an asker that was driven out to let go of its place
+Asker = socket.socket | tuple[bytes, socket.socket]  # the latter for datagrams: never here
 _log = logging.getLogger(__name__)
 
 
@@ -28,14 +29,14 @@ class PageServer(ThreadingMixIn, WSGIServer):
 
     daemon_threads = True
 
-    def __init__(self, *address_and_handler: object) -> None:
-        """Listens; the arguments are `WSGIServer`'s."""
+    def __init__(self, address: tuple[str, int], handler: type[WSGIRequestHandler]) -> None:
+        """Listens there."""
         self._lock = threading.Lock()
-        self._askers: list[socket.socket] = []  # the oldest first
+        self._askers: list[Asker] = []  # the oldest first
         self._places = threading.BoundedSemaphore(MAX_ASKERS)
-        super().__init__(*address_and_handler)  # type: ignore[arg-type]
+        super().__init__(address, handler)
 
-    def process_request(self, request, client_address) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
+    def process_request(self, request: Asker, client_address: object) -> None:
         """Serves an asker in a thread of its own, as soon as there is a place."""
         if not self._places.acquire(blocking=False):
             self._drive_out_oldest()
@@ -50,14 +51,14 @@ class PageServer(ThreadingMixIn, WSGIServer):
             self._places.release()
             raise
 
-    def process_request_thread(self, request, client_address) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
+    def process_request_thread(self, request: Asker, client_address: object) -> None:
         """Serves an asker and gives its place back."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._places.release()
 
-    def shutdown_request(self, request) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
+    def shutdown_request(self, request: Asker) -> None:
         """Hangs up; nobody drives out who has left."""
         with self._lock:
             if request in self._askers:
@@ -71,8 +72,9 @@ class PageServer(ThreadingMixIn, WSGIServer):
 
     def _drive_out_oldest(self) -> None:
         with self._lock, suppress(OSError):  # it may have hung up
-            if self._askers:
-                self._askers.pop(0).shutdown(socket.SHUT_RDWR)
+            oldest = self._askers.pop(0) if self._askers else None
+            if isinstance(oldest, socket.socket):
+                oldest.shutdown(socket.SHUT_RDWR)
 
 
 class _Handler(WSGIRequestHandler):

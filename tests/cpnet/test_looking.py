@@ -1,9 +1,8 @@
 """Commands that look on at a run say what they wait for, if that takes a while."""
 
 import io
-import time
+import threading
 
-import pytest
 from rich.console import Console
 
 from cpnet import looking
@@ -15,12 +14,18 @@ from tests.waiting import wait_until
 RUN = Running(Endpoint("tcp/far:1", listen=False), Endpoint("tcp/far:2", listen=False))
 
 
-@pytest.mark.parametrize("is_slow", [True, False])
-def test_only_a_wait_that_lasts_is_told_of(monkeypatch, is_slow):
-    monkeypatch.setattr(looking, "TELL_AFTER_S", 0.01 if is_slow else 0.3)
+def test_a_wait_that_lasts_is_told_of(monkeypatch):
+    monkeypatch.setattr(looking, "TELL_AFTER_S", 0.01)
     said = io.StringIO()
     with looking_for(RUN, Console(file=said)):
-        if is_slow:
-            wait_until(lambda: "looking for the run at tcp/far:1 and tcp/far:2" in said.getvalue())
-    time.sleep(0 if is_slow else 0.4)
-    assert bool(said.getvalue()) is is_slow
+        wait_until(lambda: "looking for the run at tcp/far:1 and tcp/far:2" in said.getvalue())
+
+
+def test_a_short_wait_is_not_told_of_and_leaves_nothing_that_would(monkeypatch):
+    monkeypatch.setattr(looking, "TELL_AFTER_S", 3600.0)
+    said = io.StringIO()
+    before = threading.enumerate()
+    with looking_for(RUN, Console(file=said)):
+        pass
+    wait_until(lambda: not {*threading.enumerate()} - {*before})
+    assert said.getvalue() == ""

@@ -43,7 +43,7 @@ def test_a_signal_ends_the_wait_for_the_buses_and_for_the_setup(is_up):
         ) as waiter:
             assert waiter.stdout is not None
             waiter.stdout.readline()
-            time.sleep(1.0)
+            time.sleep(1.0)  # into the call to Zenoh, which nothing outside shows
             waiter.send_signal(signal.SIGINT)
             try:
                 assert waiter.wait(AT_ONCE_S) == 130
