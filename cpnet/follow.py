@@ -11,12 +11,13 @@ from rich.console import Console
 from rich.markup import escape
 
 from cpnet.crowd import everybody
+from cpnet.deaths import Death
 from cpnet.display import Display
 from cpnet.exporter.tally import Tally
 from cpnet.processes import TAPE
 from cpnet.scenario import Scenario
 from cpnet.stillness import PATIENCE_NS, Stillness
-from cpnet.supervisor import Death, Supervisor
+from cpnet.supervisor import Supervisor
 from cpnet.watch import Watch
 from protocol.bus import Endpoint
 from protocol.errors import BusError

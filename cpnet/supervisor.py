@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 import logging
-import shutil
 import signal
 import time
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from cpnet.deaths import WELL, Death, how, tail
 from cpnet.endpoints import Endpoints, connecting, free_locator
-from cpnet.log_lines import readable
-from cpnet.nursery import UNKNOWN_STATUS, Offspring, renew, start
+from cpnet.nursery import Offspring, renew, start
 from cpnet.processes import AGENTS, RELAY, ProcessEntry
 from cpnet.restarts import Restarts
 from cpnet.run_folder import written
@@ -31,18 +30,6 @@ GRACE_S = 2.0  # then for all others, until SIGKILL: both within the 5 s that us
 WRITERS = ("record", "tape")
 LIST_NAME = "processes.json"
 NURSERY = "nursery"
-TAIL_LINES = 12
-FULL_BYTES = 1 << 20
-WELL = (0, UNKNOWN_STATUS)  # at the end; who outlived the fork server has nobody to tell of it
-
-
-@dataclass(frozen=True, slots=True)
-class Death:
-    """A process that ended before the run did."""
-
-    id: str
-    how: str
-    tail: str
 
 
 @dataclass(slots=True, eq=False)
@@ -66,7 +53,7 @@ class Child:
     def death(self) -> Death | None:
         """How it ended, if it has."""
         status = self.process.poll()
-        return None if status is None else Death(self.entry.id, _how(status), tail(self.log_path))
+        return None if status is None else Death(self.entry.id, how(status), tail(self.log_path))
 
 
 class Supervisor:
@@ -142,8 +129,8 @@ class Supervisor:
             return None
         child.process.send_signal(signal.SIGKILL)
         child.process.wait(GRACE_S)
-        how = f"was stopped (SIGSTOP) for {stopped_ns / 1e9:.0f} s"
-        return Death(child.entry.id, how, tail(child.log_path))
+        stood = f"was stopped (SIGSTOP) for {stopped_ns / 1e9:.0f} s"
+        return Death(child.entry.id, stood, tail(child.log_path))
 
     def _again(self, number: int, death: Death) -> Death:
         """Starts a child again; returns its death with what became of it."""
@@ -161,8 +148,8 @@ class Supervisor:
         if orphans <= self._orphans:
             return None
         self._orphans = orphans
-        how = "was killed or crashed, the fork server that starts all others"
-        return Death(NURSERY, how, tail(self._nursery_log))
+        gone = "was killed or crashed, the fork server that starts all others"
+        return Death(NURSERY, gone, tail(self._nursery_log))
 
     @property
     def _nursery_log(self) -> Path:
@@ -206,7 +193,7 @@ class Supervisor:
         if not dead:
             return None
         status, child = min(dead, key=lambda one: one[0])
-        return Death(child.entry.id, _how(status), tail(child.log_path))
+        return Death(child.entry.id, how(status), tail(child.log_path))
 
     def dismiss(self, role: str, *, at_end: bool) -> Death | None:
         """Returns a process of this role that is dead as in `death`, and no longer asks for it."""
@@ -216,7 +203,7 @@ class Supervisor:
             if child.entry.role.role == role and status is not None and is_dead:
                 self._children.remove(child)
                 child.process.release()
-                return Death(child.entry.id, _how(status), tail(child.log_path))
+                return Death(child.entry.id, how(status), tail(child.log_path))
         return None
 
     def holds(self, process: str) -> bool:
@@ -269,31 +256,6 @@ class Supervisor:
         endpoint = self._endpoints[bus]
         hosts = entry.role.hosts is bus and endpoint.listen
         return endpoint if hosts else connecting(endpoint)
-
-
-def tail(path: Path, lines: int = TAIL_LINES) -> str:
-    """Returns the last lines of a log."""
-    try:
-        text = path.read_text("utf-8", errors="replace")
-    except OSError as error:
-        return f"(no log: {error})"
-    told = "\n".join(map(readable, text.splitlines()[-lines:]))
-    return "\n".join(told.splitlines()[-lines:]) or _why_empty(path.parent)
-
-
-def _why_empty(folder: Path) -> str:
-    """Says of an empty log whether the disk could not take what would stand in it."""
-    if shutil.disk_usage(folder).free < FULL_BYTES:
-        return f"(its log is empty: the disk that holds {folder} is full)"
-    return "(its log is empty)"
-
-
-def _how(status: int) -> str:
-    if status == UNKNOWN_STATUS:
-        return "ended, and the fork server that would know how had gone"
-    if status >= 0:
-        return f"ended with status {status}"
-    return f"was killed by {signal.Signals(-status).name}"
 
 
 def _interrupt(children: list[Child]) -> None:

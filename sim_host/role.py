@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import logging
 import time
-from collections import Counter
 from enum import Enum
 from pathlib import Path
-from typing import Protocol
 
 from protocol.errors import BusError, CpnetError
 from protocol.inbox import Envelope, Presence
-from protocol.messages import End, Metrics, Setup, SignalRequest, SignalState, Span, Trips
+from protocol.messages import End, Metrics, SignalRequest, Span, Trips
 from protocol.process import Context
 from protocol.topics import BusName
 from sensing.config import SceneConfig
 from sensing.recording import Recording
 from sensing.terrain import Terrain
-from sim_host.actuated import ActuatedCabinet, programme
 from sim_host.broadcast import tick_of, truth_of
 from sim_host.cabinet import SignalCabinet
 from sim_host.clock import Beat
 from sim_host.config import CabinetConfig
+from sim_host.control import Cabinet, own_control
 from sim_host.fleet import Fleet
 from sim_host.pending import Pending
 from sim_host.recorded import RecordedWorld
@@ -35,24 +33,6 @@ _NAP_NS = 30_000_000  # more than the loop's own pause, so that no tick waits fo
 _RETURN_NS = 5_000_000_000  # for a recorder that died to come back
 _LINGER_NS = 2_000_000_000  # for the recorder to take what was said last
 _log = logging.getLogger(__name__)
-
-
-class Cabinet(Protocol):
-    """What decides in the end; see `SignalCabinet`."""
-
-    refusals: Counter[str]
-
-    def request(self, request: SignalRequest, now_ns: int) -> str | None:
-        """Takes a wish; returns None, or why it was refused."""
-
-    def refuse(self, request: SignalRequest, now_ns: int) -> str | None:
-        """Returns why a wish could not be taken now, and counts that."""
-
-    def advance(self, now_ns: int) -> str:
-        """Returns the state to show from now until the next call."""
-
-    def spat(self, frame: int, now_ns: int) -> SignalState:
-        """Returns phase and timing."""
 
 
 class Stage(Enum):
@@ -129,7 +109,7 @@ class SimRole:
         else:
             world = World(setup, context.run_dir, Terrain(setup.road_map, scene, seed))
             world.start(seed)
-            cabinet = _own_control(setup, world)
+            cabinet = own_control(setup, world)
         return cls(context, world, cabinet).open()
 
     def open(self) -> SimRole:
@@ -352,12 +332,3 @@ class SimRole:
             self._world.counts,
         )
         self._context.stop.set()
-
-
-def _own_control(setup: Setup, world: World) -> Cabinet | None:
-    """Returns the control that SUMO itself runs, if the scenario wants that."""
-    config = CabinetConfig.model_validate(setup.scenario["cabinet"])
-    if config.control != "actuated":
-        return None
-    world.run_actuated(programme(setup.road_map.signal, config))
-    return ActuatedCabinet(setup.road_map.signal, world.shown)

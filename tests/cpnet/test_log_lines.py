@@ -2,8 +2,8 @@ import json
 
 import pytest
 
+from cpnet.deaths import tail
 from cpnet.log_lines import readable
-from cpnet.supervisor import tail
 
 
 @pytest.mark.parametrize("line", ["", "plain", "{", "[1]", "7", '{"level": "INFO"}', "[" * 9999])

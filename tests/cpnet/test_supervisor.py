@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from cpnet.deaths import tail
 from cpnet.endpoints import resolve
 from cpnet.processes import ROLES, ProcessEntry, RoleEntry, certain, choose, processes_of
 from cpnet.restarts import MAX_RESTARTS
 from cpnet.scenario import Scenario
-from cpnet.supervisor import LIST_NAME, Supervisor, tail
+from cpnet.supervisor import LIST_NAME, Supervisor
 from protocol.errors import ConfigError
 from protocol.topics import BusName
 from tests.waiting import wait_until
