@@ -9,7 +9,13 @@ import typer
 
 from cpnet.cli_options import AsJson, Override, assigned, show, show_measured
 from perception.config import DETECTORS
-from studies.bench_choices import FRAME_PERIOD_S, LEARNING_FRAMES, LINK_CHOICES, POLICY_CHOICES
+from studies.bench_choices import (
+    FRAME_PERIOD_S,
+    LEARNING_FRAMES,
+    LINK_CHOICES,
+    LOOKING_WAYS,
+    POLICY_CHOICES,
+)
 
 bench_app = typer.Typer(help="Measure parts of the system.", no_args_is_help=True)
 
@@ -143,3 +149,22 @@ def bench_plausibility_command(
         keys["record.snapshot_period_s"] = scenario.frame_period_s
         scenarios.append(load("t_junction", keys).model_dump(mode="json"))
     show_measured(measure_plausibility(scenarios), None, print_plausibility, as_json=as_json)
+
+
+@bench_app.command("looking")
+def bench_looking_command(
+    *,
+    ways: Annotated[
+        str, typer.Option(metavar="NAME,...", help=f"of {', '.join(LOOKING_WAYS)}")
+    ] = ",".join(LOOKING_WAYS),
+    looks: Annotated[int, typer.Option(min=1, max=100, help="in each way")] = 10,
+    span: Annotated[float, typer.Option(min=2, max=60, help="real s of each look")] = 4,
+    overrides: Override = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure what of its frame rate a lockstep run keeps while it is recorded or viewed."""
+    from cpnet.bench_looking import LookingBench, measure_looking
+    from studies.looking_table import print_looking
+
+    bench = LookingBench(tuple(ways.split(",")), looks, span, assigned(overrides))
+    show(measure_looking(bench), print_looking, as_json=as_json)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cpnet.cli_options import console
+from cpnet.looking import FPS
 from protocol.errors import ConfigError
 
 view_app = typer.Typer()
@@ -32,7 +33,7 @@ def view_command(
     save: Annotated[
         Path | None, typer.Option(metavar="FILE.rrd", help="write it to a file, show nothing")
     ] = None,
-    fps: Annotated[float, typer.Option(min=0.1, max=60, help="frames a second, at most")] = 10.0,
+    fps: Annotated[float, typer.Option(min=0.1, max=60, help="frames a second, at most")] = FPS,
 ) -> None:
     """Show a running system in Rerun: clouds, boxes, signal, counts, plots."""
     from cpnet.viewing import Screen, view

@@ -11,6 +11,8 @@ from rich.console import Console
 from cpnet.running import Running
 
 TELL_AFTER_S = 2.0
+FPS = 10.0
+"""So many pictures a second at most, where nothing else is asked for."""
 
 
 @contextmanager

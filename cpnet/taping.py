@@ -13,12 +13,12 @@ from rich.console import Console
 from cpnet.follow import Interruption
 from cpnet.looking import looking_for
 from cpnet.running import Running
+from protocol.courtesy import step_back
 from protocol.errors import ConfigError, CpnetError
 from protocol.files import is_file, is_free
 from protocol.onlooker import Onlooker
 from protocol.process import loop
 from tape.names import next_file
-from tape.role import give_way
 from tape.taping import Choice, Taping
 
 STEM = "record"
@@ -38,7 +38,6 @@ def tape_run(
         CpnetError: the disk is full, or fails.
     """
     next_path = _next_path(running, out)
-    give_way()
     signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # a run that waits would stand still as well
     with ExitStack() as stack:
         with looking_for(running, console):
@@ -47,6 +46,7 @@ def tape_run(
                 Onlooker(running.v2x, running.world, choice.topics, yields=yields)
             )
             setup = onlooker.setup()
+        step_back()  # but for the threads that receive: who is waited for must not be slow to take
         stop = stack.enter_context(Interruption()).event
         taping = Taping(setup, next_path, onlooker.inbox, choice, stop)
         console.print(f"taping to {taping.writer.files[0]}; Ctrl-C ends it", soft_wrap=True)
@@ -55,14 +55,19 @@ def tape_run(
             alarm.daemon = True
             alarm.start()
         try:
-            _tape(taping, onlooker, stop)
+            keep(taping, onlooker, stop)
         except CpnetError:
             _tell(taping, console, "readable as far as it goes: ")
             raise
     _tell(taping, console)
 
 
-def _tape(taping: Taping, onlooker: Onlooker, stop: threading.Event) -> None:
+def keep(taping: Taping, onlooker: Onlooker, stop: threading.Event) -> None:
+    """Tapes what an onlooker hears until it is told to stop.
+
+    Raises:
+        CpnetError: the disk is full, or fails.
+    """
     try:
         loop(taping, onlooker.inbox, stop)
     finally:

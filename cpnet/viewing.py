@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -13,11 +14,12 @@ from rich.console import Console
 from cpnet.follow import Interruption
 from cpnet.looking import looking_for
 from cpnet.running import Running, find
+from protocol.courtesy import Budget, step_back
 from protocol.errors import ConfigError
 from protocol.messages import Setup
 from protocol.onlooker import Onlooker
 from viewer import live
-from viewer.live import Live, modest_inbox, step_back
+from viewer.live import Live, modest_inbox
 from viewer.scene import Scene
 from viewer.top import board, show
 
@@ -44,7 +46,7 @@ def view(
         BusError: the run does not answer.
     """
     step_back()
-    with _needs_extra():
+    with needs_extra():
         from viewer.log import Log
         from viewer.sinks import check, opened
     check(screen.port, screen.save)
@@ -53,7 +55,8 @@ def view(
         scene = Scene(setup)
         with opened(screen.port, screen.save, scene) as sink:
             console.print(sink.where, highlight=False, soft_wrap=True)
-            following = Live(onlooker, scene, Log(sink.recording, scene), screen.fps)
+            log = Log(sink.recording, scene)
+            following = Live(onlooker.inbox, scene, log, screen.fps, budget())
             following.follow(interruption.event)
             drawn, left_out = following.drawn, following.left_out
             console.print(f"{drawn} frames shown, {left_out} left out to keep up", highlight=False)
@@ -81,6 +84,11 @@ def top(
             show.show(onlooker, filled, console, interruption.event)
 
 
+def budget() -> Budget:
+    """Returns what pictures may take of this machine's time from now on."""
+    return Budget.of_this_machine(live.SHARE_PER_CORE, time.monotonic_ns())
+
+
 @contextmanager
 def _attached(
     run: Running, topics: Iterable[str], console: Console
@@ -103,7 +111,8 @@ def _attached(
 
 
 @contextmanager
-def _needs_extra() -> Iterator[None]:
+def needs_extra() -> Iterator[None]:
+    """Names the extra where a package is missing that viewing needs."""
     try:
         yield
     except ModuleNotFoundError as error:

@@ -116,6 +116,11 @@ class Inbox:
             if oldest is None:
                 self._queue.put_nowait(entry)
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing waits."""
+        return self._queue.empty()
+
     def wake(self) -> None:
         """Ends the wait of whoever waits for an item, or else the next one; from any thread."""
         with self._lock:

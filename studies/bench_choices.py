@@ -1,4 +1,4 @@
-"""What the benches of uplinks measure if nothing else is asked for."""
+"""What benches measure if nothing else is asked for."""
 
 from __future__ import annotations
 
@@ -10,3 +10,4 @@ POLICY_CHOICES = (
     "objects", SHARING,
 )  # fmt: skip
 LINK_CHOICES = ("5mbit", "lte", "5g-urban")
+LOOKING_WAYS = ("record", "save", "web")

@@ -1,4 +1,4 @@
-"""Outlines in the map frame, for drawing."""
+"""Outlines in the map frame, for drawing, and from where to look at them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from perception.arrays import Floats
-from protocol.roadmap import Lane
+from protocol.roadmap import Lane, RoadMap
 
 _CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) / 2
 GROUND_BAND_M = 0.35
@@ -57,3 +57,14 @@ def stands_out(points: Floats) -> npt.NDArray[np.bool_]:
     np.minimum.at(lowest, cell, points[:, 2])
     above: npt.NDArray[np.bool_] = points[:, 2] > lowest[cell] + GROUND_BAND_M
     return above
+
+
+def view_azimuth(road_map: RoadMap) -> float:
+    """Returns where to look, in rad: towards the arms, so that a T's stem leads away."""
+    centre = np.array(road_map.centre[:2])
+    ends = [
+        road_map.by_id[n].points[0, :2] - centre for n in road_map.incoming if n in road_map.by_id
+    ]
+    edges = {tuple(np.round(end / max(np.linalg.norm(end), 1e-9), 1)) for end in ends}
+    x, y = np.sum([*edges, (0.0, 0.02)], axis=0)
+    return float(np.arctan2(y, x))

@@ -11,7 +11,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from perception.arrays import Floats
 from protocol.roadmap import RoadMap
 from studies import palette
-from studies.outlines import borders, corners, resampled, stands_out
+from studies.outlines import borders, corners, resampled, stands_out, view_azimuth
 from studies.snapshot import Boxes, Snapshot
 
 _BACK_M, _UP_M, _AHEAD_M, _TURN_RAD = 46.0, 27.0, 8.0, -0.3
@@ -55,17 +55,6 @@ class Camera:
         seen = (points - self.place_m) @ self.rotation.T
         depth = seen[:, 2]
         return seen[:, :2] / np.maximum(depth, _NEAR_M)[:, None], depth
-
-
-def view_azimuth(road_map: RoadMap) -> float:
-    """Returns where to look, in rad: towards the arms, so that a T's stem leads away."""
-    centre = np.array(road_map.centre[:2])
-    ends = [
-        road_map.by_id[n].points[0, :2] - centre for n in road_map.incoming if n in road_map.by_id
-    ]
-    edges = {tuple(np.round(end / max(np.linalg.norm(end), 1e-9), 1)) for end in ends}
-    x, y = np.sum([*edges, (0.0, 0.02)], axis=0)
-    return float(np.arctan2(y, x))
 
 
 def draw_perspective(axes: Axes, snapshot: Snapshot, colours: dict[str, str]) -> None:

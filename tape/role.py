@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
+from protocol.courtesy import step_back
 from protocol.process import Context
 from protocol.topics import TOPICS, BusName
 from tape.names import next_file
 from tape.taping import Choice, Taping
-
-
-def give_way() -> None:
-    """Lets all others go first, however urgent this process was when it was started.
-
-    Who is merely less urgent still keeps a core for its slice of milliseconds from who wakes up
-    meanwhile, which a frame that goes through many hands feels; the idle give it up at once.
-    """
-    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
 def build(context: Context) -> Taping:
@@ -26,7 +17,7 @@ def build(context: Context) -> Taping:
     Raises:
         ConfigError: the run folder cannot take it.
     """
-    give_way()
+    step_back()
     scenario = context.setup.scenario
     choice = choice_of(scenario)
     taping = Taping(

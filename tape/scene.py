@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections import defaultdict
 from dataclasses import dataclass, field
@@ -11,14 +10,14 @@ import numpy as np
 
 from protocol import messages as m
 from protocol.codec import decode
+from protocol.courtesy import Budget
 from protocol.errors import CodecError
 from protocol.inbox import Envelope
 from tape import shapes
 from tape.writer import TapeWriter
 
-SHARE_PER_CORE = 0.04
+SHARE_PER_CORE = 0.015
 """Of the machine: so much of a core's time, for each core, may clouds take."""
-SAVED_NS = 200_000_000  # of this share, at most, is kept for later
 MAX_OPEN_FRAMES = 8
 MAX_FRAME_BYTES = 64 << 20
 _V2X, _WORLD = "foxglove/v2x", "foxglove/world"  # topics of what agents say, and of the truth
@@ -35,26 +34,6 @@ class _Frame:
     sim_time_ns: int = 0
     heard_ns: int = 0
     size_bytes: int = 0
-
-
-class Budget:
-    """The time that clouds may take: a share of what passes."""
-
-    def __init__(self, share: float, now_ns: int) -> None:
-        self._share = share
-        self._since_ns = now_ns
-        self._left_ns = 0.0
-
-    def has_some(self, now_ns: int) -> bool:
-        """Whether there is time for one more."""
-        gained_ns = (now_ns - self._since_ns) * self._share
-        self._left_ns = min(self._left_ns + gained_ns, SAVED_NS)
-        self._since_ns = now_ns
-        return self._left_ns > 0
-
-    def spend(self, spent_ns: int) -> None:
-        """Takes away what one has cost."""
-        self._left_ns -= spent_ns
 
 
 class Scene:
@@ -165,11 +144,6 @@ class Scene:
 
     def _add(self, frame: _Frame, topic: str, shape: shapes.Shape) -> None:
         self._writer.write_shape(topic, shape, time.monotonic_ns(), frame.sim_time_ns)
-
-
-def own_budget(now_ns: int) -> Budget:
-    """Returns the budget that this machine allows."""
-    return Budget(SHARE_PER_CORE * len(os.sched_getaffinity(0)), now_ns)
 
 
 def _sensor(agent: str) -> str:

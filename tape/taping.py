@@ -9,13 +9,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from protocol.courtesy import Budget
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Setup
 from protocol.onlooker import ALL_TOPICS
-from protocol.process import MAX_BATCH
 from protocol.version import own_version
 from tape.ending import Ending
-from tape.scene import Scene, own_budget
+from tape.scene import SHARE_PER_CORE, Scene
 from tape.writer import TapeWriter
 
 REST_S = 0.04
@@ -56,9 +56,8 @@ class Taping:
         self._stop = stop
         self._ending = Ending()
         self._reason = "unknown"
-        self._taken = 0
         self.writer = TapeWriter(next_path, setup, _facts(setup, choice))
-        budget = own_budget(time.monotonic_ns())
+        budget = Budget.of_this_machine(SHARE_PER_CORE, time.monotonic_ns())
         self.scene = Scene(setup, self.writer, budget) if choice.foxglove else None
 
     @property
@@ -77,7 +76,6 @@ class Taping:
             self._ending.look(item, time.monotonic_ns())
             return
         self.writer.write(item)
-        self._taken += 1
         self._ending.heard(item.received_ns)
         if isinstance(item.message, End):
             self._reason = item.message.reason
@@ -91,8 +89,7 @@ class Taping:
         Raises:
             CpnetError: the disk is full, or fails.
         """
-        is_idle = self._taken < MAX_BATCH and not (self.scene is not None and self.scene.step())
-        self._taken = 0
+        is_idle = self._inbox.is_empty and not (self.scene is not None and self.scene.step())
         now_ns = time.monotonic_ns()
         self.writer.settle(now_ns)
         if self._ending.is_over(now_ns):

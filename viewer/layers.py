@@ -13,7 +13,6 @@ from protocol.messages import Detections, LaneCounts, Plan, SignalState, Truth, 
 from protocol.roadmap import RoadMap
 from studies import palette
 from viewer.colours import Rgb, rgb
-from viewer.road import count_place
 
 CELLS_REACH_M = 120.0  # around the junction's centre
 CELLS_ABOVE_M = 0.3
@@ -94,10 +93,10 @@ def lamps(state: SignalState, road_map: RoadMap, lanes: Sequence[str]) -> list[R
     return [_lamp(state.state, links.get(lane, ())) for lane in lanes]
 
 
-def lane_counts(message: LaneCounts, road_map: RoadMap) -> Texts:
+def lane_counts(message: LaneCounts, places_of: Mapping[tuple[str, str], Floats]) -> Texts:
     """Returns the count of each lane, before the stop bar and, fainter, behind it.
 
-    A lane that nobody sees has a question mark.
+    Places are those of `viewer.road.count_places`. A lane that nobody sees has a question mark.
     """
     places, texts, colours = [], [], []
     sides = (
@@ -106,8 +105,8 @@ def lane_counts(message: LaneCounts, road_map: RoadMap) -> Texts:
     )
     for side, counts, seen, colour in sides:
         for name, count in counts.items():
-            if name in road_map.by_id:
-                places.append(count_place(road_map.by_id[name], side))
+            if (place := places_of.get((side, name))) is not None:
+                places.append(place)
                 texts.append(f"{count}" if seen.get(name, 1.0) > 0 else f"{count}?")
                 colours.append(rgb(colour))
     return Texts(np.array(places, np.float64).reshape(-1, 3), texts, colours)

@@ -14,6 +14,7 @@ from viewer.stages import GROUPS, Account
 
 FRAME, TIME = "frame", "sim time"
 TRUTH = "/scene/truth"
+_BARS, _HEADS = "/scene/signal/stop_bars", "/scene/signal/heads"
 _POINT_UI, _LINE_M, _BAR_M, _HEAD_M = -1.0, 0.05, 0.35, 0.6
 _EDGE_M, _CELL_M = 0.07, 0.15
 
@@ -24,7 +25,6 @@ class Log:
     def __init__(self, recording: rr.RecordingStream, scene: Scene) -> None:
         """Draws what stands still."""
         self._to = recording
-        self._heads = scene.heads
         self._agents: set[str] = set()
         self._plotted: set[str] = set()
         self._road(scene)
@@ -50,9 +50,7 @@ class Log:
     def account(self, account: Account) -> None:
         """See `viewer.live.Shows.account`."""
         self._set_time(account.frame, account.sim_time_ns)
-        for group, ms in account.groups_ms.items():
-            self._scalar(f"/latency/{_part(group)}", ms)
-        self._scalar("/latency/end_to_end", account.end_to_end_ms)
+        self._scalars("/latency", [*account.groups_ms.values(), account.end_to_end_ms])
 
     def _set_time(self, frame: int, sim_time_ns: int) -> None:
         self._to.set_time(FRAME, sequence=frame)
@@ -69,6 +67,10 @@ class Log:
         self._to.log("/scene/road/surface", mesh, static=True)
         lines = rr.LineStrips3D(road.markings, radii=_LINE_M, colors=rgb(palette.MARKING))
         self._to.log("/scene/road/lanes", lines, static=True)
+        bars = rr.LineStrips3D(scene.heads.bars, radii=_BAR_M)
+        self._to.log(_BARS, bars, static=True)
+        heads = rr.Points3D(scene.heads.places, radii=_HEAD_M)
+        self._to.log(_HEADS, heads, static=True)
 
     def _clouds(self, picture: Picture) -> None:
         there = {cloud.agent for cloud in picture.clouds}
@@ -103,10 +105,8 @@ class Log:
         self._to.log(path, drawn)
 
     def _lamps(self, colours: list[Rgb]) -> None:
-        bars = rr.LineStrips3D(self._heads.bars, radii=_BAR_M, colors=colours)
-        self._to.log("/scene/signal/stop_bars", bars)
-        heads = rr.Points3D(self._heads.places, radii=_HEAD_M, colors=colours)
-        self._to.log("/scene/signal/heads", heads)
+        self._to.log(_BARS, rr.LineStrips3D.from_fields(colors=colours))
+        self._to.log(_HEADS, rr.Points3D.from_fields(colors=colours))
 
     def _texts(self, path: str, texts: Texts) -> None:
         drawn = rr.Points3D(
@@ -126,33 +126,32 @@ class Log:
         self._to.log("/scene/cells", drawn)
 
     def _style_plots(self, scene: Scene) -> None:
-        for group, colour in zip(
-            GROUPS, [*_cycle(len(GROUPS) - 1), rgb(palette.FAINT)], strict=True
-        ):
-            self._style(f"/latency/{_part(group)}", group, colour)
-        self._style("/latency/end_to_end", "end to end", rgb(palette.TEXT), 2.5)
-        for phase, colour in zip(scene.phases, _cycle(len(scene.phases)), strict=True):
-            self._style(f"/pressure/{_part(phase)}", phase, colour, 2.0)
-        self._style("/e_cvpr", "E-CVPR %", rgb(palette.AGENTS[2]), 2.0)
+        stages = [*_cycle(len(GROUPS) - 1), rgb(palette.FAINT), rgb(palette.TEXT)]
+        widths = [*[1.5] * len(GROUPS), 2.5]
+        self._style("/latency", [*GROUPS, "end to end"], stages, widths)
+        phases = scene.phases
+        self._style("/pressure", phases, _cycle(len(phases)), [2.0] * len(phases))
+        self._style("/e_cvpr", ["E-CVPR %"], [rgb(palette.AGENTS[2])], [2.0])
 
     def _figures(self, picture: Picture) -> None:
         for agent, mbps in picture.mbps.items():
             path = f"/uplink/{_part(agent)}"
             if path not in self._plotted and agent in picture.colours:
                 self._plotted.add(path)
-                self._style(path, agent, picture.colours[agent], 2.0)
-            self._scalar(path, mbps)
-        for phase, pressure in picture.pressures.items():
-            self._scalar(f"/pressure/{_part(phase)}", pressure)
+                self._style(path, [agent], [picture.colours[agent]], [2.0])
+            self._scalars(path, [mbps])
+        if picture.pressures:
+            self._scalars("/pressure", [*picture.pressures.values()])
         if picture.score is not None and picture.score.e_cvpr is not None:
-            self._scalar("/e_cvpr", 100 * picture.score.e_cvpr)
+            self._scalars("/e_cvpr", [100 * picture.score.e_cvpr])
 
-    def _style(self, path: str, name: str, colour: Rgb, width: float = 1.5) -> None:
-        style = rr.SeriesLines(colors=colour, names=name, widths=width)
+    def _style(self, path: str, names: list[str], colours: list[Rgb], widths: list[float]) -> None:
+        """Says once how the lines of a plot look, in the order of their values."""
+        style = rr.SeriesLines(colors=colours, names=names, widths=widths)
         self._to.log(path, style, static=True)
 
-    def _scalar(self, path: str, value: float) -> None:
-        self._to.log(path, rr.Scalars(value))
+    def _scalars(self, path: str, values: list[float]) -> None:
+        self._to.log(path, rr.Scalars(values))
 
 
 def _part(name: str) -> str:

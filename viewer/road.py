@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from perception.arrays import Floats
 from protocol.roadmap import Lane, RoadMap
-from studies.outlines import borders, resampled
-from studies.perspective import view_azimuth
+from studies.outlines import borders, resampled, view_azimuth
 
 HEAD_ABOVE_M = 5.0
 COUNT_ABOVE_M = 2.5
@@ -82,6 +81,15 @@ def count_place(lane: Lane, side: str) -> Floats:
     at_m = min(COUNT_AT_M[side], along_m[-1] / 2)
     place = [np.interp(at_m, along_m, column) for column in points.T]
     return np.array(place) + _up(COUNT_ABOVE_M)
+
+
+def count_places(road_map: RoadMap) -> dict[tuple[str, str], Floats]:
+    """Returns where the counts of all lanes stand (3,), by the side of the stop bar and lane."""
+    return {
+        (side, name): count_place(lane, side)
+        for side in COUNT_AT_M
+        for name, lane in road_map.by_id.items()
+    }
 
 
 def approaches(road_map: RoadMap, lanes: Iterable[str]) -> list[str]:

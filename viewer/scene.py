@@ -14,7 +14,7 @@ from viewer.figures import Judge, phase_names, pressures
 from viewer.layers import Boxes, Lines, Texts
 from viewer.moments import Moment
 from viewer.rates import Rates
-from viewer.road import Heads, heads
+from viewer.road import Heads, count_places, heads
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +42,7 @@ class Scene:
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
         self.heads: Heads = heads(setup.road_map)
+        self._places = count_places(setup.road_map)
         self.phases = phase_names(setup.road_map)
         self._types = {kind.name: kind for kind in setup.vehicle_types}
         self._judge = Judge(setup.road_map, self._types)
@@ -71,7 +72,7 @@ class Scene:
             fronts=layers.fronts(found) if found else None,
             truth=layers.true_boxes(moment.truth, self._types) if moment.truth else None,
             lamps=layers.lamps(state, road_map, self.heads.lanes) if state else None,
-            counts=layers.lane_counts(moment.counts, road_map) if moment.counts else None,
+            counts=layers.lane_counts(moment.counts, self._places) if moment.counts else None,
             cells=layers.plan_cells(moment.plan, road_map, colours),
             mbps=self._rates.mbps(sim_time_ns),
             pressures=pressures(moment.request, self.phases),

@@ -120,7 +120,7 @@ def _file(recording: rr.RecordingStream, path: Path, scene: Scene) -> Sink:
 def _window(recording: rr.RecordingStream, scene: Scene) -> Sink:
     try:
         recording.spawn(
-            port=_free_port(), hide_welcome_screen=True, default_blueprint=blueprint(scene)
+            port=free_port(), hide_welcome_screen=True, default_blueprint=blueprint(scene)
         )
     except RuntimeError as error:
         raise ConfigError(f"Rerun's window does not open ({error}); --web shows a page") from None
@@ -131,7 +131,7 @@ def _window(recording: rr.RecordingStream, scene: Scene) -> Sink:
 def _page(port: int) -> Iterator[tuple[str, str]]:
     """Serves page and data on this machine alone; yields where drawings go and where they show."""
     _check_free(port)
-    data = _free_port()
+    data = free_port()
     places = ["--bind", _HERE, "--port", str(data), "--web-viewer-port", str(port)]
     viewer = Path(rerun_cli.__file__).parent / "rerun"
     command = [str(viewer), "--serve-web", *places]
@@ -167,7 +167,8 @@ def _check_free(port: int) -> None:
             ) from None
 
 
-def _free_port() -> int:
+def free_port() -> int:
+    """Returns a port of this machine that nobody uses now."""
     with socket.socket() as probe:
         probe.bind((_HERE, 0))
         port: int = probe.getsockname()[1]

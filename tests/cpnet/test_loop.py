@@ -119,11 +119,13 @@ def test_a_run_whose_agents_send_no_points(shell, policy):
 
 def test_planned_uploads_in_realtime_end_their_frames_early(shell):
     arguments = ("--mode=realtime", "--duration=5", "--cav-rate=0.1", "--set=upload.policy=reap")
-    status, output = shell.up(*arguments, "--set=upload.filters=[foreground]", "--out=run").finish()
+    unhurried = ("--set=frame_period_s=0.2", "--set=edge.deadline_ms=160")
+    arguments += (*unhurried, "--set=upload.filters=[foreground]", "--out=run")
+    status, output = shell.up(*arguments).finish()
     assert status == 0, output
     summary = json.loads(shell.run("report", "run", "--json")[1])
-    assert summary["frames"] == 50
-    assert summary["frames_incomplete"] < 25
+    assert summary["frames"] == 25
+    assert summary["frames_incomplete"] < 12
 
 
 def test_roles_in_two_commands_joined_over_tcp_give_the_same_rows(shell, first_run):

@@ -31,7 +31,7 @@ def relay_of(command: Command, folder: Path) -> int:
 
 @pytest.mark.root
 def test_uploads_take_as_long_as_the_rate_says_and_nothing_stays(shell):
-    command = shell.up(*REALTIME, *LARGE, "--link=5mbit", "--duration=4")
+    command = shell.up(*REALTIME, *LARGE, "--link=5mbit", "--duration=8")
     relay = relay_of(command, shell.folder)
     status, output = command.finish()
     assert status == 0, output

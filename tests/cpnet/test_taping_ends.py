@@ -43,7 +43,7 @@ def test_a_full_disk_leaves_what_can_be_read_and_says_so(tmp_path, monkeypatch):
 
     monkeypatch.setattr(taping, "Onlooker", lambda *_, **__: nullcontext(Silent()))
     monkeypatch.setattr(taping, "loop", loop)
-    monkeypatch.setattr(taping, "give_way", lambda: None)
+    monkeypatch.setattr(taping, "step_back", lambda: None)
     said = io.StringIO()
     before = signal.getsignal(signal.SIGTSTP)
     try:

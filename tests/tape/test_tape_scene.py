@@ -18,6 +18,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from protocol import messages as m
 from protocol.codec import decode, encode_cloud
+from protocol.courtesy import Budget
 from protocol.geometry import SE3, euler_rotation
 from protocol.inbox import Envelope
 from protocol.scans import PointCloud
@@ -25,7 +26,7 @@ from protocol.topics import TOPICS
 from protocol.wire import encode
 from tape import reel, scene, shapes
 from tape.reader import Tape
-from tape.scene import Budget, Scene
+from tape.scene import Scene
 
 SENSOR_POSE = np.array([10.0, -4.0, 2.4, 0.01, -0.02, 2.5])
 BODY_POSE = np.array([10.0, -4.0, 0.0, 0.0, 0.0, 2.5])
@@ -278,14 +279,3 @@ def test_a_quaternion_turns_as_its_angles_do(angles):
     x, y, z, w = shapes.quaternions(np.array([angles]))[0]
     turned = rotation_of(Quaternion(x=x, y=y, z=z, w=w))
     assert turned == pytest.approx(euler_rotation(*angles), abs=1e-9)
-
-
-@given(st.lists(st.tuples(st.integers(0, 10**9), st.integers(1, 10**8))), st.floats(0.01, 1))
-def test_clouds_take_no_more_than_their_share(steps, share):
-    budget, now_ns, spent_ns = Budget(share, 0), 0, 0
-    for passed_ns, cost_ns in steps:
-        now_ns += passed_ns
-        if budget.has_some(now_ns):
-            budget.spend(cost_ns)
-            spent_ns += cost_ns
-    assert spent_ns <= now_ns * share + 10**8

@@ -29,7 +29,7 @@ from tape.taping import TRUTH, Choice, Taping
 
 @pytest.fixture(autouse=True)
 def stay_nice(monkeypatch):
-    monkeypatch.setattr(role, "give_way", lambda: None)
+    monkeypatch.setattr(role, "step_back", lambda: None)
 
 
 def context_in(folder, record) -> Context:
@@ -95,12 +95,15 @@ def test_the_tape_says_at_its_end_what_came_of_it(tmp_path):
 
 
 def test_messages_come_before_what_is_made_of_them(tmp_path):
-    taping = Taping(setup(), lambda: next_file(tmp_path), Inbox(), Choice(), threading.Event())
-    heard = [envelope("detections", n) for n in range(300)]
-    for item in heard:  # more than a batch: there is no time for other tools
+    inbox = Inbox()
+    taping = Taping(setup(), lambda: next_file(tmp_path), inbox, Choice(), threading.Event())
+    heard = [envelope("detections", n) for n in range(2)]
+    for item in heard:
         taping.on(item)
-    taping.poll()
+    inbox.put(Presence("edge", "edge", alive=True))
+    taping.poll()  # there is no time for other tools
     assert taping.scene._due is not None
+    inbox.get()
     taping.poll()
     assert taping.scene._due is None
     taping.close()

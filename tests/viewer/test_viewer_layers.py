@@ -14,7 +14,7 @@ from viewer.clouds import clouds
 from viewer.colours import MAX_REMEMBERED, Colours, rgb
 from viewer.figures import Judge, phase_names, pressures
 from viewer.moments import Moment
-from viewer.road import camera, count_place, heads, surface
+from viewer.road import camera, count_place, count_places, heads, surface
 
 CAR = m.VehicleType(name="car", mesh="car", length_m=4.0, width_m=2.0, height_m=1.5)
 
@@ -108,7 +108,7 @@ def test_counts_stand_at_their_lanes_with_a_mark_where_nobody_sees() -> None:
         upstream={"south_0": 3, "gone_0": 1}, downstream={"east_0": 0},
         seen_downstream={"east_0": 0.0},
     )  # fmt: skip
-    found = layers.lane_counts(counts, CROSSING)
+    found = layers.lane_counts(counts, count_places(CROSSING))
     assert found.texts == ["3", "0?"]
     assert found.places[0] == pytest.approx(count_place(CROSSING.by_id["south_0"], "upstream"))
     assert -80 < found.places[0][1] < -5 < 5 < found.places[1][0] < 80

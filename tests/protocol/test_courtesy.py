@@ -1,0 +1,17 @@
+"""Who looks on takes no more than its share of the machine."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.courtesy import Budget
+
+
+@given(st.lists(st.tuples(st.integers(0, 10**9), st.integers(1, 10**8))), st.floats(0.01, 1))
+def test_a_work_takes_no_more_than_its_share(steps, share):
+    budget, now_ns, spent_ns = Budget(share, 0), 0, 0
+    for passed_ns, cost_ns in steps:
+        now_ns += passed_ns
+        if budget.has_some(now_ns):
+            budget.spend(cost_ns)
+            spent_ns += cost_ns
+    assert spent_ns <= now_ns * share + 10**8

@@ -1,0 +1,55 @@
+"""Who follows a run draws what it has time for, and the last frame in any case."""
+
+import threading
+
+from protocol import messages as m
+from protocol.courtesy import Budget
+from protocol.inbox import Inbox, Sealed
+from protocol.topics import TOPICS
+from protocol.wire import encode
+from tests.viewer.test_top_board import SETUP
+from tests.viewer.test_viewer_moments import counted
+from viewer.live import Live
+from viewer.scene import Picture, Scene
+from viewer.stages import Account
+
+FRAMES = 20
+
+
+class Drawn:
+    """Notes which frames are drawn."""
+
+    def __init__(self) -> None:
+        self.frames: list[int] = []
+
+    def picture(self, picture: Picture) -> None:
+        self.frames.append(picture.frame)
+
+    def account(self, account: Account) -> None:
+        raise AssertionError(account)
+
+
+def sealed(topic: str, key: str, message: m.Message) -> Sealed:
+    return Sealed(TOPICS[topic], key, encode(message), 0)
+
+
+def frames_drawn(share: float) -> list[int]:
+    """Returns what is drawn of a run of which all was said before anybody looked."""
+    inbox = Inbox()
+    for frame in range(FRAMES):
+        inbox.put(sealed("lanes", TOPICS["lanes"].key(region="r0", tls="J"), counted(frame)))
+    inbox.put(sealed("end", TOPICS["end"].key(), m.End(reason="finished", frames=FRAMES)))
+    shows = Drawn()
+    live = Live(inbox, Scene(SETUP), shows, 1e9, Budget(share, 0))
+    live.follow(threading.Event())
+    assert not inbox.drops
+    assert live.left_out == FRAMES - len(shows.frames)
+    return shows.frames
+
+
+def test_every_frame_is_drawn_where_there_is_time() -> None:
+    assert frames_drawn(1e9) == [*range(FRAMES)]
+
+
+def test_the_last_frame_alone_is_drawn_where_there_is_none() -> None:
+    assert frames_drawn(0.0) == [FRAMES - 1]
