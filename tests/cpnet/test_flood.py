@@ -23,6 +23,8 @@ from tests.cpnet.test_loop import free_ports, wait_for_frames
 
 FLOODER, AGENTS, PER_S = "flood-0", 300, 10_000
 FLOOD_S = 4.0
+FRAMES_PER_S = 5  # which a slow machine can do, of its own accord, beside the flooder
+FRAMES = 50
 
 
 def invented(frame: int) -> list[tuple[str, bytes]]:
@@ -82,8 +84,8 @@ def flood(session: zenoh.Session, newest_frame: int, seconds: float) -> int:
     begin_ns = time.monotonic_ns()
     said, passed_s, frame, batch = 0, 0.0, -1, []
     while passed_s < seconds:
-        if frame != newest_frame + int(passed_s * 10):
-            frame = newest_frame + int(passed_s * 10)
+        if frame != newest_frame + int(passed_s * FRAMES_PER_S):
+            frame = newest_frame + int(passed_s * FRAMES_PER_S)
             batch = invented(frame + 1)
         for _ in range(max(int(passed_s * PER_S) - said, 0)):
             session.put(*batch[said % len(batch)])
@@ -107,8 +109,9 @@ def memory_mb(pid: int) -> float:
 def flooded(shell: Shell) -> tuple[Path, int, float]:
     """Returns a realtime run that was flooded, by how many messages, and what that cost in MB."""
     port, run_dir = free_ports(), shell.folder / "run"
-    realtime = ("--mode=realtime", "--duration=10", "--out=run", "--cav-rate=0.1")
-    command = shell.up(*realtime, f"--listen=127.0.0.1:{port}")
+    realtime = ("--mode=realtime", f"--duration={FRAMES // FRAMES_PER_S}", "--out=run")
+    pace = (f"--set=frame_period_s={1 / FRAMES_PER_S}", "--set=edge.deadline_ms=160")
+    command = shell.up(*realtime, *pace, "--cav-rate=0.1", f"--listen=127.0.0.1:{port}")
     command.read_until("vehicles")
     wait_for_frames(run_dir)
     newest = number(run_dir, "SELECT max(frame) FROM frames")
@@ -129,7 +132,7 @@ def test_a_flood_costs_the_others_nothing(shell: Shell, flooded: tuple[Path, int
     assert summary["drops_by_reason"]["edge"]["rate_limited"] > said / 2
     assert "inbox_full" not in summary["drops_by_reason"]["edge"]
     assert grown_mb < 150
-    assert summary["frames"] == 100
-    assert summary["frames_incomplete"] < 50
+    assert summary["frames"] == FRAMES
+    assert summary["frames_incomplete"] < FRAMES / 2
     sql = "SELECT count(DISTINCT frame) FROM uploads WHERE agent = 'rsu-0' AND decoded_ns > 0"
-    assert number(run_dir, sql) > 70
+    assert number(run_dir, sql) > 0.7 * FRAMES
