@@ -11,7 +11,7 @@ from protocol.complaints import Complaints
 from protocol.errors import MessageError, ProtocolError
 from protocol.messages import Message
 from protocol.shares import Shares
-from protocol.topics import BusName, Topic
+from protocol.topics import TOPICS, BusName, Topic
 from protocol.wire import decode
 
 CAPACITY = 16_384
@@ -19,15 +19,36 @@ CAPACITY_BYTES = 256 << 20  # sixteen of the largest messages, or 8000 scans
 MAX_KEY = 8 << 10  # characters: more than the longest ids take, percent-encoded
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Envelope:
     """A message with its topic's name, the parts of its key, when it arrived, and as it came."""
 
-    topic: str
-    parts: dict[str, str]
-    message: Message
-    received_ns: int
-    data: bytes
+    __slots__ = ("_message", "data", "parts", "received_ns", "topic")
+
+    def __init__(
+        self,
+        topic: str,
+        parts: dict[str, str],
+        message: Message | None,
+        received_ns: int,
+        data: bytes,
+    ) -> None:
+        """Takes what is known; a message that is None has not been read yet."""
+        self.topic = topic
+        self.parts = parts
+        self.received_ns = received_ns
+        self.data = data
+        self._message = message
+
+    @property
+    def message(self) -> Message:
+        """What was said; read when it is asked for first, unless the inbox did so.
+
+        Raises:
+            ProtocolError: it cannot be read.
+        """
+        if self._message is None:
+            self._message = decode(self.data, TOPICS[self.topic].message)
+        return self._message
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +88,7 @@ class Inbox:
         self._waiting: dict[_Place, deque[Sealed]] = {}
         self._lock = threading.Lock()
         self._woken = False
+        self._reads = True
         self._complaints = Complaints()
         self.drops: Counter[str] = Counter()
 
@@ -76,6 +98,10 @@ class Inbox:
         So whoever floods a key is in nobody's way but its own.
         """
         self._limits[topic_name] = waiting
+
+    def leave_closed(self) -> None:
+        """Hands messages over unread, to one who keeps most of them as they came."""
+        self._reads = False
 
     def share_out(self, *, is_paced: bool) -> None:
         """Gives each process a share of its own, and a rate where the wall clock paces them.
@@ -200,7 +226,7 @@ class Inbox:
 
     def _open(self, sealed: Sealed) -> Envelope | None:
         try:
-            message = decode(sealed.data, sealed.topic.message)
+            message = decode(sealed.data, sealed.topic.message) if self._reads else None
             parts = sealed.topic.parts(sealed.key)
         except ProtocolError as error:
             self.refuse(sealed.topic.name, error, sealed.key)

@@ -27,6 +27,7 @@ PREFIX = struct.Struct("<4sHHII")
 MAX_BODY_BYTES = 16 << 20
 _ALIGN = 8
 _TOLD = 200  # characters of a text from the network
+_ODD = (ValueError, msgpack.UnpackException, RecursionError, OverflowError)
 _CONTAINERS = 1 << 13  # lists and maps of a header, and one more for every sixteen bytes
 
 M = TypeVar("M", bound=Message)
@@ -76,6 +77,25 @@ def decode(data: bytes, expected: type[M]) -> M:
         raise MessageError(f"{where}: {first['msg'][:_TOLD]}") from None
 
 
+def peek_sim_time_ns(data: bytes, expected: type[Message]) -> int | None:
+    """Returns the simulated time that a message bears, None if it has none; reads no more of it.
+
+    Raises:
+        VersionError: the sender speaks another version.
+        MessageError: what was read is wrong.
+    """
+    header_len, _ = _read_prefix(data, expected)
+    unpacker = _unpacker(data[PREFIX.size : PREFIX.size + header_len])
+    try:
+        for _ in range(unpacker.read_map_header()):
+            if unpacker.unpack() == "sim_time_ns":
+                return _time_of(unpacker.unpack())
+            unpacker.skip()
+    except _ODD as error:
+        raise MessageError(f"header is not msgpack: {error or type(error).__name__}") from None
+    return None
+
+
 @cache
 def array_fields(message: type[Message]) -> dict[str, Array]:
     """Returns the array fields of a message type, in declaration order."""
@@ -111,7 +131,14 @@ def _read_prefix(data: bytes, expected: type[Message]) -> tuple[int, int]:
     return header_len, body_len
 
 
-def _unpack(packed: bytes) -> dict[str, Any]:
+def _time_of(value: object) -> int:
+    if type(value) is not int:
+        raise MessageError(f"sim_time_ns is a {type(value).__name__}, expected an integer")
+    return value
+
+
+def _unpacker(packed: bytes) -> msgpack.Unpacker:
+    """Returns one that refuses what takes far more room than its bytes."""
     room = _CONTAINERS + len(packed) // 16
 
     def count(container: Any) -> Any:  # noqa: ANN401 - a list or a dict
@@ -130,9 +157,13 @@ def _unpack(packed: bytes) -> dict[str, Any]:
         timestamp=1,  # a float, which costs least
     )
     unpacker.feed(packed)
+    return unpacker
+
+
+def _unpack(packed: bytes) -> dict[str, Any]:
     try:
-        header = unpacker.unpack()
-    except (ValueError, msgpack.UnpackException, RecursionError, OverflowError) as error:
+        header = _unpacker(packed).unpack()
+    except _ODD as error:
         raise MessageError(f"header is not msgpack: {error or type(error).__name__}") from None
     if not isinstance(header, dict):
         raise MessageError(f"header is a {type(header).__name__}, expected a map")

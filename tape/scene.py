@@ -11,7 +11,7 @@ import numpy as np
 from protocol import messages as m
 from protocol.codec import decode
 from protocol.courtesy import Budget
-from protocol.errors import CodecError
+from protocol.errors import CodecError, ProtocolError
 from protocol.inbox import Envelope
 from tape import shapes
 from tape.writer import TapeWriter
@@ -20,6 +20,7 @@ SHARE_PER_CORE = 0.015
 """Of the machine: so much of a core's time, for each core, may clouds take."""
 MAX_OPEN_FRAMES = 8
 MAX_FRAME_BYTES = 64 << 20
+_DRAWN = frozenset({"pose", "scan", "truth", "detections"})
 _V2X, _WORLD = "foxglove/v2x", "foxglove/world"  # topics of what agents say, and of the truth
 
 
@@ -59,7 +60,7 @@ class Scene:
 
     def take(self, item: Envelope) -> None:
         """Notes a message; a frame is due once the edge has said what it sees in the next one."""
-        message = item.message
+        message = _drawn(item)
         if not isinstance(message, m.AgentPose | m.Scan | m.Truth | m.Detections):
             return
         frame = self._frame(message.frame)
@@ -144,6 +145,14 @@ class Scene:
 
     def _add(self, frame: _Frame, topic: str, shape: shapes.Shape) -> None:
         self._writer.write_shape(topic, shape, time.monotonic_ns(), frame.sim_time_ns)
+
+
+def _drawn(item: Envelope) -> m.Message | None:
+    """Returns what was said if it can be drawn, and read; the rest is left as it came."""
+    try:
+        return item.message if item.topic in _DRAWN else None
+    except ProtocolError:
+        return None  # it is on the tape, and who reads that counts it
 
 
 def _sensor(agent: str) -> str:

@@ -52,6 +52,7 @@ class Taping:
         Raises:
             ConfigError: the tape cannot be written there.
         """
+        inbox.leave_closed()
         self._inbox = inbox
         self._stop = stop
         self._ending = Ending()
@@ -69,16 +70,17 @@ class Taping:
         """Keeps a message.
 
         Raises:
-            MessageError: it cannot be kept.
+            ProtocolError: it cannot be kept.
             CpnetError: the disk is full, or fails.
         """
         if isinstance(item, Presence):
             self._ending.look(item, time.monotonic_ns())
             return
+        end = item.message if item.topic == "end" else None
         self.writer.write(item)
         self._ending.heard(item.received_ns)
-        if isinstance(item.message, End):
-            self._reason = item.message.reason
+        if isinstance(end, End):
+            self._reason = end.reason
             self._ending.begin(item.received_ns)
         if self.scene is not None:
             self.scene.take(item)

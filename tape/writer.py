@@ -11,7 +11,7 @@ from protocol.errors import MessageError
 from protocol.inbox import Envelope
 from protocol.messages import Setup
 from protocol.topics import TOPICS
-from protocol.wire import encode
+from protocol.wire import encode, peek_sim_time_ns
 from tape.names import ENCODING, TOPIC
 from tape.reel import Reel
 from tape.schemas import ENCODING as SCHEMA_ENCODING
@@ -55,14 +55,14 @@ class TapeWriter:
         """Adds a message as it came.
 
         Raises:
-            MessageError: it has no key.
+            ProtocolError: it has no key, or nobody could read its bytes.
             CpnetError: the disk is full, or fails.
         """
+        sim_time_ns = peek_sim_time_ns(item.data, TOPICS[item.topic].message)
         place = (item.topic, *item.parts.values())
         channel = self._channels.get(place)
         if channel is None:
             channel = self._channels[place] = self._native(item)
-        sim_time_ns = getattr(item.message, "sim_time_ns", None)
         self._reel.write(channel, item.data, item.received_ns, sim_time_ns)
         self.messages += 1
 

@@ -31,6 +31,21 @@ def test_a_bad_message_is_counted_logged_once_and_dropped(caplog: pytest.LogCapt
     assert "cpnet/v1/r0/roster/p" in caplog.text
 
 
+def test_who_keeps_messages_gets_them_closed_and_reads_what_it_needs():
+    inbox = Inbox()
+    inbox.leave_closed()
+    good, bad = encode(ROSTER), encode(ROSTER)[:-8]
+    for data in (good, bad):
+        inbox.put(sealed(data))
+    items = [inbox.get(), inbox.get()]
+    assert [item.data for item in items if isinstance(item, Envelope)] == [good, bad]
+    first, second = [item for item in items if isinstance(item, Envelope)]
+    assert first.message == ROSTER
+    with pytest.raises(MessageError):
+        _ = second.message
+    assert not inbox.drops
+
+
 def test_a_full_inbox_counts_what_it_cannot_take():
     inbox = Inbox(capacity=2)
     for _ in range(5):

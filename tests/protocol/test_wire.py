@@ -207,6 +207,28 @@ def test_a_message_comes_back_as_it_was(message):
 
 
 @pytest.mark.parametrize("message", EXAMPLES, ids=lambda e: type(e).__name__)
+def test_the_time_of_a_message_can_be_read_alone(message):
+    time_ns = getattr(message, "sim_time_ns", None)
+    assert wire.peek_sim_time_ns(wire.encode(message), type(message)) == time_ns
+
+
+@given(st.binary(max_size=300), st.sampled_from(list(m.MESSAGES.values())))
+def test_a_time_is_read_from_any_header_or_one_kind_of_error_raised(header, expected):
+    prefix = wire.PREFIX.pack(wire.MAGIC, wire.VERSION, expected.kind, len(header), 0)
+    try:
+        found = wire.peek_sim_time_ns(prefix + header, expected)
+    except MessageError:
+        return
+    assert found is None or type(found) is int
+
+
+@pytest.mark.parametrize("bad", [1.5, None, "now", [[]] * 20_000])
+def test_a_time_that_is_no_integer_is_refused(bad):
+    with pytest.raises(MessageError, match="sim_time_ns|header"):
+        wire.peek_sim_time_ns(packed(m.Tick, {"frame": 1, "sim_time_ns": bad}), m.Tick)
+
+
+@pytest.mark.parametrize("message", EXAMPLES, ids=lambda e: type(e).__name__)
 def test_the_bytes_of_a_message_are_those_of_version_1(message):
     golden = (GOLDEN / f"{type(message).__name__}.bin").read_bytes()
     assert wire.encode(message) == golden

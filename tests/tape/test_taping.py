@@ -94,6 +94,22 @@ def test_the_tape_says_at_its_end_what_came_of_it(tmp_path):
     }
 
 
+def test_what_nobody_could_read_is_not_kept_and_the_rest_as_it_came(tmp_path):
+    context = context_in(tmp_path, {"tape": True})
+    taping = role.build(context)
+    key = TOPICS["detections"].key(region="r0")
+    good = envelope("detections", 0).data
+    odd = good[:24] + b"\xc1" + good[25:]  # no msgpack
+    for data in (b"junk", good[:-8], odd, good):
+        context.v2x.deliver(key, data)
+    said(context, "end")
+    loop(taping, context.inbox, context.stop)
+    taping.close()
+    tape = Tape(tmp_path)
+    assert [item.data for item in tape.heard(["detections"])] == [good]
+    assert (taping.dropped, tape.drops.total()) == (3, 0)
+
+
 def test_messages_come_before_what_is_made_of_them(tmp_path):
     inbox = Inbox()
     taping = Taping(setup(), lambda: next_file(tmp_path), inbox, Choice(), threading.Event())
