@@ -34,7 +34,8 @@ from viewer.scene import Scene
 
 _SCENARIO = "t_junction"
 _BEGINS_S = 60.0  # until it is up
-_LONG_S = 3600.0  # simulated: longer than anybody looks
+_FASTEST = 10.0  # times real time: no run is over before it was looked at
+_MOST_S = 86_400.0  # simulated, that a run may last
 _LATER_S = 3.0  # in the first frames all is new
 _POLL_S = 0.1
 _Look = Callable[[threading.Event], None]
@@ -48,6 +49,12 @@ class LookingBench:
     looks: int = 10
     span_s: float = 4.0
     keys: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def duration_s(self) -> float:
+        """For how much simulated time the run has to last."""
+        spans = 2 * self.looks * len(self.ways) + 1
+        return min(_MOST_S, _FASTEST * (spans * self.span_s + _BEGINS_S))
 
     def check(self) -> None:
         """Raises ConfigError if it cannot be measured."""
@@ -88,7 +95,7 @@ def measure_looking(bench: LookingBench) -> list[LookingRow]:
 @contextmanager
 def _running(bench: LookingBench, run_dir: Path) -> Iterator[subprocess.Popen[bytes]]:
     command = [sys.executable, "-m", "cpnet", "up", _SCENARIO, "--out", str(run_dir)]
-    command += ["--mode", "lockstep", "--duration", f"{_LONG_S:g}"]
+    command += ["--mode", "lockstep", "--duration", f"{bench.duration_s:g}"]
     for key, value in bench.keys.items():
         command += ["--set", f"{key}={value}"]
     with (run_dir.parent / "said").open("wb") as said:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from cpnet.deaths import how, tail
 from protocol.errors import ConfigError
 
 _GRACE_S = 8.0
@@ -41,9 +42,13 @@ def viewed(run_dir: Path, how: Viewing | None, console: Console) -> Iterator[Non
         return
     command = [sys.executable, "-m", "cpnet", "view", str(run_dir)]
     command += ["--web"] if how is Viewing.WEB else []
-    log = (run_dir / "logs" / "view.log").open("ab")
-    with log, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True) as viewer:
-        telling = threading.Thread(target=_tell, args=(viewer, console), daemon=True)
+    path = run_dir / "logs" / "view.log"
+    pipe = subprocess.PIPE
+    with (
+        path.open("ab") as log,
+        subprocess.Popen(command, stdout=pipe, stderr=log, text=True) as viewer,
+    ):
+        telling = threading.Thread(target=_tell, args=(viewer, path, console), daemon=True)
         telling.start()
         try:
             yield
@@ -56,6 +61,9 @@ def viewed(run_dir: Path, how: Viewing | None, console: Console) -> Iterator[Non
             telling.join(_GRACE_S)
 
 
-def _tell(viewer: subprocess.Popen[str], console: Console) -> None:
+def _tell(viewer: subprocess.Popen[str], log: Path, console: Console) -> None:
     for line in viewer.stdout or ():
         console.print(line.rstrip(), highlight=False, markup=False, soft_wrap=True)
+    if viewer.wait() > 0:  # not by a signal, nor well
+        said = f"the viewer {how(viewer.returncode)}; the run goes on without it:\n{tail(log)}"
+        console.print(said, highlight=False, markup=False, soft_wrap=True)

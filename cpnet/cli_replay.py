@@ -11,6 +11,7 @@ from cpnet.cli_options import Override, assigned, console
 from protocol.errors import ConfigError
 
 replay_app = typer.Typer(pretty_exceptions_enable=False)
+WIDTH_M = 60.0
 _SCANS = "Scans from elsewhere"
 
 
@@ -60,9 +61,11 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
         typer.Option(metavar="M", help="over the ground; else found", rich_help_panel=_SCANS),
     ] = None,
     width: Annotated[
-        float,
-        typer.Option(min=1, help="of the open ground, m", rich_help_panel=_SCANS),
-    ] = 60.0,
+        float | None,
+        typer.Option(
+            min=1, help=f"of the open ground, m; default {WIDTH_M:g}", rich_help_panel=_SCANS
+        ),
+    ] = None,
 ) -> None:
     """Play a recorded run to live processes: another detector, policy or link, the same scans."""
     from cpnet.conclusion import conclude
@@ -74,8 +77,8 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
     if (tape is None) == (scans is None):
         raise ConfigError("give the tape that is to be played, or --scans DIR --poses FILE")
     if tape is not None:
-        named = [scans, poses, extrinsics, sensors, scenario, frames, height]
-        if any(option is not None for option in named):
+        named = [poses, extrinsics, sensors, scenario, frames, height, width]
+        if refine or any(option is not None for option in named):
             raise ConfigError("--poses and all that is for scans from elsewhere needs --scans DIR")
         played = played_tape(tape, overrides, pace, console)
     elif refine and extrinsics is None:
@@ -91,7 +94,7 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
         names = [name.strip() for name in sensors.split(",")] if sensors else []
         source = Source(scans, poses, extrinsics, names, refine=refine)
         played = played_scans(
-            Scans(source, scenario, overrides, frames, height, width), pace, console
+            Scans(source, scenario, overrides, frames, height, width or WIDTH_M), pace, console
         )
     status, run_dir = up(Options("", {}, None, [], [], out), console, played)
     conclude(run_dir)

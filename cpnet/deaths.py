@@ -30,7 +30,15 @@ def how(status: int) -> str:
         return "ended, and the fork server that would know how had gone"
     if status >= 0:
         return f"ended with status {status}"
-    return f"was killed by {signal.Signals(-status).name}"
+    return f"was killed by {signal_name(-status)}"
+
+
+def signal_name(number: int) -> str:
+    """Returns the name of a signal; of real-time signals only two have one."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
 
 
 def tail(path: Path, lines: int = TAIL_LINES) -> str:

@@ -21,7 +21,9 @@ def looking_for(run: Running, console: Console) -> Iterator[None]:
     where = f"{run.v2x.locator} and {run.world.locator}"
 
     def tell() -> None:
-        console.print(f"looking for the run at {where}", highlight=False, soft_wrap=True)
+        console.print(
+            f"looking for the run at {where}", markup=False, highlight=False, soft_wrap=True
+        )
 
     timer = threading.Timer(TELL_AFTER_S, tell)
     timer.daemon = True

@@ -17,6 +17,7 @@ from player.scans.agents import Source, agents_of, check_clocks
 from player.scans.extrinsics import write_extrinsics
 from player.scans.ground import open_ground
 from player.scans.taping import STEM, Imported, tape_scans
+from protocol.errors import ConfigError
 from protocol.messages import Setup
 from protocol.roadmap import RoadMap
 from protocol.version import own_version
@@ -90,6 +91,10 @@ def _scenario(asked: Scans, pace: Pace, frames: int) -> scenarios.Scenario:
         facts["name"] = re.sub(r"[^A-Za-z0-9_-]", "_", name)[:80] or "scans"
     if pace.mode is not None:
         facts["mode"] = pace.mode
+    if taken := sorted(facts.keys() & asked.overrides.keys() - {"traffic.cav_rate", "mode"}):
+        raise ConfigError(
+            f"--set {taken[0]}: with --scans that follows from the scans, and cannot be set"
+        )
     data = base.model_dump(mode="json")
     return scenarios.changed(data, facts, asked.scenario or "the scenario")
 

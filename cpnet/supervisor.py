@@ -202,6 +202,7 @@ class Supervisor:
             is_dead = status is not None and not (at_end and status in WELL)
             if child.entry.role.role == role and status is not None and is_dead:
                 self._children.remove(child)
+                self._list()
                 child.process.release()
                 return Death(child.entry.id, how(status), tail(child.log_path))
         return None

@@ -42,14 +42,15 @@ def tape_run(
     with ExitStack() as stack:
         with looking_for(running, console):
             yields = running.run_dir is None
-            onlooker = stack.enter_context(
-                Onlooker(running.v2x, running.world, choice.topics, yields=yields)
-            )
+            onlooker = stack.enter_context(Onlooker(running.v2x, running.world, (), yields=yields))
             setup = onlooker.setup()
-        step_back()  # but for the threads that receive: who is waited for must not be slow to take
+        step_back()  # but for Zenoh's own threads: who is waited for must not be slow to take
+        onlooker.hear(choice.topics)
         stop = stack.enter_context(Interruption()).event
         taping = Taping(setup, next_path, onlooker.inbox, choice, stop)
-        console.print(f"taping to {taping.writer.files[0]}; Ctrl-C ends it", soft_wrap=True)
+        console.print(
+            f"taping to {taping.writer.files[0]}; Ctrl-C ends it", markup=False, soft_wrap=True
+        )
         if duration_s is not None:
             alarm = threading.Timer(duration_s, stop.set)
             alarm.daemon = True
@@ -91,4 +92,4 @@ def _tell(taping: Taping, console: Console, before: str = "") -> None:
     if taping.scene is not None:
         frames, clouds = taping.scene.frames_left_out, taping.scene.clouds_left_out
         line += f"; for Foxglove without {frames} frames, and without clouds in {clouds} more"
-    console.print(line, highlight=False, soft_wrap=True)
+    console.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -54,7 +54,7 @@ def view(
     with _attached(found, live.TOPICS, console) as (onlooker, setup, interruption):
         scene = Scene(setup)
         with opened(screen.port, screen.save, scene) as sink:
-            console.print(sink.where, highlight=False, soft_wrap=True)
+            console.print(sink.where, markup=False, highlight=False, soft_wrap=True)
             log = Log(sink.recording, scene)
             following = Live(onlooker.inbox, scene, log, screen.fps, budget())
             following.follow(interruption.event)

@@ -155,7 +155,7 @@ class Inbox:
                 self._queue.put_nowait(None)
 
     def get(self, timeout_s: float = 0.0) -> Envelope | Presence | None:
-        """Returns the next item that can be read, or None when the time is over.
+        """Returns the next item, or None when the time is over or the next one cannot be read.
 
         None comes at once if there is no item and `wake` was called since the last wait.
         """

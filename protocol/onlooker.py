@@ -63,8 +63,7 @@ class Onlooker:
             self._hang_up()
             raise
         self._world = world
-        for topic in sorted(topics):
-            self._buses[TOPICS[topic].bus].subscribe(topic)
+        self.hear(topics)
         for bus in self._buses.values():
             bus.watch()
 
@@ -73,6 +72,11 @@ class Onlooker:
 
     def __exit__(self, *_: object) -> None:
         self._hang_up()
+
+    def hear(self, topics: Iterable[str]) -> None:
+        """Asks for these topics as well."""
+        for topic in sorted(topics):
+            self._buses[TOPICS[topic].bus].subscribe(topic)
 
     def setup(self, patience_s: float = 10.0) -> Setup:
         """Returns what every process was given before the first frame.
@@ -97,11 +101,6 @@ class Onlooker:
         while (left_ns := end_ns - time.monotonic_ns()) > 0:
             if (item := self.next(min(_POLL_S, left_ns / 1e9))) is not None:
                 yield item
-
-    def announce(self, role: str, process_id: str) -> None:
-        """Shows this process to the others, for those that are to be waited for."""
-        for bus in self._buses.values():
-            bus.announce(role, process_id)
 
     def _open(self, name: BusName, place: Endpoint, timeout_ms: int) -> None:
         self._buses[name] = _aside(lambda: open_bus(name, place, self.inbox, timeout_ms))

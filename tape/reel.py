@@ -34,7 +34,7 @@ class Reel:
         self._began_ns = 0
         self._waiting_bytes = 0
         self._chunks = 0
-        self._is_broken = False
+        self._is_closed = False
         self.size_bytes = 0
         try:
             self._file = path.open("xb")
@@ -91,13 +91,14 @@ class Reel:
             self._end_chunk()
 
     def close(self, facts: dict[str, str]) -> None:
-        """Writes what came of it, the index and the end, unless the disk has failed before.
+        """Writes what came of it, the index and the end, unless that was done or the disk failed.
 
         Raises:
             CpnetError: the disk is full, or fails.
         """
-        if self._is_broken:
+        if self._is_closed:
             return
+        self._is_closed = True
         with self._named_faults():
             self._writer.flush()
             self._writer.add_metadata(CLOSING, facts)
@@ -117,7 +118,7 @@ class Reel:
         try:
             yield
         except OSError as error:
-            self._is_broken = True
+            self._is_closed = True
             with contextlib.suppress(OSError):
                 self._file.close()
             raise CpnetError(f"{self.path} cannot be written: {error.strerror or error}") from None

@@ -107,7 +107,7 @@ class Scene:
     def _frame(self, number: int) -> _Frame:
         if number not in self._open:
             while len(self._open) >= MAX_OPEN_FRAMES:
-                del self._open[min(self._open)]
+                del self._open[next(iter(self._open))]  # the first that came: numbers may lie
             self._open[number] = _Frame()
         return self._open[number]
 

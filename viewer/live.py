@@ -11,6 +11,7 @@ from protocol.courtesy import Budget
 from protocol.errors import MessageError
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Metrics
+from protocol.topics import BusName
 from viewer.moments import Moments
 from viewer.scene import Picture, Scene
 from viewer.stages import Account, Stages
@@ -84,7 +85,8 @@ class Live:
 
     def _take(self, item: Envelope | Presence) -> None:
         if isinstance(item, Presence):
-            self.is_over |= item.role == "sim" and not item.alive
+            is_world = item.role == "sim" and item.bus is BusName.WORLD
+            self.is_over |= is_world and not item.alive
             return
         message = item.message
         self.is_over |= isinstance(message, End)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import shutil
 import socket
 import subprocess
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 from urllib.parse import quote
 
 import rerun as rr
@@ -130,30 +132,36 @@ def _window(recording: rr.RecordingStream, scene: Scene) -> Sink:
 @contextmanager
 def _page(port: int) -> Iterator[tuple[str, str]]:
     """Serves page and data on this machine alone; yields where drawings go and where they show."""
-    _check_free(port)
     data = free_port()
     places = ["--bind", _HERE, "--port", str(data), "--web-viewer-port", str(port)]
     viewer = Path(rerun_cli.__file__).parent / "rerun"
     command = [str(viewer), "--serve-web", *places]
     command += ["--server-memory-limit", MEMORY, "--newest-first"]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as server:
+    with (
+        tempfile.TemporaryFile() as said,
+        subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said) as server,
+    ):
         try:
             for place in (data, port):
-                _await(server, place)
+                _await(server, place, said)
             url = f"rerun+http://{_HERE}:{data}/proxy"
             yield url, f"http://{_HERE}:{port}/?url={quote(url, safe='')}"
         finally:
             server.terminate()
 
 
-def _await(server: subprocess.Popen[bytes], port: int) -> None:
+def _await(server: subprocess.Popen[bytes], port: int, said: IO[bytes]) -> None:
     give_up_ns = time.monotonic_ns() + round(_PATIENCE_S * 1e9)
     while time.monotonic_ns() < give_up_ns and server.poll() is None:
         with socket.socket() as probe:
             if probe.connect_ex((_HERE, port)) == 0:
                 return
         time.sleep(0.05)
-    raise ConfigError(f"Rerun serves nothing at port {port}; give another --port")
+    said.seek(0)
+    last = (said.read().decode("utf-8", "replace").strip().splitlines() or ["not a word"])[-1]
+    raise ConfigError(
+        f"Rerun serves nothing at port {port}; give another --port (it said: {last:.300})"
+    )
 
 
 def _check_free(port: int) -> None:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
-import signal
 import subprocess
 import sys
 
+from cpnet.deaths import signal_name
 from cpnet.doctor.finding import Finding
 
 TRIAL_TIMEOUT_S = 15
@@ -33,7 +33,7 @@ def _found(what: str, advice: str) -> Finding:
 
 
 def _how(status: int) -> str:
-    return f"it was killed by {signal.Signals(-status).name} " if status < 0 else ""
+    return f"it was killed by {signal_name(-status)} " if status < 0 else ""
 
 
 def _last_line(text: str) -> str:

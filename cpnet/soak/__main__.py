@@ -13,6 +13,7 @@ from typing import Annotated
 
 import numpy as np
 import typer
+from rich.markup import escape
 
 from cpnet.cli_options import console, errors
 from cpnet.endpoints import connecting, free_locator
@@ -24,7 +25,7 @@ from cpnet.soak.page import page
 from cpnet.soak.soak import hurt
 from cpnet.supervisor import LIST_NAME
 from protocol.bus import Endpoint
-from protocol.errors import BusError, CpnetError
+from protocol.errors import BusError, ConfigError, CpnetError
 
 START_S = 120.0
 POLL_S = 0.1
@@ -45,7 +46,7 @@ def main(
     try:
         findings = soak(minutes, kills, seed, out, set_ or [])
     except CpnetError as error:
-        errors.print(f"[bold red]error[/] {error}", soft_wrap=True)
+        errors.print(f"[bold red]error[/] {escape(str(error))}", soft_wrap=True)
         raise typer.Exit(2) from None
     text = page(findings, shlex.join(["scripts/soak", *sys.argv[1:]]))
     console.print(text, markup=False, soft_wrap=True)
@@ -59,8 +60,10 @@ def soak(minutes: float, kills: int, seed: int, out: Path, keys: list[str]) -> F
 
     Raises:
         BusError: the run did not come up.
-        ConfigError: its folder holds no run.
+        ConfigError: its folder is there already, or holds no run.
     """
+    if out.exists():
+        raise ConfigError(f"--out {out}: is there already; needs a new folder")
     v2x, world = (Endpoint(free_locator(), listen=True) for _ in range(2))
     command = [sys.executable, "-m", "cpnet", "up", "t_junction", "--mode=realtime", "--restart"]
     command += [f"--duration={minutes * 60 + BEYOND_S:g}", f"--out={out}"]

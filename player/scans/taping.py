@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from player.scans.agents import Agent
 from player.scans.ground import height_over_ground_m
@@ -16,6 +17,7 @@ from protocol.errors import CodecError, ConfigError
 from protocol.geometry import SE3, Floats
 from protocol.inbox import Envelope
 from protocol.messages import AgentPose, Equipment, Message, Roster, Scan, Setup, SignalState, Tick
+from protocol.messages.fields import Id
 from protocol.wire import encode
 from sensing.config import UploadConfig
 from tape.names import next_file
@@ -25,6 +27,7 @@ PROCESS = "vehicle-0"
 STEM = "scans"
 _SIZE_M = {"length_m": 4.5, "width_m": 1.8, "height_m": 1.5}  # a usual car
 _STD_M = 0.05
+MAX_HEIGHT_M = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,8 +43,13 @@ class Imported:
         """Finds the ground below each agent, unless it is told how high they are over it.
 
         Raises:
-            ConfigError: a cloud cannot be read, or the first of an agent is empty.
+            ConfigError: a cloud cannot be read, the first of an agent is empty, or a name or the
+                height cannot be.
         """
+        if height_m is not None and not 0 <= height_m <= MAX_HEIGHT_M:
+            raise ConfigError(f"--height {height_m:g}: must be 0 to {MAX_HEIGHT_M:g} m")
+        for agent in agents:
+            _check_name(agent.name)
         heights_m: dict[str, float] = {}
         for agent in agents:
             cloud = agent.cloud(0)
@@ -83,6 +91,15 @@ class Imported:
     @property
     def _numbers(self) -> int:
         return len(self.agents[0].files)
+
+
+def _check_name(name: str) -> None:
+    try:
+        TypeAdapter(Id).validate_python(name)
+    except ValidationError:
+        raise ConfigError(
+            f"agent {name!r:.200}: its folder's name must have 1 to 128 visible characters"
+        ) from None
 
 
 def tape_scans(imported: Imported, setup: Setup, folder: Path) -> int:

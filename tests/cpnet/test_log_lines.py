@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from cpnet.deaths import tail
+from cpnet.deaths import how, tail
 from cpnet.log_lines import readable
 
 
@@ -15,6 +15,14 @@ def test_a_record_reads_like_a_line_of_text():
     record = {"time": "2026-01-01T00:00:00+00:00", "process": "edge", "level": "INFO"}
     line = json.dumps(record | {"logger": "edge_server.role", "message": "it is here"})
     assert readable(line) == "2026-01-01T00:00:00+00:00 edge INFO edge_server.role: it is here"
+
+
+@pytest.mark.parametrize(
+    ("status", "said"),
+    [(3, "ended with status 3"), (-9, "was killed by SIGKILL"), (-35, "was killed by signal 35")],
+)
+def test_every_end_can_be_told(status, said):
+    assert how(status) == said
 
 
 def test_the_tail_of_a_log_ends_with_the_error(tmp_path):

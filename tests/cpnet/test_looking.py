@@ -6,6 +6,7 @@ import threading
 from rich.console import Console
 
 from cpnet import looking
+from cpnet.beside import Viewing, viewed
 from cpnet.looking import looking_for
 from cpnet.running import Running
 from protocol.bus import Endpoint
@@ -29,3 +30,12 @@ def test_a_short_wait_is_not_told_of_and_leaves_nothing_that_would(monkeypatch):
         pass
     wait_until(lambda: not {*threading.enumerate()} - {*before})
     assert said.getvalue() == ""
+
+
+def test_a_viewer_that_cannot_go_on_says_why_and_the_run_does(tmp_path):
+    (tmp_path / "logs").mkdir()
+    said = io.StringIO()
+    with viewed(tmp_path, Viewing.WEB, Console(file=said, width=400)):  # a run of which none knows
+        wait_until(lambda: "the run goes on without it" in said.getvalue())
+    assert "the viewer ended with status 2" in said.getvalue()
+    assert f"{tmp_path}: no run goes on there" in said.getvalue()

@@ -138,6 +138,8 @@ def test_in_realtime_a_tape_goes_as_fast_as_asked(shell, taped):
         ([], "give the tape that is to be played, or --scans DIR --poses FILE"),
         (["{tape}", "--scans=x"], "give the tape that is to be played, or --scans"),
         (["{tape}", "--frames=3"], "needs --scans DIR"),
+        (["{tape}", "--refine"], "needs --scans DIR"),
+        (["{tape}", "--width=30"], "needs --scans DIR"),
         (["--scans=x"], "--scans needs --poses FILE"),
         (["--scans=x", "--poses=y", "--refine"], "--refine needs --extrinsics FILE"),
         (["{tape}", "--lockstep", "--speed=2"], "--lockstep has no speed"),

@@ -35,6 +35,9 @@ class Silent:
     def setup(self):
         return setup()
 
+    def hear(self, topics):
+        assert topics == PLAIN.topics
+
 
 def test_a_full_disk_leaves_what_can_be_read_and_says_so(tmp_path, monkeypatch):
     def loop(role, *_):

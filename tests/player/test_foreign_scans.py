@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -143,6 +144,26 @@ def test_a_first_cloud_without_a_point_is_refused_and_later_ones_are_counted(tmp
     places.write_bin(tmp_path / "all" / "b" / "0.bin", np.full((3, 3), np.inf))
     with pytest.raises(ConfigError, match=r"0\.bin: holds no point"):
         played_scans(Scans(source, None, {}, height_m=2.0), Pace(), Console())
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"overrides": {"duration_s": 2.0}}, "--set duration_s: with --scans that follows"),
+        ({"height_m": float("nan")}, "--height nan: must be 0 to 100 m"),
+        ({"height_m": 1e8}, r"--height 1e\+08: must be"),
+    ],
+)
+def test_what_scans_cannot_be_played_with_is_refused(tmp_path, asked, said):
+    source = two_agents(tmp_path, "a,5,0,0,2\nb,5,9,0,2\n")
+    with pytest.raises(ConfigError, match=said):
+        played_scans(Scans(source, None, **{"overrides": {}} | asked), Pace(), Console())
+
+
+def test_a_folder_whose_name_no_agent_can_have_is_named(tmp_path):
+    agents = agents_of(two_agents(tmp_path, "a,5,0,0,2\nb,5,9,0,2\n"))
+    with pytest.raises(ConfigError, match="agent 'xxx.*must have 1 to 128 visible"):
+        Imported.of([replace(agents[0], name="x" * 200)], None, None)
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the real car's scans are not on this machine")

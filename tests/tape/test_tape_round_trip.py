@@ -44,6 +44,17 @@ def test_all_that_was_heard_comes_back_as_it_came(heard, wanted):
         assert tape.facts == {"name": "a test"}
 
 
+def test_a_tape_that_could_not_go_on_says_why_and_can_be_closed(tmp_path, monkeypatch):
+    monkeypatch.setattr(reel, "MAX_CHUNKS", 0)
+    paths = iter([tmp_path / "run.mcap", tmp_path / "gone" / "run-2.mcap"])
+    writer = TapeWriter(lambda: next(paths), setup(), {})
+    writer.write(envelope("tick", 1))
+    with pytest.raises(ConfigError, match=r"run-2\.mcap cannot be written"):
+        writer.settle(2)
+    writer.close({})
+    assert [item.topic for item in Tape(tmp_path).heard()] == ["tick"]
+
+
 def test_other_readers_find_their_way(tmp_path):
     heard = [envelope(topic, 100 + n) for n, topic in enumerate(sorted(ALL_TOPICS))]
     writer = writer_in(tmp_path)

@@ -245,6 +245,15 @@ def test_what_is_never_detected_does_not_pile_up(tmp_path):
     booth.writer.close({})
 
 
+def test_absurd_frame_numbers_keep_no_frame_from_being_drawn(tmp_path):
+    booth = Booth(tmp_path)
+    for n in range(scene.MAX_OPEN_FRAMES):
+        booth.scene.take(heard("scan", scan(10**9 + n), 1))
+    for frame in range(4):
+        booth.hear(frame)
+    assert len(booth.read()["foxglove/v2x/detections"]) == 4
+
+
 def test_a_frame_of_endless_scans_is_bounded(tmp_path, monkeypatch):
     monkeypatch.setattr(scene, "MAX_FRAME_BYTES", 2000)
     booth = Booth(tmp_path)

@@ -154,5 +154,20 @@ def test_without_a_world_nothing_more_is_awaited():
     ending = Ending()
     ending.look(Presence("edge", "edge", alive=False), 0)
     assert not ending.is_over(10**12)
-    ending.look(Presence("sim", "sim", alive=False), 7)
+    ending.look(Presence("sim", "sim", alive=False, bus=BusName.WORLD), 7)
     assert ending.is_over(7 + SILENCE_NS)
+
+
+def test_a_tape_outlives_the_edge_and_a_short_loss_of_the_world():
+    ending = Ending()
+    ending.look(Presence("record", "record", alive=True, bus=BusName.V2X), 0)
+    for gone in ("edge", "record", "sim"):  # the edge's router goes, and all tokens with it
+        ending.look(Presence(gone, gone, alive=False, bus=BusName.V2X), 0)
+    assert not ending.is_over(10**12)
+    ending.look(Presence("record", "record", alive=True, bus=BusName.V2X), 0)
+    for alive in (False, True):
+        ending.look(Presence("sim", "sim", alive=alive, bus=BusName.WORLD), 5)
+        assert ending.is_over(5 + PATIENCE_NS) != alive
+    ending.begin(10)
+    ending.look(Presence("sim", "sim", alive=True, bus=BusName.WORLD), 20)
+    assert ending.is_over(10 + PATIENCE_NS)

@@ -101,16 +101,32 @@ def vars_of(row: boards.LaneRow) -> tuple[object, ...]:
     return row.lane, row.vehicles, row.queued, row.seen
 
 
+def token(role: str, alive: bool, bus: BusName = BusName.WORLD) -> Presence:
+    return Presence(role, role, alive, bus)
+
+
 def test_the_end_is_no_alert() -> None:
-    gone = Presence("sim", "sim", False)
-    board = fed(Presence("sim", "sim", True), m.End(frames=1, reason="finished"), gone)
+    gone = token("sim", alive=False)
+    board = fed(token("sim", alive=True), m.End(frames=1, reason="finished"), gone)
     assert board.alerts() == []
     assert board.is_over
     assert "ended: finished" in text(board)
 
 
 def test_a_world_that_is_gone_is_the_end_too() -> None:
-    assert fed(Presence("sim", "sim", True), Presence("sim", "sim", False)).is_over
+    assert fed(token("sim", alive=True), token("sim", alive=False)).is_over
+
+
+def test_when_the_edge_dies_with_its_router_nobody_else_is_gone() -> None:
+    roles = ("edge", "sim", "signal")
+    came = [token(role, alive=True, bus=bus) for role in roles for bus in BusName]
+    lost = [token(role, alive=False, bus=BusName.V2X) for role in roles]
+    board = fed(*came, *lost, token("edge", alive=False))
+    assert not board.is_over
+    assert board.alerts() == ["edge edge is gone"]
+    for role in roles:
+        board.take(token(role, alive=True, bus=BusName.V2X))
+    assert board.alerts() == []
 
 
 @pytest.mark.parametrize("width", [20, 40, 80, 200])

@@ -4,8 +4,8 @@ import threading
 
 from protocol import messages as m
 from protocol.courtesy import Budget
-from protocol.inbox import Inbox, Sealed
-from protocol.topics import TOPICS
+from protocol.inbox import Inbox, Presence, Sealed
+from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
 from tests.viewer.test_top_board import SETUP
 from tests.viewer.test_viewer_moments import counted
@@ -31,6 +31,16 @@ class Drawn:
 
 def sealed(topic: str, key: str, message: m.Message) -> Sealed:
     return Sealed(TOPICS[topic], key, encode(message), 0)
+
+
+def test_a_lost_v2x_bus_is_not_the_end_and_a_lost_world_is() -> None:
+    for bus, is_over in ((BusName.V2X, False), (BusName.WORLD, True)):
+        inbox, stop = Inbox(), threading.Event()
+        live = Live(inbox, Scene(SETUP), Drawn(), 1e9, Budget(1.0, 0))
+        inbox.put(Presence("sim", "sim", alive=False, bus=bus))
+        threading.Timer(0.3, stop.set).start()
+        live.follow(stop)
+        assert live.is_over == is_over
 
 
 def frames_drawn(share: float) -> list[int]:

@@ -19,6 +19,7 @@ from protocol.messages import (
     SignalState,
     Tick,
 )
+from protocol.topics import BusName
 from recorder.drops import Drops
 from viewer.figures import phase_names, pressures
 from viewer.rates import MAX_AGENTS, Rates
@@ -100,7 +101,7 @@ class Board:
         self.end: End | None = None
         self.sim_time_ns = 0
         self.frame = -1
-        self.present: set[tuple[str, str]] = set()
+        self.present: dict[tuple[str, str], set[BusName]] = {}
         self.gone: set[tuple[str, str]] = set()
         self._rates = Rates(period_ns)
         self._stages = Stages(period_ns)
@@ -215,12 +216,15 @@ class Board:
     def _take_presence(self, presence: Presence) -> None:
         who = (presence.role, presence.id)
         if presence.alive:
-            if len(self.present | self.gone) < MAX_AGENTS or who in self.gone:
-                self.present.add(who)
+            known = who in self.present or who in self.gone
+            if known or len(self.present) + len(self.gone) < MAX_AGENTS:
+                self.present.setdefault(who, set()).add(presence.bus)
                 self.gone.discard(who)
-        elif who in self.present:
-            self.present.discard(who)
-            self.gone.add(who)
+        elif who in self.present:  # a bus whose host died is missed by all who are still there
+            self.present[who].discard(presence.bus)
+            if not self.present[who]:
+                del self.present[who]
+                self.gone.add(who)
 
     def _take_plain(self, message: Message) -> None:
         match message:

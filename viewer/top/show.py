@@ -42,6 +42,8 @@ def show_once(onlooker: Onlooker, board: Board, console: Console, stop: threadin
         if time.monotonic_ns() > give_up_ns:
             break
         listen(onlooker, board)
+    if stop.is_set():
+        return
     if board.frame < 0:
         raise BusError(f"the run is there, but nothing happened for {PATIENCE_NS / 1e9:g} s")
     console.print(picture(board))
