@@ -16,7 +16,7 @@ from protocol.inbox import Envelope
 from tape import shapes
 from tape.writer import TapeWriter
 
-SHARE_PER_CORE = 0.015
+SHARE_PER_CORE = 0.01
 """Of the machine: so much of a core's time, for each core, may clouds take."""
 MAX_OPEN_FRAMES = 8
 MAX_FRAME_BYTES = 64 << 20
@@ -118,10 +118,11 @@ class Scene:
         stamp_ns = frame.heard_ns
         places = {name: pose.pose for name, pose in frame.poses.items()}
         places |= {_sensor(name): scans[0].sensor_pose for name, scans in frame.scans.items()}
-        if places:
-            self._add(frame, f"{_V2X}/transforms", shapes.transforms(places, stamp_ns))
-        for name, pose in frame.poses.items():
-            self._add(frame, f"{_V2X}/pose/{name}", shapes.agent_pose(pose, stamp_ns))
+        placed = shapes.placed(places)
+        if placed:
+            self._add(frame, f"{_V2X}/transforms", shapes.transforms(placed, stamp_ns))
+        for name in frame.poses:
+            self._add(frame, f"{_V2X}/pose/{name}", shapes.agent_pose(placed[name], stamp_ns))
         if frame.detections is not None:
             boxes = shapes.detections(frame.detections, stamp_ns)
             self._add(frame, f"{_V2X}/detections", boxes)

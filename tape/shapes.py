@@ -28,7 +28,7 @@ from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from protocol.messages import AgentPose, Detections, Truth, VehicleType
+from protocol.messages import Detections, Truth, VehicleType
 from protocol.roadmap import RoadMap
 
 Floats = npt.NDArray[np.float64]
@@ -60,13 +60,23 @@ def cloud(points: npt.NDArray[np.float32], sensor: str, stamp_ns: int) -> PointC
     )
 
 
-def agent_pose(message: AgentPose, stamp_ns: int) -> PoseInFrame:
+def placed(poses: Mapping[str, Floats]) -> dict[str, Pose]:
+    """Returns poses (6,) in m and rad, by a name, as Foxglove has them."""
+    rows = np.array([*poses.values()], np.float64).reshape(-1, 6)
+    places, turns = rows[:, :3].tolist(), quaternions(rows[:, 3:]).tolist()
+    return {
+        name: Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(x=i, y=j, z=k, w=w))
+        for name, (x, y, z), (i, j, k, w) in zip(poses, places, turns, strict=True)
+    }
+
+
+def agent_pose(pose: Pose, stamp_ns: int) -> PoseInFrame:
     """Returns where an agent believes it is."""
-    return PoseInFrame(timestamp=_stamp(stamp_ns), frame_id=MAP, pose=_pose(message.pose))
+    return PoseInFrame(timestamp=_stamp(stamp_ns), frame_id=MAP, pose=pose)
 
 
-def transforms(poses: Mapping[str, Floats], stamp_ns: int) -> FrameTransforms:
-    """Returns `map_SE3_child` for poses (6,) by the name of the child."""
+def transforms(poses: Mapping[str, Pose], stamp_ns: int) -> FrameTransforms:
+    """Returns `map_SE3_child` by the name of the child."""
     stamp = _stamp(stamp_ns)
     return FrameTransforms(
         transforms=[
@@ -74,8 +84,8 @@ def transforms(poses: Mapping[str, Floats], stamp_ns: int) -> FrameTransforms:
                 timestamp=stamp,
                 parent_frame_id=MAP,
                 child_frame_id=child,
-                translation=_vector(pose[:3]),
-                rotation=_quaternion(pose[3:]),
+                translation=pose.position,
+                rotation=pose.orientation,
             )
             for child, pose in poses.items()
         ]
@@ -168,15 +178,6 @@ def _label(text: str, box: Floats) -> TextPrimitive:
     return TextPrimitive(pose=pose, billboard=True, font_size=_TEXT_M, color=_TEXT, text=text)
 
 
-def _pose(pose: Floats) -> Pose:
-    return Pose(position=_vector(pose[:3]), orientation=_quaternion(pose[3:]))
-
-
-def _vector(values: Floats) -> Vector3:
-    x, y, z = values.tolist()
-    return Vector3(x=x, y=y, z=z)
-
-
 def quaternions(turns: Floats) -> Floats:
     """Returns rotations (N, 4) as x, y, z, w of roll, pitch, yaw (N, 3).
 
@@ -192,11 +193,6 @@ def quaternions(turns: Floats) -> Floats:
         ],
         axis=-1,
     )
-
-
-def _quaternion(turn: Floats) -> Quaternion:
-    x, y, z, w = quaternions(turn[None])[0].tolist()
-    return Quaternion(x=x, y=y, z=z, w=w)
 
 
 def _stamp(time_ns: int) -> Timestamp:
