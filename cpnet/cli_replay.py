@@ -75,7 +75,8 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
 
     pace, overrides = Pace.of(speed, lockstep=lockstep), assigned(set_)
     if (tape is None) == (scans is None):
-        raise ConfigError("give the tape that is to be played, or --scans DIR --poses FILE")
+        both = "" if tape is None else "; not both"
+        raise ConfigError(f"give the tape that is to be played, or --scans DIR --poses FILE{both}")
     if tape is not None:
         named = [poses, extrinsics, sensors, scenario, frames, height, width]
         if refine or any(option is not None for option in named):

@@ -162,7 +162,9 @@ class Attendant:
             tapes += self._dismiss_tape(at_end=at_end)
         if self.supervisor.death(at_end=at_end) is not None:
             self._await_overtaken_end(watch)  # it may have left only just now
-        return self.supervisor.death(at_end=watch.end is not None)
+        death = self.supervisor.death(at_end=watch.end is not None)
+        is_tape = death is not None and death.id == TAPE.role and watch.progress is not None
+        return None if is_tape else death  # a tape that died only now is dismissed next time
 
     def _dismiss_tape(self, *, at_end: bool) -> list[Death]:
         death = self.supervisor.dismiss(TAPE.role, at_end=at_end)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import os
+import re
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -22,6 +23,8 @@ HOSTS = ("edge", "sim", "router")
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 AUTHORITY_KEY = "ca.key"
 AUTHORITY_DAYS = 3650
+_LABEL = "[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?"
+_HOST = re.compile(rf"{_LABEL}(\.{_LABEL})*")
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL
 BACK = timedelta(hours=1)  # machines' clocks differ
 
@@ -169,10 +172,9 @@ def _alternative(name: str) -> x509.GeneralName:
         return x509.IPAddress(ipaddress.ip_address(name))
     except ValueError:
         pass
-    try:
-        return x509.DNSName(name)
-    except ValueError:
-        raise ConfigError(f"--host {name!r}: needs a name in ASCII, or an address") from None
+    if not _HOST.fullmatch(name):
+        raise ConfigError(f"--host {name!r}: needs a name such as edge.city.net, or an address")
+    return x509.DNSName(name)
 
 
 def _name(common: str) -> x509.Name:

@@ -14,7 +14,7 @@ from cpnet.run_folder import written
 from cpnet.security import WATCH
 from protocol.bus import Endpoint
 from protocol.errors import ConfigError
-from protocol.files import is_file
+from protocol.files import is_file, is_folder
 from protocol.keys import Keys
 from protocol.topics import BusName
 
@@ -60,7 +60,7 @@ def find(run: Path | None, connect: list[str], keys: Path | None) -> Running:
         if run is not None:
             raise ConfigError(f"{run}: give a run folder or --connect, not both")
         return _elsewhere(connect, keys)
-    return _newest() if run is None else _in(run, keys)
+    return _newest(keys) if run is None else _in(run, keys)
 
 
 def _elsewhere(connect: list[str], keys: Path | None) -> Running:
@@ -72,10 +72,10 @@ def _elsewhere(connect: list[str], keys: Path | None) -> Running:
     return Running(v2x, world)
 
 
-def _newest() -> Running:
+def _newest(keys: Path | None) -> Running:
     for path in sorted(RUNS.glob(f"*/{FILE_NAME}"), key=_age_ns):
         if _is_alive(path):
-            return _in(path.parent, None)
+            return _in(path.parent, keys)
     raise ConfigError(
         f"no run goes on in {RUNS}/: give its folder, or --connect HOST:PORT if it is elsewhere"
     )
@@ -84,9 +84,7 @@ def _newest() -> Running:
 def _in(run_dir: Path, keys: Path | None) -> Running:
     path = run_dir / FILE_NAME
     if not is_file(path) or not _is_alive(path):
-        raise ConfigError(
-            f"{run_dir}: no run goes on there; `cpnet up --out {run_dir}` would start one"
-        )
+        raise ConfigError(f"{run_dir}: no run goes on there; {_instead(run_dir)}")
     facts = _facts(path)
     own = _own(keys or (Path(facts["keys"]) if "keys" in facts else None))
     try:
@@ -94,6 +92,15 @@ def _in(run_dir: Path, keys: Path | None) -> Running:
     except KeyError as error:
         raise ConfigError(f"{path} does not say where the bus {error} is") from None
     return Running(v2x, world, run_dir)
+
+
+def _instead(run_dir: Path) -> str:
+    """Returns what can be done with a folder in which no run goes on."""
+    if is_file(run_dir / "run.sqlite"):
+        return f"it has ended: `cpnet report {run_dir}` says what came of it"
+    if is_folder(run_dir) or is_file(run_dir):
+        return "it is no run folder"
+    return f"`cpnet up --out {run_dir}` would start one"
 
 
 def _own(keys: Path | None) -> Keys | None:

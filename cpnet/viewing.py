@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -15,7 +17,7 @@ from cpnet.follow import Interruption
 from cpnet.looking import looking_for
 from cpnet.running import Running, find
 from protocol.courtesy import Budget, step_back
-from protocol.errors import ConfigError
+from protocol.errors import ConfigError, CpnetError
 from protocol.messages import Setup
 from protocol.onlooker import Onlooker
 from viewer import live
@@ -44,6 +46,8 @@ def view(
     Raises:
         ConfigError: there is no such run, the extra is missing, or the screen cannot be.
         BusError: the run does not answer.
+        ProtocolError: what the run says of itself cannot be read.
+        CpnetError: the page's server ended, or the file is not whole.
     """
     step_back()
     with needs_extra():
@@ -57,12 +61,16 @@ def view(
             console.print(sink.where, markup=False, highlight=False, soft_wrap=True)
             log = Log(sink.recording, scene)
             following = Live(onlooker.inbox, scene, log, screen.fps, budget())
+            if sink.server is not None:
+                _stop_without(sink.server, interruption.event)
             following.follow(interruption.event)
             drawn, left_out = following.drawn, following.left_out
             console.print(f"{drawn} frames shown, {left_out} left out to keep up", highlight=False)
             if sink.stays and not interruption.event.is_set():
                 console.print("the run has ended; Ctrl-C takes the page away")
                 interruption.event.wait()
+            if sink.stays and sink.is_gone:
+                raise CpnetError("Rerun, which served the page, has ended; view the run again")
 
 
 def top(
@@ -108,6 +116,16 @@ def _attached(
             )
             setup = onlooker.setup(SETUP_S)
         yield onlooker, setup, stack.enter_context(Interruption())
+
+
+def _stop_without(server: subprocess.Popen[bytes], stop: threading.Event) -> None:
+    """Stops when nobody is left who could show anything: a window was closed, a server died."""
+
+    def wait() -> None:
+        server.wait()
+        stop.set()
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 @contextmanager

@@ -23,6 +23,8 @@ def draw_frame(run_dir: Path, frame: int | None, png_path: Path | None) -> Path:
     Raises:
         ConfigError: no such run or frame, matplotlib is missing, or the file cannot be written.
     """
+    if png_path is not None and png_path.suffix.lower() != ".png":
+        raise ConfigError(f"--png {png_path}: needs a name that ends in .png")
     try:
         from studies.figure import save_picture
     except ModuleNotFoundError as error:

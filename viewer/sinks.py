@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import socket
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -26,6 +28,7 @@ APPLICATION = "cpnet"
 MEMORY = "128MiB"
 """What is kept for a browser that comes later; what is older is forgotten."""
 _HERE = "127.0.0.1"
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 _PATIENCE_S = 20.0
 _FLUSH_S = 5.0
 _SAVE_S = 60.0
@@ -34,11 +37,17 @@ _LEAST_FREE_BYTES = 1 << 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sink:
-    """A recording to draw into, where that can be seen, and whether it stays until told to go."""
+    """A recording to draw into, where that can be seen, who shows it, and whether it stays."""
 
     recording: rr.RecordingStream
     where: str
+    server: subprocess.Popen[bytes] | None = None
     stays: bool = False
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether who showed it has ended."""
+        return self.server is not None and self.server.poll() is not None
 
 
 @contextmanager
@@ -55,9 +64,9 @@ def opened(port: int | None, save: Path | None, scene: Scene) -> Iterator[Sink]:
         if save is not None:
             sink = _file(recording, save, scene)
         elif port is not None:
-            url, page = stack.enter_context(_page(port))
+            url, page, server = stack.enter_context(_page(port))
             recording.connect_grpc(url, default_blueprint=blueprint(scene))
-            sink = Sink(recording, f"view: {page}", stays=True)
+            sink = Sink(recording, f"view: {page}", server, stays=True)
         else:
             sink = _window(recording, scene)
         try:
@@ -73,13 +82,19 @@ def check(port: int | None, save: Path | None) -> None:
     """Finds what can be found wrong before there is a run to show.
 
     Raises:
-        ConfigError: the port is taken, or the file is there already or cannot be.
+        ConfigError: the port is taken, the file is there already or cannot be, or there is no
+            display for a window.
     """
     if save is not None:
         if save.suffix != ".rrd" or not is_free(save):
             raise ConfigError(f"--save {save}: needs a new file NAME.rrd in a folder that is there")
     elif port is not None:
         _check_free(port)
+    elif sys.platform == "linux" and not any(map(os.environ.get, _DISPLAYS)):
+        raise ConfigError(
+            f"no window can open here, for none of {', '.join(_DISPLAYS)} is set: "
+            "--web shows a page, --save keeps a file"
+        )
 
 
 def _finish(recording: rr.RecordingStream) -> None:
@@ -120,34 +135,45 @@ def _file(recording: rr.RecordingStream, path: Path, scene: Scene) -> Sink:
 
 
 def _window(recording: rr.RecordingStream, scene: Scene) -> Sink:
-    try:
-        recording.spawn(
-            port=free_port(), hide_welcome_screen=True, default_blueprint=blueprint(scene)
-        )
-    except RuntimeError as error:
-        raise ConfigError(f"Rerun's window does not open ({error}); --web shows a page") from None
-    return Sink(recording, "view: in Rerun's window")
+    port = free_port()
+    server = _started(["--port", str(port), "--hide-welcome-screen"], [port])
+    recording.connect_grpc(_url(port), default_blueprint=blueprint(scene))
+    return Sink(recording, "view: in Rerun's window", server)
 
 
 @contextmanager
-def _page(port: int) -> Iterator[tuple[str, str]]:
-    """Serves page and data on this machine alone; yields where drawings go and where they show."""
+def _page(port: int) -> Iterator[tuple[str, str, subprocess.Popen[bytes]]]:
+    """Serves page and data; yields where drawings go, where they show, and who serves them."""
     data = free_port()
-    places = ["--bind", _HERE, "--port", str(data), "--web-viewer-port", str(port)]
-    viewer = Path(rerun_cli.__file__).parent / "rerun"
-    command = [str(viewer), "--serve-web", *places]
-    command += ["--server-memory-limit", MEMORY, "--newest-first"]
-    with (
-        tempfile.TemporaryFile() as said,
-        subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said) as server,
-    ):
+    options = ["--serve-web", "--port", str(data), "--web-viewer-port", str(port)]
+    options += ["--server-memory-limit", MEMORY, "--newest-first"]
+    server = _started(options, [data, port])
+    try:
+        url = _url(data)
+        yield url, f"http://{_HERE}:{port}/?url={quote(url, safe='')}", server
+    finally:
+        server.terminate()
+        server.wait()
+
+
+def _url(port: int) -> str:
+    return f"rerun+http://{_HERE}:{port}/proxy"
+
+
+def _started(options: list[str], ports: list[int]) -> subprocess.Popen[bytes]:
+    """Starts Rerun for this machine alone; a Ctrl-C in the terminal is not for it."""
+    command = [str(Path(rerun_cli.__file__).parent / "rerun"), "--bind", _HERE, *options]
+    with tempfile.TemporaryFile() as said:
+        quiet = subprocess.DEVNULL
+        server = subprocess.Popen(command, stdout=quiet, stderr=said, start_new_session=True)
         try:
-            for place in (data, port):
-                _await(server, place, said)
-            url = f"rerun+http://{_HERE}:{data}/proxy"
-            yield url, f"http://{_HERE}:{port}/?url={quote(url, safe='')}"
-        finally:
+            for port in ports:
+                _await(server, port, said)
+        except BaseException:  # an interruption as well
             server.terminate()
+            server.wait()
+            raise
+    return server
 
 
 def _await(server: subprocess.Popen[bytes], port: int, said: IO[bytes]) -> None:

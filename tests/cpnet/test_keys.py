@@ -103,9 +103,10 @@ def test_without_the_extra_it_is_named(tmp_path, monkeypatch):
     assert not (tmp_path / "keys").exists()
 
 
-def test_a_name_that_no_host_can_have(tmp_path):
-    with pytest.raises(ConfigError, match="needs a name in ASCII, or an address"):
-        make_keys(tmp_path / "keys", hosts=["köln"])
+@pytest.mark.parametrize("name", ["köln", "a b", "http://a:1", "*", "", "-a", "a..b", "a" * 70])
+def test_a_name_that_no_host_can_have(tmp_path, name):
+    with pytest.raises(ConfigError, match="needs a name such as edge"):
+        make_keys(tmp_path / "keys", hosts=[name])
 
 
 @pytest.mark.parametrize(

@@ -86,7 +86,7 @@ def test_a_run_is_kept_as_a_drawing(shell: Shell) -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        pytest.param(["view"], "no run goes on in runs/", marks=NEEDS_VIEW),
+        pytest.param(["view", "--web"], "no run goes on in runs/", marks=NEEDS_VIEW),
         (["top", "nowhere"], "no run goes on there"),
         (["view", "--web", "--save", "a.rrd"], "give one of them"),
         (["top", "--connect", "here"], "HOST:PORT"),

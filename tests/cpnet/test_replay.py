@@ -136,7 +136,7 @@ def test_in_realtime_a_tape_goes_as_fast_as_asked(shell, taped):
     [
         (["none"], "there is no such tape, neither a file nor"),
         ([], "give the tape that is to be played, or --scans DIR --poses FILE"),
-        (["{tape}", "--scans=x"], "give the tape that is to be played, or --scans"),
+        (["{tape}", "--scans=x"], "--scans DIR --poses FILE; not both"),
         (["{tape}", "--frames=3"], "needs --scans DIR"),
         (["{tape}", "--refine"], "needs --scans DIR"),
         (["{tape}", "--width=30"], "needs --scans DIR"),

@@ -78,3 +78,19 @@ def test_a_damaged_note_is_no_run(tmp_path, text):
 def test_a_folder_and_a_place_are_one_too_many(tmp_path):
     with pytest.raises(ConfigError, match="not both"):
         find(tmp_path, ["host:7447"], None)
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (None, "would start one"),
+        ("run.sqlite", "it has ended: `cpnet report"),
+        ("else", "it is no run folder"),
+    ],
+)
+def test_what_can_be_done_instead_is_said(tmp_path, made, said):
+    if made is not None:
+        (tmp_path / "run").mkdir()
+        (tmp_path / "run" / made).touch()
+    with pytest.raises(ConfigError, match=said):
+        find(tmp_path / "run", [], None)

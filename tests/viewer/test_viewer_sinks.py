@@ -10,7 +10,7 @@ rr = pytest.importorskip("rerun", reason="the extra `view` is not installed")
 from protocol.errors import ConfigError, CpnetError  # noqa: E402 - of use with the extra alone
 from tests.viewer.test_top_board import SETUP  # noqa: E402
 from viewer.scene import Scene  # noqa: E402
-from viewer.sinks import opened  # noqa: E402
+from viewer.sinks import free_port, opened  # noqa: E402
 
 Usage = namedtuple("Usage", "total used free")
 SCENE = Scene(SETUP)
@@ -23,6 +23,21 @@ def test_only_a_new_file_of_its_kind_is_written(tmp_path, name):
         pass
     assert (tmp_path / "there.rrd").read_text() == "precious"
     assert [path.name for path in tmp_path.iterdir()] == ["there.rrd"]
+
+
+def test_without_a_display_no_window_is_tried(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(ConfigError, match="no window can open here"), opened(None, None, SCENE):
+        pass
+
+
+def test_a_page_whose_server_died_is_known_to_be_gone():
+    with opened(free_port(), None, SCENE) as sink:
+        assert not sink.is_gone
+        sink.server.kill()
+        sink.server.wait()
+        assert sink.is_gone
 
 
 def test_a_name_that_is_too_long_is_refused(tmp_path):
