@@ -13,6 +13,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from cpnet.deaths import how
 from cpnet.follow import Interruption
 from cpnet.looking import looking_for
 from cpnet.running import Running, find
@@ -69,8 +70,11 @@ def view(
             if sink.stays and not interruption.event.is_set():
                 console.print("the run has ended; Ctrl-C takes the page away")
                 interruption.event.wait()
-            if sink.stays and sink.is_gone:
-                raise CpnetError("Rerun, which served the page, has ended; view the run again")
+            if sink.server is not None and (status := sink.server.poll()) is not None:
+                if sink.stays:
+                    raise CpnetError("Rerun, which served the page, has ended; view the run again")
+                if status:  # else somebody closed the window
+                    raise CpnetError(f"Rerun's window {how(status)}; --web shows a page")
 
 
 def top(

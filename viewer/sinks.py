@@ -44,11 +44,6 @@ class Sink:
     server: subprocess.Popen[bytes] | None = None
     stays: bool = False
 
-    @property
-    def is_gone(self) -> bool:
-        """Whether who showed it has ended."""
-        return self.server is not None and self.server.poll() is not None
-
 
 @contextmanager
 def opened(port: int | None, save: Path | None, scene: Scene) -> Iterator[Sink]:
