@@ -23,7 +23,7 @@ TOPICS = frozenset({
 _WAITING = {"scan": 4, "truth": 4, "tick": 8, "detections": 4, "metrics": 16}
 _INBOX_ITEMS, _INBOX_BYTES = 4096, 64 << 20
 _POLL_S = 0.2
-REST_S = 0.04
+REST_S = 0.1
 """Nobody waits for a picture: what comes meanwhile is taken together, for less work."""
 SHARE_PER_CORE = 0.015
 """Of the machine: so much of a core's time, for each core, may pictures take."""
