@@ -11,7 +11,6 @@ from cpnet.cli_options import Override, assigned, console
 from protocol.errors import ConfigError
 
 replay_app = typer.Typer(pretty_exceptions_enable=False)
-WIDTH_M = 60.0
 _SCANS = "Scans from elsewhere"
 
 
@@ -62,9 +61,7 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
     ] = None,
     width: Annotated[
         float | None,
-        typer.Option(
-            min=1, help=f"of the open ground, m; default {WIDTH_M:g}", rich_help_panel=_SCANS
-        ),
+        typer.Option(min=1, help="of the open ground, m; else 60", rich_help_panel=_SCANS),
     ] = None,
 ) -> None:
     """Play a recorded run to live processes: another detector, policy or link, the same scans."""
@@ -95,7 +92,7 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
         names = [name.strip() for name in sensors.split(",")] if sensors else []
         source = Source(scans, poses, extrinsics, names, refine=refine)
         played = played_scans(
-            Scans(source, scenario, overrides, frames, height, width or WIDTH_M), pace, console
+            Scans(source, scenario, overrides, frames, height, width), pace, console
         )
     status, run_dir = up(Options("", {}, None, [], [], out), console, played)
     conclude(run_dir)

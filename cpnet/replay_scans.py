@@ -23,6 +23,7 @@ from protocol.roadmap import RoadMap
 from protocol.version import own_version
 
 EXTRINSICS = "extrinsics.csv"
+WIDTH_M = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +31,7 @@ class Scans:
     """What the user asked for: clouds, a scenario whose roads fit them, or an open ground.
 
     `height_m` is that of sensors over the ground, None to find it; `frames` None for each once;
-    `width_m` that of the open ground.
+    `width_m` that of the open ground, None for `WIDTH_M`.
     """
 
     source: Source
@@ -38,7 +39,7 @@ class Scans:
     overrides: dict[str, Any]
     frames: int | None = None
     height_m: float | None = None
-    width_m: float = 60.0
+    width_m: float | None = None
 
 
 def played_scans(asked: Scans, pace: Pace, console: Console) -> Played:
@@ -60,7 +61,9 @@ def played_scans(asked: Scans, pace: Pace, console: Console) -> Played:
         changes = {"replay": {"tape": tape, "speed": pace.speed}}
         whole = scenario.model_dump(mode="json") | changes
         if asked.scenario is None:
-            made = _plain_setup(whole, open_ground(imported.ways(), width_m=asked.width_m))
+            made = _plain_setup(
+                whole, open_ground(imported.ways(), width_m=asked.width_m or WIDTH_M)
+            )
         else:
             from sim_host.setup import build_setup  # SUMO is needed for its roads alone
 
