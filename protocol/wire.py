@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import struct
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import msgpack
 import numpy as np
@@ -31,6 +31,13 @@ _ODD = (ValueError, msgpack.UnpackException, RecursionError, OverflowError)
 _CONTAINERS = 1 << 13  # lists and maps of a header, and one more for every sixteen bytes
 
 M = TypeVar("M", bound=Message)
+
+
+class Moment(NamedTuple):
+    """The frame and the simulated time that a message bears; None where it bears none."""
+
+    frame: int | None = None
+    sim_time_ns: int | None = None
 
 
 def encode(message: Message) -> bytes:
@@ -77,8 +84,8 @@ def decode(data: bytes, expected: type[M]) -> M:
         raise MessageError(f"{where}: {first['msg'][:_TOLD]}") from None
 
 
-def peek_sim_time_ns(data: bytes, expected: type[Message]) -> int | None:
-    """Returns the simulated time that a message bears, None if it has none; reads no more of it.
+def peek_moment(data: bytes, expected: type[Message]) -> Moment:
+    """Returns of which moment a message is, and reads no more of it.
 
     Raises:
         VersionError: the sender speaks another version.
@@ -86,14 +93,25 @@ def peek_sim_time_ns(data: bytes, expected: type[Message]) -> int | None:
     """
     header_len, _ = _read_prefix(data, expected)
     unpacker = _unpacker(data[PREFIX.size : PREFIX.size + header_len])
+    wanted = _moment_fields(expected)
+    found: dict[str, int] = {}
     try:
-        for _ in range(unpacker.read_map_header()):
-            if unpacker.unpack() == "sim_time_ns":
-                return _time_of(unpacker.unpack())
-            unpacker.skip()
+        left = unpacker.read_map_header()
+        while left and len(found) < len(wanted):
+            left -= 1
+            name = unpacker.unpack()
+            if name in wanted:
+                found[name] = _integer(name, unpacker.unpack())
+            else:
+                unpacker.skip()
     except _ODD as error:
         raise MessageError(f"header is not msgpack: {error or type(error).__name__}") from None
-    return None
+    return Moment(**found)
+
+
+@cache
+def _moment_fields(message: type[Message]) -> tuple[str, ...]:
+    return tuple(name for name in Moment._fields if name in message.model_fields)
 
 
 @cache
@@ -131,9 +149,9 @@ def _read_prefix(data: bytes, expected: type[Message]) -> tuple[int, int]:
     return header_len, body_len
 
 
-def _time_of(value: object) -> int:
+def _integer(name: str, value: object) -> int:
     if type(value) is not int:
-        raise MessageError(f"sim_time_ns is a {type(value).__name__}, expected an integer")
+        raise MessageError(f"{name} is a {type(value).__name__}, expected an integer")
     return value
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,68 +18,96 @@ from protocol.inbox import Envelope
 from tape import shapes
 from tape.writer import TapeWriter
 
-SHARE_PER_CORE = 0.01
-"""Of the machine: so much of a core's time, for each core, may clouds take."""
+BOXES_PER_CORE = 0.01
+"""Of the machine: so much of a core's time, for each core, may boxes and poses take."""
+CLOUDS_PER_CORE = 0.01
+"""And so much the clouds."""
 MAX_OPEN_FRAMES = 8
 MAX_FRAME_BYTES = 64 << 20
+_ENVELOPE_BYTES = 1000  # what a message takes beside its own bytes, or more
 _DRAWN = frozenset({"pose", "scan", "truth", "detections"})
 _V2X, _WORLD = "foxglove/v2x", "foxglove/world"  # topics of what agents say, and of the truth
 
 
 @dataclass(slots=True)
 class _Frame:
-    """What was heard of a frame so far."""
+    """What was heard of a frame so far, not read yet."""
 
+    heard: list[Envelope] = field(default_factory=list)
+    size_bytes: int = 0
+
+    def add(self, item: Envelope) -> None:
+        """Adds a message, unless there are too many of them."""
+        size_bytes = len(item.data) + _ENVELOPE_BYTES
+        if self.size_bytes + size_bytes <= MAX_FRAME_BYTES:
+            self.size_bytes += size_bytes
+            self.heard.append(item)
+
+
+@dataclass(slots=True)
+class _Picture:
+    """What was said of a frame."""
+
+    heard_ns: int = 0
+    sim_time_ns: int = 0
     poses: dict[str, m.AgentPose] = field(default_factory=dict)
     scans: defaultdict[str, list[m.Scan]] = field(default_factory=lambda: defaultdict(list))
     truth: m.Truth | None = None
     detections: m.Detections | None = None
-    sim_time_ns: int = 0
-    heard_ns: int = 0
-    size_bytes: int = 0
+
+    @classmethod
+    def of(cls, heard: list[Envelope]) -> _Picture:
+        """Reads messages of one frame; what cannot be read is left as it came."""
+        picture = cls(heard[0].received_ns)
+        for item in heard:
+            with suppress(ProtocolError):  # it is on the tape, and who reads that counts it
+                picture._add(item.message)
+        return picture
+
+    def _add(self, message: m.Message) -> None:
+        match message:
+            case m.AgentPose():
+                self.poses[message.agent] = message
+            case m.Scan():
+                self.scans[message.agent].append(message)
+            case m.Truth():
+                self.truth = message
+            case m.Detections():
+                self.detections = message
+                self.sim_time_ns = message.sim_time_ns
 
 
 class Scene:
     """Converts the newest frame that is whole; older ones are left out.
 
-    Boxes and poses are cheap and come first. Clouds cost about as much as the edge's own decoding:
-    they have a budget, and while those of one frame are made others are left without.
+    Boxes and poses are cheap and come first. Clouds cost about as much as the edge's own decoding.
+    Both have a budget, and while the clouds of one frame are made others are left without.
     """
 
-    def __init__(self, setup: m.Setup, writer: TapeWriter, budget: Budget) -> None:
+    def __init__(
+        self, setup: m.Setup, writer: TapeWriter, box_budget: Budget, cloud_budget: Budget
+    ) -> None:
         self._types = {kind.name: kind for kind in setup.vehicle_types}
         self._road_map = setup.road_map
         self._writer = writer
-        self._budget = budget
+        self._box_budget = box_budget
+        self._cloud_budget = cloud_budget
         self._open: dict[int, _Frame] = {}
         self._seen = -1
         self._due: _Frame | None = None
-        self._now = _Frame()
+        self._now = _Picture()
         self._clouds: list[str] = []
         self._drawn_in = 0
         self.frames_left_out = 0
         self.clouds_left_out = 0
 
-    def take(self, item: Envelope) -> None:
-        """Notes a message; a frame is due once the edge has said what it sees in the next one."""
-        message = _drawn(item)
-        if not isinstance(message, m.AgentPose | m.Scan | m.Truth | m.Detections):
+    def take(self, item: Envelope, number: int) -> None:
+        """Notes a message of a frame, which is due once the edge said what it sees in the next."""
+        if item.topic not in _DRAWN:
             return
-        frame = self._frame(message.frame)
-        if frame.size_bytes + len(item.data) > MAX_FRAME_BYTES:
-            return
-        frame.size_bytes += len(item.data)
-        frame.heard_ns = frame.heard_ns or item.received_ns
-        frame.sim_time_ns = message.sim_time_ns
-        if isinstance(message, m.AgentPose):
-            frame.poses[message.agent] = message
-        elif isinstance(message, m.Scan):
-            frame.scans[message.agent].append(message)
-        elif isinstance(message, m.Truth):
-            frame.truth = message
-        else:
-            frame.detections = message
-            self._close(message.frame)
+        self._frame(number).add(item)
+        if item.topic == "detections":
+            self._close(number)
 
     def step(self) -> bool:
         """Does a little, a few milliseconds at most: the boxes of a frame, or a cloud.
@@ -85,14 +115,15 @@ class Scene:
         Returns whether there was anything to do.
         """
         if self._due is not None:
-            self._convert(self._due)
-            self._begin_clouds(self._due)
-            self._due = None
+            due, self._due = self._due, None
+            if self._box_budget.has_some(time.monotonic_ns()):
+                _pay(self._box_budget, lambda: self._convert(due))
+            else:
+                self.frames_left_out += 1
             return True
         if self._clouds:
-            start_ns = time.thread_time_ns()
-            self._convert_cloud(self._clouds.pop())
-            self._budget.spend(time.thread_time_ns() - start_ns)
+            agent = self._clouds.pop()
+            _pay(self._cloud_budget, lambda: self._convert_cloud(agent))
             return True
         return False
 
@@ -112,6 +143,11 @@ class Scene:
         return self._open[number]
 
     def _convert(self, frame: _Frame) -> None:
+        picture = _Picture.of(frame.heard)
+        self._draw(picture)
+        self._begin_clouds(picture)
+
+    def _draw(self, frame: _Picture) -> None:
         if self._drawn_in != len(self._writer.files):  # once in each file
             self._drawn_in = len(self._writer.files)
             self._add(frame, f"{_V2X}/road", shapes.road(self._road_map, frame.heard_ns))
@@ -129,8 +165,8 @@ class Scene:
         if frame.truth is not None:
             self._add(frame, f"{_WORLD}/truth", shapes.truth(frame.truth, self._types, stamp_ns))
 
-    def _begin_clouds(self, frame: _Frame) -> None:
-        if self._clouds or not self._budget.has_some(time.monotonic_ns()):
+    def _begin_clouds(self, frame: _Picture) -> None:
+        if self._clouds or not self._cloud_budget.has_some(time.monotonic_ns()):
             self.clouds_left_out += bool(frame.scans)
         else:
             self._now = frame
@@ -144,16 +180,15 @@ class Scene:
         cloud = shapes.cloud(np.concatenate(parts), _sensor(agent), self._now.heard_ns)
         self._add(self._now, f"{_V2X}/cloud/{agent}", cloud)
 
-    def _add(self, frame: _Frame, topic: str, shape: shapes.Shape) -> None:
+    def _add(self, frame: _Picture, topic: str, shape: shapes.Shape) -> None:
         self._writer.write_shape(topic, shape, time.monotonic_ns(), frame.sim_time_ns)
 
 
-def _drawn(item: Envelope) -> m.Message | None:
-    """Returns what was said if it can be drawn, and read; the rest is left as it came."""
-    try:
-        return item.message if item.topic in _DRAWN else None
-    except ProtocolError:
-        return None  # it is on the tape, and who reads that counts it
+def _pay(budget: Budget, work: Callable[[], None]) -> None:
+    """Works, and takes away from a budget what it has cost."""
+    start_ns = time.thread_time_ns()
+    work()
+    budget.spend(time.thread_time_ns() - start_ns)
 
 
 def _sensor(agent: str) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -44,6 +45,7 @@ _TEXT = Color(r=1.0, g=1.0, b=1.0, a=1.0)
 _TEXT_M = 0.8
 _LANE_M = 0.15
 _NO_TURN = Quaternion(w=1.0)
+_DOUBLE = struct.Struct("<d")
 _HERE = Pose(position=Vector3(), orientation=_NO_TURN)
 
 
@@ -100,8 +102,7 @@ def detections(message: Detections, stamp_ns: int) -> SceneUpdate:
     colors = [_SEEN if source == "lidar" else _REPORTED for source in message.sources]
     entity = _entity("detections", stamp_ns)
     _add_cubes(entity, boxes[:, :3], turns, boxes[:, 3:6], colors)
-    labels = zip(boxes, message.lanes, strict=True)
-    entity.texts.extend(_label(lane, box) for box, lane in labels if lane)
+    _add_labels(entity, boxes, message.lanes)
     return SceneUpdate(entities=[entity])
 
 
@@ -155,6 +156,10 @@ def _add_cubes(
     entity.MergeFromString(rows.tobytes())
 
 
+def _places_of(marks: Sequence[float], row: bytes) -> list[int]:
+    return [row.index(_DOUBLE.pack(mark)) for mark in marks]
+
+
 def _cube_row() -> tuple[npt.NDArray[np.uint8], list[int]]:
     """Returns a cube in an entity as bytes, and where in them its numbers lie."""
     x, y, z, qx, qy, qz, qw, length, width, height, r, g, b, a = marks = [
@@ -166,16 +171,35 @@ def _cube_row() -> tuple[npt.NDArray[np.uint8], list[int]]:
         color=Color(r=r, g=g, b=b, a=a),
     )
     row = SceneEntity(cubes=[cube]).SerializeToString()
-    return np.frombuffer(row, np.uint8), [row.index(struct.pack("<d", mark)) for mark in marks]
+    return np.frombuffer(row, np.uint8), _places_of(marks, row)
 
 
 _CUBE, _CUBE_AT = _cube_row()
 
 
-def _label(text: str, box: Floats) -> TextPrimitive:
-    above = Vector3(x=box[0], y=box[1], z=box[2] + box[5] / 2 + _TEXT_M)
-    pose = Pose(position=above, orientation=_NO_TURN)
-    return TextPrimitive(pose=pose, billboard=True, font_size=_TEXT_M, color=_TEXT, text=text)
+def _add_labels(entity: SceneEntity, boxes: Floats, texts: Sequence[str]) -> None:
+    """Adds a text above each box (N, 7) that has one, as `_add_cubes` does its cubes."""
+    above = boxes[:, :3].copy()
+    above[:, 2] += boxes[:, 5] / 2 + _TEXT_M
+    rows: list[bytearray] = []
+    for text, place in zip(texts, above.tolist(), strict=True):
+        if text:
+            row, marks_at = _label_row(text)
+            label = bytearray(row)
+            for at, value in zip(marks_at, place, strict=True):
+                _DOUBLE.pack_into(label, at, value)
+            rows.append(label)
+    entity.MergeFromString(b"".join(rows))
+
+
+@lru_cache(maxsize=1024)
+def _label_row(text: str) -> tuple[bytes, list[int]]:
+    """Returns a text in an entity as bytes, and where in them its place lies."""
+    x, y, z = marks = [n + 0.5 for n in range(3)]
+    pose = Pose(position=Vector3(x=x, y=y, z=z), orientation=_NO_TURN)
+    label = TextPrimitive(pose=pose, billboard=True, font_size=_TEXT_M, color=_TEXT, text=text)
+    row = SceneEntity(texts=[label]).SerializeToString()
+    return row, _places_of(marks, row)
 
 
 def quaternions(turns: Floats) -> Floats:

@@ -15,7 +15,7 @@ from protocol.messages import End, Setup
 from protocol.onlooker import ALL_TOPICS
 from protocol.version import own_version
 from tape.ending import Ending
-from tape.scene import SHARE_PER_CORE, Scene
+from tape.scene import BOXES_PER_CORE, CLOUDS_PER_CORE, Scene
 from tape.writer import TapeWriter
 
 REST_S = 0.04
@@ -58,8 +58,7 @@ class Taping:
         self._ending = Ending()
         self._reason = "unknown"
         self.writer = TapeWriter(next_path, setup, _facts(setup, choice))
-        budget = Budget.of_this_machine(SHARE_PER_CORE, time.monotonic_ns())
-        self.scene = Scene(setup, self.writer, budget) if choice.foxglove else None
+        self.scene = _scene(setup, self.writer) if choice.foxglove else None
 
     @property
     def dropped(self) -> int:
@@ -77,13 +76,13 @@ class Taping:
             self._ending.look(item, time.monotonic_ns())
             return
         end = item.message if item.topic == "end" else None
-        self.writer.write(item)
+        moment = self.writer.write(item)
         self._ending.heard(item.received_ns)
         if isinstance(end, End):
             self._reason = end.reason
             self._ending.begin(item.received_ns)
-        if self.scene is not None:
-            self.scene.take(item)
+        if self.scene is not None and moment.frame is not None:
+            self.scene.take(item, moment.frame)
 
     def poll(self) -> None:
         """Does what is due when all that came was taken.
@@ -114,6 +113,14 @@ class Taping:
             facts["frames_left_out"] = str(self.scene.frames_left_out)
             facts["clouds_left_out"] = str(self.scene.clouds_left_out)
         self.writer.close(facts)
+
+
+def _scene(setup: Setup, writer: TapeWriter) -> Scene:
+    now_ns = time.monotonic_ns()
+    boxes, clouds = (
+        Budget.of_this_machine(share, now_ns) for share in (BOXES_PER_CORE, CLOUDS_PER_CORE)
+    )
+    return Scene(setup, writer, boxes, clouds)
 
 
 def _facts(setup: Setup, choice: Choice) -> dict[str, str]:

@@ -11,7 +11,7 @@ from protocol.errors import MessageError
 from protocol.inbox import Envelope
 from protocol.messages import Setup
 from protocol.topics import TOPICS
-from protocol.wire import encode, peek_sim_time_ns
+from protocol.wire import Moment, encode, peek_moment
 from tape.names import ENCODING, TOPIC
 from tape.reel import Reel
 from tape.schemas import ENCODING as SCHEMA_ENCODING
@@ -51,20 +51,21 @@ class TapeWriter:
         """How much is in the files."""
         return self._ended_bytes + self._reel.size_bytes
 
-    def write(self, item: Envelope) -> None:
-        """Adds a message as it came.
+    def write(self, item: Envelope) -> Moment:
+        """Adds a message as it came; returns of which moment it is.
 
         Raises:
             ProtocolError: it has no key, or nobody could read its bytes.
             CpnetError: the disk is full, or fails.
         """
-        sim_time_ns = peek_sim_time_ns(item.data, TOPICS[item.topic].message)
+        moment = peek_moment(item.data, TOPICS[item.topic].message)
         place = (item.topic, *item.parts.values())
         channel = self._channels.get(place)
         if channel is None:
             channel = self._channels[place] = self._native(item)
-        self._reel.write(channel, item.data, item.received_ns, sim_time_ns)
+        self._reel.write(channel, item.data, item.received_ns, moment.sim_time_ns)
         self.messages += 1
+        return moment
 
     def write_shape(self, topic: str, shape: Shape, now_ns: int, sim_time_ns: int) -> None:
         """Adds a message for other tools.

@@ -32,7 +32,7 @@ from protocol.inbox import Envelope, Inbox, Presence, Sealed
 from protocol.messages import MESSAGES, ClockReading, Message, Scan, TimeReply
 from protocol.scans import MAX_POINTS
 from protocol.topics import TOPICS, Topic, alive_parts
-from protocol.wire import MAX_BODY_BYTES, decode, encode, peek_sim_time_ns
+from protocol.wire import MAX_BODY_BYTES, decode, encode, peek_moment
 from sensing.link.files import read_trace
 from sensing.lzf import decompress
 from sensing.point_files import read_points
@@ -92,7 +92,7 @@ def _through_inbox(topic: Topic) -> Callable[[bytes], None]:
 
     def read(data: bytes) -> None:
         with suppress(ProtocolError):  # a tape asks for no more
-            peek_sim_time_ns(data, topic.message)
+            peek_moment(data, topic.message)
         inbox.put(Sealed(topic, key, data, 0))
         item = inbox.get()
         if item is None:

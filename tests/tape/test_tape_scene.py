@@ -96,18 +96,21 @@ def heard(topic: str, message: m.Message, received_ns: int) -> Envelope:
 
 
 class Booth:
-    """A writer with a scene that has all the time in the world, or none."""
+    """A writer with a scene that has all the time in the world, or none for boxes or clouds."""
 
-    def __init__(self, folder: Path, share: float = 1e6) -> None:
+    def __init__(self, folder: Path, boxes: float = 1e6, clouds: float = 1e6) -> None:
         self.path = folder / "run.mcap"
         self.writer = writer_in(folder)
-        self.scene = Scene(setup(), self.writer, Budget(share, 0))
+        self.scene = Scene(setup(), self.writer, Budget(boxes, 0), Budget(clouds, 0))
+
+    def take(self, topic: str, message: m.Message, received_ns: int) -> None:
+        self.scene.take(heard(topic, message, received_ns), message.frame)
 
     def hear(self, frame: int, steps: int = 8) -> None:
         """Hears a frame, and the end of the next, so that it is due."""
         for n, (topic, message) in enumerate(messages_of(frame).items()):
-            self.scene.take(heard(topic, message, 10**9 * (frame + 1) + n))
-        self.scene.take(heard("detections", messages_of(frame + 1)["detections"], 10**9))
+            self.take(topic, message, 10**9 * (frame + 1) + n)
+        self.take("detections", messages_of(frame + 1)["detections"], 10**9)
         for _ in range(steps):
             self.scene.step()
 
@@ -193,7 +196,7 @@ def test_a_large_cloud_is_thinned():
 def test_chunks_of_a_scan_are_one_cloud(tmp_path):
     booth = Booth(tmp_path)
     for chunk in range(3):
-        booth.scene.take(heard("scan", scan(0, "b", chunk, 3), 10**9))
+        booth.take("scan", scan(0, "b", chunk, 3), 10**9)
     booth.hear(0)
     found = booth.read()
     assert len(points_of(found["foxglove/v2x/cloud/b"][0])) == 150
@@ -219,13 +222,21 @@ def test_the_road_is_drawn_once_in_each_file(tmp_path, monkeypatch):
 
 
 def test_without_time_there_are_boxes_but_no_clouds(tmp_path):
-    booth = Booth(tmp_path, share=0.0)
+    booth = Booth(tmp_path, clouds=0.0)
     for frame in range(5):
         booth.hear(frame)
     assert (booth.scene.frames_left_out, booth.scene.clouds_left_out) == (0, 5)
     found = booth.read()
     assert len(found["foxglove/v2x/detections"]) == 5
     assert not [topic for topic in found if "cloud" in topic]
+
+
+def test_without_time_for_boxes_a_frame_is_left_out(tmp_path):
+    booth = Booth(tmp_path, boxes=0.0)
+    for frame in range(5):
+        booth.hear(frame)
+    assert (booth.scene.frames_left_out, booth.scene.clouds_left_out) == (5, 0)
+    assert booth.read() == {}
 
 
 def test_frames_that_nobody_had_time_for_are_counted(tmp_path):
@@ -240,7 +251,7 @@ def test_frames_that_nobody_had_time_for_are_counted(tmp_path):
 def test_what_is_never_detected_does_not_pile_up(tmp_path):
     booth = Booth(tmp_path)
     for frame in range(1000):
-        booth.scene.take(heard("scan", scan(frame), 1))
+        booth.take("scan", scan(frame), 1)
     assert len(booth.scene._open) == scene.MAX_OPEN_FRAMES
     booth.writer.close({})
 
@@ -248,28 +259,36 @@ def test_what_is_never_detected_does_not_pile_up(tmp_path):
 def test_absurd_frame_numbers_keep_no_frame_from_being_drawn(tmp_path):
     booth = Booth(tmp_path)
     for n in range(scene.MAX_OPEN_FRAMES):
-        booth.scene.take(heard("scan", scan(10**9 + n), 1))
+        booth.take("scan", scan(10**9 + n), 1)
     for frame in range(4):
         booth.hear(frame)
     assert len(booth.read()["foxglove/v2x/detections"]) == 4
 
 
 def test_a_frame_of_endless_scans_is_bounded(tmp_path, monkeypatch):
-    monkeypatch.setattr(scene, "MAX_FRAME_BYTES", 2000)
+    monkeypatch.setattr(scene, "MAX_FRAME_BYTES", 10_000)
     booth = Booth(tmp_path)
     for n in range(100):
-        booth.scene.take(heard("scan", scan(0, f"agent-{n}"), 1))
-    assert sum(map(len, booth.scene._open[0].scans.values())) < 10
+        booth.take("scan", scan(0, f"agent-{n}"), 1)
+    assert len(booth.scene._open[0].heard) < 10
     booth.writer.close({})
 
 
 def test_a_scan_that_does_not_decode_is_left_out(tmp_path):
     booth = Booth(tmp_path)
     spoilt = scan(0, "b").model_copy(update={"payload": np.arange(40, dtype=np.uint8)})
-    booth.scene.take(heard("scan", spoilt, 1))
+    booth.take("scan", spoilt, 1)
     booth.hear(0)
     found = booth.read()
     assert [topic for topic in found if "cloud" in topic] == ["foxglove/v2x/cloud/a"]
+
+
+def test_a_message_that_does_not_decode_is_left_out(tmp_path):
+    booth = Booth(tmp_path)
+    spoilt = Envelope("truth", {}, None, 1, encode(messages_of(0)["truth"])[:-1])
+    booth.scene.take(spoilt, 0)
+    booth.hear(0)
+    assert len(booth.read()["foxglove/v2x/detections"]) == 1
 
 
 def test_what_is_for_other_tools_is_not_heard_again(tmp_path):
