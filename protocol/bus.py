@@ -259,10 +259,12 @@ def roomy(endpoint: Endpoint) -> Endpoint:
 def unanswered(name: BusName, endpoint: Endpoint, waited_s: float) -> str:
     """Returns what to say of a bus that was waited for in vain."""
     host = endpoint.locator.partition("/")[2].rpartition(":")[0]
-    why = f", with a certificate of the same authority that names {host}"
+    why = "without --keys"
+    if endpoint.keys:
+        why = f"with a certificate of the same authority that names {host}"
     return (
         f"nothing answers at {endpoint.locator} for the {name.value} bus "
-        f"(waited {waited_s:g} s); is the other side up{why if endpoint.keys else ''}?"
+        f"(waited {waited_s:g} s); is the other side up, {why}?"
     )
 
 

@@ -105,9 +105,19 @@ def test_a_differing_row_is_named(tmp_path: Path) -> None:
     (difference,) = differences(tmp_path / "a", tmp_path / "b")
     assert (difference.table, difference.rows_a, difference.rows_b) == ("counts", 5, 4)
     assert difference.differing == 2
-    assert difference.first_b == (3, "a", "upstream", 9, 0)
-    assert "counts: 2 rows differ" in str(difference)
+    assert str(difference) == (
+        "counts: 2 rows differ (5 against 4); "
+        "first frame 3 lane a side upstream: vehicles 3 against 9"
+    )
     assert results_digest(tmp_path / "a") != results_digest(tmp_path / "b")
+
+
+def test_a_row_that_one_run_lacks_is_named(tmp_path: Path) -> None:
+    rows = [CountRow(frame, "a", "upstream", frame, 0) for frame in range(5)]
+    record(tmp_path / "a", rows[:4])
+    record(tmp_path / "b", rows)
+    (difference,) = differences(tmp_path / "a", tmp_path / "b")
+    assert difference.first == "frame 4 lane a side upstream, in one of them alone"
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
