@@ -34,7 +34,7 @@ M = TypeVar("M", bound=Message)
 
 
 class Moment(NamedTuple):
-    """The frame and the simulated time that a message bears; None where it bears none."""
+    """The frame and the simulated time that a message bears; None where that is no integer."""
 
     frame: int | None = None
     sim_time_ns: int | None = None
@@ -94,14 +94,15 @@ def peek_moment(data: bytes, expected: type[Message]) -> Moment:
     header_len, _ = _read_prefix(data, expected)
     unpacker = _unpacker(data[PREFIX.size : PREFIX.size + header_len])
     wanted = _moment_fields(expected)
-    found: dict[str, int] = {}
+    found: dict[str, int | None] = {}
     try:
         left = unpacker.read_map_header()
         while left and len(found) < len(wanted):
             left -= 1
             name = unpacker.unpack()
             if name in wanted:
-                found[name] = _integer(name, unpacker.unpack())
+                value = unpacker.unpack()
+                found[name] = value if type(value) is int else None
             else:
                 unpacker.skip()
     except _ODD as error:
@@ -147,12 +148,6 @@ def _read_prefix(data: bytes, expected: type[Message]) -> tuple[int, int]:
     if claimed != len(data):
         raise MessageError(f"message has {len(data)} bytes, its prefix says {claimed}")
     return header_len, body_len
-
-
-def _integer(name: str, value: object) -> int:
-    if type(value) is not int:
-        raise MessageError(f"{name} is a {type(value).__name__}, expected an integer")
-    return value
 
 
 def _unpacker(packed: bytes) -> msgpack.Unpacker:

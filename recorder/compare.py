@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
+from typing import Any
 
 from recorder.run import Run
 from recorder.tables import TABLES, Table
@@ -14,7 +17,9 @@ _Row = tuple[object, ...]
 RESULTS = tuple(table for table in TABLES.values() if table.is_result)
 
 
+_Pair = tuple[_Row | None, _Row | None]
 _MOST_TOLD = 60  # characters of a value
+_BEFORE = 20  # of them that are the same
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +69,7 @@ def results_digest(run_dir: Path) -> dict[str, str]:
 def _difference(table: Table, a: Run, b: Run) -> Difference:
     count_a = count_b = differing = 0
     first = ""
-    for row_a, row_b in zip_longest(a.rows(table.row), b.rows(table.row)):
+    for row_a, row_b in _pairs(table, a.rows(table.row), b.rows(table.row)):
         count_a += row_a is not None
         count_b += row_b is not None
         if row_a != row_b:
@@ -73,19 +78,44 @@ def _difference(table: Table, a: Run, b: Run) -> Difference:
     return Difference(table.name, count_a, count_b, differing, first)
 
 
+def _pairs(table: Table, a: Iterator[_Row], b: Iterator[_Row]) -> Iterator[_Pair]:
+    """Yields rows with the same keys together, None where a run has no such row."""
+    if not table.keys:  # these are told apart by their place alone
+        yield from zip_longest(a, b)
+        return
+    row_a, row_b = next(a, None), next(b, None)
+    while row_a is not None or row_b is not None:
+        key_a, key_b = _key(table, row_a), _key(table, row_b)
+        is_a, is_b = key_a <= key_b, key_b <= key_a
+        yield (row_a if is_a else None), (row_b if is_b else None)
+        row_a = next(a, None) if is_a else row_a
+        row_b = next(b, None) if is_b else row_b
+
+
+def _key(table: Table, row: _Row | None) -> tuple[Any, ...]:
+    """Returns what a row is sorted by; that of none is beyond all others."""
+    return (True,) if row is None else (False, *row[: table.keys])
+
+
 def _told(table: Table, row_a: _Row | None, row_b: _Row | None) -> str:
     """Returns which row it is, by its keys, and what differs in it."""
+    named = zip(table.columns[: table.keys], row_a or row_b or (), strict=False)
+    place = " ".join(f"{name} {value}" for name, value in named)
     if row_a is None or row_b is None:
-        keys = table.columns[: table.keys]
-        row = row_a or row_b or ()
-        named = " ".join(f"{name} {_short(v)}" for name, v in zip(keys, row, strict=False))
-        return f"{named}, in one of them alone"
-    both = list(zip(table.columns, row_a, row_b, strict=True))
-    same = [f"{name} {_short(x)}" for name, x, y in both[: table.keys] if x == y]
-    apart = [f"{name} {_short(x)} against {_short(y)}" for name, x, y in both if x != y]
-    return ": ".join(filter(None, [" ".join(same), ", ".join(apart)]))
+        return f"{place}: only in the {'first' if row_b is None else 'second'} run"
+    both = zip(table.columns, row_a, row_b, strict=True)
+    apart = ", ".join(f"{name} {_against(x, y)}" for name, x, y in both if x != y)
+    return f"{place}: {apart}"
 
 
-def _short(value: object) -> str:
-    told = str(value)
-    return told if len(told) <= _MOST_TOLD else f"{told[:_MOST_TOLD]}…"
+def _against(x: object, y: object) -> str:
+    """Returns two values, of long ones the part in which they begin to differ."""
+    texts = [str(x), str(y)]
+    apart = (n for n, (p, q) in enumerate(zip(*texts, strict=False)) if p != q)
+    begin = max(next(apart, min(map(len, texts))) - _BEFORE, 0)
+    return " against ".join(map(partial(_part, begin=begin), texts))
+
+
+def _part(text: str, begin: int) -> str:
+    end = begin + _MOST_TOLD
+    return ("…" if begin else "") + text[begin:end] + ("…" if end < len(text) else "")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,24 +23,28 @@ CLOUDS_PER_CORE = 0.01
 """And so much the clouds."""
 MAX_OPEN_FRAMES = 8
 MAX_FRAME_BYTES = 64 << 20
-_ENVELOPE_BYTES = 1000  # what a message takes beside its own bytes, or more
+MAX_FRAME_MESSAGES = 1000
 _DRAWN = frozenset({"pose", "scan", "truth", "detections"})
+_Said = m.AgentPose | m.Scan | m.Truth | m.Detections
 _V2X, _WORLD = "foxglove/v2x", "foxglove/world"  # topics of what agents say, and of the truth
 
 
 @dataclass(slots=True)
 class _Frame:
-    """What was heard of a frame so far, not read yet."""
+    """What was heard of a frame so far, most of it not read yet."""
 
+    number: int
     heard: list[Envelope] = field(default_factory=list)
     size_bytes: int = 0
 
-    def add(self, item: Envelope) -> None:
-        """Adds a message, unless there are too many of them."""
-        size_bytes = len(item.data) + _ENVELOPE_BYTES
-        if self.size_bytes + size_bytes <= MAX_FRAME_BYTES:
-            self.size_bytes += size_bytes
-            self.heard.append(item)
+    def add(self, item: Envelope) -> bool:
+        """Adds a message; returns whether there was room for it."""
+        size_bytes = self.size_bytes + len(item.data)
+        if size_bytes > MAX_FRAME_BYTES or len(self.heard) >= MAX_FRAME_MESSAGES:
+            return False
+        self.size_bytes = size_bytes
+        self.heard.append(item)
+        return True
 
 
 @dataclass(slots=True)
@@ -49,32 +52,32 @@ class _Picture:
     """What was said of a frame."""
 
     heard_ns: int = 0
-    sim_time_ns: int = 0
+    sim_time_ns: int | None = None
     poses: dict[str, m.AgentPose] = field(default_factory=dict)
     scans: defaultdict[str, list[m.Scan]] = field(default_factory=lambda: defaultdict(list))
     truth: m.Truth | None = None
     detections: m.Detections | None = None
 
     @classmethod
-    def of(cls, heard: list[Envelope]) -> _Picture:
-        """Reads messages of one frame; what cannot be read is left as it came."""
-        picture = cls(heard[0].received_ns)
-        for item in heard:
-            with suppress(ProtocolError):  # it is on the tape, and who reads that counts it
-                picture._add(item.message)
+    def of(cls, frame: _Frame) -> _Picture:
+        """Reads what was heard of a frame; what cannot be read is left as it came."""
+        picture = cls(frame.heard[0].received_ns)
+        for item in frame.heard:
+            if (said := _said_of(frame.number, item)) is not None:
+                picture._add(said)
         return picture
 
-    def _add(self, message: m.Message) -> None:
-        match message:
+    def _add(self, said: _Said) -> None:
+        self.sim_time_ns = said.sim_time_ns
+        match said:
             case m.AgentPose():
-                self.poses[message.agent] = message
+                self.poses[said.agent] = said
             case m.Scan():
-                self.scans[message.agent].append(message)
+                self.scans[said.agent].append(said)
             case m.Truth():
-                self.truth = message
+                self.truth = said
             case m.Detections():
-                self.detections = message
-                self.sim_time_ns = message.sim_time_ns
+                self.detections = said
 
 
 class Scene:
@@ -105,8 +108,10 @@ class Scene:
         """Notes a message of a frame, which is due once the edge said what it sees in the next."""
         if item.topic not in _DRAWN:
             return
-        self._frame(number).add(item)
-        if item.topic == "detections":
+        ends = item.topic == "detections"
+        if ends and _said_of(number, item) is None:
+            return
+        if self._frame(number).add(item) and ends:
             self._close(number)
 
     def step(self) -> bool:
@@ -116,6 +121,7 @@ class Scene:
         """
         if self._due is not None:
             due, self._due = self._due, None
+            self._draw_road(due.heard[0].received_ns)
             if self._box_budget.has_some(time.monotonic_ns()):
                 _pay(self._box_budget, lambda: self._convert(due))
             else:
@@ -139,18 +145,21 @@ class Scene:
         if number not in self._open:
             while len(self._open) >= MAX_OPEN_FRAMES:
                 del self._open[next(iter(self._open))]  # the first that came: numbers may lie
-            self._open[number] = _Frame()
+            self._open[number] = _Frame(number)
         return self._open[number]
 
     def _convert(self, frame: _Frame) -> None:
-        picture = _Picture.of(frame.heard)
+        picture = _Picture.of(frame)
         self._draw(picture)
         self._begin_clouds(picture)
 
-    def _draw(self, frame: _Picture) -> None:
+    def _draw_road(self, stamp_ns: int) -> None:
         if self._drawn_in != len(self._writer.files):  # once in each file
             self._drawn_in = len(self._writer.files)
-            self._add(frame, f"{_V2X}/road", shapes.road(self._road_map, frame.heard_ns))
+            shape = shapes.road(self._road_map, stamp_ns)
+            self._writer.write_shape(f"{_V2X}/road", shape, time.monotonic_ns(), None)
+
+    def _draw(self, frame: _Picture) -> None:
         stamp_ns = frame.heard_ns
         places = {name: pose.pose for name, pose in frame.poses.items()}
         places |= {_sensor(name): scans[0].sensor_pose for name, scans in frame.scans.items()}
@@ -182,6 +191,15 @@ class Scene:
 
     def _add(self, frame: _Picture, topic: str, shape: shapes.Shape) -> None:
         self._writer.write_shape(topic, shape, time.monotonic_ns(), frame.sim_time_ns)
+
+
+def _said_of(number: int, item: Envelope) -> _Said | None:
+    """Returns what was said of a frame, None if it cannot be read or is of another frame."""
+    try:
+        said = item.message
+    except ProtocolError:
+        return None  # it is on the tape, and who reads that counts it
+    return said if isinstance(said, _Said) and said.frame == number else None
 
 
 def _pay(budget: Budget, work: Callable[[], None]) -> None:

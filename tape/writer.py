@@ -67,8 +67,8 @@ class TapeWriter:
         self.messages += 1
         return moment
 
-    def write_shape(self, topic: str, shape: Shape, now_ns: int, sim_time_ns: int) -> None:
-        """Adds a message for other tools.
+    def write_shape(self, topic: str, shape: Shape, now_ns: int, sim_time_ns: int | None) -> None:
+        """Adds a message for other tools, of this simulated time or of none.
 
         Raises:
             CpnetError: the disk is full, or fails.

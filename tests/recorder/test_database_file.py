@@ -1,5 +1,6 @@
 """The database file: killed writers, foreign files, comparison of runs."""
 
+import json
 import multiprocessing
 import os
 import signal
@@ -13,7 +14,15 @@ from protocol.errors import ConfigError
 from recorder.compare import RESULTS, differences, results_digest
 from recorder.database import FILE_NAME, Database
 from recorder.run import Run
-from recorder.tables import SCHEMA_VERSION, TABLES, CountRow, FrameRow, MetaRow, StageRow
+from recorder.tables import (
+    SCHEMA_VERSION,
+    TABLES,
+    CountRow,
+    FrameRow,
+    MetaRow,
+    SightingRow,
+    StageRow,
+)
 
 
 def record(run_dir: Path, counts: list[CountRow], clock_ns: int = 0) -> None:
@@ -114,10 +123,24 @@ def test_a_differing_row_is_named(tmp_path: Path) -> None:
 
 def test_a_row_that_one_run_lacks_is_named(tmp_path: Path) -> None:
     rows = [CountRow(frame, "a", "upstream", frame, 0) for frame in range(5)]
-    record(tmp_path / "a", rows[:4])
-    record(tmp_path / "b", rows)
+    for n in range(5):
+        record(tmp_path / f"a{n}", rows[:n] + rows[n + 1 :])
+        record(tmp_path / f"b{n}", rows)
+        for pair, side in (("ab", "second"), ("ba", "first")):
+            (difference,) = differences(*(tmp_path / f"{one}{n}" for one in pair))
+            assert difference.first == f"frame {n} lane a side upstream: only in the {side} run"
+            assert difference.differing == 1
+
+
+def test_long_values_that_differ_at_their_end_are_told_apart(tmp_path: Path) -> None:
+    for name, points in (("a", 14), ("b", 15)):
+        seen = json.dumps({f"vehicle_{n}": 100 for n in range(9)} | {"last": points})
+        (tmp_path / name).mkdir()
+        database = Database(tmp_path / name)
+        database.add(SightingRow, [SightingRow(0, "agent", seen)])
+        database.close()
     (difference,) = differences(tmp_path / "a", tmp_path / "b")
-    assert difference.first == "frame 4 lane a side upstream, in one of them alone"
+    assert difference.first.endswith('"last": 14} against …e_8": 100, "last": 15}')
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 pytest.importorskip("mcap", reason="needs the extra `tape`")
 
+import msgpack
 from cassette import same, setup, writer_in
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from hypothesis import given
@@ -17,6 +18,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from protocol import messages as m
+from protocol import wire
 from protocol.codec import decode, encode_cloud
 from protocol.courtesy import Budget
 from protocol.geometry import SE3, euler_rotation
@@ -92,7 +94,7 @@ def messages_of(frame: int) -> dict[str, m.Message]:
 def heard(topic: str, message: m.Message, received_ns: int) -> Envelope:
     data = encode(message)
     parts = {part[1:-1]: "a" for part in TOPICS[topic].template.split("/") if "{" in part}
-    return Envelope(topic, parts, message, received_ns, data)
+    return Envelope(topic, parts, None, received_ns, data)  # not read yet
 
 
 class Booth:
@@ -103,8 +105,11 @@ class Booth:
         self.writer = writer_in(folder)
         self.scene = Scene(setup(), self.writer, Budget(boxes, 0), Budget(clouds, 0))
 
-    def take(self, topic: str, message: m.Message, received_ns: int) -> None:
-        self.scene.take(heard(topic, message, received_ns), message.frame)
+    def take(
+        self, topic: str, message: m.Message, received_ns: int, frame: int | None = None
+    ) -> None:
+        number = message.frame if frame is None else frame
+        self.scene.take(heard(topic, message, received_ns), number)
 
     def hear(self, frame: int, steps: int = 8) -> None:
         """Hears a frame, and the end of the next, so that it is due."""
@@ -236,7 +241,7 @@ def test_without_time_for_boxes_a_frame_is_left_out(tmp_path):
     for frame in range(5):
         booth.hear(frame)
     assert (booth.scene.frames_left_out, booth.scene.clouds_left_out) == (5, 0)
-    assert booth.read() == {}
+    assert list(booth.read()) == ["foxglove/v2x/road"]
 
 
 def test_frames_that_nobody_had_time_for_are_counted(tmp_path):
@@ -266,7 +271,7 @@ def test_absurd_frame_numbers_keep_no_frame_from_being_drawn(tmp_path):
 
 
 def test_a_frame_of_endless_scans_is_bounded(tmp_path, monkeypatch):
-    monkeypatch.setattr(scene, "MAX_FRAME_BYTES", 10_000)
+    monkeypatch.setattr(scene, "MAX_FRAME_BYTES", 2000)
     booth = Booth(tmp_path)
     for n in range(100):
         booth.take("scan", scan(0, f"agent-{n}"), 1)
@@ -283,12 +288,44 @@ def test_a_scan_that_does_not_decode_is_left_out(tmp_path):
     assert [topic for topic in found if "cloud" in topic] == ["foxglove/v2x/cloud/a"]
 
 
-def test_a_message_that_does_not_decode_is_left_out(tmp_path):
+def spoilt(topic: str, message: m.Message, **fields: object) -> Envelope:
+    """Returns a message that nobody can read beyond its moment."""
+    item = heard(topic, message, 1)
+    good = item.data[wire.PREFIX.size :]
+    header = msgpack.unpackb(good[: wire.PREFIX.unpack_from(item.data)[3]].rstrip(b"\xc0"))
+    packed = msgpack.packb(header | fields)
+    body = good[wire.PREFIX.unpack_from(item.data)[3] :]
+    prefix = wire.PREFIX.pack(wire.MAGIC, wire.VERSION, message.kind, len(packed), len(body))
+    return Envelope(topic, item.parts, None, 1, prefix + packed + body)
+
+
+def test_what_cannot_be_read_is_left_out_and_ends_no_frame(tmp_path):
     booth = Booth(tmp_path)
-    spoilt = Envelope("truth", {}, None, 1, encode(messages_of(0)["truth"])[:-1])
-    booth.scene.take(spoilt, 0)
+    said = messages_of(0)
+    booth.scene.take(spoilt("pose", said["pose"], agent="b", length_m=-1), 0)
+    booth.scene.take(spoilt("detections", said["detections"], sources=[]), 0)
+    assert booth.scene._seen == -1
     booth.hear(0)
-    assert len(booth.read()["foxglove/v2x/detections"]) == 1
+    found = booth.read()
+    assert [topic for topic in found if "pose" in topic] == ["foxglove/v2x/pose/a"]
+    assert len(found["foxglove/v2x/detections"]) == 1
+
+
+def test_a_message_is_drawn_in_the_frame_that_its_readers_take_it_for(tmp_path):
+    booth = Booth(tmp_path)
+    pose = messages_of(0)["pose"].model_copy(update={"agent": "b", "frame": 3})
+    booth.take("pose", pose, 1, 0)  # it bears two numbers
+    booth.hear(0)
+    assert [topic for topic in booth.read() if "pose" in topic] == ["foxglove/v2x/pose/a"]
+
+
+def test_no_more_messages_of_a_frame_are_kept_than_one_can_have(tmp_path, monkeypatch):
+    monkeypatch.setattr(scene, "MAX_FRAME_MESSAGES", 10)
+    booth = Booth(tmp_path)
+    for n in range(100):
+        booth.take("pose", messages_of(0)["pose"], n)
+    assert len(booth.scene._open[0].heard) == 10
+    booth.writer.close({})
 
 
 def test_what_is_for_other_tools_is_not_heard_again(tmp_path):

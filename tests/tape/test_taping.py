@@ -122,6 +122,7 @@ def test_messages_come_before_what_is_made_of_them(tmp_path):
     inbox.get()
     taping.poll()
     assert taping.scene._due is None
+    assert taping.scene.frames_left_out == 0
     taping.close()
     assert same(Tape(tmp_path).heard(), heard)
 
