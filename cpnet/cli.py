@@ -14,12 +14,26 @@ import yaml
 from rich.markup import escape
 
 from cpnet import scenario as scenarios
-from cpnet.beside import Viewing
 from cpnet.cli_bench import bench_app
 from cpnet.cli_doctor import doctor_app
 from cpnet.cli_keys import keys_app
 from cpnet.cli_learn import learn_app
-from cpnet.cli_options import AsJson, Override, assigned, console, errors
+from cpnet.cli_options import (
+    AsJson,
+    Connect,
+    Insecure,
+    Listen,
+    Log,
+    Only,
+    Out,
+    Override,
+    ServeMetrics,
+    UsedKeys,
+    View,
+    assigned,
+    console,
+    errors,
+)
 from cpnet.cli_replay import replay_app
 from cpnet.cli_study import study_app
 from cpnet.cli_tape import tape_app
@@ -41,8 +55,6 @@ app.add_typer(replay_app)
 app.add_typer(tape_app)
 app.add_typer(view_app)
 app.add_typer(bench_app, name="bench")
-
-_ADDRESS = "HOST:PORT, v2x=HOST:PORT or world=HOST:PORT"
 
 
 def _show_version(asked: bool) -> None:
@@ -79,33 +91,21 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
         bool, typer.Option("--netns", help="links by a network namespace per agent; needs root")
     ] = False,
     set_: Override = None,
-    out: Annotated[Path | None, typer.Option(help="run folder; default runs/NAME-TIME")] = None,
-    only: Annotated[
-        str | None, typer.Option(metavar="ROLE,...", help="roles to run here, or vehicle-1")
-    ] = None,
-    listen: Annotated[
-        list[str] | None, typer.Option(metavar="PLACE", help=f"host the buses: {_ADDRESS}")
-    ] = None,
-    connect: Annotated[
-        list[str] | None, typer.Option(metavar="PLACE", help=f"buses elsewhere: {_ADDRESS}")
-    ] = None,
+    out: Out = None,
+    only: Only = None,
+    listen: Listen = None,
+    connect: Connect = None,
     record: Annotated[
         bool, typer.Option("--record", help="keep all that is said in RUN/run.mcap, to play again")
     ] = False,
     restart: Annotated[
         bool, typer.Option("--restart", help="start processes again that die; realtime only")
     ] = False,
-    metrics: Annotated[
-        str | None, typer.Option(metavar="PORT", help="serve Prometheus' metrics: PORT, HOST:PORT")
-    ] = None,
-    view: Annotated[Viewing | None, typer.Option(help="show it in Rerun, see `view`")] = None,
-    log: Annotated[LogStyle, typer.Option(help="what a line of logs/ID.log is")] = LogStyle.TEXT,
-    keys: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="buses over TLS; `cpnet keys` makes DIR")
-    ] = None,
-    insecure: Annotated[
-        bool, typer.Option("--insecure", help="without keys on other networks than loopback")
-    ] = False,
+    metrics: ServeMetrics = None,
+    view: View = None,
+    log: Log = LogStyle.TEXT,
+    keys: UsedKeys = None,
+    insecure: Insecure = False,
 ) -> None:
     """Run the loop: world, sensors, edge, signal, record; then print the summary."""
     from cpnet.preparation import Options

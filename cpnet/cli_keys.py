@@ -46,7 +46,8 @@ def keys_command(
     console.print(f"{folder}: made {', '.join(made) or 'nothing, all is there'}", soft_wrap=True)
     console.print(
         "Each machine gets ca.pem, watch.pem, watch.key and the .pem and .key of the processes it "
-        "runs (relay-* where links are emulated), nothing else; ca.key stays here.",
+        "runs (relay-* where links are emulated), nothing else, but view.pem and view.key where "
+        "somebody looks on or records; ca.key stays here.",
         soft_wrap=True,
     )
     if router_config is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Annotated, Any, Protocol, TypeVar
 
 import typer
@@ -11,6 +12,8 @@ from rich.console import Console
 from rich.progress import track
 
 from cpnet import scenario as scenarios
+from cpnet.beside import Viewing
+from protocol.logs import LogStyle
 
 console = Console()
 errors = Console(stderr=True)
@@ -18,6 +21,28 @@ errors = Console(stderr=True)
 Override = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="any scenario key; `cpnet scenario` shows all"),
+]
+Out = Annotated[Path | None, typer.Option(help="run folder; default runs/NAME-TIME")]
+_ADDRESS = "HOST:PORT, v2x=HOST:PORT or world=HOST:PORT"
+Only = Annotated[
+    str | None, typer.Option(metavar="ROLE,...", help="roles to run here, or vehicle-1")
+]
+Listen = Annotated[
+    list[str] | None, typer.Option(metavar="PLACE", help=f"host the buses: {_ADDRESS}")
+]
+Connect = Annotated[
+    list[str] | None, typer.Option(metavar="PLACE", help=f"buses elsewhere: {_ADDRESS}")
+]
+ServeMetrics = Annotated[
+    str | None, typer.Option(metavar="PORT", help="serve Prometheus' metrics: PORT, HOST:PORT")
+]
+View = Annotated[Viewing | None, typer.Option(help="show it in Rerun, see `view`")]
+Log = Annotated[LogStyle, typer.Option(help="what a line of logs/ID.log is")]
+UsedKeys = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="buses over TLS; `cpnet keys` makes DIR")
+]
+Insecure = Annotated[
+    bool, typer.Option("--insecure", help="without keys on other networks than loopback")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="stable keys, for programs")]
 

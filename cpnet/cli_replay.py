@@ -7,8 +7,22 @@ from typing import Annotated
 
 import typer
 
-from cpnet.cli_options import Override, assigned, console
+from cpnet.cli_options import (
+    Connect,
+    Insecure,
+    Listen,
+    Log,
+    Only,
+    Out,
+    Override,
+    ServeMetrics,
+    UsedKeys,
+    View,
+    assigned,
+    console,
+)
 from protocol.errors import ConfigError
+from protocol.logs import LogStyle
 
 replay_app = typer.Typer(pretty_exceptions_enable=False)
 _SCANS = "Scans from elsewhere"
@@ -27,7 +41,15 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
         bool, typer.Option("--lockstep", help="each frame waits for its request, as fast as it can")
     ] = False,
     set_: Override = None,
-    out: Annotated[Path | None, typer.Option(help="run folder; default runs/NAME-TIME")] = None,
+    out: Out = None,
+    only: Only = None,
+    listen: Listen = None,
+    connect: Connect = None,
+    metrics: ServeMetrics = None,
+    view: View = None,
+    log: Log = LogStyle.TEXT,
+    keys: UsedKeys = None,
+    insecure: Insecure = False,
     scans: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="folder of .bin or .pcd", rich_help_panel=_SCANS),
@@ -94,6 +116,10 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
         played = played_scans(
             Scans(source, scenario, overrides, frames, height, width), pace, console
         )
-    status, run_dir = up(Options("", {}, None, [], [], out), console, played)
+    options = Options(
+        "", {}, only, listen or [], connect or [], out,
+        metrics=metrics, log=log, keys=keys, insecure=insecure, view=view,
+    )  # fmt: skip
+    status, run_dir = up(options, console, played)
     conclude(run_dir)
     raise typer.Exit(status)

@@ -23,7 +23,7 @@ def record_command(
         typer.Option(metavar="PLACE", help="a run elsewhere: HOST:PORT, v2x=…, world=…"),
     ] = None,
     keys: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="listen with the certificate of watch")
+        Path | None, typer.Option(metavar="DIR", help="listen with the certificate of view")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="default RUN/record.mcap, or here")

@@ -187,10 +187,11 @@ class Attendant:
         if not self.restart:
             needed.update(process for _, process in everybody(self.scenario))
             needed.discard(TAPE.role)
-        for _, process in watch.lost():
+        for who in watch.lost():
+            process = who[1]
             if process in needed and not self.supervisor.holds(process):
-                watch.await_end(OVERTAKEN_S)  # the end may still be on its way
-                if watch.end is None:
+                watch.await_end(OVERTAKEN_S)  # it may still be on its way, or a link was broken
+                if watch.end is None and who in watch.lost():
                     how = "left another machine before the run ended"
                     return Death(process, how, "(no log here)")
         return None

@@ -22,6 +22,8 @@ from protocol.messages import Setup
 from protocol.roadmap import RoadMap
 from protocol.version import own_version
 
+_CASTING = ("lidar", "pose", "scene", "carla")
+_ENCODING = ("upload.max_error_m", "upload.profile", "upload.intensity")
 EXTRINSICS = "extrinsics.csv"
 WIDTH_M = 60.0
 
@@ -78,7 +80,19 @@ def played_scans(asked: Scans, pace: Pace, console: Console) -> Played:
     return Played(scenario.name, setup)
 
 
+def _check_overrides(overrides: dict[str, Any]) -> None:
+    """Refuses what would change nothing, because clouds are uploaded whole as they are."""
+    for key in overrides:
+        section = key.partition(".")[0]
+        if section in _CASTING or (section == "upload" and key not in _ENCODING):
+            raise ConfigError(
+                f"--set {key}: with --scans clouds come from files and are uploaded whole, so that "
+                f"this changes nothing; of upload.* they take {', '.join(_ENCODING)}"
+            )
+
+
 def _scenario(asked: Scans, pace: Pace, frames: int) -> scenarios.Scenario:
+    _check_overrides(asked.overrides)
     base = scenarios.load(asked.scenario or "t_junction", asked.overrides)
     facts: dict[str, Any] = {
         "duration_s": frames * base.frame_period_s,

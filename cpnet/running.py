@@ -11,7 +11,7 @@ from pathlib import Path
 
 from cpnet.endpoints import Endpoints, connecting, places
 from cpnet.run_folder import written
-from cpnet.security import WATCH
+from cpnet.security import VIEW
 from protocol.bus import Endpoint
 from protocol.errors import ConfigError
 from protocol.files import is_file, is_folder
@@ -108,8 +108,8 @@ def _own(keys: Path | None) -> Keys | None:
         return None
     from cpnet.key_check import check_key  # the library of TLS takes its time to load
 
-    check_key(keys, WATCH)
-    return Keys.of(keys, WATCH)
+    check_key(keys, VIEW)
+    return Keys.of(keys, VIEW)
 
 
 def _facts(path: Path) -> dict[str, str]:

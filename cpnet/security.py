@@ -14,7 +14,9 @@ from protocol.keys import Keys
 from protocol.topics import BusName
 
 WATCH = "watch"
-"""The id of whoever looks on: the supervisor of each machine."""
+"""The id of the supervisor of each machine."""
+VIEW = "view"
+"""The id of whoever looks on and hears all."""
 
 
 def secured(

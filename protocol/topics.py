@@ -106,12 +106,13 @@ _B, _P, _T = Delivery.BULK, Delivery.PROMPT, Delivery.TELEMETRY
 
 _AGENTS = frozenset({"vehicle", "infra"})
 _SIM, _EDGE, _SIGNAL, _RECORD = (frozenset({r}) for r in ("sim", "edge", "signal", "record"))
-ONLOOKERS = frozenset({"watch", "tape"})
-"""Who hears all and says nothing (a tape: how its clock goes): viewers, the supervisor, tapes."""
+ONLOOKERS = frozenset({"view", "tape"})
+"""Who hears all and says nothing (a tape: how its clock goes)."""
+_WATCH = frozenset({"watch"})  # the supervisor on each machine: how the run goes, and no more
 _RELAY = frozenset({"relay"})
 _ALL = _AGENTS | _SIM | _EDGE | _SIGNAL | _RECORD
 _CLOCKS = _ALL | _RELAY | {"tape"}
-ROLES = _ALL | ONLOOKERS | _RELAY
+ROLES = _ALL | ONLOOKERS | _WATCH | _RELAY
 """Whoever may be on a bus."""
 
 
@@ -125,8 +126,8 @@ TOPICS = _table(
     Topic("truth", "world/truth", m.Truth, _W, _B, _SIM, _RECORD),
     Topic("sighting", "world/sighting/{agent}", m.Sighting, _W, _B, _AGENTS, _RECORD),
     Topic("trips", "world/trips", m.Trips, _W, _B, _SIM, _RECORD),
-    Topic("end", "world/end", m.End, _W, _B, _SIM, _AGENTS | _RELAY | _RECORD),
-    Topic("progress", "world/progress", m.Progress, _W, _T, _RECORD, ONLOOKERS),
+    Topic("end", "world/end", m.End, _W, _B, _SIM, _AGENTS | _RELAY | _RECORD | _WATCH),
+    Topic("progress", "world/progress", m.Progress, _W, _T, _RECORD, _WATCH),
     Topic("time", "world/time", m.TimeReply, _W, _P, _SIM, ROLES),
     Topic("clock", "world/clock/{process}", m.ClockReading, _W, _T, _CLOCKS, _RECORD),
     Topic("state", "signal/{tls}/state", m.SignalState, _V, _P, _SIM, _EDGE | _SIGNAL | _RECORD),
@@ -147,7 +148,7 @@ TOPICS = _table(
     Topic("detections", "{region}/detections", m.Detections, _V, _P, _EDGE, _RECORD),
     Topic("lanes", "{region}/lanes/{tls}", m.LaneCounts, _V, _P, _EDGE, _SIGNAL | _RECORD),
     # Measuring must not load the network.
-    Topic("metrics", "metrics/{process}", m.Metrics, _W, _T, _ALL, _RECORD),
+    Topic("metrics", "metrics/{process}", m.Metrics, _W, _T, _ALL, _RECORD | _WATCH),
 )
 """All topics by name. Liveliness tokens stand at `alive/{role}/{id}` on both buses."""
 
@@ -160,7 +161,10 @@ ALIVE_IN_ANY = "cpnet/*/alive/*/*"
 
 OWN_VERSION = PREFIX.partition("/")[2]
 
-LOOKERS = {BusName.WORLD: _SIM | ONLOOKERS, BusName.V2X: _SIM | _EDGE | ONLOOKERS}
+LOOKERS = {
+    BusName.WORLD: _SIM | ONLOOKERS | _WATCH,
+    BusName.V2X: _SIM | _EDGE | ONLOOKERS | _WATCH,
+}
 """Who sees, on each bus, which processes are there."""
 
 MAX_NAME = 128  # characters of a role or of an id, as in messages

@@ -14,7 +14,7 @@ from protocol.inbox import Envelope, Inbox, Sealed
 from protocol.messages import Setup
 from protocol.topics import TOPICS, Topic
 from protocol.wire import decode
-from tape.names import ENCODING, FACTS, SETUP, STEM, TOPIC, files_in
+from tape.names import ENCODING, FACTS, GOES_ON_FROM, SETUP, STEM, TOPIC, files_in
 from tape.records import MAGIC, DamageError, Record, is_complete, read_records
 
 
@@ -26,7 +26,7 @@ class Tape:
     """
 
     def __init__(self, path: Path) -> None:
-        """Opens a file, or all of a run folder.
+        """Opens a file and those in which it goes on, or all of a run folder.
 
         Raises:
             ConfigError: it is no tape, or its beginning is damaged.
@@ -81,17 +81,27 @@ class Tape:
     def _read_setup(self) -> Setup:
         """Returns the first that there is: one who was killed at once had no time to write it."""
         for file in self.files:
-            for record in _records(file):
-                if isinstance(record, Metadata) and record.name == FACTS:
-                    self.facts = dict(record.metadata)
-                elif isinstance(record, Attachment) and record.name == SETUP:
-                    return _setup(record.data, file)
-                elif isinstance(record, Message | DamageError):
-                    break
+            facts, setup = _beginning(file)
+            self.facts = facts or self.facts
+            if setup is not None:
+                return _setup(setup, file)
         raise ConfigError(
             f"{self.files[0]} is no tape of cpnet: it does not begin with {SETUP}, or was cut off "
             "before the end of that"
         )
+
+
+def _beginning(file: Path) -> tuple[dict[str, str], bytes | None]:
+    """Returns what a file says of itself before its messages: facts, and the setup as it is."""
+    facts: dict[str, str] = {}
+    for record in _records(file):
+        if isinstance(record, Metadata) and record.name == FACTS:
+            facts = dict(record.metadata)
+        elif isinstance(record, Attachment) and record.name == SETUP:
+            return facts, record.data
+        elif isinstance(record, Message | DamageError):
+            break
+    return facts, None
 
 
 def _records(file: Path) -> Iterator[Record | DamageError]:
@@ -120,7 +130,17 @@ def _files(path: Path) -> list[Path]:
         return found
     if not is_file(path):
         raise ConfigError(f"{path}: there is no such tape, neither a file nor a run folder")
-    return [path]
+    return [path, *_sequels(path)]
+
+
+def _sequels(path: Path) -> list[Path]:
+    """Returns the files in which a tape went on when one had grown long."""
+    found, last = [], path
+    for file in files_in(path.parent, path.stem):
+        if file != path and _beginning(file)[0].get(GOES_ON_FROM) == last.name:
+            found.append(file)
+            last = file
+    return found
 
 
 def _has_end(path: Path) -> bool:

@@ -12,7 +12,7 @@ from protocol.inbox import Envelope
 from protocol.messages import Setup
 from protocol.topics import TOPICS
 from protocol.wire import Moment, encode, peek_moment
-from tape.names import ENCODING, TOPIC
+from tape.names import ENCODING, GOES_ON_FROM, TOPIC
 from tape.reel import Reel
 from tape.schemas import ENCODING as SCHEMA_ENCODING
 from tape.schemas import name_of, schema_of
@@ -102,7 +102,8 @@ class TapeWriter:
     def _load(self) -> Reel:
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, ...], int] = {}
-        reel = Reel(self._next_path(), self._setup, self._facts)
+        before = {GOES_ON_FROM: self.files[-1].name} if self.files else {}
+        reel = Reel(self._next_path(), self._setup, self._facts | before)
         self.files.append(reel.path)
         return reel
 

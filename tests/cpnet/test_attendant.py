@@ -50,3 +50,20 @@ def test_a_death_that_comes_at_an_odd_moment_ends_the_run_unless_it_is_a_tapes(
         assert attendant._fatal(watch, tapes) is None
         assert tapes == [death]
         assert "the run goes on without it" in said.getvalue()
+
+
+class Alone:
+    """A supervisor on a machine without the world."""
+
+    def holds(self, process: str) -> bool:
+        return False
+
+
+@pytest.mark.parametrize("comes_back", [True, False])
+def test_a_world_that_is_missed_for_a_moment_ends_no_run_elsewhere(comes_back):
+    missed = [("sim", "sim")]
+    watch = SimpleNamespace(end=None, lost=lambda: [*missed])
+    watch.await_end = lambda _: missed.clear() if comes_back else None
+    attendant = Attendant(Alone(), None, None, Console(file=io.StringIO()), restart=True)
+    death = attendant._lost_elsewhere(watch)
+    assert (death is None) == comes_back

@@ -14,6 +14,7 @@ from cpnet import scenario as scenarios
 from cpnet.cli import app
 from cpnet.replay import Pace, played_tape, setup_of
 from protocol.errors import ConfigError
+from recorder.compare import differences
 from recorder.run import Run
 from recorder.tables import (
     AccountRow,
@@ -27,6 +28,7 @@ from recorder.tables import (
 from studies.solo import play_setup
 from studies.summary import summarise
 from tests.cpnet.conftest import Shell
+from tests.cpnet.test_loop import free_ports
 
 REAP = ["upload.policy=reap", "link.profile=300kbit,20ms", "link.roadside_profile=lte"]
 
@@ -73,6 +75,27 @@ def test_with_its_own_settings_every_result_is_the_same(shell, taped):
     sensed = [sum(row.sense_ns for row in rows(run, AccountRow)) for run in (taped, again)]
     assert sensed[0] == sensed[1] > 0
     assert json.loads((again / "scenario.json").read_text())["replay"]["tape"] == str(taped)
+
+
+def test_edge_and_signal_may_be_elsewhere(shell, taped):
+    port = free_ports()
+    here = shell.start(
+        *("replay", str(taped), "--only=sim,vehicle,infra,record", "--out=here"),
+        *(f"--listen=world=127.0.0.1:{port + 1}", f"--connect=v2x=127.0.0.1:{port}"),
+    )
+    there = shell.start(
+        *("up", "--only=edge,signal", "--out=there"),
+        *(f"--listen=v2x=127.0.0.1:{port}", f"--connect=world=127.0.0.1:{port + 1}"),
+    )
+    for command in (here, there):
+        status, output = command.finish()
+        assert status == 0, output
+    assert differences(taped, shell.folder / "here") == []
+
+
+def test_a_replay_is_begun_where_the_tape_is(shell, taped):
+    status, output = shell.run("replay", str(taped), "--only=edge")
+    assert (status, "a replay is begun where the role sim runs" in output) == (2, True)
 
 
 def test_over_another_link_more_arrives(tmp_path, taped):

@@ -199,6 +199,21 @@ def test_an_agent_hears_neither_truth_nor_counts_nor_what_other_agents_upload(at
     assert seen.names() == {"world/tick"}
 
 
+@pytest.mark.parametrize("bus", BusName)
+def test_the_supervisor_of_an_agents_machine_hears_how_the_run_goes_and_no_more(attacked, bus):
+    rogue, seen, others = attacked.member(bus, "watch"), Heard(), attacked.spy(bus)
+    for topic in TOPICS.values():
+        if topic.bus is bus:
+            rogue.declare_subscriber(topic.key(), seen.take)
+            rogue.declare_subscriber(topic.key(region="r0", tls="J"), seen.take)
+    wait_until(lambda: len(others.samples) > 200)  # all that it asked for was dealt with meanwhile
+    if bus is WORLD:
+        wait_until(lambda: seen.some("world/progress", 2))
+    first = {name.partition("/")[0] for name in seen.names()} - {"world"}
+    assert first <= ({"metrics"} if bus is WORLD else set())
+    assert {name for name in seen.names() if name.startswith("world/")} <= {"world/progress"}
+
+
 def test_an_agent_sees_nobodys_presence_and_shows_nobody_elses(attacked):
     rogue, looker = (attacked.member(V2X, "vehicle-1") for _ in range(2))
     sim, scans = attacked.member(V2X, "sim"), attacked.spy(V2X)

@@ -150,6 +150,8 @@ def test_a_first_cloud_without_a_point_is_refused_and_later_ones_are_counted(tmp
     ("asked", "said"),
     [
         ({"overrides": {"duration_s": 2.0}}, "--set duration_s: with --scans that follows"),
+        ({"overrides": {"upload.policy": "reap"}}, "--set upload.policy: .* changes nothing"),
+        ({"overrides": {"lidar.vehicle.channels": 16}}, "--set lidar.vehicle.channels: with"),
         ({"height_m": float("nan")}, "--height nan: must be 0 to 100 m"),
         ({"height_m": 1e8}, r"--height 1e\+08: must be"),
     ],

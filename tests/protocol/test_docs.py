@@ -5,7 +5,7 @@ from pathlib import Path
 
 from protocol.topics import ASKED, ROLES, TOPICS
 
-ONLOOKERS = frozenset({"watch", "tape"})
+ONLOOKERS = frozenset({"view", "tape"})
 PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
 
 

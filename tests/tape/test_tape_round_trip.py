@@ -152,6 +152,9 @@ def test_a_long_tape_goes_on_in_another_file(tmp_path, monkeypatch):
     tape = Tape(tmp_path)
     assert tape.is_whole
     assert same(tape.heard(), heard)
+    assert same(Tape(writer.files[0]).heard(), heard)
+    writer_in(tmp_path).close({})  # another tape
+    assert Tape(writer.files[0]).files == writer.files
     for path in writer.files:  # each can be opened alone
         assert encode(Tape(path).setup) == encode(setup())
 

@@ -48,7 +48,7 @@ def state(frame: int, shown: str, stage: str = "green") -> m.SignalState:
 
 def text(board: Board, width: int = 100) -> str:
     console = Console(file=io.StringIO(), width=width)
-    console.print(picture(board))
+    console.print(picture(board, 0))
     return console.file.getvalue()  # type: ignore[attr-defined]
 
 
@@ -57,7 +57,7 @@ def test_agents_have_their_points_rates_and_scores() -> None:
     board = fed(tick(0), sent(0, "a", 12_500), sent(0, "b", 25_000), doubted)
     rows = [(r.agent, r.points, round(r.mbps, 2), r.score, r.believed) for r in board.agents()]
     assert rows == [("b", 1, 2.0, 0.2, False), ("a", 1, 1.0, 1.0, True)]
-    assert "b is not believed (score 0.20)" in board.alerts()
+    assert "b is not believed (score 0.20)" in board.alerts(0)
 
 
 def test_the_signal_is_told_with_the_time_since_its_last_change() -> None:
@@ -86,7 +86,7 @@ def test_alerts_tell_of_the_dead_the_incomplete_and_the_dropped() -> None:
         Presence("vehicle", "vehicle-1", False, BusName.V2X),
         Presence("vehicle", "never-seen", False, BusName.V2X),
     )
-    assert board.alerts() == [
+    assert board.alerts(0) == [
         "vehicle vehicle-1 is gone",
         "1 of the last 1 frames incomplete (1 since this began)",
         "edge dropped 7 × late",
@@ -105,10 +105,22 @@ def token(role: str, alive: bool, bus: BusName = BusName.WORLD) -> Presence:
     return Presence(role, role, alive, bus)
 
 
+def test_a_run_that_stands_still_is_told_above_all_tables() -> None:
+    board = fed(tick(0), measured(0, "edge", drops={"late": 7}))
+    assert board.alerts(boards.STILL_NS)[0] == "no frame for 3 s"
+    assert "no frame" not in str(board.alerts(boards.STILL_NS - 1))
+    lines = text(board).splitlines()
+    (alert,) = [n for n, line in enumerate(lines) if "dropped 7" in line]
+    assert alert < 6  # a terminal cuts off what does not fit below
+    board.take(Presence("sim", "sim", True, BusName.WORLD))
+    board.take(Presence("sim", "sim", False, BusName.WORLD))
+    assert "no frame" not in str(board.alerts(boards.STILL_NS))
+
+
 def test_the_end_is_no_alert() -> None:
     gone = token("sim", alive=False)
     board = fed(token("sim", alive=True), m.End(frames=1, reason="finished"), gone)
-    assert board.alerts() == []
+    assert board.alerts(0) == []
     assert board.is_over
     assert "ended: finished" in text(board)
 
@@ -123,10 +135,10 @@ def test_when_the_edge_dies_with_its_router_nobody_else_is_gone() -> None:
     lost = [token(role, alive=False, bus=BusName.V2X) for role in roles]
     board = fed(*came, *lost, token("edge", alive=False))
     assert not board.is_over
-    assert board.alerts() == ["edge edge is gone"]
+    assert board.alerts(0) == ["edge edge is gone"]
     for role in roles:
         board.take(token(role, alive=True, bus=BusName.V2X))
-    assert board.alerts() == []
+    assert board.alerts(0) == []
 
 
 @pytest.mark.parametrize("width", [20, 40, 80, 200])

@@ -30,6 +30,7 @@ TOPICS = frozenset(
 )  # no scans: they are what is heavy
 AVERAGED_FRAMES = 50
 MAX_ALERTS = 64
+STILL_NS = 3_000_000_000
 _STAGES = (Tick, Metrics, LaneCounts)
 
 
@@ -101,6 +102,7 @@ class Board:
         self.end: End | None = None
         self.sim_time_ns = 0
         self.frame = -1
+        self._ticked_ns = 0
         self.present: dict[tuple[str, str], set[BusName]] = {}
         self.gone: set[tuple[str, str]] = set()
         self._rates = Rates(period_ns)
@@ -141,6 +143,7 @@ class Board:
             self._stages.take(message)
         if isinstance(message, Tick):
             self.frame, self.sim_time_ns = message.frame, message.sim_time_ns
+            self._ticked_ns = item.received_ns
             self._accounts.extend(self._stages.accounts())
         elif isinstance(message, Metrics):
             self._take_metrics(message)
@@ -195,9 +198,11 @@ class Board:
             for name, green in zip(self.phases, greens, strict=True)
         ]
 
-    def alerts(self) -> list[str]:
-        """Returns what somebody should know of, the gravest first."""
-        found = [f"{role} {name} is gone" for role, name in sorted(self.gone) if not self.end]
+    def alerts(self, now_ns: int) -> list[str]:
+        """Returns what somebody should know of now, on the monotonic clock, the gravest first."""
+        still_ns = now_ns - self._ticked_ns
+        found = [f"no frame for {still_ns / 1e9:.0f} s"] if self._is_still(still_ns) else []
+        found += [f"{role} {name} is gone" for role, name in sorted(self.gone) if not self.end]
         recent = self._frames.complete
         if missing := recent.count(False):
             found.append(
@@ -212,6 +217,9 @@ class Board:
         drops = sorted(self._dropped.items(), key=lambda one: (-one[1], one[0]))
         found += [f"{process} dropped {n} × {reason}" for (process, reason), n in drops if n]
         return found[:MAX_ALERTS]
+
+    def _is_still(self, for_ns: int) -> bool:
+        return self.frame >= 0 and not self.is_over and for_ns >= STILL_NS
 
     def _take_presence(self, presence: Presence) -> None:
         who = (presence.role, presence.id)

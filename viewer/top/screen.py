@@ -1,4 +1,4 @@
-"""The rows of a board as one picture for a terminal of any width."""
+"""The rows of a board as one picture for a terminal of any width; what matters most is on top."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from viewer.top.board import AgentRow, Board, LaneRow
 
 MAX_AGENTS = 16
 MAX_LANES = 24
-MAX_ALERTS = 8
+MAX_ALERTS = 5
 _LEAST_NAME = 6
 
 
-def picture(board: Board) -> RenderableType:
-    """Returns what is to be shown now."""
+def picture(board: Board, now_ns: int) -> RenderableType:
+    """Returns what is to be shown now, on the monotonic clock."""
     tables = [_agents(board.agents()), _stages(board), _signal(board)]
     tables += [_lanes(board.lanes(side), side) for side in ("upstream", "downstream")]
     shown = [table for table in tables if table.row_count]
-    return Group(_head(board), Columns(shown, padding=(0, 3)), _alerts(board))
+    return Group(_head(board), _alerts(board.alerts(now_ns)), Columns(shown, padding=(0, 3)))
 
 
 def _head(board: Board) -> RenderableType:
@@ -95,8 +95,7 @@ def _lanes(rows: list[LaneRow], side: str) -> Table:
     return table
 
 
-def _alerts(board: Board) -> RenderableType:
-    alerts = board.alerts()
+def _alerts(alerts: list[str]) -> RenderableType:
     if not alerts:
         return Text("no alerts", "dim")
     lines = alerts[:MAX_ALERTS]

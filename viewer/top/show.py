@@ -27,8 +27,8 @@ def show(onlooker: Onlooker, board: Board, console: Console, stop: threading.Eve
             listen(onlooker, board)
             if time.monotonic_ns() - drawn_ns >= EVERY_NS:
                 drawn_ns = time.monotonic_ns()
-                live.update(picture(board), refresh=True)
-    console.print(picture(board))
+                live.update(picture(board, drawn_ns), refresh=True)
+    console.print(picture(board, time.monotonic_ns()))
 
 
 def show_once(onlooker: Onlooker, board: Board, console: Console, stop: threading.Event) -> None:
@@ -46,7 +46,7 @@ def show_once(onlooker: Onlooker, board: Board, console: Console, stop: threadin
         return
     if board.frame < 0:
         raise BusError(f"the run is there, but nothing happened for {PATIENCE_NS / 1e9:g} s")
-    console.print(picture(board))
+    console.print(picture(board, time.monotonic_ns()))
 
 
 def listen(onlooker: Onlooker, board: Board) -> None:
