@@ -72,8 +72,9 @@ class Pipeline:
         )
         self._standing = Standing(config.standing_mps)
         self._centre = np.array(road_map.centre)
+        self._posts = posts or {}
         self._plausibility = (
-            Plausibility(road_map, self._roadway, config.plausibility, posts or {})
+            Plausibility(road_map, self._roadway, config.plausibility, self._posts)
             if config.plausibility.enabled
             else None
         )
@@ -180,15 +181,23 @@ class Pipeline:
         )
 
     def _seen(self, frame: Frame) -> tuple[Shares, Shares]:
-        """Returns what of each lane was within sight; of those who send boxes nobody knows.
+        """Returns what of each lane was within sight of those whose scan or boxes came.
 
         Where there are LiDARs, a frame to which none contributed is one that nobody sees. Where
         there are none, vehicles report themselves alone: then sight means nothing.
         """
-        if frame.found or not self._has_lidars:
+        if not self._has_lidars:
             return {}, {}
         seeing = [piece for piece in frame.pieces if not piece.is_spoilt]
-        return self._sight.shares(_sensors(seeing)[:, :2], self._config.sight_m)
+        places_m = np.concatenate([_sensors(seeing)[:, :2], self._finders(frame)])
+        return self._sight.shares(places_m, self._config.sight_m)
+
+    def _finders(self, frame: Frame) -> Floats:
+        """Returns where those (N, 2) stand who sent boxes, as far as that is known."""
+        places = {name: place[:2] for name, place in self._posts.items()}
+        places |= {pose.agent: pose.pose[:2] for pose in frame.poses}
+        known = [places[one.agent] for one in frame.found if one.agent in places]
+        return np.array(known).reshape(-1, 2)
 
 
 def _sensors(pieces: Sequence[Piece]) -> Floats:

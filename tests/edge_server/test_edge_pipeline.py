@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from edge_server.config import EdgeConfig
-from edge_server.frame import Frame, Piece
+from edge_server.frame import Found, Frame, Piece
 from edge_server.pipeline import Pipeline
 from perception.config import GroundConfig
 from protocol.geometry import SE3
-from protocol.messages import AgentPose, Equipment
+from protocol.messages import AgentPose, Equipment, Objects
 from protocol.roadmap import RoadMap
 
 CLIMB = 0.035
@@ -97,6 +97,20 @@ def test_where_there_are_no_lidars_nothing_is_said_of_sight(road_map: RoadMap) -
     nothing = Frame(0, 0, [], [], [], True, 0, 0)
     counts = Pipeline(road_map, EdgeConfig(), seed=1, has_lidars=False).run(nothing).counts
     assert (counts.seen_upstream, counts.seen_downstream) == ({}, {})
+
+
+@pytest.mark.parametrize(("agent", "is_known"), [("rsu-0", True), ("stranger", False)])
+def test_who_sends_boxes_sees_what_is_around_it_and_nothing_else(road_map, agent, is_known):
+    found = Objects(
+        frame=0, sim_time_ns=0, agent=agent, boxes=np.zeros((0, 7), np.float32),
+        scores=np.zeros(0, np.float32), sense_start_ns=0, sense_end_ns=0, detect_end_ns=0,
+    )  # fmt: skip
+    frame = Frame(0, 0, [agent], [], [], True, 0, 0, found=[Found(found, 0)])
+    far, near = np.array([1000.0, 0, 0]), ROADSIDE[:3]
+    for place, sees in ((near, is_known), (far, False)):
+        pipeline = Pipeline(road_map, EdgeConfig(), seed=1, posts={"rsu-0": place})
+        seen = pipeline.run(frame).counts.seen_upstream
+        assert (max(seen.values()) > 0) is sees
 
 
 def test_a_scan_that_cannot_be_read_saw_nothing(road_map: RoadMap) -> None:
