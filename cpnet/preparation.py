@@ -91,11 +91,11 @@ def prepared(options: Options, console: Console, played: Played | None) -> Prepa
         BusError: the other side cannot be reached.
     """
     choice = choose(options.only)
+    if played is not None and "sim" not in choice.names:
+        raise ConfigError("--only: a replay is begun where the role sim runs, which plays the tape")
     hosted = {row.hosts for row in choice.roles if row.hosts}
     endpoints = secured(options.listen, options.connect, hosted, options.keys, options.insecure)
     check_keys(options.keys, certain(choice))  # the others' once the scenario is known
-    if played is not None and "sim" not in choice.names:
-        raise ConfigError("--only: a replay is begun where the role sim runs, which plays the tape")
     asked = None
     if played is None and "sim" in choice.names:
         asked = _simulated(options)
