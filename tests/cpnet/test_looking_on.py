@@ -51,7 +51,8 @@ class Terminal:
 
 
 def test_top_shows_a_run_once_and_for_good(shell: Shell) -> None:
-    run = shell.up("--duration=600", "--out=run", "--mode=realtime", "--restart")
+    unhurried = ("--set=frame_period_s=0.2", "--set=edge.deadline_ms=160")
+    run = shell.up("--duration=600", "--out=run", "--mode=realtime", "--restart", *unhurried)
     run.read_until("vehicles")
     status, output = shell.run("top", "run", "--once")
     assert status == 0, output
