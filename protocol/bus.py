@@ -11,12 +11,13 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import zenoh
 
 from protocol.access import Members, access_control
 from protocol.errors import BusError, MessageError
+from protocol.gathering import CAPACITY, Gathering, Read
 from protocol.inbox import Envelope, Inbox, Presence, Sealed
 from protocol.keys import Keys
 from protocol.manners import dropping, onlooker_id
@@ -120,6 +121,8 @@ class ZenohBus:
         self._name = name
         self._inbox = inbox
         self._kept: list[object] = []
+        self._gathering = Gathering()
+        inbox.fetch_from(self._gathering.fetch)
 
     def publish(self, topic_name: str, message: Message, **parts: str) -> int:
         """See `Bus.publish`; blocks while the link is full."""
@@ -141,12 +144,11 @@ class ZenohBus:
         """See `Bus.subscribe`."""
         topic = self._topic(topic_name)
 
-        def take(sample: zenoh.Sample) -> None:
-            arrived_ns = time.monotonic_ns()
-            key = str(sample.key_expr)
-            self._inbox.put(Sealed(topic, key, sample.payload.to_bytes(), arrived_ns))
+        def read(sample: zenoh.Sample, arrived_ns: int) -> Sealed:
+            return Sealed(topic, str(sample.key_expr), sample.payload.to_bytes(), arrived_ns)
 
-        self._kept.append(self._session.declare_subscriber(topic.key(**parts), take))
+        key = topic.key(**parts)
+        self._hear(lambda handler: self._session.declare_subscriber(key, handler), read)
 
     def announce(self, role: str, process_id: str) -> None:
         """See `Bus.announce`."""
@@ -156,19 +158,18 @@ class ZenohBus:
     def watch(self) -> None:
         """See `Bus.watch`."""
 
-        def take(sample: zenoh.Sample) -> None:
+        def read(sample: zenoh.Sample, _arrived_ns: int) -> Presence | None:
             try:
                 role, process_id = alive_parts(str(sample.key_expr))
             except MessageError as error:
                 self._inbox.refuse(ALIVE, error)
-                return
-            alive = sample.kind == zenoh.SampleKind.PUT
-            self._inbox.put(Presence(role, process_id, alive, self._name))
+                return None
+            return Presence(role, process_id, sample.kind == zenoh.SampleKind.PUT, self._name)
 
-        subscriber = self._session.liveliness().declare_subscriber(
-            f"{ALIVE}/*/*", take, history=True
+        tokens = self._session.liveliness()
+        self._hear(
+            lambda handler: tokens.declare_subscriber(f"{ALIVE}/*/*", handler, history=True), read
         )
-        self._kept.append(subscriber)
 
     def serve(self, topic_name: str, message: Message) -> None:
         """Answers whoever asks for this topic with this message."""
@@ -196,6 +197,20 @@ class ZenohBus:
         keys = [str(reply.ok.key_expr).split("/") for reply in replies if reply.ok is not None]
         names = {(key[1], key[3], key[4]) for key in keys if len(key) == 5}  # no `**` among them
         return sorted(names)
+
+    def _hear(self, declare: Callable[[Any], Any], read: Read) -> None:
+        """Takes what comes of a subscription, at once or when the inbox asks for it."""
+        if self._inbox.gathers:
+            subscriber = declare(zenoh.handlers.FifoChannel(CAPACITY))
+            self._gathering.add(subscriber, read)
+        else:
+
+            def take(sample: zenoh.Sample) -> None:
+                if (item := read(sample, time.monotonic_ns())) is not None:
+                    self._inbox.put(item)
+
+            subscriber = declare(take)
+        self._kept.append(subscriber)
 
     def _answer(self, topic_name: str, make: Callable[[], bytes]) -> None:
         key = self._topic(topic_name).key()

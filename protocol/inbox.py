@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections import Counter, deque
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 from protocol.complaints import Complaints
 from protocol.errors import MessageError, ProtocolError
@@ -16,6 +19,7 @@ from protocol.wire import decode
 
 CAPACITY = 16_384
 CAPACITY_BYTES = 256 << 20  # sixteen of the largest messages, or 8000 scans
+FETCH_S = 0.05  # so often does who waits look whether a transport has something
 MAX_KEY = 8 << 10  # characters: more than the longest ids take, percent-encoded
 
 
@@ -79,7 +83,7 @@ class Inbox:
     """
 
     def __init__(self, capacity: int = CAPACITY, max_bytes: int = CAPACITY_BYTES) -> None:
-        self._queue: queue.Queue[_Place | Sealed | Presence | None] = queue.Queue(capacity)
+        self._queue: queue.Queue[_Entry] = queue.Queue(capacity)
         self._capacity = capacity
         self._max_bytes = max_bytes
         self._shares: Shares | None = None
@@ -89,6 +93,8 @@ class Inbox:
         self._lock = threading.Lock()
         self._woken = False
         self._reads = True
+        self._fetches: list[_Fetch] = []
+        self.gathers = False
         self._complaints = Complaints()
         self.drops: Counter[str] = Counter()
 
@@ -102,6 +108,18 @@ class Inbox:
     def leave_closed(self) -> None:
         """Hands messages over unread, to one who keeps most of them as they came."""
         self._reads = False
+
+    def gather(self) -> None:
+        """Lets transports keep what comes until this inbox is read, which is less work for them.
+
+        To be called before anything is asked for. When something arrived is then known as well as
+        the clocks of two machines agree, or to within the time since the inbox was read last.
+        """
+        self.gathers = True
+
+    def fetch_from(self, fetch: _Fetch) -> None:
+        """Asks a transport for what it has kept, when it is time; it says when each arrived."""
+        self._fetches.append(fetch)
 
     def share_out(self, *, is_paced: bool) -> None:
         """Gives each process a share of its own, and a rate where the wall clock paces them.
@@ -160,7 +178,7 @@ class Inbox:
         None comes at once if there is no item and `wake` was called since the last wait.
         """
         try:
-            item = self._queue.get(timeout_s > 0, timeout_s or None)
+            item = self._wait_for_one(timeout_s)
             while item is None:
                 self._woken = False
                 item = self._queue.get_nowait()
@@ -182,6 +200,26 @@ class Inbox:
         """Counts a message that its role could not take, by a fault of the role."""
         self.drops["role_error"] += 1
         self._complaints.failed(topic, error)
+
+    def _wait_for_one(self, timeout_s: float) -> _Entry:
+        if not self.gathers:
+            return self._queue.get(timeout_s > 0, timeout_s or None)
+        until_s = time.monotonic() + timeout_s
+        while True:
+            if self._queue.empty():
+                self._fetch()
+            left_s = min(until_s - time.monotonic(), FETCH_S)
+            try:
+                return self._queue.get(left_s > 0, max(left_s, 0.0))
+            except queue.Empty:
+                if left_s <= 0:
+                    raise
+
+    def _fetch(self) -> None:
+        """Takes what all transports have kept, in the order in which it arrived."""
+        came = [item for fetch in self._fetches for item in fetch()]
+        for _, item in sorted(came, key=itemgetter(0)):
+            self.put(item)
 
     def _signed(self, item: Sealed | Presence) -> Sealed | Presence:
         """Returns an item with the sender whose share it takes; learns who is there."""
@@ -235,6 +273,8 @@ class Inbox:
 
 
 _Place = tuple[str, str]
+_Entry = _Place | Sealed | Presence | None
+_Fetch = Callable[[], Iterable[tuple[int, Sealed | Presence]]]
 
 
 def _place(item: Sealed) -> _Place:

@@ -12,39 +12,19 @@ import numpy as np
 from protocol import messages as m
 from protocol.codec import decode
 from protocol.courtesy import Budget
-from protocol.errors import CodecError, ProtocolError
+from protocol.errors import CodecError
 from protocol.inbox import Envelope
+from protocol.unread import Unread, UnreadFrame
 from tape import shapes
 from tape.writer import TapeWriter
 
-BOXES_PER_CORE = 0.01
+BOXES_PER_CORE = 0.005
 """Of the machine: so much of a core's time, for each core, may boxes and poses take."""
-CLOUDS_PER_CORE = 0.01
+CLOUDS_PER_CORE = 0.005
 """And so much the clouds."""
-MAX_OPEN_FRAMES = 8
-MAX_FRAME_BYTES = 64 << 20
-MAX_FRAME_MESSAGES = 1000
-_DRAWN = frozenset({"pose", "scan", "truth", "detections"})
-_Said = m.AgentPose | m.Scan | m.Truth | m.Detections
+ENDING = "detections"
+_DRAWN = frozenset({"pose", "scan", "truth", ENDING})
 _V2X, _WORLD = "foxglove/v2x", "foxglove/world"  # topics of what agents say, and of the truth
-
-
-@dataclass(slots=True)
-class _Frame:
-    """What was heard of a frame so far, most of it not read yet."""
-
-    number: int
-    heard: list[Envelope] = field(default_factory=list)
-    size_bytes: int = 0
-
-    def add(self, item: Envelope) -> bool:
-        """Adds a message; returns whether there was room for it."""
-        size_bytes = self.size_bytes + len(item.data)
-        if size_bytes > MAX_FRAME_BYTES or len(self.heard) >= MAX_FRAME_MESSAGES:
-            return False
-        self.size_bytes = size_bytes
-        self.heard.append(item)
-        return True
 
 
 @dataclass(slots=True)
@@ -59,25 +39,26 @@ class _Picture:
     detections: m.Detections | None = None
 
     @classmethod
-    def of(cls, frame: _Frame) -> _Picture:
-        """Reads what was heard of a frame; what cannot be read is left as it came."""
+    def of(cls, frame: UnreadFrame) -> _Picture:
+        """Reads what was heard of a frame."""
         picture = cls(frame.heard[0].received_ns)
-        for item in frame.heard:
-            if (said := _said_of(frame.number, item)) is not None:
-                picture._add(said)
+        for message in frame.messages():
+            picture._add(message)
         return picture
 
-    def _add(self, said: _Said) -> None:
-        self.sim_time_ns = said.sim_time_ns
-        match said:
+    def _add(self, message: m.Message) -> None:
+        match message:
             case m.AgentPose():
-                self.poses[said.agent] = said
+                self.poses[message.agent] = message
             case m.Scan():
-                self.scans[said.agent].append(said)
+                self.scans[message.agent].append(message)
             case m.Truth():
-                self.truth = said
+                self.truth = message
             case m.Detections():
-                self.detections = said
+                self.detections = message
+            case _:
+                return
+        self.sim_time_ns = message.sim_time_ns
 
 
 class Scene:
@@ -95,37 +76,34 @@ class Scene:
         self._writer = writer
         self._box_budget = box_budget
         self._cloud_budget = cloud_budget
-        self._open: dict[int, _Frame] = {}
-        self._seen = -1
-        self._due: _Frame | None = None
+        self._frames = Unread(ENDING)
         self._now = _Picture()
         self._clouds: list[str] = []
         self._drawn_in = 0
-        self.frames_left_out = 0
+        self._not_afforded = 0
         self.clouds_left_out = 0
+
+    @property
+    def frames_left_out(self) -> int:
+        """How many frames were whole and are not drawn."""
+        return self._frames.left_out + self._not_afforded
 
     def take(self, item: Envelope, number: int) -> None:
         """Notes a message of a frame, which is due once the edge said what it sees in the next."""
-        if item.topic not in _DRAWN:
-            return
-        ends = item.topic == "detections"
-        if ends and _said_of(number, item) is None:
-            return
-        if self._frame(number).add(item) and ends:
-            self._close(number)
+        if item.topic in _DRAWN:
+            self._frames.take(item, number)
 
     def step(self) -> bool:
         """Does a little, a few milliseconds at most: the boxes of a frame, or a cloud.
 
         Returns whether there was anything to do.
         """
-        if self._due is not None:
-            due, self._due = self._due, None
+        if (due := self._frames.newest()) is not None:
             self._draw_road(due.heard[0].received_ns)
             if self._box_budget.has_some(time.monotonic_ns()):
                 _pay(self._box_budget, lambda: self._convert(due))
             else:
-                self.frames_left_out += 1
+                self._not_afforded += 1
             return True
         if self._clouds:
             agent = self._clouds.pop()
@@ -133,22 +111,7 @@ class Scene:
             return True
         return False
 
-    def _close(self, number: int) -> None:
-        """Makes the frame before this one due: what is prompt may overtake the scans of its own."""
-        ready = self._open.pop(self._seen, None)
-        self._seen = number
-        if ready is not None:
-            self.frames_left_out += self._due is not None
-            self._due = ready
-
-    def _frame(self, number: int) -> _Frame:
-        if number not in self._open:
-            while len(self._open) >= MAX_OPEN_FRAMES:
-                del self._open[next(iter(self._open))]  # the first that came: numbers may lie
-            self._open[number] = _Frame(number)
-        return self._open[number]
-
-    def _convert(self, frame: _Frame) -> None:
+    def _convert(self, frame: UnreadFrame) -> None:
         picture = _Picture.of(frame)
         self._draw(picture)
         self._begin_clouds(picture)
@@ -191,15 +154,6 @@ class Scene:
 
     def _add(self, frame: _Picture, topic: str, shape: shapes.Shape) -> None:
         self._writer.write_shape(topic, shape, time.monotonic_ns(), frame.sim_time_ns)
-
-
-def _said_of(number: int, item: Envelope) -> _Said | None:
-    """Returns what was said of a frame, None if it cannot be read or is of another frame."""
-    try:
-        said = item.message
-    except ProtocolError:
-        return None  # it is on the tape, and who reads that counts it
-    return said if isinstance(said, _Said) and said.frame == number else None
 
 
 def _pay(budget: Budget, work: Callable[[], None]) -> None:

@@ -18,7 +18,7 @@ from tape.ending import Ending
 from tape.scene import BOXES_PER_CORE, CLOUDS_PER_CORE, Scene
 from tape.writer import TapeWriter
 
-REST_S = 0.04
+REST_S = 0.1
 """Nobody waits for a tape: what comes meanwhile is taken together, for less work."""
 TRUTH = frozenset({"truth", "sighting"})
 
@@ -53,6 +53,7 @@ class Taping:
             ConfigError: the tape cannot be written there.
         """
         inbox.leave_closed()
+        inbox.gather()
         self._inbox = inbox
         self._stop = stop
         self._ending = Ending()
@@ -90,12 +91,13 @@ class Taping:
         Raises:
             CpnetError: the disk is full, or fails.
         """
-        is_idle = self._inbox.is_empty and not (self.scene is not None and self.scene.step())
+        while self.scene is not None and self._inbox.is_empty and self.scene.step():
+            pass
         now_ns = time.monotonic_ns()
         self.writer.settle(now_ns)
         if self._ending.is_over(now_ns):
             self._stop.set()
-        elif is_idle:
+        elif self._inbox.is_empty:
             time.sleep(REST_S)
 
     def close(self) -> None:
@@ -129,6 +131,6 @@ def _facts(setup: Setup, choice: Choice) -> dict[str, str]:
     return told | {
         "cpnet": own_version(),
         "truth": json.dumps(choice.truth),
-        "log_time": "time.monotonic_ns of the process that taped",
+        "log_time": "when it arrived, on time.monotonic_ns of the process that taped",
         "publish_time": "simulated time; the log time where a message has none",
     }

@@ -7,25 +7,29 @@ import time
 from contextlib import suppress
 from typing import Protocol
 
+from protocol import topics
 from protocol.courtesy import Budget
-from protocol.errors import MessageError
+from protocol.errors import MessageError, ProtocolError
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Metrics
 from protocol.topics import BusName
-from viewer.moments import Moments
+from protocol.unread import Unread
+from protocol.wire import peek_moment
+from viewer.moments import Moment
 from viewer.scene import Picture, Scene
 from viewer.stages import Account, Stages
 
-TOPICS = frozenset({
-    "tick", "truth", "metrics", "clock", "end",
-    "state", "request", "scan", "plan", "detections", "lanes",
-})  # fmt: skip
+ENDING = "lanes"
+DRAWN = frozenset({"truth", "state", "request", "scan", "plan", "detections", ENDING})
+"""Of these only what is drawn is read."""
+TOLD = frozenset({"tick", "metrics", "clock", "end", ENDING})
+TOPICS = DRAWN | TOLD
 _WAITING = {"scan": 4, "truth": 4, "tick": 8, "detections": 4, "metrics": 16}
 _INBOX_ITEMS, _INBOX_BYTES = 4096, 64 << 20
 _POLL_S = 0.2
 REST_S = 0.1
 """Nobody waits for a picture: what comes meanwhile is taken together, for less work."""
-SHARE_PER_CORE = 0.015
+SHARE_PER_CORE = 0.01
 """Of the machine: so much of a core's time, for each core, may pictures take."""
 
 
@@ -56,12 +60,13 @@ class Live:
     def __init__(
         self, inbox: Inbox, scene: Scene, shows: Shows, fps: float, budget: Budget
     ) -> None:
+        inbox.leave_closed()
         self._inbox = inbox
         self._scene = scene
         self._shows = shows
         self._period_ns = round(1e9 / fps)
         self._budget = budget
-        self._moments = Moments()
+        self._frames = Unread(ENDING)
         self._stages = Stages(round(float(scene.setup.scenario["frame_period_s"]) * 1e9))
         self._drawn_ns = 0
         self.is_over = False
@@ -70,7 +75,7 @@ class Live:
     @property
     def left_out(self) -> int:
         """Frames that were whole and were not drawn."""
-        return self._moments.left_out
+        return self._frames.left_out
 
     def follow(self, stop: threading.Event) -> None:
         """Draws until the run or somebody's patience ends."""
@@ -80,7 +85,7 @@ class Live:
             self._draw_when_due()
             if self._inbox.is_empty:
                 stop.wait(REST_S)
-        self._moments.finish()
+        self._frames.finish()
         self._draw()
 
     def _take(self, item: Envelope | Presence) -> None:
@@ -88,9 +93,20 @@ class Live:
             is_world = item.role == "sim" and item.bus is BusName.WORLD
             self.is_over |= is_world and not item.alive
             return
+        try:
+            self._read(item)
+        except ProtocolError as error:
+            self._inbox.refuse(item.topic, error)
+
+    def _read(self, item: Envelope) -> None:
+        """Notes what is told of a frame, and reads at once what is told of the run."""
+        frame = peek_moment(item.data, topics.TOPICS[item.topic].message).frame
+        if item.topic in DRAWN and frame is not None:
+            self._frames.take(item, frame)
+        if item.topic not in TOLD:
+            return
         message = item.message
         self.is_over |= isinstance(message, End)
-        self._moments.take(message)
         if isinstance(message, Metrics):
             self._scene.measured(message)
         with suppress(MessageError):  # whoever comes into a run hears ends of what had begun before
@@ -106,11 +122,11 @@ class Live:
         start_ns = time.thread_time_ns()
         if self._draw():
             self._drawn_ns = now_ns
-            self._budget.spend(time.thread_time_ns() - start_ns)
+        self._budget.spend(time.thread_time_ns() - start_ns)
 
     def _draw(self) -> bool:
-        moment = self._moments.newest()
-        picture = self._scene.picture(moment) if moment is not None else None
+        frame = self._frames.newest()
+        picture = self._scene.picture(Moment.of(frame)) if frame is not None else None
         if picture is None:
             return False
         self._shows.picture(picture)

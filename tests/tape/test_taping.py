@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("mcap", reason="needs the extra `tape`")
 
-from cassette import envelope, same, setup
+from cassette import envelope, golden, same, setup
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -20,6 +20,7 @@ from protocol.local import LocalNetwork
 from protocol.onlooker import ALL_TOPICS
 from protocol.process import Context, loop
 from protocol.topics import TOPICS, BusName
+from protocol.wire import encode
 from tape import role
 from tape.ending import PATIENCE_NS, SILENCE_NS, Ending
 from tape.names import next_file
@@ -113,15 +114,18 @@ def test_what_nobody_could_read_is_not_kept_and_the_rest_as_it_came(tmp_path):
 def test_messages_come_before_what_is_made_of_them(tmp_path):
     inbox = Inbox()
     taping = Taping(setup(), lambda: next_file(tmp_path), inbox, Choice(), threading.Event())
-    heard = [envelope("detections", n) for n in range(2)]
-    for item in heard:
-        taping.on(item)
+    found, _ = golden(TOPICS["detections"].message)
+    heard = []
+    for frame in range(2):
+        data = encode(found.model_copy(update={"frame": frame}))
+        heard.append(Envelope("detections", {"region": "r0"}, None, frame, data))
+        taping.on(heard[-1])
     inbox.put(Presence("edge", "edge", alive=True))
     taping.poll()  # there is no time for other tools
-    assert taping.scene._due is not None
+    assert taping.scene._frames._whole is not None
     inbox.get()
     taping.poll()
-    assert taping.scene._due is None
+    assert taping.scene._frames._whole is None
     assert taping.scene.frames_left_out == 0
     taping.close()
     assert same(Tape(tmp_path).heard(), heard)

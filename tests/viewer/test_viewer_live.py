@@ -7,8 +7,8 @@ from protocol.courtesy import Budget
 from protocol.inbox import Inbox, Presence, Sealed
 from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
+from tests.protocol.test_unread import counted
 from tests.viewer.test_top_board import SETUP
-from tests.viewer.test_viewer_moments import counted
 from viewer.live import Live
 from viewer.scene import Picture, Scene
 from viewer.stages import Account

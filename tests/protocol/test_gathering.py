@@ -1,0 +1,153 @@
+"""Who is in no hurry gets the same messages, in the order in which they arrived."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cpnet.endpoints import free_locator
+from protocol.bus import Endpoint, open_bus
+from protocol.gathering import Gathering
+from protocol.inbox import Envelope, Inbox, Presence, Sealed
+from protocol.messages import Message
+from protocol.topics import TOPICS, BusName
+from protocol.wire import encode
+from tests.protocol.test_unread import counted
+from tests.protocol.test_wire import SCAN
+
+WAIT_S = 5.0
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A time by a router's clock."""
+
+    at: datetime
+
+    def get_time(self) -> datetime:
+        return self.at
+
+
+@dataclass
+class Said:
+    """A sample whose router took it so many seconds after now, or does not say."""
+
+    name: str
+    after_s: float | None = None
+    timestamp: Taken | None = None
+
+    def __post_init__(self) -> None:
+        if self.after_s is not None:
+            self.timestamp = Taken(datetime.now(UTC) + timedelta(seconds=self.after_s))
+
+
+class Pipe(deque[Said]):
+    """A subscription."""
+
+    def try_recv(self) -> Said | None:
+        return self.popleft() if self else None
+
+
+def sealed(said: Said, arrived_ns: int) -> Sealed | None:
+    return Sealed(TOPICS["scan"], said.name, b"", arrived_ns) if said.name else None
+
+
+@given(st.lists(st.none() | st.floats(-1e8, 1e8), max_size=20))
+def test_whatever_a_routers_clock_says_a_message_came_since_the_last_time(stamps_s):
+    before_ns = time.monotonic_ns()
+    gathering = Gathering()
+    gathering.add(Pipe(Said("a", after_s) for after_s in stamps_s), sealed)
+    found = list(gathering.fetch())
+    assert len(found) == len(stamps_s)
+    assert all(before_ns <= at_ns <= time.monotonic_ns() for at_ns, _ in found)
+    assert all(item.received_ns == at_ns for at_ns, item in found)
+
+
+def test_subscriptions_are_read_in_the_order_of_the_routers_stamps():
+    inbox = Inbox()
+    inbox.leave_closed()
+    inbox.gather()
+    gathering = Gathering()
+    time.sleep(0.02)  # what follows came within it
+    for names in (("a", "d"), ("b", "c")):
+        gathering.add(
+            Pipe(Said(name, (ord(name) - ord("e")) * 4e-3) for name in names),
+            lambda said, at_ns: Sealed(
+                TOPICS["lanes"], f"cpnet/v1/{said.name}/J/lanes", b"", at_ns
+            ),
+        )
+    inbox.fetch_from(gathering.fetch)
+    assert [inbox.get().parts["region"] for _ in "abcd"] == [*"abcd"]
+
+
+def test_what_cannot_be_read_is_in_nobodys_way():
+    gathering = Gathering()
+    gathering.add(Pipe([Said(""), Said("a")]), sealed)
+    assert [item.key for _, item in gathering.fetch()] == ["a"]
+
+
+def test_a_flood_of_one_topic_leaves_time_for_the_others():
+    gathering = Gathering()
+    gathering.add(Pipe(Said("many") for _ in range(2000)), sealed)
+    gathering.add(Pipe([Said("one")]), sealed)
+    first = [item.key for _, item in gathering.fetch()]
+    assert "one" in first
+    rest = [item.key for _ in range(10) for _, item in gathering.fetch()]
+    assert (first + rest).count("many") == 2000
+
+
+def test_messages_and_presence_cross_tcp_to_who_gathers_them():
+    locator = free_locator()
+    inbox = Inbox()
+    inbox.gather()
+    router = open_bus(BusName.V2X, Endpoint(locator, listen=True), Inbox())
+    looker = open_bus(BusName.V2X, Endpoint(locator, listen=False), inbox)
+    speaker = open_bus(BusName.V2X, Endpoint(locator, listen=False), Inbox())
+    try:
+        looker.subscribe("scan")
+        looker.subscribe("lanes")
+        looker.watch()
+        speaker.announce("vehicle", "v")
+        assert inbox.get(WAIT_S) == Presence("vehicle", "v", alive=True)
+        sent: list[tuple[str, Message]] = []
+        began_ns = time.monotonic_ns()
+        for frame in range(20):
+            scan = SCAN.model_copy(update={"frame": frame, "payload": np.zeros(999, np.uint8)})
+            speaker.publish("scan", scan, region="r0", process="v", agent="a", chunk="0")
+            speaker.publish("lanes", counted(frame), region="r0", tls="J")
+            sent += [("scan", scan), ("lanes", counted(frame))]
+        found: list[Envelope] = []
+        while len(found) < len(sent):
+            item = inbox.get(WAIT_S)
+            assert isinstance(item, Envelope)
+            found.append(item)
+        assert sorted(one.data for one in found) == sorted(encode(one) for _, one in sent)
+        arrived_ns = [one.received_ns for one in found]
+        assert all(began_ns < at_ns < time.monotonic_ns() for at_ns in arrived_ns)
+        speaker.close()
+        assert inbox.get(WAIT_S) == Presence("vehicle", "v", alive=False)
+    finally:
+        for bus in (looker, speaker, router):
+            bus.close()
+
+
+def test_a_wake_ends_the_wait_of_who_gathers():
+    inbox = Inbox()
+    inbox.gather()
+    inbox.wake()
+    began_s = time.monotonic()
+    assert inbox.get(WAIT_S) is None
+    assert time.monotonic() - began_s < WAIT_S / 2
+
+
+def test_who_gathers_waits_no_longer_than_told():
+    inbox = Inbox()
+    inbox.gather()
+    assert inbox.get(0.01) is None
+    assert inbox.get() is None
