@@ -6,39 +6,30 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cpnet.looking import FPS
-from cpnet.running import FILE_NAME, Running, find
+from cpnet.running import FILE_NAME
 from cpnet.scenario import load
-from cpnet.taping import keep
-from cpnet.viewing import CONNECT_MS, budget, needs_extra
-from protocol.courtesy import step_back
+from cpnet.viewing import needs_extra
 from protocol.errors import ConfigError
-from protocol.messages import Setup
-from protocol.onlooker import Onlooker
 from recorder.run import Run
 from studies.bench_choices import LOOKING_WAYS
 from studies.bench_looking import LookingRow, Span, rows_of
-from tape.taping import Choice, Taping
-from viewer import live
-from viewer.scene import Scene
 
 _SCENARIO = "t_junction"
 _BEGINS_S = 60.0  # until it is up
+_ENDS_S = 10.0
 _FASTEST = 10.0  # times real time: no run is over before it was looked at
 _MOST_S = 86_400.0  # simulated, that a run may last
 _LATER_S = 3.0  # in the first frames all is new
 _POLL_S = 0.1
-_Look = Callable[[threading.Event], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +49,10 @@ class LookingBench:
 
     def check(self) -> None:
         """Raises ConfigError if it cannot be measured."""
-        if unknown := sorted(set(self.ways) - set(LOOKING_WAYS)):
-            raise ConfigError(f"--ways {unknown[0]!r}: must be of {', '.join(LOOKING_WAYS)}")
+        for way in self.ways:
+            if not set(_parts(way)) <= set(LOOKING_WAYS) or not way:
+                known = ", ".join(LOOKING_WAYS)
+                raise ConfigError(f"--ways {way!r}: must be of {known}, or some of these with +")
         load(_SCENARIO, self.keys)
 
 
@@ -70,19 +63,23 @@ def measure_looking(bench: LookingBench) -> list[LookingRow]:
         ConfigError: what is asked for cannot be measured, or the run failed.
     """
     bench.check()
-    if set(bench.ways) - {"record"}:
+    if any(_parts(way) != ["record"] for way in bench.ways):
         with needs_extra():
             import viewer.log  # noqa: F401 - says what to install before a run begins
     with tempfile.TemporaryDirectory(prefix="cpnet-bench-") as name, ExitStack() as stack:
         scratch = Path(name)
         run = stack.enter_context(_running(bench, scratch / "run"))
-        found = _found(run, scratch / "run")
-        setup = _setup(found)
-        step_back()  # but for Zenoh's threads, which are there now, as in `cpnet record`
-        looks = _looks(found, setup, bench.ways, scratch, stack)
+        _wait_for(run, scratch / "run")
+        names = dict.fromkeys(name for way in bench.ways for name in _parts(way))
+        lookers = {
+            name: stack.enter_context(_Looker(name, scratch / "run", scratch)) for name in names
+        }
         time.sleep(_LATER_S)
-        turns = [way for _ in range(bench.looks) for way in looks]
-        spans = [_span(looks[way] if way else None, way, bench.span_s) for way in _apart(turns)]
+        turns = [way for _ in range(bench.looks) for way in bench.ways]
+        spans = [
+            _span([lookers[name] for name in _parts(way)], way, bench.span_s)
+            for way in _apart(turns)
+        ]
         if run.poll() is not None:
             raise ConfigError(f"the run ended early:\n{(scratch / 'said').read_text('utf-8')}")
         run.send_signal(signal.SIGINT)
@@ -107,14 +104,13 @@ def _running(bench: LookingBench, run_dir: Path) -> Iterator[subprocess.Popen[by
         run.wait()
 
 
-def _found(run: subprocess.Popen[bytes], run_dir: Path) -> Running:
+def _wait_for(run: subprocess.Popen[bytes], run_dir: Path) -> None:
     give_up_ns = time.monotonic_ns() + round(_BEGINS_S * 1e9)
     while not (run_dir / FILE_NAME).exists():
         if run.poll() is not None or time.monotonic_ns() > give_up_ns:
             said = (run_dir.parent / "said").read_text("utf-8")
             raise ConfigError(f"the run did not begin:\n{said}")
         time.sleep(_POLL_S)
-    return find(run_dir, [], None)
 
 
 def _apart(turns: list[str]) -> list[str | None]:
@@ -122,60 +118,71 @@ def _apart(turns: list[str]) -> list[str | None]:
     return [None, *(one for way in turns for one in (way, None))]
 
 
-def _span(look: _Look | None, way: str | None, span_s: float) -> Span:
-    stop, begin_ns = threading.Event(), time.monotonic_ns()
-    timer = threading.Timer(span_s, stop.set)
-    timer.start()
-    if look is None:
-        stop.wait()
-    else:
-        look(stop)
-    timer.cancel()
+def _span(lookers: Sequence[_Looker], way: str | None, span_s: float) -> Span:
+    begin_ns = time.monotonic_ns()
+    for looker in lookers:
+        looker.begin()
+    time.sleep(span_s)
+    for looker in lookers:
+        looker.end()
     return Span(way, begin_ns, time.monotonic_ns())
 
 
-def _setup(found: Running) -> Setup:
-    with Onlooker(found.v2x, found.world, (), timeout_ms=CONNECT_MS) as onlooker:
-        return onlooker.setup()
+def _parts(way: str | None) -> list[str]:
+    """Returns what is done at the same time in a way."""
+    return way.split("+") if way else []
 
 
-def _looks(
-    found: Running, setup: Setup, ways: tuple[str, ...], scratch: Path, stack: ExitStack
-) -> dict[str, _Look]:
-    """Returns what looks on in each way; what is made once only is made here."""
-    return {
-        way: _tape(found, setup, scratch)
-        if way == "record"
-        else stack.enter_context(_view(found, setup, scratch, way))
-        for way in ways
-    }
+class _Looker:
+    """A process that looks on in one way; see `cpnet.bench_looker`. A context manager."""
 
+    def __init__(self, way: str, run_dir: Path, scratch: Path) -> None:
+        command = [sys.executable, "-m", "cpnet.bench_looker", way, str(run_dir), str(scratch)]
+        self._way = way
+        self._said = (scratch / f"{way}.log").open("w+", encoding="utf-8")
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen(
+            command, stdin=pipe, stdout=pipe, stderr=self._said, text=True
+        )
 
-def _tape(found: Running, setup: Setup, scratch: Path) -> _Look:
-    path = scratch / "look.mcap"
+    def __enter__(self) -> _Looker:
+        self._wait()
+        return self
 
-    def look(stop: threading.Event) -> None:
-        choice = Choice()
-        with Onlooker(found.v2x, found.world, choice.topics) as onlooker:
-            keep(Taping(setup, lambda: path, onlooker.inbox, choice, stop), onlooker, stop)
-        path.unlink()
+    def __exit__(self, *_: object) -> None:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        with suppress(BrokenPipeError):
+            self._process.stdin.close()
+        try:
+            self._process.wait(_ENDS_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process.stdout.close()
+        self._said.close()
 
-    return look
+    def begin(self) -> None:
+        """Begins to look on."""
+        self._tell()
 
+    def end(self) -> None:
+        """Looks on no more.
 
-@contextmanager
-def _view(found: Running, setup: Setup, scratch: Path, way: str) -> Iterator[_Look]:
-    from viewer.log import Log
-    from viewer.sinks import free_port, opened
+        Raises:
+            ConfigError: the process has ended.
+        """
+        self._tell()
+        self._wait()
 
-    scene = Scene(setup)
-    port, save = (free_port(), None) if way == "web" else (None, scratch / "look.rrd")
-    with opened(port, save, scene) as sink:
-        log = Log(sink.recording, scene)
+    def _tell(self) -> None:
+        assert self._process.stdin is not None
+        with suppress(BrokenPipeError):  # whoever waits for an answer tells what happened
+            print(file=self._process.stdin, flush=True)
 
-        def look(stop: threading.Event) -> None:
-            inbox = live.modest_inbox()
-            with Onlooker(found.v2x, found.world, live.TOPICS, inbox=inbox, yields=True):
-                live.Live(inbox, scene, log, FPS, budget()).follow(stop)
-
-        yield look
+    def _wait(self) -> None:
+        assert self._process.stdout is not None
+        if self._process.stdout.readline():
+            return
+        self._said.seek(0)
+        raise ConfigError(f"looking on in the way {self._way} failed:\n{self._said.read()}")

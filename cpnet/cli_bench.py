@@ -155,7 +155,10 @@ def bench_plausibility_command(
 def bench_looking_command(
     *,
     ways: Annotated[
-        str, typer.Option(metavar="NAME,...", help=f"of {', '.join(LOOKING_WAYS)}")
+        str,
+        typer.Option(
+            metavar="NAME,...", help=f"of {', '.join(LOOKING_WAYS)}; NAME+NAME: both at once"
+        ),
     ] = ",".join(LOOKING_WAYS),
     looks: Annotated[int, typer.Option(min=1, max=100, help="in each way")] = 10,
     span: Annotated[float, typer.Option(min=2, max=60, help="real s of each look")] = 4,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 
 SAVED_NS = 200_000_000  # of a budget, at most, is kept for later
@@ -45,6 +46,12 @@ class Budget:
         self._left_ns = min(self._left_ns + gained_ns, SAVED_NS)
         self._since_ns = now_ns
         return self._left_ns > 0
+
+    def wait_s(self, now_ns: int) -> float:
+        """Returns how long it will be until there is time for one more."""
+        if self.has_some(now_ns):
+            return 0.0
+        return -self._left_ns / self._share / 1e9 if self._share > 0 else math.inf
 
     def spend(self, spent_ns: int) -> None:
         """Takes away what one has cost."""

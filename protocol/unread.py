@@ -71,6 +71,11 @@ class Unread:
             self.left_out += self._whole is not None
             self._whole = frame
 
+    @property
+    def is_due(self) -> bool:
+        """Whether there is a whole frame that was not given out."""
+        return self._whole is not None
+
     def newest(self) -> UnreadFrame | None:
         """Returns the newest frame that is whole, once."""
         whole, self._whole = self._whole, None

@@ -121,6 +121,7 @@ class Ledger:
         """Begins after a recording's last tick, frame and ns of simulation, if it goes on."""
         self._notes: dict[int, FrameNote] = {}
         self._changed: set[int] = set()
+        self._entries = 0  # of all notes
         self._pulse = Pulse(frame_period_ns, last_tick)
         self._settled = -1
 
@@ -158,9 +159,11 @@ class Ledger:
             MessageError: as `note`, or the frame, or all of them, have no room for more.
         """
         note = self.note(metrics.frame)
-        if sum(other.entries for other in self._notes.values()) > MAX_ALL_ENTRIES:
+        if self._entries > MAX_ALL_ENTRIES:
             raise MessageError(f"open frames have more than {MAX_ALL_ENTRIES} entries")
+        before = note.entries
         note.measured(metrics)
+        self._entries += note.entries - before
         for count in metrics.wire:
             self.note(count.frame).wired(count.agent, count.sent_bytes)
         return note
@@ -185,7 +188,7 @@ class Ledger:
         changed = [self._notes[frame] for frame in sorted(self._changed)]
         self._changed.clear()
         for frame in [f for f in self._notes if abs(f - self.newest_tick) > OPEN_FRAMES]:
-            del self._notes[frame]
+            self._entries -= self._notes.pop(frame).entries
         return changed
 
 

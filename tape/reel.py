@@ -13,7 +13,7 @@ from protocol.version import own_version
 from tape.names import CLOSING, FACTS, SETUP, SETUP_TYPE
 
 CHUNK_BYTES = 256 << 10
-CHUNK_NS = 800_000_000  # then a chunk is closed, however small it is
+CHUNK_NS = 700_000_000  # then a chunk is closed, however small it is
 MAX_CHANNELS = 16_384  # a quarter of what the format allows
 MAX_CHUNKS = 10_000  # the index of each stays in memory until the end
 _NEVER_BYTES = 1 << 62

@@ -18,7 +18,7 @@ from tape.ending import Ending
 from tape.scene import BOXES_PER_CORE, CLOUDS_PER_CORE, Scene
 from tape.writer import TapeWriter
 
-REST_S = 0.1
+REST_S = 0.2
 """Nobody waits for a tape: what comes meanwhile is taken together, for less work."""
 TRUTH = frozenset({"truth", "sighting"})
 

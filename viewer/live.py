@@ -24,10 +24,9 @@ DRAWN = frozenset({"truth", "state", "request", "scan", "plan", "detections", EN
 """Of these only what is drawn is read."""
 TOLD = frozenset({"tick", "metrics", "clock", "end", ENDING})
 TOPICS = DRAWN | TOLD
-_WAITING = {"scan": 4, "truth": 4, "tick": 8, "detections": 4, "metrics": 16}
+_WAITING = {"scan": 4, "truth": 4, "tick": 8, "detections": 4, "metrics": 64}
 _INBOX_ITEMS, _INBOX_BYTES = 4096, 64 << 20
-_POLL_S = 0.2
-REST_S = 0.1
+REST_S, LONGEST_REST_S = 0.1, 0.4
 """Nobody waits for a picture: what comes meanwhile is taken together, for less work."""
 SHARE_PER_CORE = 0.01
 """Of the machine: so much of a core's time, for each core, may pictures take."""
@@ -80,13 +79,18 @@ class Live:
     def follow(self, stop: threading.Event) -> None:
         """Draws until the run or somebody's patience ends."""
         while not (self.is_over or stop.is_set()):
-            if (item := self._inbox.get(_POLL_S)) is not None:
+            if (item := self._inbox.get()) is not None:
                 self._take(item)
-            self._draw_when_due()
+            if self._frames.is_due:
+                self._draw_when_due()
             if self._inbox.is_empty:
-                stop.wait(REST_S)
+                stop.wait(self._rest_s())
         self._frames.finish()
         self._draw()
+
+    def _rest_s(self) -> float:
+        left_s = self._budget.wait_s(time.monotonic_ns())
+        return min(max(left_s, REST_S), LONGEST_REST_S)
 
     def _take(self, item: Envelope | Presence) -> None:
         if isinstance(item, Presence):

@@ -20,7 +20,7 @@ def test_a_run_goes_on_while_it_is_taped() -> None:
 
 
 def test_unknown_ways_are_named_with_what_there_is() -> None:
-    with pytest.raises(ConfigError, match="--ways 'telepathy': must be of record, save, web"):
+    with pytest.raises(ConfigError, match="--ways .telepathy.: must be of record, save, web"):
         measure_looking(LookingBench(ways=("record", "telepathy")))
 
 
