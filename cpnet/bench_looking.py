@@ -1,13 +1,12 @@
-"""`cpnet bench looking`: one run, looked on at for some seconds, then not, again and again."""
+"""`cpnet bench looking`: a run made twice, each stretch of it looked on at in one of the two."""
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,85 +14,111 @@ from typing import Any
 
 import numpy as np
 
-from cpnet.running import FILE_NAME
-from cpnet.scenario import load
+from cpnet.running import FILE_NAME, find
+from cpnet.scenario import Scenario, load
 from cpnet.viewing import needs_extra
+from perception.arrays import Ints
 from protocol.errors import ConfigError
+from protocol.inbox import Envelope
+from protocol.messages import Tick
+from protocol.onlooker import Onlooker
 from recorder.run import Run
 from studies.bench_choices import LOOKING_WAYS
-from studies.bench_looking import LookingRow, Span, rows_of
+from studies.bench_looking import LookingRow, WatchedRun, row_of
 
 _SCENARIO = "t_junction"
 _BEGINS_S = 60.0  # until it is up
 _ENDS_S = 10.0
-_FASTEST = 10.0  # times real time: no run is over before it was looked at
-_MOST_S = 86_400.0  # simulated, that a run may last
-_LATER_S = 3.0  # in the first frames all is new
+_BEFORE = 4  # stretches of which nothing is asked: who looks on has to load its modules
 _POLL_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class LookingBench:
-    """A lockstep run, looked at so often in each way, for so many real seconds each time."""
+    """Lockstep runs, two in each way, with so many pairs of stretches of so many frames."""
 
     ways: tuple[str, ...] = LOOKING_WAYS
-    looks: int = 10
-    span_s: float = 4.0
+    pairs: int = 10
+    frames: int = 80
     keys: dict[str, Any] = field(default_factory=dict)
 
-    @property
-    def duration_s(self) -> float:
-        """For how much simulated time the run has to last."""
-        spans = 2 * self.looks * len(self.ways) + 1
-        return min(_MOST_S, _FASTEST * (spans * self.span_s + _BEGINS_S))
+    def check(self) -> Scenario:
+        """Returns what is run.
 
-    def check(self) -> None:
-        """Raises ConfigError if it cannot be measured."""
+        Raises:
+            ConfigError: it cannot be measured.
+        """
         for way in self.ways:
             if not set(_parts(way)) <= set(LOOKING_WAYS) or not way:
                 known = ", ".join(LOOKING_WAYS)
                 raise ConfigError(f"--ways {way!r}: must be of {known}, or some of these with +")
-        load(_SCENARIO, self.keys)
+        return load(_SCENARIO, self.keys)
 
 
-def measure_looking(bench: LookingBench) -> list[LookingRow]:
-    """Looks on in each way in turn, then ends the run.
+def measure_looking(bench: LookingBench) -> Iterator[LookingRow]:
+    """Yields a row for each way of looking on, when it is measured.
 
     Raises:
-        ConfigError: what is asked for cannot be measured, or the run failed.
+        ConfigError: what is asked for cannot be measured, or a run failed.
     """
-    bench.check()
+    period_s = bench.check().frame_period_s
+    duration_s = ((_BEFORE + 2 * bench.pairs) * bench.frames + 1) * period_s
     if any(_parts(way) != ["record"] for way in bench.ways):
         with needs_extra():
             import viewer.log  # noqa: F401 - says what to install before a run begins
+    for way in bench.ways:
+        first, second = (_watched(bench, way, turn, duration_s) for turn in (0, 1))
+        yield row_of(way, [(first, second)], bench.frames)
+
+
+def _watched(bench: LookingBench, way: str, turn: int, duration_s: float) -> WatchedRun:
+    """Makes a run; every other stretch is looked on at, from the first or from the second on."""
     with tempfile.TemporaryDirectory(prefix="cpnet-bench-") as name, ExitStack() as stack:
         scratch = Path(name)
-        run = stack.enter_context(_running(bench, scratch / "run"))
-        _wait_for(run, scratch / "run")
-        names = dict.fromkeys(name for way in bench.ways for name in _parts(way))
-        lookers = {
-            name: stack.enter_context(_Looker(name, scratch / "run", scratch)) for name in names
-        }
-        time.sleep(_LATER_S)
-        turns = [way for _ in range(bench.looks) for way in bench.ways]
-        spans = [
-            _span([lookers[name] for name in _parts(way)], way, bench.span_s)
-            for way in _apart(turns)
-        ]
-        if run.poll() is not None:
-            raise ConfigError(f"the run ended early:\n{(scratch / 'said').read_text('utf-8')}")
-        run.send_signal(signal.SIGINT)
-        run.wait()
-        with Run(scratch / "run") as done:
-            ticks = done.query("SELECT tick_ns FROM frames WHERE tick_ns IS NOT NULL")
-    return [*rows_of(np.array(ticks, np.int64).ravel(), spans)]
+        run_dir = scratch / "run"
+        run = stack.enter_context(_running(bench.keys, duration_s, run_dir))
+        _wait_for(run, run_dir)
+        lookers = [stack.enter_context(_Looker(one, run_dir, scratch)) for one in _parts(way)]
+        looked: set[int] = set()
+        for stretch in _stretches(run, run_dir, bench.frames):
+            looks = stretch % 2 == turn
+            looked |= {stretch} if looks else set()
+            for looker in lookers:
+                looker.look(looks)
+        if run.wait():
+            raise ConfigError(f"the run failed:\n{_said(run_dir)}")
+        return WatchedRun(_ticks_ns(run_dir), frozenset(looked))
+
+
+def _stretches(run: subprocess.Popen[bytes], run_dir: Path, frames: int) -> Iterator[int]:
+    """Yields the number of each stretch of frames when it begins, but for what had begun before."""
+    found, newest = find(run_dir, [], None), None
+    with Onlooker(found.v2x, found.world, ["tick"], yields=True) as onlooker:
+        while run.poll() is None:
+            item = onlooker.next()
+            if not (isinstance(item, Envelope) and isinstance(item.message, Tick)):
+                continue
+            number = item.message.frame // frames
+            if newest is not None and number > newest:
+                yield number
+            newest = number
+
+
+def _ticks_ns(run_dir: Path) -> Ints:
+    """Returns when each frame began, from the first on, up to one of which nobody knows that."""
+    with Run(run_dir) as done:
+        rows = done.query("SELECT frame, tick_ns FROM frames WHERE tick_ns NOT NULL ORDER BY frame")
+    frames, ticks_ns = np.array(rows, np.int64).reshape(-1, 2).T
+    return ticks_ns[: int(np.argmin(np.append(frames, -1) == np.arange(len(frames) + 1)))]
 
 
 @contextmanager
-def _running(bench: LookingBench, run_dir: Path) -> Iterator[subprocess.Popen[bytes]]:
+def _running(
+    keys: dict[str, Any], duration_s: float, run_dir: Path
+) -> Iterator[subprocess.Popen[bytes]]:
     command = [sys.executable, "-m", "cpnet", "up", _SCENARIO, "--out", str(run_dir)]
-    command += ["--mode", "lockstep", "--duration", f"{bench.duration_s:g}"]
-    for key, value in bench.keys.items():
+    command += ["--mode", "lockstep", "--duration", f"{duration_s:g}"]
+    for key, value in keys.items():
         command += ["--set", f"{key}={value}"]
     with (run_dir.parent / "said").open("wb") as said:
         run = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
@@ -108,29 +133,17 @@ def _wait_for(run: subprocess.Popen[bytes], run_dir: Path) -> None:
     give_up_ns = time.monotonic_ns() + round(_BEGINS_S * 1e9)
     while not (run_dir / FILE_NAME).exists():
         if run.poll() is not None or time.monotonic_ns() > give_up_ns:
-            said = (run_dir.parent / "said").read_text("utf-8")
-            raise ConfigError(f"the run did not begin:\n{said}")
+            raise ConfigError(f"the run did not begin:\n{_said(run_dir)}")
         time.sleep(_POLL_S)
 
 
-def _apart(turns: list[str]) -> list[str | None]:
-    """Returns ways with nobody before, between and after them."""
-    return [None, *(one for way in turns for one in (way, None))]
+def _said(run_dir: Path) -> str:
+    return (run_dir.parent / "said").read_text("utf-8")
 
 
-def _span(lookers: Sequence[_Looker], way: str | None, span_s: float) -> Span:
-    begin_ns = time.monotonic_ns()
-    for looker in lookers:
-        looker.begin()
-    time.sleep(span_s)
-    for looker in lookers:
-        looker.end()
-    return Span(way, begin_ns, time.monotonic_ns())
-
-
-def _parts(way: str | None) -> list[str]:
+def _parts(way: str) -> list[str]:
     """Returns what is done at the same time in a way."""
-    return way.split("+") if way else []
+    return way.split("+")
 
 
 class _Looker:
@@ -139,6 +152,7 @@ class _Looker:
     def __init__(self, way: str, run_dir: Path, scratch: Path) -> None:
         command = [sys.executable, "-m", "cpnet.bench_looker", way, str(run_dir), str(scratch)]
         self._way = way
+        self._looks = False
         self._said = (scratch / f"{way}.log").open("w+", encoding="utf-8")
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(
@@ -162,18 +176,17 @@ class _Looker:
         self._process.stdout.close()
         self._said.close()
 
-    def begin(self) -> None:
-        """Begins to look on."""
-        self._tell()
-
-    def end(self) -> None:
-        """Looks on no more.
+    def look(self, looks: bool) -> None:
+        """Looks on from now on, or does so no more.
 
         Raises:
             ConfigError: the process has ended.
         """
-        self._tell()
-        self._wait()
+        if looks != self._looks:
+            self._looks = looks
+            self._tell()
+            if not looks:
+                self._wait()
 
     def _tell(self) -> None:
         assert self._process.stdin is not None

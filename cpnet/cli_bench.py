@@ -160,8 +160,8 @@ def bench_looking_command(
             metavar="NAME,...", help=f"of {', '.join(LOOKING_WAYS)}; NAME+NAME: both at once"
         ),
     ] = ",".join(LOOKING_WAYS),
-    looks: Annotated[int, typer.Option(min=1, max=100, help="in each way")] = 10,
-    span: Annotated[float, typer.Option(min=2, max=60, help="real s of each look")] = 4,
+    pairs: Annotated[int, typer.Option(min=1, max=1000, help="of stretches, in each way")] = 10,
+    frames: Annotated[int, typer.Option(min=20, max=10_000, help="of each stretch")] = 80,
     overrides: Override = None,
     as_json: AsJson = False,
 ) -> None:
@@ -169,5 +169,5 @@ def bench_looking_command(
     from cpnet.bench_looking import LookingBench, measure_looking
     from studies.looking_table import print_looking
 
-    bench = LookingBench(tuple(ways.split(",")), looks, span, assigned(overrides))
-    show(measure_looking(bench), print_looking, as_json=as_json)
+    bench = LookingBench(tuple(ways.split(",")), pairs, frames, assigned(overrides))
+    show_measured(measure_looking(bench), len(bench.ways), print_looking, as_json=as_json)

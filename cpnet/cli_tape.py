@@ -1,4 +1,4 @@
-"""The command that tapes a run from outside."""
+"""The commands that tape a run from outside, and translate a tape."""
 
 from __future__ import annotations
 
@@ -43,3 +43,20 @@ def record_command(
 
     choice = Choice(truth=not no_truth, foxglove=not no_foxglove)
     tape_run(find(run, connect or [], keys), choice, out, duration, console)
+
+
+@tape_app.command("foxglove")
+def foxglove_command(
+    tape: Annotated[Path, typer.Argument(help="run folder, or a file of `cpnet record`")],
+    *,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="default RUN/foxglove.mcap")
+    ] = None,
+    cloud_every: Annotated[
+        int, typer.Option(metavar="N", min=1, help="clouds of each N-th frame: they are large")
+    ] = 5,
+) -> None:
+    """Write a tape's boxes, poses and clouds for Foxglove and other tools, leaving out none."""
+    from cpnet.taping import translate_tape
+
+    translate_tape(tape, out, cloud_every, console)

@@ -1,4 +1,4 @@
-"""`cpnet record`: attaches to a run, keeps what is said there, and goes when told."""
+"""`cpnet record` attaches to a run and keeps what is said; `cpnet foxglove` makes more of that."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ from cpnet.looking import looking_for
 from cpnet.running import Running
 from protocol.courtesy import step_back
 from protocol.errors import ConfigError, CpnetError
-from protocol.files import is_file, is_free
+from protocol.files import is_file, is_folder, is_free
 from protocol.onlooker import Onlooker
 from protocol.process import loop
 from tape.names import next_file
+from tape.reader import Tape
 from tape.taping import Choice, Taping
+from tape.translate import translate
 
-STEM = "record"
+STEM, FOXGLOVE_STEM = "record", "foxglove"
 
 
 def tape_run(
@@ -37,7 +39,7 @@ def tape_run(
         BusError: a bus is not there, or nobody tells the setup.
         CpnetError: the disk is full, or fails.
     """
-    next_path = _next_path(running, out)
+    next_path = _next_path(running.run_dir or Path(), STEM, out)
     signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # a run that waits would stand still as well
     with ExitStack() as stack:
         with looking_for(running, console):
@@ -75,10 +77,30 @@ def keep(taping: Taping, onlooker: Onlooker, stop: threading.Event) -> None:
         taping.close()
 
 
-def _next_path(running: Running, out: Path | None) -> Callable[[], Path]:
+def translate_tape(path: Path, out: Path | None, cloud_every: int, console: Console) -> None:
+    """Writes what a tape holds for other tools, all of it.
+
+    Raises:
+        ConfigError: there is no such tape, or there can be no such file.
+        CpnetError: the disk is full, or fails.
+    """
+    tape = Tape(path)
+    folder = path if is_folder(path) else path.parent
+    next_path = _next_path(folder, FOXGLOVE_STEM, out)
+    with console.status("") as status:
+        made = translate(
+            tape, next_path, cloud_every, lambda done: status.update(f"{done} frames are done")
+        )
+    names = ", ".join(map(str, made.files))
+    line = f"{names}: {made.frames} frames, {made.size_bytes / 1e6:.1f} MB"
+    if not tape.is_whole or tape.drops:
+        line += f"; {tape.path} is not whole, what could be read is there"
+    console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _next_path(folder: Path, stem: str, out: Path | None) -> Callable[[], Path]:
     if out is None:
-        folder = running.run_dir or Path()
-        return lambda: next_file(folder, STEM)
+        return lambda: next_file(folder, stem)
     if out.suffix != ".mcap" or not is_free(out):
         raise ConfigError(f"--out {out}: needs a new file NAME.mcap in a folder that is there")
     return lambda: out if not is_file(out) else next_file(out.parent, out.stem)

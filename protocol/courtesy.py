@@ -40,6 +40,11 @@ class Budget:
         """Returns one that has this share of each core that this process may run on."""
         return cls(share_per_core * len(os.sched_getaffinity(0)), now_ns)
 
+    @classmethod
+    def endless(cls) -> Budget:
+        """Returns one for a work that is in nobody's way."""
+        return cls(1e9, 0)
+
     def has_some(self, now_ns: int) -> bool:
         """Whether there is time for one more."""
         gained_ns = (now_ns - self._since_ns) * self._share

@@ -23,7 +23,7 @@ BOXES_PER_CORE = 0.005
 CLOUDS_PER_CORE = 0.005
 """And so much the clouds."""
 ENDING = "detections"
-_DRAWN = frozenset({"pose", "scan", "truth", ENDING})
+DRAWN = frozenset({"pose", "scan", "truth", ENDING})
 _V2X, _WORLD = "foxglove/v2x", "foxglove/world"  # topics of what agents say, and of the truth
 
 
@@ -81,6 +81,7 @@ class Scene:
         self._clouds: list[str] = []
         self._drawn_in = 0
         self._not_afforded = 0
+        self.frames_drawn = 0
         self.clouds_left_out = 0
 
     @property
@@ -90,8 +91,12 @@ class Scene:
 
     def take(self, item: Envelope, number: int) -> None:
         """Notes a message of a frame, which is due once the edge said what it sees in the next."""
-        if item.topic in _DRAWN:
+        if item.topic in DRAWN:
             self._frames.take(item, number)
+
+    def finish(self) -> None:
+        """Calls the last frame whole: no other will follow it."""
+        self._frames.finish()
 
     def step(self) -> bool:
         """Does a little, a few milliseconds at most: the boxes of a frame, or a cloud.
@@ -112,6 +117,7 @@ class Scene:
         return False
 
     def _convert(self, frame: UnreadFrame) -> None:
+        self.frames_drawn += 1
         picture = _Picture.of(frame)
         self._draw(picture)
         self._begin_clouds(picture)
@@ -120,7 +126,7 @@ class Scene:
         if self._drawn_in != len(self._writer.files):  # once in each file
             self._drawn_in = len(self._writer.files)
             shape = shapes.road(self._road_map, stamp_ns)
-            self._writer.write_shape(f"{_V2X}/road", shape, time.monotonic_ns(), None)
+            self._writer.write_shape(f"{_V2X}/road", shape, stamp_ns, None)
 
     def _draw(self, frame: _Picture) -> None:
         stamp_ns = frame.heard_ns
@@ -153,7 +159,7 @@ class Scene:
         self._add(self._now, f"{_V2X}/cloud/{agent}", cloud)
 
     def _add(self, frame: _Picture, topic: str, shape: shapes.Shape) -> None:
-        self._writer.write_shape(topic, shape, time.monotonic_ns(), frame.sim_time_ns)
+        self._writer.write_shape(topic, shape, frame.heard_ns, frame.sim_time_ns)
 
 
 def _pay(budget: Budget, work: Callable[[], None]) -> None:

@@ -67,8 +67,10 @@ class TapeWriter:
         self.messages += 1
         return moment
 
-    def write_shape(self, topic: str, shape: Shape, now_ns: int, sim_time_ns: int | None) -> None:
+    def write_shape(self, topic: str, shape: Shape, log_ns: int, sim_time_ns: int | None) -> None:
         """Adds a message for other tools, of this simulated time or of none.
+
+        Its log time is later where something later is on the tape already.
 
         Raises:
             CpnetError: the disk is full, or fails.
@@ -77,7 +79,7 @@ class TapeWriter:
         channel = self._channels.get(place)
         if channel is None:
             channel = self._channels[place] = self._foreign(topic, shape)
-        self._reel.write(channel, shape.SerializeToString(), now_ns, sim_time_ns)
+        self._reel.write(channel, shape.SerializeToString(), log_ns, sim_time_ns)
 
     def settle(self, now_ns: int) -> None:
         """Sees to it that what came is in the file soon; to be called many times a second.

@@ -123,12 +123,17 @@ class Booth:
     def read(self) -> dict[str, list]:
         """Ends the tape; returns what an independent reader finds, by topic."""
         self.writer.close({})
-        result: dict[str, list] = {}
-        with self.path.open("rb") as file:
-            reader = make_reader(file, decoder_factories=[DecoderFactory()])
-            for _, channel, _, message in reader.iter_decoded_messages():
-                result.setdefault(channel.topic, []).append(message)
-        return result
+        return decoded(self.path)
+
+
+def decoded(path: Path) -> dict[str, list]:
+    """Returns what an independent reader finds in a file, by topic."""
+    result: dict[str, list] = {}
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, _, message in reader.iter_decoded_messages():
+            result.setdefault(channel.topic, []).append(message)
+    return result
 
 
 def points_of(cloud) -> np.ndarray:
