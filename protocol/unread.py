@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -42,16 +43,22 @@ class Unread:
     """The frames in the making.
 
     A frame is whole once the next one was brought to an end: by then all that travels slower has
-    come, too. Only the newest whole one is given out, so that who is slow leaves frames out, whole
-    ones, and never falls behind. No frame's number is trusted: what counts is the order of arrival.
+    come, too. Only the newest whole ones wait, so that who is slow leaves frames out, whole ones,
+    and never falls behind. No frame's number is trusted: what counts is the order of arrival.
     """
 
-    def __init__(self, ending: str) -> None:
-        """Begins; messages of the topic `ending` are said at the end of a frame, once in each."""
+    def __init__(self, ending: str, waiting: int = 1) -> None:
+        """Begins.
+
+        Args:
+            ending: a topic of which a message is said at the end of a frame, once in each.
+            waiting: so many whole frames are kept.
+        """
         self._ending = ending
+        self._waiting = waiting
         self._open: dict[int, UnreadFrame] = {}
         self._ended: int | None = None
-        self._whole: UnreadFrame | None = None
+        self._whole: deque[UnreadFrame] = deque()
         self.left_out = 0
 
     def take(self, item: Envelope, number: int) -> None:
@@ -68,18 +75,19 @@ class Unread:
         frame = None if self._ended is None else self._open.pop(self._ended, None)
         self._ended = None
         if frame is not None:
-            self.left_out += self._whole is not None
-            self._whole = frame
+            self._whole.append(frame)
+            if len(self._whole) > self._waiting:
+                self._whole.popleft()
+                self.left_out += 1
 
     @property
     def is_due(self) -> bool:
-        """Whether there is a whole frame that was not given out."""
-        return self._whole is not None
+        """Whether a whole frame waits."""
+        return bool(self._whole)
 
-    def newest(self) -> UnreadFrame | None:
-        """Returns the newest frame that is whole, once."""
-        whole, self._whole = self._whole, None
-        return whole
+    def next(self) -> UnreadFrame | None:
+        """Returns the first whole frame that waits, once."""
+        return self._whole.popleft() if self._whole else None
 
     def _frame(self, number: int) -> UnreadFrame:
         if number not in self._open:

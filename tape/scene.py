@@ -22,6 +22,8 @@ BOXES_PER_CORE = 0.005
 """Of the machine: so much of a core's time, for each core, may boxes and poses take."""
 CLOUDS_PER_CORE = 0.005
 """And so much the clouds."""
+WAITING_FRAMES = 4
+"""Who tapes rests for longer than a frame lasts; what came meanwhile is not too old to be drawn."""
 ENDING = "detections"
 DRAWN = frozenset({"pose", "scan", "truth", ENDING})
 _V2X, _WORLD = "foxglove/v2x", "foxglove/world"  # topics of what agents say, and of the truth
@@ -62,10 +64,10 @@ class _Picture:
 
 
 class Scene:
-    """Converts the newest frame that is whole; older ones are left out.
+    """Converts the newest frames that are whole; older ones are left out.
 
-    Boxes and poses are cheap and come first. Clouds cost about as much as the edge's own decoding.
-    Both have a budget, and while the clouds of one frame are made others are left without.
+    Boxes and poses are cheap. Clouds cost about as much as the edge's own decoding. Both have a
+    budget, and a frame for whose clouds there is no time is left without.
     """
 
     def __init__(
@@ -76,7 +78,7 @@ class Scene:
         self._writer = writer
         self._box_budget = box_budget
         self._cloud_budget = cloud_budget
-        self._frames = Unread(ENDING)
+        self._frames = Unread(ENDING, WAITING_FRAMES)
         self._now = _Picture()
         self._clouds: list[str] = []
         self._drawn_in = 0
@@ -103,18 +105,18 @@ class Scene:
 
         Returns whether there was anything to do.
         """
-        if (due := self._frames.newest()) is not None:
+        if self._clouds:
+            agent = self._clouds.pop()
+            _pay(self._cloud_budget, lambda: self._convert_cloud(agent))
+        elif (due := self._frames.next()) is not None:
             self._draw_road(due.heard[0].received_ns)
             if self._box_budget.has_some(time.monotonic_ns()):
                 _pay(self._box_budget, lambda: self._convert(due))
             else:
                 self._not_afforded += 1
-            return True
-        if self._clouds:
-            agent = self._clouds.pop()
-            _pay(self._cloud_budget, lambda: self._convert_cloud(agent))
-            return True
-        return False
+        else:
+            return False
+        return True
 
     def _convert(self, frame: UnreadFrame) -> None:
         self.frames_drawn += 1
@@ -144,11 +146,11 @@ class Scene:
             self._add(frame, f"{_WORLD}/truth", shapes.truth(frame.truth, self._types, stamp_ns))
 
     def _begin_clouds(self, frame: _Picture) -> None:
-        if self._clouds or not self._cloud_budget.has_some(time.monotonic_ns()):
-            self.clouds_left_out += bool(frame.scans)
-        else:
+        if self._cloud_budget.has_some(time.monotonic_ns()):
             self._now = frame
             self._clouds = sorted(frame.scans, reverse=True)
+        else:
+            self.clouds_left_out += bool(frame.scans)
 
     def _convert_cloud(self, agent: str) -> None:
         try:

@@ -129,7 +129,7 @@ class Live:
         self._budget.spend(time.thread_time_ns() - start_ns)
 
     def _draw(self) -> bool:
-        frame = self._frames.newest()
+        frame = self._frames.next()
         picture = self._scene.picture(Moment.of(frame)) if frame is not None else None
         if picture is None:
             return False

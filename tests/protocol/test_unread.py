@@ -45,7 +45,7 @@ class Heard(Unread):
 
     def whole(self) -> UnreadFrame:
         """Returns the frame that must be whole now."""
-        frame = self.newest()
+        frame = self.next()
         assert frame is not None
         return frame
 
@@ -53,11 +53,11 @@ class Heard(Unread):
 def test_a_frame_is_whole_when_the_next_one_was_counted() -> None:
     frames = Heard()
     frames.hear(scan(1), counted(1))
-    assert frames.newest() is None
+    assert frames.next() is None
     frames.hear(counted(2))
     whole = frames.whole()
     assert (whole.number, [type(one) for one in whole.messages()]) == (1, [m.Scan, m.LaneCounts])
-    assert frames.newest() is None
+    assert frames.next() is None
 
 
 def test_the_last_frame_is_whole_at_the_end() -> None:
@@ -70,13 +70,22 @@ def test_the_last_frame_is_whole_at_the_end() -> None:
 def test_a_frame_that_is_counted_twice_ends_once() -> None:
     frames = Heard()
     frames.hear(counted(5), counted(5))
-    assert frames.newest() is None
+    assert frames.next() is None
 
 
 def test_who_is_slow_gets_the_newest_and_leaves_out_whole_frames() -> None:
     frames = Heard()
     frames.hear(*(counted(frame) for frame in range(10)))
     assert (frames.whole().number, frames.left_out) == (8, 8)
+
+
+def test_who_rests_gets_the_newest_few_one_after_the_other() -> None:
+    frames = Unread("lanes", 3)
+    for number in range(10):
+        frames.take(envelope("lanes", counted(number)), number)
+    found = [frames.next() for _ in range(4)]
+    assert [one and one.number for one in found] == [6, 7, 8, None]
+    assert frames.left_out == 6
 
 
 def test_absurd_frames_are_in_nobodys_way() -> None:
@@ -119,5 +128,5 @@ def test_no_order_of_messages_opens_more_than_a_few(order: list[tuple[int, bool]
     for frame, is_count in order:
         frames.hear(counted(frame) if is_count else scan(frame))
         assert len(frames._open) <= MAX_OPEN_FRAMES
-        shown += frames.newest() is not None
+        shown += frames.next() is not None
     assert shown + frames.left_out <= sum(is_count for _, is_count in order)

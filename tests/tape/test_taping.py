@@ -122,10 +122,10 @@ def test_messages_come_before_what_is_made_of_them(tmp_path):
         taping.on(heard[-1])
     inbox.put(Presence("edge", "edge", alive=True))
     taping.poll()  # there is no time for other tools
-    assert taping.scene._frames._whole is not None
+    assert taping.scene._frames.is_due
     inbox.get()
     taping.poll()
-    assert taping.scene._frames._whole is None
+    assert not taping.scene._frames.is_due
     assert taping.scene.frames_left_out == 0
     taping.close()
     assert same(Tape(tmp_path).heard(), heard)
