@@ -3,7 +3,7 @@
     python -m cpnet.bench_looker WAY RUN SCRATCH
 
 Each second line of its standard input begins a look, the others end one. It says `ready` when it
-can begin, and after each look.
+can begin, when it looks on, and after each look.
 """
 
 from __future__ import annotations
@@ -40,14 +40,18 @@ def main() -> None:
     step_back()
     with (_tape if way == "record" else _view)(found, setup, scratch, way) as look:
         _tell_ready()
-        for _ in sys.stdin:
+        while sys.stdin.readline():
             stop = threading.Event()
-            looking = threading.Thread(target=look, args=(stop,))
-            looking.start()
-            sys.stdin.readline()
-            stop.set()
-            looking.join()
+            waiting = threading.Thread(target=_stop_at_next_line, args=(stop,), daemon=True)
+            waiting.start()
+            look(stop)
+            waiting.join()
             _tell_ready()
+
+
+def _stop_at_next_line(stop: threading.Event) -> None:
+    sys.stdin.readline()
+    stop.set()
 
 
 def _tell_ready() -> None:
@@ -67,6 +71,7 @@ def _tape(found: Running, setup: Setup, scratch: Path, way: str) -> Iterator[_Lo
     def look(stop: threading.Event) -> None:
         choice = Choice()
         with Onlooker(found.v2x, found.world, choice.topics) as onlooker:
+            _tell_ready()
             keep(Taping(setup, lambda: path, onlooker.inbox, choice, stop), onlooker, stop)
         path.unlink()
 
@@ -86,6 +91,7 @@ def _view(found: Running, setup: Setup, scratch: Path, way: str) -> Iterator[_Lo
         def look(stop: threading.Event) -> None:
             inbox = live.modest_inbox()
             with Onlooker(found.v2x, found.world, live.TOPICS, inbox=inbox, yields=True):
+                _tell_ready()
                 live.Live(inbox, scene, log, FPS, budget()).follow(stop)
 
         yield look

@@ -38,8 +38,8 @@ class LookingBench:
     """Lockstep runs, two in each way, with so many pairs of stretches of so many frames."""
 
     ways: tuple[str, ...] = LOOKING_WAYS
-    pairs: int = 10
-    frames: int = 80
+    pairs: int = 8
+    frames: int = 100
     keys: dict[str, Any] = field(default_factory=dict)
 
     def check(self) -> Scenario:
@@ -93,7 +93,7 @@ def _watched(bench: LookingBench, way: str, turn: int, duration_s: float) -> Wat
 def _stretches(run: subprocess.Popen[bytes], run_dir: Path, frames: int) -> Iterator[int]:
     """Yields the number of each stretch of frames when it begins, but for what had begun before."""
     found, newest = find(run_dir, [], None), None
-    with Onlooker(found.v2x, found.world, ["tick"], yields=True) as onlooker:
+    with Onlooker(found.v2x, found.world, ["tick"]) as onlooker:
         while run.poll() is None:
             item = onlooker.next()
             if not (isinstance(item, Envelope) and isinstance(item.message, Tick)):
@@ -185,8 +185,7 @@ class _Looker:
         if looks != self._looks:
             self._looks = looks
             self._tell()
-            if not looks:
-                self._wait()
+            self._wait()
 
     def _tell(self) -> None:
         assert self._process.stdin is not None

@@ -160,8 +160,8 @@ def bench_looking_command(
             metavar="NAME,...", help=f"of {', '.join(LOOKING_WAYS)}; NAME+NAME: both at once"
         ),
     ] = ",".join(LOOKING_WAYS),
-    pairs: Annotated[int, typer.Option(min=1, max=1000, help="of stretches, in each way")] = 10,
-    frames: Annotated[int, typer.Option(min=20, max=10_000, help="of each stretch")] = 80,
+    pairs: Annotated[int, typer.Option(min=1, max=1000, help="of stretches, in each way")] = 8,
+    frames: Annotated[int, typer.Option(min=40, max=10_000, help="of each stretch")] = 100,
     overrides: Override = None,
     as_json: AsJson = False,
 ) -> None:

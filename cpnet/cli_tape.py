@@ -56,7 +56,7 @@ def foxglove_command(
         int, typer.Option(metavar="N", min=1, help="clouds of each N-th frame: they are large")
     ] = 5,
 ) -> None:
-    """Write a tape's boxes, poses and clouds for Foxglove and other tools, leaving out none."""
+    """Write a tape's boxes, poses and clouds for Foxglove and other tools, of all frames."""
     from cpnet.taping import translate_tape
 
     translate_tape(tape, out, cloud_every, console)

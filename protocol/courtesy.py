@@ -22,6 +22,15 @@ def step_back() -> None:
     os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
+def core_quota(cgroup: Path = Path("/sys/fs/cgroup")) -> float | None:
+    """Returns how many cores a container may use, None if it may use all."""
+    try:
+        quota, period = (cgroup / "cpu.max").read_text("ascii").split()
+    except (OSError, ValueError):
+        return None
+    return int(quota) / int(period) if quota.isdigit() else None
+
+
 class Budget:
     """The time that a work may take which can be left out: a share of what passes.
 
@@ -51,6 +60,8 @@ class Budget:
         Where they are often idle, it has a part of that time as well.
         """
         cores = os.sched_getaffinity(0)
+        if (quota := core_quota()) is not None:  # then nobody knows of how much is idle
+            return cls(share_per_core * min(len(cores), quota), now_ns)
         return cls(share_per_core * len(cores), now_ns, Spare(cores))
 
     @classmethod

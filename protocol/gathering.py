@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from datetime import datetime
+from operator import itemgetter
 from typing import Any, Protocol
 
 from protocol.inbox import Presence, Sealed
@@ -52,25 +53,37 @@ class Gathering:
         """Adds a subscription."""
         self._sources.append((channel, read))
 
-    def fetch(self) -> Iterator[tuple[int, Sealed | Presence]]:
-        """Yields what waits, one subscription after the other, and when it arrived.
+    def fetch(self, now_ns: int) -> list[tuple[int, Sealed | Presence]]:
+        """Returns what waits in the order in which the router took it, and when it arrived.
 
-        That is what the router says, if its clock can be right: after the last time that all was
-        fetched, and before now.
+        That is when the router says, if its clock can be right: since the last time and before now.
+        Where it is not right the order still is that of its stamps.
         """
-        since_ns, self._fetched_ns = self._fetched_ns, time.monotonic_ns()
-        ahead_ns = time.time_ns() - self._fetched_ns  # noqa: TID251 - the stamps are of that clock
+        since_ns, self._fetched_ns = self._fetched_ns, now_ns
+        found = sorted(self._waiting(), key=itemgetter(0))
+        newest_ns = max((taken_ns for taken_ns, *_ in found), default=0)
+        ahead_ns = max(newest_ns - time.monotonic_ns(), 0)
+        came = []
+        for taken_ns, sample, read in found:
+            arrived_ns = max(taken_ns - ahead_ns, since_ns)
+            if (item := read(sample, arrived_ns)) is not None:
+                came.append((arrived_ns, item))
+        return came
+
+    def _waiting(self) -> Iterator[tuple[int, Sample, Read]]:
+        """Yields each sample, when a router took it as far as its clock is ours, and its reader."""
+        ours_ns = time.time_ns() - time.monotonic_ns()  # noqa: TID251 - stamps are of that clock
         for channel, read in self._sources:
             for _ in range(_AT_ONCE):
                 if (sample := channel.try_recv()) is None:
                     break
-                now_ns = time.monotonic_ns()
-                stamped_ns = _unix_ns(sample.timestamp, now_ns + ahead_ns)
-                arrived_ns = min(max(stamped_ns - ahead_ns, since_ns), now_ns)
-                if (item := read(sample, arrived_ns)) is not None:
-                    yield arrived_ns, item
+                stamp = sample.timestamp
+                yield (
+                    time.monotonic_ns() if stamp is None else _unix_ns(stamp) - ours_ns,
+                    sample,
+                    read,
+                )
 
 
-def _unix_ns(stamp: Stamp | None, now_ns: int) -> int:
-    """Returns when a router took a sample, by its clock, or now if it does not say."""
-    return now_ns if stamp is None else round(stamp.get_time().timestamp() * 1e9)
+def _unix_ns(stamp: Stamp) -> int:
+    return round(stamp.get_time().timestamp() * 1e9)

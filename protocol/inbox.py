@@ -94,6 +94,7 @@ class Inbox:
         self._woken = False
         self._reads = True
         self._fetches: list[_Fetch] = []
+        self._held: list[_Came] = []
         self.gathers = False
         self._complaints = Complaints()
         self.drops: Counter[str] = Counter()
@@ -162,8 +163,10 @@ class Inbox:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing waits."""
-        return self._queue.empty()
+        """Whether nothing waits, here or with a transport."""
+        if self.gathers and self._queue.empty():
+            self._fetch()
+        return self._queue.empty() and not self._held
 
     def wake(self) -> None:
         """Ends the wait of whoever waits for an item, or else the next one; from any thread."""
@@ -216,9 +219,16 @@ class Inbox:
                     raise
 
     def _fetch(self) -> None:
-        """Takes what all transports have kept, in the order in which it arrived."""
-        came = [item for fetch in self._fetches for item in fetch()]
-        for _, item in sorted(came, key=itemgetter(0)):
+        """Takes what all transports have kept, in the order in which it arrived.
+
+        What came while they were asked is left for the next time: on a topic that was asked before
+        there may be something older.
+        """
+        now_ns = time.monotonic_ns()
+        came = self._held + [one for fetch in self._fetches for one in fetch(now_ns)]
+        came.sort(key=itemgetter(0))
+        self._held = [one for one in came if one[0] > now_ns]
+        for _, item in came[: len(came) - len(self._held)]:
             self.put(item)
 
     def _signed(self, item: Sealed | Presence) -> Sealed | Presence:
@@ -274,7 +284,8 @@ class Inbox:
 
 _Place = tuple[str, str]
 _Entry = _Place | Sealed | Presence | None
-_Fetch = Callable[[], Iterable[tuple[int, Sealed | Presence]]]
+_Came = tuple[int, Sealed | Presence]
+_Fetch = Callable[[int], Iterable[_Came]]
 
 
 def _place(item: Sealed) -> _Place:

@@ -25,8 +25,8 @@ T = TypeVar("T")
 class Onlooker:
     """Hears what it asked for, presence included; a context manager.
 
-    It may come and go at any time: no process waits for it or knows of it. What it is too slow for
-    is dropped at its own inbox, and counted there.
+    It may come and go at any time: no process knows of it. What comes waits until its inbox is
+    read. Who `yields` misses what there is no room for; for others the routers wait, see there.
     """
 
     def __init__(

@@ -23,14 +23,13 @@ class UnreadFrame:
     heard: list[Envelope] = field(default_factory=list)
     size_bytes: int = 0
 
-    def add(self, item: Envelope) -> bool:
-        """Adds a message; returns whether there was room for it."""
+    def add(self, item: Envelope, *, always: bool) -> None:
+        """Adds a message, always or if there is room for it."""
         size_bytes = self.size_bytes + len(item.data)
-        if size_bytes > MAX_FRAME_BYTES or len(self.heard) >= MAX_FRAME_MESSAGES:
-            return False
-        self.size_bytes = size_bytes
-        self.heard.append(item)
-        return True
+        is_room = size_bytes <= MAX_FRAME_BYTES and len(self.heard) < MAX_FRAME_MESSAGES
+        if always or is_room:
+            self.size_bytes = size_bytes
+            self.heard.append(item)
 
     def messages(self) -> Iterator[Message]:
         """Reads what was said, in the order in which it came; what cannot be read is left out."""
@@ -66,19 +65,23 @@ class Unread:
         ends = item.topic == self._ending
         if ends and _said_of(number, item) is None:
             return
-        if self._frame(number).add(item) and ends and number != self._ended:
+        is_new_end = ends and number != self._ended
+        self._frame(number).add(item, always=is_new_end)
+        if is_new_end:
             self.finish()
             self._ended = number
 
     def finish(self) -> None:
         """Calls the frame that ended last whole."""
-        frame = None if self._ended is None else self._open.pop(self._ended, None)
-        self._ended = None
-        if frame is not None:
+        ended, self._ended = self._ended, None
+        if ended is None:
+            return
+        if (frame := self._open.pop(ended, None)) is not None:
             self._whole.append(frame)
-            if len(self._whole) > self._waiting:
-                self._whole.popleft()
-                self.left_out += 1
+        if frame is None or len(self._whole) > self._waiting:
+            self.left_out += 1
+        if len(self._whole) > self._waiting:
+            self._whole.popleft()
 
     @property
     def is_due(self) -> bool:

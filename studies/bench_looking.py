@@ -16,7 +16,7 @@ import numpy as np
 
 from perception.arrays import Floats, Ints
 
-SETTLES_FRAMES = 10
+SETTLES_FRAMES = 20
 """So many frames after a change what is measured still belongs to both sides."""
 INTERVAL = (5.0, 95.0)  # percentiles of the median's distribution
 _RESAMPLED = 4000

@@ -78,10 +78,10 @@ class Taping:
             return
         end = item.message if item.topic == "end" else None
         moment = self.writer.write(item)
-        self._ending.heard(item.received_ns)
+        self._ending.heard(time.monotonic_ns())
         if isinstance(end, End):
             self._reason = end.reason
-            self._ending.begin(item.received_ns)
+            self._ending.begin(time.monotonic_ns())
         if self.scene is not None and moment.frame is not None:
             self.scene.take(item, moment.frame)
 
@@ -95,10 +95,11 @@ class Taping:
             pass
         now_ns = time.monotonic_ns()
         self.writer.settle(now_ns)
-        if self._ending.is_over(now_ns):
-            self._stop.set()
-        elif self._inbox.is_empty:
-            time.sleep(REST_S)
+        if self._inbox.is_empty:
+            if self._ending.is_over(now_ns):
+                self._stop.set()
+            else:
+                time.sleep(REST_S)
 
     def close(self) -> None:
         """Ends the tape.

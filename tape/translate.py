@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from protocol.courtesy import Budget
+from protocol.errors import CpnetError
 from protocol.topics import TOPICS
 from protocol.wire import peek_moment
 from tape.names import GOES_ON_FROM
@@ -37,7 +39,7 @@ def translate(
 
     Raises:
         ConfigError: the tape cannot be read, or there can be no such file.
-        CpnetError: the disk is full, or fails.
+        CpnetError: the disk is full, or fails; then nothing is left.
     """
     facts = {name: fact for name, fact in tape.facts.items() if name != GOES_ON_FROM}
     facts["made_of"] = ", ".join(file.name for file in tape.files)
@@ -52,8 +54,13 @@ def translate(
             writer.settle(item.received_ns)
         scene.finish()
         _draw(scene, tell)
-    finally:
-        writer.close({})
+        writer.close({"frames_left_out": str(scene.frames_left_out)})
+    except BaseException:  # an interruption as well: half of it would look whole
+        with suppress(CpnetError):
+            writer.close({})
+        for file in writer.files:
+            file.unlink(missing_ok=True)
+        raise
     return Translation(writer.files, writer.size_bytes, scene.frames_drawn)
 
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from cpnet.doctor.finding import Finding
+from protocol.courtesy import core_quota
 
 SUMO_LIBRARIES = {
     "libstdc++.so.6": "libstdc++6",
@@ -89,9 +90,8 @@ def disk() -> list[Finding]:
 def cores() -> list[Finding]:
     """Looks how many cores processes may use."""
     count = float(len(os.sched_getaffinity(0)))
-    quota = _words(_CGROUP / "cpu.max")
-    if len(quota) == 2 and quota[0].isdigit():
-        count = min(count, int(quota[0]) / int(quota[1]))
+    if (quota := core_quota(_CGROUP)) is not None:
+        count = min(count, quota)
     ok = count >= MIN_CORES
     advice = "" if ok else f"with fewer than {MIN_CORES}, realtime runs fall behind"
     what = f"{count:g} cores"

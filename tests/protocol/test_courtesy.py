@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.courtesy import LEFT_IDLE, SPARE_EVERY_NS, SPARE_TAKEN, Budget, Spare
+from protocol.courtesy import LEFT_IDLE, SPARE_EVERY_NS, SPARE_TAKEN, Budget, Spare, core_quota
 
 
 @given(st.lists(st.tuples(st.integers(0, 10**9), st.integers(1, 10**8))), st.floats(0.01, 1))
@@ -67,3 +67,12 @@ def test_what_is_spare_comes_on_top():
     assert budget.wait_s(0) == 0.2
     assert not budget.has_some(10**8)
     assert budget.has_some(3 * 10**8)
+
+
+@pytest.mark.parametrize(
+    ("text", "cores"), [("150000 100000", 1.5), ("max 100000", None), ("", None)]
+)
+def test_a_container_may_have_fewer_cores_than_the_machine(tmp_path, text, cores):
+    (tmp_path / "cpu.max").write_text(text)
+    assert core_quota(tmp_path) == cores
+    assert core_quota(tmp_path / "none") is None

@@ -92,3 +92,16 @@ def test_what_is_no_tape_is_refused_before_a_file_is_made(tmp_path):
     with pytest.raises(ConfigError, match="no such tape"):
         translated(tmp_path / "none.mcap", tmp_path / "new")
     assert not [*(tmp_path / "new").iterdir()]
+
+
+def test_of_a_translation_that_is_broken_off_nothing_is_left(tmp_path):
+    path = taped(tmp_path).path
+    (tmp_path / "new").mkdir()
+
+    def interrupt(frames: int) -> None:
+        if frames == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        translate(Tape(path), lambda: next_file(tmp_path / "new"), 1, interrupt)
+    assert not [*(tmp_path / "new").iterdir()]
