@@ -121,8 +121,7 @@ class ZenohBus:
         self._name = name
         self._inbox = inbox
         self._kept: list[object] = []
-        self._gathering = Gathering()
-        inbox.fetch_from(self._gathering.fetch)
+        self._gathering: Gathering | None = None
 
     def publish(self, topic_name: str, message: Message, **parts: str) -> int:
         """See `Bus.publish`; blocks while the link is full."""
@@ -201,6 +200,9 @@ class ZenohBus:
     def _hear(self, declare: Callable[[Any], Any], read: Read) -> None:
         """Takes what comes of a subscription, at once or when the inbox asks for it."""
         if self._inbox.gathers:
+            if self._gathering is None:
+                self._gathering = Gathering()
+                self._inbox.fetch_from(self._gathering.fetch)
             subscriber = declare(zenoh.handlers.FifoChannel(CAPACITY))
             self._gathering.add(subscriber, read)
         else:

@@ -95,11 +95,13 @@ class Taping:
             pass
         now_ns = time.monotonic_ns()
         self.writer.settle(now_ns)
-        if self._inbox.is_empty:
-            if self._ending.is_over(now_ns):
-                self._stop.set()
-            else:
-                time.sleep(REST_S)
+        is_idle = self._inbox.is_empty
+        if not is_idle:
+            self._ending.heard(now_ns)
+        if self._ending.is_over(now_ns):
+            self._stop.set()
+        elif is_idle:
+            time.sleep(REST_S)
 
     def close(self) -> None:
         """Ends the tape.

@@ -21,7 +21,7 @@ from protocol.onlooker import ALL_TOPICS
 from protocol.process import Context, loop
 from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
-from tape import role
+from tape import ending, role
 from tape.ending import PATIENCE_NS, SILENCE_NS, Ending
 from tape.names import next_file
 from tape.reader import Tape
@@ -129,6 +129,19 @@ def test_messages_come_before_what_is_made_of_them(tmp_path):
     assert taping.scene.frames_left_out == 0
     taping.close()
     assert same(Tape(tmp_path).heard(), heard)
+
+
+def test_who_never_falls_silent_keeps_no_tape_from_ending(tmp_path, monkeypatch):
+    monkeypatch.setattr(ending, "PATIENCE_NS", 1)
+    inbox, stop = Inbox(), threading.Event()
+    taping = Taping(setup(), lambda: next_file(tmp_path), inbox, Choice(), stop)
+    inbox.fetch_from(lambda now_ns: [(now_ns, Presence("vehicle", "v", alive=True))])
+    taping.poll()
+    assert not stop.is_set()
+    taping.on(envelope("end", 0))
+    taping.poll()
+    assert stop.is_set()
+    taping.close()
 
 
 def test_a_tape_is_over_when_the_recorder_is_gone_and_nobody_speaks():
