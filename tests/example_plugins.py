@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-PACKAGE = Path(__file__).parent / "plugins" / "example_package"
+PACKAGE = Path(__file__).parents[1] / "examples" / "plugin_package"
 
 
 def install(folder: Path) -> Path:
