@@ -87,9 +87,6 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     link: Annotated[
         str | None, typer.Option(help="uplink of vehicles: 5g-urban, lte, 5mbit,20ms, a trace file")
     ] = None,
-    netns: Annotated[
-        bool, typer.Option("--netns", help="links by a network namespace per agent; needs root")
-    ] = False,
     set_: Override = None,
     out: Out = None,
     only: Only = None,
@@ -118,7 +115,6 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
         "traffic.cav_rate": cav_rate,
         "traffic.cv_rate": cv_rate,
         "link.profile": link,
-        "link.apply": "netns" if netns else None,
         "traffic.net": _absolute(net),
         "traffic.sumocfg": _absolute(sumocfg),
         "traffic.tls": tls,

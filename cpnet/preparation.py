@@ -10,7 +10,6 @@ from typing import Any
 
 from rich.console import Console
 
-from cpnet import netns
 from cpnet import scenario as scenarios
 from cpnet.beside import Viewing
 from cpnet.endpoints import Endpoints, connecting
@@ -123,7 +122,6 @@ def prepared(options: Options, console: Console, played: Played | None) -> Prepa
             import tape  # noqa: F401 - says what to install, if it must be
         check_keys(options.keys, relays + processes)
         _refuse_twins(endpoints[BusName.WORLD], processes, options.restart, console)
-        netns.prepare(scenario, relays, console)
         with written(run_dir):
             (run_dir / "setup.msgpack").write_bytes(packed)
             shown = json.dumps(setup.scenario, indent=2) + "\n"

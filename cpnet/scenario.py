@@ -277,23 +277,11 @@ def _section_of(annotation: Any) -> Any:  # noqa: ANN401 - typing has no name fo
 
 def _check_link(scenario: Scenario, source: str) -> None:
     link, fits = scenario.link, {"lockstep": "virtual", "realtime": "emulated"}
-    if link.apply == "netns":
-        _check_netns(scenario, source)
-    elif link.apply not in ("auto", "none", fits[scenario.mode]):
+    if link.apply not in ("auto", "none", fits[scenario.mode]):
         raise ConfigError(
             f"{source}: link.apply is {link.apply}, but in mode {scenario.mode} links can only be "
             f"{fits[scenario.mode]}; write auto, or change the mode"
         )
-
-
-def _check_netns(scenario: Scenario, source: str) -> None:
-    missing = []
-    if scenario.mode != "realtime":
-        missing.append("the wall clock: give --mode realtime")
-    if scenario.link.way(scenario.mode) == "none":
-        missing.append("a link profile: give --link, such as --link 5mbit")
-    if missing:
-        raise ConfigError(f"{source}: --netns (link.apply: netns) needs {', and '.join(missing)}")
 
 
 def _check_period(scenario: Scenario, source: str) -> None:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from cpnet import netns
 from cpnet.beside import check_viewing, viewed
 from cpnet.crowd import everybody
 from cpnet.endpoints import connecting
@@ -34,7 +33,6 @@ def up(options: Options, console: Console, played: Played | None = None) -> tupl
     with (
         serving(place) as tally,
         Interruption() as interruption,
-        netns.cleaned_up(run.scenario, run.relays),
         noted(run.run_dir, run.endpoints, options.keys),
         Supervisor(run.run_dir, run.endpoints, options.log, options.keys) as supervisor,
     ):

@@ -1,1 +1,4 @@
-"""Relays in the path of agents' V2X connections: links that are emulated, with root or without."""
+"""Relays between agents and the edge that emulate links in realtime.
+
+`shaper`: the TCP relay with a link's rate and delay. `role`: the process around it.
+"""

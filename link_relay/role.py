@@ -1,14 +1,11 @@
-"""The relay role: agents of this machine reach the edge through it."""
+"""The relay role: emulates the links between this machine's agents and the edge."""
 
 from __future__ import annotations
 
 import logging
 import threading
 
-from link_relay.netns import probe
-from link_relay.netns.forwarder import Forwarder
-from link_relay.server import Address, Draw, Server
-from link_relay.shaper import Shaper
+from link_relay.shaper import Address, Shaper
 from protocol.bus import Endpoint
 from protocol.errors import BusError, ConfigError
 from protocol.inbox import Envelope, Presence
@@ -22,23 +19,23 @@ _log = logging.getLogger(__name__)
 
 
 class RelayRole:
-    """Serves the connections of one kind of agent, the last word of the process's id.
+    """Serves the connections of one kind of agent, which the process's id ends with.
 
-    A connection does not say whose it is: paths are drawn by the order in which agents connect.
+    A connection does not say whose it is: channels are drawn in the order in which agents connect.
     """
 
-    def __init__(self, context: Context, server: Server) -> None:
+    def __init__(self, context: Context, shaper: Shaper) -> None:
         self._context = context
-        self._server = server
-        self._thread = threading.Thread(target=server.run, name="relay")
+        self._shaper = shaper
+        self._thread = threading.Thread(target=shaper.run, name="relay")
         self._thread.start()
 
     @classmethod
     def build(cls, context: Context) -> RelayRole:
-        """Listens for agents and shows itself.
+        """Listens for agents and announces the role.
 
         Raises:
-            ConfigError: the scenario has no link for these agents, or this machine no namespaces.
+            ConfigError: the scenario has no link for these agents.
             BusError: the port is in use.
         """
         kind = context.id.rpartition("-")[2]
@@ -51,22 +48,22 @@ class RelayRole:
             return Path.draw(profile, seed, f"{kind} {number}")
 
         try:
-            server = _server(config, listen, upstream, draw)
+            shaper = Shaper(listen, upstream, draw)
         except OSError as error:
             raise BusError(f"cannot listen at {context.uplink}: {error.strerror}") from None
-        role = cls(context, server)
+        role = cls(context, shaper)
         context.world.subscribe("end")
         context.announce("relay")
         _log.info("%s links like %s: %s to %s", kind, profile.name, context.uplink, upstream)
         return role
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes the end of the world."""
+        """Stops at the end of the run."""
         if isinstance(item, Envelope) and isinstance(item.message, End):
             self._context.stop.set()
 
     def poll(self) -> None:
-        """The work is done in the relay's own thread; without it the process is of no use.
+        """Checks the thread that does the work.
 
         Raises:
             BusError: the relay has failed.
@@ -76,14 +73,8 @@ class RelayRole:
 
     def close(self) -> None:
         """Ends all connections."""
-        self._server.stop()
+        self._shaper.stop()
         self._thread.join()
-
-
-def _server(config: LinkConfig, listen: Address, upstream: Address, draw: Draw) -> Server:
-    if config.apply == "netns":
-        return Forwarder(listen, upstream, draw, delays=probe.require())
-    return Shaper(listen, upstream, draw)
 
 
 def _profile(config: LinkConfig, kind: str) -> LinkProfile:

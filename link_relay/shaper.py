@@ -1,33 +1,39 @@
 """A TCP relay whose connections behave like links.
 
-Towards the edge: bytes leave at the path's rate, one after the other, and travel for half a round
-trip. No more is read than has left, the receive buffer is small, so that TCP holds the sender back
-and what waits, waits with the sender. Towards the agent: half a round trip at any rate, for what
-goes there is small.
+Towards the edge: bytes leave at the channel's rate, one after the other, and travel for half a
+round trip. No more is read than has left and the receive buffer is small, so that TCP holds the
+sender back and the queue stays with the sender. Towards the agent: half a round trip at any rate,
+for what goes there is small.
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
+import selectors
 import socket
 import time
+from collections.abc import Callable
 
-from link_relay.server import Address, Draw, Server, buffer_bytes, make_prompt
 from sensing.link.path import SEGMENT_BYTES, Path
 
 CHUNK_NS = 2_000_000  # of the link's time in a chunk, but a packet at least
 MOST_BYTES = 65_536
 BUFFER_NS = 20_000_000  # what the receive buffer may hide from the sender, in the link's time
+LEAST_BUFFER_BYTES = 4096
+MOST_BUFFER_BYTES = 1 << 20
 LINE_CHUNKS = 1024  # on their way: bounds memory
 SLACK_NS = 5_000_000  # a timer that fires late does not slow the link
 _log = logging.getLogger(__name__)
 
+Address = tuple[str, int]
+Draw = Callable[[int], Path]
 
-class Shaper(Server):
-    """Relays every connection over a path of its own; `draw` gives it by the connection's number.
 
-    Runs on a loop of its own with a timer finer than a millisecond.
+class Shaper:
+    """Relays every connection over a channel of its own; `draw` gives it by the number.
+
+    A task a connection, on a loop whose timer is finer than a millisecond.
     """
 
     def __init__(self, listen: Address, upstream: Address, draw: Draw) -> None:
@@ -36,35 +42,86 @@ class Shaper(Server):
         Raises:
             OSError: the address is in use.
         """
-        super().__init__(listen, buffer_bytes(draw(0), BUFFER_NS))
+        self._listener = _listener(listen, _buffer_bytes(draw(0)))
+        self._loop = asyncio.SelectorEventLoop(selectors.SelectSelector())
+        self._accepting = self._loop.create_task(self._accept())
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._connections = 0
         self._upstream = upstream
         self._draw = draw
         self._since_ns = time.monotonic_ns()
 
-    async def relay(self, agent: socket.socket, number: int) -> None:
-        """Passes on what comes, as the path of this number does."""
+    @property
+    def address(self) -> Address:
+        """The address it listens at."""
+        host, port = self._listener.getsockname()[:2]
+        return host, port
+
+    def run(self) -> None:
+        """Relays until `stop`; for a thread of its own."""
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._accepting)
+        except asyncio.CancelledError:
+            pass
+        finally:
+            self._listener.close()
+            self._loop.close()
+
+    def stop(self) -> None:
+        """Ends `run` and all connections; may be called from any thread."""
+        if not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._accepting.cancel)
+
+    async def _accept(self) -> None:
+        try:
+            while True:
+                agent, _ = await self._loop.sock_accept(self._listener)
+                task = self._loop.create_task(self._relay(agent, self._connections))
+                self._connections += 1
+                self._tasks.add(task)
+                task.add_done_callback(self._tasks.discard)
+        finally:
+            for task in self._tasks:
+                task.cancel()
+            await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    async def _relay(self, agent: socket.socket, number: int) -> None:
+        """Passes on what arrives on the connection of this number, both ways, and closes it."""
         path = self._draw(number)
         edge: socket.socket | None = None
-        ways: list[asyncio.Task[None]] = []
+        directions: list[asyncio.Task[None]] = []
         try:
-            edge = await self.connect(self._upstream)
-            make_prompt(agent, edge)
-            ways = [
+            edge = await self._connect()
+            for end in (agent, edge):
+                end.setblocking(False)
+                end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            directions = [
                 self._loop.create_task(self._pass_on(agent, edge, path, limited=True)),
                 self._loop.create_task(self._pass_on(edge, agent, path, limited=False)),
             ]
-            await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait(directions, return_when=asyncio.FIRST_COMPLETED)
         except OSError as error:
             _log.warning("connection to %s:%d: %s", *self._upstream, error)
         finally:
-            for way in ways:
-                way.cancel()
+            for direction in directions:
+                direction.cancel()
             try:  # the end of the relay may come while this one ends
-                await asyncio.gather(*ways, return_exceptions=True)
+                await asyncio.gather(*directions, return_exceptions=True)
             finally:
                 agent.close()
                 if edge is not None:
                     edge.close()
+
+    async def _connect(self) -> socket.socket:
+        edge = socket.socket(_family(self._upstream), socket.SOCK_STREAM)
+        try:
+            edge.setblocking(False)
+            await self._loop.sock_connect(edge, self._upstream)
+        except BaseException:
+            edge.close()
+            raise
+        return edge
 
     async def _pass_on(
         self, source: socket.socket, sink: socket.socket, path: Path, *, limited: bool
@@ -123,3 +180,30 @@ class Shaper(Server):
 
     def _now_ns(self) -> int:
         return time.monotonic_ns() - self._since_ns
+
+
+def _buffer_bytes(path: Path) -> int:
+    """Returns what a channel takes in `BUFFER_NS` on average, within what a buffer can be."""
+    period_ns = path.rate_bps.period_ns
+    mean = path.bytes_in(0, period_ns) * BUFFER_NS // period_ns
+    return min(max(mean, LEAST_BUFFER_BYTES), MOST_BUFFER_BYTES)
+
+
+def _family(address: Address) -> socket.AddressFamily:
+    return socket.AF_INET6 if ":" in address[0] else socket.AF_INET
+
+
+def _listener(address: Address, buffer_bytes: int) -> socket.socket:
+    listener = socket.socket(_family(address), socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        # Accepted connections inherit both. Loopback's segments of 64 kB would not fit the buffer.
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_MAXSEG, SEGMENT_BYTES)
+        listener.bind(address)
+        listener.listen(128)
+        listener.setblocking(False)
+    except OSError:
+        listener.close()
+        raise
+    return listener

@@ -39,7 +39,6 @@ CHECKS = (
     Check("cores", machine.cores, optional=True),
     Check("tcp_info", kernel.counters, optional=True),
     Check("send_buffer", kernel.send_buffer, optional=True),
-    Check("netns", kernel.shaping, 20.0, optional=True),
 )
 """In the order in which they are printed."""
 

@@ -1,11 +1,10 @@
-"""What the kernel counts, and what it can shape."""
+"""What the kernel counts, and how much a socket takes."""
 
 from __future__ import annotations
 
 import socket
 
 from cpnet.doctor.finding import Finding
-from link_relay.netns import probe
 from protocol.bus import SEND_BUFFER_BYTES
 from protocol.tcpinfo import sent_bytes_of
 
@@ -36,12 +35,3 @@ def send_buffer() -> list[Finding]:
     what = f"send buffers of {granted >> 10} KiB"
     measured = {"send_buffer_bytes": granted}
     return [Finding("send_buffer", what, ok, advice, optional=True, measured=measured)]
-
-
-def shaping() -> list[Finding]:
-    """Looks whether links can be shaped by network namespaces."""
-    ability = probe.examine()
-    advice = "" if ability.delays else "no netem (sch_netem): rates and outages, no round trips"
-    what = "network namespaces for cpnet up --netns"
-    ok = not ability.missing
-    return [Finding("netns", what, ok, ability.missing or advice, optional=True)]

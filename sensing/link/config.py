@@ -22,11 +22,11 @@ class LinkConfig(Section):
     roadside_profile: LinkProfile | None = Field(
         None, description="of every roadside LiDAR; null: it is wired and has no limits"
     )
-    apply: Literal["auto", "virtual", "emulated", "netns", "none"] = Field(
+    apply: Literal["auto", "virtual", "emulated", "none"] = Field(
         "auto",
         description="virtual: arrival in simulated time, for lockstep; emulated: a shaping relay, "
-        "for realtime; netns: a network namespace per agent, for realtime, needs root; auto: "
-        "virtual or emulated, whichever fits the mode; none: profiles are not applied",
+        "for realtime; auto: virtual or emulated, whichever fits the mode; none: profiles are not "
+        "applied",
     )
     agent_compute_ms: float = Field(
         0.0, ge=0, le=10_000, description="virtual: from the frame's time until an agent sends"

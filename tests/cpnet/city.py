@@ -7,9 +7,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 
-from link_relay.netns.iproute import NetnsError, call
+from tests.kernel_links import FRAME_BYTES, KernelError, call
 
-FRAME_BYTES = 1514
 _numbers = count()
 
 
@@ -39,7 +38,7 @@ class City:
 
     def __exit__(self, *_: object) -> None:
         for namespace in self._namespaces:
-            with suppress(NetnsError):
+            with suppress(KernelError):
                 call("ip", "netns", "del", namespace)
 
     def host(self, name: str, uplink: str = "") -> Host:

@@ -46,7 +46,7 @@ def by_check(findings: list[Finding]) -> dict[str, Finding]:
 def test_this_machine_is_examined_and_every_check_has_a_name_of_its_own():
     found = checks.examine()
     assert len(by_check(found)) == len(found)
-    assert by_check(found).keys() >= {"python", "disk", "memory", "cores", "tcp_info", "netns"}
+    assert by_check(found).keys() >= {"python", "disk", "memory", "cores", "tcp_info"}
     assert by_check(found)["tcp_info"].ok
     assert by_check(found)["memory"].measured["memory_bytes"] > 1 << 28
 

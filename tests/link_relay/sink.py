@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from link_relay.server import Address, Draw, Server
+from link_relay.shaper import Address, Shaper
 from protocol.tcpinfo import unsent_bytes
 from sensing.link.named import profile_named
 from sensing.link.path import Path
@@ -49,11 +49,11 @@ class Sink:
 class Rig:
     """A relay before a sink, and one connection to it."""
 
-    def __init__(self, relay: Callable[[Address, Address, Draw], Server], profile: str) -> None:
+    def __init__(self, profile: str) -> None:
         self.path = Path.draw(profile_named(profile) or LinkProfile(), 1, "vehicle 0")
         self.sink = Sink()
         self.since_ns = time.monotonic_ns()
-        self.relay = relay(("127.0.0.1", 0), self.sink.address, lambda _: self.path)
+        self.relay = Shaper(("127.0.0.1", 0), self.sink.address, lambda _: self.path)
         self.thread = threading.Thread(target=self.relay.run)
         self.thread.start()
         self.agent = socket.create_connection(self.relay.address)
@@ -76,12 +76,12 @@ class Rig:
 
 
 @contextmanager
-def rigs(relay: Callable[[Address, Address, Draw], Server]) -> Iterator[Callable[[str], Rig]]:
+def rigs() -> Iterator[Callable[[str], Rig]]:
     """Gives a maker of rigs by their links' profile, and closes what it made."""
     made: list[Rig] = []
 
     def make(profile: str) -> Rig:
-        made.append(Rig(relay, profile))
+        made.append(Rig(profile))
         return made[-1]
 
     yield make

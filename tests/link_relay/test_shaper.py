@@ -1,10 +1,11 @@
 """The relay shapes real TCP connections; what it does agrees with the link in simulated time."""
 
+import random
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from statistics import fmean
+from statistics import fmean, median
 
 import pytest
 
@@ -12,6 +13,7 @@ from link_relay.shaper import SLACK_NS, Shaper
 from sensing.link.path import Path, on_air_bytes
 from sensing.link.profile import LinkProfile
 from sensing.link.virtual import VirtualLink
+from tests.kernel_links import shaped_connection
 from tests.link_relay.sink import Rig, rigs
 
 MS = 1_000_000
@@ -20,7 +22,7 @@ Make = Callable[[str], Rig]
 
 @pytest.fixture
 def make() -> Iterator[Make]:
-    with rigs(Shaper) as made:
+    with rigs() as made:
         yield made
 
 
@@ -40,6 +42,35 @@ def compare(make: Make, name: str, size: int, messages: int = 20) -> tuple[float
         rig.sink.arrival_ns((number + 1) * size) - now_ns for number, now_ns in enumerate(sent)
     ]
     return fmean(virtual) / 1e6, fmean(emulated) / 1e6
+
+
+def test_bytes_come_out_as_they_went_in_both_ways(make):
+    rig = make("50mbit,4ms")
+    data = random.Random(1).randbytes(300_000)
+    rig.agent.sendall(data)
+    rig.sink.arrival_ns(len(data))
+    assert bytes(rig.sink.data) == data
+    assert rig.sink.peer is not None
+    rig.sink.peer.sendall(data[:1000])
+    back = b""
+    while len(back) < 1000:
+        back += rig.agent.recv(1000)
+    assert back == data[:1000]
+
+
+def test_what_the_link_does_not_take_stays_with_the_sender(make):
+    rig = make("200kbit")
+    rig.agent.sendall(bytes(150_000))
+    rig.sink.arrival_ns(5_000)  # 0.2 s at this rate: buffers before the link are full by then
+    assert rig.unsent_bytes() > 100_000
+
+
+def test_a_connection_that_the_agent_ends_ends_at_the_edge(make):
+    rig = make("5mbit,20ms")
+    rig.agent.sendall(b"last words")
+    rig.agent.shutdown(socket.SHUT_WR)
+    assert rig.sink.ended.wait(10)
+    assert bytes(rig.sink.data) == b"last words"
 
 
 @pytest.mark.usefixtures("undisturbed")
@@ -93,3 +124,20 @@ def test_an_edge_that_is_not_there_ends_the_agents_connection():
     shaper.stop()
     thread.join(10)
     assert not thread.is_alive()
+
+
+@pytest.mark.root
+@pytest.mark.usefixtures("undisturbed")
+def test_the_relay_takes_as_long_as_a_link_that_the_kernel_shapes(make):
+    size, rig = 60_000, make("5mbit")
+    relayed_ms, kernel_ms = [], []
+    with shaped_connection(5_000_000) as (sender, receiver):
+        for number in range(1, 9):
+            begin_ns = time.monotonic_ns()
+            rig.agent.sendall(bytes(size))
+            relayed_ms.append((rig.sink.arrival_ns(number * size) - begin_ns) / 1e6)
+            begin_ns = time.monotonic_ns()
+            sender.sendall(bytes(size))
+            assert len(receiver.recv(size, socket.MSG_WAITALL)) == size
+            kernel_ms.append((time.monotonic_ns() - begin_ns) / 1e6)
+    assert median(relayed_ms) == pytest.approx(median(kernel_ms), rel=0.1)
