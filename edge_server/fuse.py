@@ -12,7 +12,7 @@ import numpy as np
 
 from edge_server.config import FusionConfig
 from perception.arrays import Bools, Floats, Ints
-from perception.vehicles import Vehicles
+from perception.detector import Vehicles
 from protocol.messages import AgentPose, Equipment
 
 CERTAIN_STD_M = 0.5  # poses better than this say by themselves which box is the agent's

@@ -19,10 +19,9 @@ from edge_server.sight import Shares, Sight
 from edge_server.spans import Spans
 from edge_server.standing import Standing
 from perception.arrays import Floats
-from perception.detector import Cloud, DetectorMaker
+from perception.detector import Cloud, DetectorMaker, Vehicles
 from perception.registry import detector_of
 from perception.roadway import Placed, Roadway
-from perception.vehicles import Vehicles
 from protocol.messages import Detections, Doubt, LaneCounts, Scan, Span
 from protocol.roadmap import RoadMap
 

@@ -14,7 +14,7 @@ from learning.moments import Moment
 from learning.targets import Targets, targets_of
 from perception.arrays import Bools, Floats, Floats32, Ints
 from perception.pillars.config import PillarsConfig
-from perception.pillars.voxels import Pillars, Window, pillars_of
+from perception.pillars.windows import Pillars, Window, pillars_of
 from perception.roadway import Roadway
 from protocol.roadmap import RoadMap
 

@@ -26,7 +26,7 @@ class Shot:
 class Moment:
     """All scans of one moment at one junction, and all vehicles there.
 
-    `boxes` (M, 7) are as in `perception.vehicles.Vehicles`, in the map frame; `points_on` (S, M)
+    `boxes` (M, 7) are as in `perception.detector.Vehicles`, in the map frame; `points_on` (S, M)
     counts the returns of each shot that came from each vehicle.
     """
 

@@ -8,9 +8,9 @@ import numpy as np
 from numba import njit
 
 from perception.arrays import Bools, Floats, Floats32, Ints32
-from perception.pillars.anchors import middle_of, terms_of
 from perception.pillars.config import ANCHOR_YAWS, STRIDE, PillarsConfig
-from perception.pillars.voxels import Window
+from perception.pillars.network import middle_of, terms_of
+from perception.pillars.windows import Window
 
 VEHICLE_IOU, NOTHING_IOU = 0.6, 0.45  # of Lang et al. 2019; in between an anchor does not count
 DOUBTFUL_IOU = 0.1  # of a vehicle too faint to be asked for

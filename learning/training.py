@@ -16,9 +16,8 @@ from safetensors.torch import save_file
 
 from learning.examples import Example, Sight, example_of
 from learning.loss import losses_of
-from perception.pillars.batch import Batch
 from perception.pillars.config import PillarsConfig
-from perception.pillars.network import PointPillars, lay_channels_last
+from perception.pillars.network import Batch, PointPillars, lay_channels_last
 from protocol.errors import ConfigError
 
 _WARM_UP = 0.1  # share of the steps in which the rate rises

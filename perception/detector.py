@@ -1,4 +1,7 @@
-"""What every detector is given and gives; edge and agents share them."""
+"""Interface of all detectors: the cloud that they get, the vehicles that they return.
+
+`PluginDetector` holds a detector of another package to this interface.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,52 @@ from typing import Protocol
 
 import numpy as np
 
-from perception.arrays import Floats
+from perception.arrays import Bools, Floats, Ints
 from perception.config import DetectionConfig
 from perception.roadway import Placed, Roadway
-from perception.vehicles import Vehicles
+from protocol.plugins import Plugin
+
+LIDAR = "lidar"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Vehicles:
+    """Boxes (N, 7) in the map frame: x, y, z of the centre, length, width, height, yaw.
+
+    `scores` is (N,), from 0 to 1. A source is "lidar" or the agent whose own pose it is; then
+    `position_std_m` (N,) is how far that may be off.
+    """
+
+    boxes: Floats
+    scores: Floats
+    sources: list[str]
+    position_std_m: Floats
+
+    @classmethod
+    def from_lidar(cls, boxes: Floats, scores: Floats) -> Vehicles:
+        """Returns vehicles that points gave away."""
+        return cls(boxes, scores, [LIDAR] * len(boxes), np.zeros(len(boxes)))
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+    def take(self, chosen: Ints | Bools) -> Vehicles:
+        """Returns some of them, by index or mask, in the order of the indices."""
+        indices = np.arange(len(self))[chosen]
+        return Vehicles(
+            self.boxes[indices],
+            self.scores[indices],
+            [self.sources[i] for i in indices],
+            self.position_std_m[indices],
+        )
+
+    def __add__(self, other: Vehicles) -> Vehicles:
+        return Vehicles(
+            np.concatenate([self.boxes, other.boxes]),
+            np.concatenate([self.scores, other.scores]),
+            self.sources + other.sources,
+            np.concatenate([self.position_std_m, other.position_std_m]),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,3 +93,40 @@ class Detector(Protocol):
 
 
 DetectorMaker = Callable[[DetectionConfig, Roadway], Detector]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PluginDetector:
+    """Holds a plug-in to what every detector promises, frame by frame."""
+
+    plugin: Plugin
+    detector: Detector
+
+    @classmethod
+    def of(cls, plugin: Plugin, config: DetectionConfig, roadway: Roadway) -> PluginDetector:
+        """Makes the detector for a road.
+
+        Raises:
+            ConfigError: the plug-in refuses its settings or makes no detector.
+        """
+        return cls(plugin, plugin.make("detect", config, roadway))
+
+    def detect(self, cloud: Cloud, rng: np.random.Generator, stage: Stage = untimed) -> Vehicles:
+        """See `perception.detector.Detector.detect`.
+
+        Raises:
+            ConfigError: what the plug-in returned are no vehicles.
+        """
+        found = self.detector.detect(cloud, rng, stage)
+        if not isinstance(found, Vehicles):
+            raise self.plugin.wrong(f"found a {type(found).__name__}, must find Vehicles")
+        count = len(found.boxes)
+        shapes = [found.boxes.shape, found.scores.shape, found.position_std_m.shape]
+        if shapes != [(count, 7), (count,), (count,)] or len(found.sources) != count:
+            raise self.plugin.wrong(
+                f"found boxes {shapes[0]}, scores {shapes[1]}, position_std_m {shapes[2]} and "
+                f"{len(found.sources)} sources; must be (N, 7), (N,), (N,) and N"
+            )
+        if not (np.isfinite(found.boxes).all() and np.isfinite(found.scores).all()):
+            raise self.plugin.wrong("found a box or a score that is no finite number")
+        return found

@@ -19,9 +19,8 @@ from numba import njit
 
 from perception.arrays import Floats, Floats32, Ints
 from perception.config import GroundConfig
-from perception.lowest import lowest, span, square, squares
 from perception.parallel import each
-from perception.roadway import Placed
+from perception.roadway import Placed, lowest, span, square, squares
 
 SAMPLE = 4096  # of the whole cloud, on every n-th point
 WALL_DEG = 20.0  # a plane through the whole cloud that is steeper than this is a wall

@@ -22,9 +22,8 @@ from perception.boxes import certainty, fits
 from perception.cells import Cells
 from perception.cluster import cluster
 from perception.config import DetectionConfig, GroundConfig
-from perception.detector import Cloud, Stage, untimed
+from perception.detector import Cloud, Stage, Vehicles, untimed
 from perception.roadway import merge
-from perception.vehicles import Vehicles
 from protocol.errors import ConfigError
 
 PACKAGES = ("libusb-1.0-0", "libgl1", "libgomp1")
@@ -54,14 +53,14 @@ def load_open3d() -> ModuleType:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reference:
+class ReferenceDetector:
     """Open3D and the paper's parameters."""
 
     config: DetectionConfig
     open3d: Any
 
     @classmethod
-    def of(cls, config: DetectionConfig) -> Reference:
+    def of(cls, config: DetectionConfig) -> ReferenceDetector:
         """Loads Open3D.
 
         Raises:

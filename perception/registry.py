@@ -27,21 +27,21 @@ def detector_of(config: DetectionConfig, roadway: Roadway) -> Detector:
     """
     match config.detector:
         case "fast":
-            from perception.clustering import Clustering
+            from perception.fast import FastDetector
 
-            return Clustering(config, roadway)
+            return FastDetector(config, roadway)
         case "reference":
-            from perception.reference import Reference
+            from perception.reference import ReferenceDetector
 
-            return Reference.of(config)
+            return ReferenceDetector.of(config)
         case name if name in LEARNED:
             with _torch_needed(name):
                 from perception.pillars.detector import pillars_detector
             return pillars_detector(name, config.pillars, roadway)
         case name:
-            from perception.added import Added
+            from perception.detector import PluginDetector
 
-            return Added.of(DETECTORS.load(name), config, roadway)
+            return PluginDetector.of(DETECTORS.load(name), config, roadway)
 
 
 def check(config: DetectionConfig) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from perception.arrays import Bools, Floats, Ints
-from perception.overlap import overlaps
+from perception.boxes import overlaps
 
 View = Literal["bev", "3d"]
 POSITIONS = 40

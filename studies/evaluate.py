@@ -21,10 +21,9 @@ from edge_server.lanes import LaneIndex
 from learning.moments import Moment
 from perception.arrays import Bools, Floats, Ints
 from perception.config import LEARNED, DetectorName
-from perception.detector import Cloud, Detector
+from perception.detector import Cloud, Detector, Vehicles
 from perception.registry import detector_of
 from perception.roadway import Placed, Roadway
-from perception.vehicles import Vehicles
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 from studies.average_precision import Scene, View, average_precision, outcomes

@@ -1,25 +1,200 @@
-"""PointPillars as a detector: windows over the points, one call of the network, doubles removed."""
+"""PointPillars as a detector: windows over the points, inference, duplicates suppressed.
+
+`Engine` runs a network: norms are folded into the layers, on request it computes in bfloat16.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import groupby
+from typing import cast
 
 import numpy as np
 import torch
+from torch import Tensor, nn
+from torch.nn.functional import conv2d
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from perception.arrays import Floats, Floats32, Ints
+from perception.boxes import suppress
 from perception.config import PillarsDetection
-from perception.detector import Cloud, Stage, untimed
-from perception.overlap import suppress
-from perception.pillars.config import FULL
-from perception.pillars.cover import cover
-from perception.pillars.engine import Engine, Seen
-from perception.pillars.network import PointPillars
-from perception.pillars.voxels import Window
+from perception.detector import Cloud, Stage, Vehicles, untimed
+from perception.pillars.config import ANCHOR_YAWS, FULL, STRIDE
+from perception.pillars.network import BOX_TERMS, PointPillars, boxes_of, middle_of
 from perception.pillars.weights import network_of
+from perception.pillars.windows import Window, cover, known_of
 from perception.roadway import Roadway, merge
-from perception.vehicles import Vehicles
+
+_MOST = 500  # anchors of a window that are looked at
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """Which pillars stand in a window, and in which of its cells (K,), rows of y first."""
+
+    pillar: Ints
+    cell: Ints
+
+
+class Engine:
+    """Asks one network; `half` computes in bfloat16."""
+
+    def __init__(self, network: PointPillars, device: torch.device, *, half: bool) -> None:
+        self.config = network.config
+        self.device = device
+        self._type = torch.bfloat16 if half else torch.float32
+        network.eval().requires_grad_(requires_grad=False)
+        self._weight, self._bias = _fold(network)
+        for part in (*network.blocks, *network.ups):
+            assert isinstance(part, nn.Sequential)
+            _fuse(part)
+        network = network.to(device, self._type)
+        weight = torch.cat([network.score.weight, network.box.weight]).flatten(1)
+        shares = weight.split(self.config.up_channels, 1)
+        self._blocks = [_layers(block) for block in network.blocks]
+        self._ups = [
+            _Up(up[0], share.T.contiguous()) for up, share in zip(network.ups, shares, strict=True)
+        ]
+        self._bias_of_head = torch.cat([network.score.bias, network.box.bias])
+        self._canvas = torch.zeros(0, self.config.pillar_channels, dtype=self._type, device=device)
+
+    def encode(self, points: Floats32, height_m: Floats32, window: Window) -> tuple[Tensor, Ints]:
+        """Returns what is known of each pillar (P, C) of a window, and their cells (P,)."""
+        known, cells = known_of(points, height_m, window, self.config, self._weight, self._bias)
+        return torch.from_numpy(known).to(self.device, self._type), cells
+
+    @torch.inference_mode()
+    def ask(
+        self, known: Tensor, windows: Sequence[Window], seen: Sequence[Seen], *, min_score: float
+    ) -> tuple[Floats, Floats, Ints]:
+        """Returns boxes (K, 7), z over the road, scores (K,) and the window (K,) of each.
+
+        All windows are of one size; `seen` says which of the pillars known stand in each, and
+        where.
+        """
+        rows, columns = windows[0].size
+        head = self.head(known, seen, (rows, columns)).cpu()
+        found = [
+            (*self._read(terms, window, min_score), number)
+            for number, (terms, window) in enumerate(zip(head, windows, strict=True))
+        ]
+        number = np.repeat([n for *_, n in found], [len(scores) for _, scores, _ in found])
+        boxes = np.concatenate([boxes for boxes, _, _ in found])
+        return boxes, np.concatenate([scores for _, scores, _ in found]), number
+
+    @torch.inference_mode()
+    def head(self, known: Tensor, seen: Sequence[Seen], size: tuple[int, int]) -> Tensor:
+        """Returns what `PointPillars.forward` does, of windows with so many rows and columns."""
+        places = size[0] * size[1]
+        cell = np.concatenate([one.cell + n * places for n, one in enumerate(seen)])
+        standing = torch.from_numpy(cell).to(self.device)
+        pillar = torch.from_numpy(np.concatenate([one.pillar for one in seen])).to(self.device)
+        canvas = self._cleared(len(seen) * places)
+        canvas.index_copy_(0, standing, known[pillar])
+        image = canvas.view(len(seen), *size, -1).permute(0, 3, 1, 2)
+        terms = self._bias_of_head.repeat(len(seen), size[0] // STRIDE, size[1] // STRIDE, 1)
+        for block, up in zip(self._blocks, self._ups, strict=True):
+            for layer in block:
+                image = layer(image)
+            up.add(image, terms)
+        canvas.index_fill_(0, standing, 0)
+        return terms.permute(0, 3, 1, 2)
+
+    def _cleared(self, places: int) -> Tensor:
+        """Returns an empty canvas (P, C); it is kept, for to clear all of it takes long."""
+        if places > len(self._canvas):
+            self._canvas = self._canvas.new_zeros(places, self._canvas.shape[1])
+        return self._canvas[:places]
+
+    def _read(self, terms: Tensor, window: Window, min_score: float) -> tuple[Floats, Floats]:
+        places = window.rows * window.columns // STRIDE**2
+        logits = terms[:ANCHOR_YAWS].reshape(-1).float()
+        least = float(np.log(min_score / (1 - min_score)))
+        place = torch.nonzero(logits >= least).reshape(-1)
+        if len(place) > _MOST:
+            place = place[torch.topk(logits[place], _MOST).indices]
+        kind, cell = place // places, place % places
+        said = terms.permute(1, 2, 0).reshape(places, -1)[cell, ANCHOR_YAWS:].float()
+        boxes = said.view(-1, ANCHOR_YAWS, BOX_TERMS)[torch.arange(len(cell)), kind]
+        middle = middle_of(cell.numpy(), window, self.config)
+        scores = torch.sigmoid(logits[place]).double().numpy()
+        return boxes_of(boxes.numpy(), middle, kind.numpy(), self.config), scores
+
+
+class _Relu:
+    """A convolution and its ReLU, in one pass over the image where PyTorch has oneDNN."""
+
+    def __init__(self, weight: Tensor, bias: Tensor, stride: int = 1) -> None:
+        self._weight = weight.contiguous(memory_format=torch.channels_last)
+        self._bias = bias
+        self._stride = stride
+        self._margin = weight.shape[-1] // 2
+        self._joined = weight.device.type == "cpu" and torch.backends.mkldnn.is_available()
+
+    def __call__(self, image: Tensor) -> Tensor:
+        margin, stride = self._margin, self._stride
+        if not self._joined:
+            return conv2d(image, self._weight, self._bias, stride, margin).relu_()
+        both = torch.ops.mkldnn._convolution_pointwise
+        ways = [margin] * 2, [stride] * 2, [1, 1]
+        return cast("Tensor", both(image, self._weight, self._bias, *ways, 1, "relu", [], ""))
+
+
+class _Up:
+    """A block's share of the head's output: two products of matrices for each pixel.
+
+    The head is linear in what the blocks say together, so that these need not be put side by side,
+    nor scaled up before the last product.
+    """
+
+    def __init__(self, up: nn.Conv2d | nn.ConvTranspose2d, share: Tensor) -> None:
+        self._factor = up.kernel_size[0]
+        weight = up.weight if isinstance(up, nn.ConvTranspose2d) else up.weight.transpose(0, 1)
+        # (in, out, y, x) as (y * x * out, in, 1, 1)
+        weight = weight.permute(0, 2, 3, 1).flatten(1).T[:, :, None, None]
+        self._raise = _Relu(weight, _known(up.bias).repeat(self._factor**2))
+        self._share = share
+
+    def add(self, image: Tensor, terms: Tensor) -> None:
+        """Adds the share of (B, C, H, W) to terms (B, H factor, W factor, terms)."""
+        batch, _, rows, columns = image.shape
+        factor = self._factor
+        raised = self._raise(image).permute(0, 2, 3, 1)
+        share = raised.reshape(-1, len(self._share)) @ self._share
+        share = share.view(batch, rows, columns, factor, factor, -1).transpose(2, 3)
+        terms.view(share.shape).add_(share)
+
+
+def _layers(block: nn.Module) -> list[_Relu]:
+    layers = [layer for layer in block.children() if isinstance(layer, nn.Conv2d)]
+    return [_Relu(layer.weight, _known(layer.bias), layer.stride[0]) for layer in layers]
+
+
+def _known(bias: Tensor | None) -> Tensor:
+    assert bias is not None
+    return bias
+
+
+def _fold(network: PointPillars) -> tuple[Floats32, Floats32]:
+    """Returns the points' layer with its norm in it: weight (6, C) and bias (C,)."""
+    norm = network.norm
+    assert norm.running_var is not None
+    assert norm.running_mean is not None
+    scale = norm.weight / torch.sqrt(norm.running_var + norm.eps)
+    weight = (network.encode.weight * scale[:, None]).T.detach().contiguous()
+    bias = (norm.bias - norm.running_mean * scale).detach()
+    return weight.numpy(), bias.numpy()
+
+
+def _fuse(steps: nn.Sequential) -> None:
+    for index in range(len(steps) - 1):
+        layer, norm = steps[index], steps[index + 1]
+        if isinstance(layer, nn.Conv2d | nn.ConvTranspose2d) and isinstance(norm, nn.BatchNorm2d):
+            is_up = isinstance(layer, nn.ConvTranspose2d)
+            steps[index] = fuse_conv_bn_eval(layer, norm, transpose=is_up)
+            steps[index + 1] = nn.Identity()
+
 
 EDGE_M = 3.0  # what lies closer to a window's edge is seen better by the next one
 AT_ONCE = 8  # windows; bounds the memory that a cloud takes
@@ -59,7 +234,7 @@ class PillarsDetector:
             known, cells = self._engine.encode(points, height_m, around)
             standing = np.divmod(cells, around.columns)
             for part in _alike(windows):
-                seen = [_seen(*standing, around, window, shape.cell_m) for window in part]
+                seen = [_pillars_in(*standing, around, window, shape.cell_m) for window in part]
                 found, score, number = self._engine.ask(
                     known, part, seen, min_score=self._config.min_score
                 )
@@ -102,7 +277,7 @@ def _around(windows: list[Window], cell_m: float) -> Window:
     return Window(low, columns, rows)
 
 
-def _seen(row: Ints, column: Ints, around: Window, window: Window, cell_m: float) -> Seen:
+def _pillars_in(row: Ints, column: Ints, around: Window, window: Window, cell_m: float) -> Seen:
     """Returns which pillars of the window around others stand in one of them."""
     first_column, first_row = np.round((window.low - around.low) / cell_m).astype(np.int64)
     row, column = row - first_row, column - first_column

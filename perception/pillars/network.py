@@ -1,15 +1,22 @@
 """The network: points to pillars, pillars to an image, the image to scores and boxes.
 
-After Lang et al. 2019, with what a CPU asks for: points are never padded to pillars of a fixed
-size, each is encoded once and the maximum taken by pillar; images are channels-last.
+After Lang et al. 2019, with changes for CPUs: points are never padded to pillars of a fixed size,
+each is encoded once and the maximum taken by pillar; images are channels-last. Boxes are encoded
+as residuals against anchors; `Batch` holds many windows as the network takes them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
 import torch
 from torch import Tensor, nn
 
+from perception.arrays import Floats, Floats32, Ints
 from perception.pillars.config import ANCHOR_YAWS, FEATURES, STRIDE, PillarsConfig
+from perception.pillars.windows import Pillars, Window
 
 BOX_TERMS = 7
 _PRIOR = 0.01  # score of an untrained anchor
@@ -106,3 +113,61 @@ def _bias(layer: nn.Conv2d) -> Tensor:
     bias = layer.bias
     assert bias is not None
     return bias
+
+
+def middle_of(place: Ints, window: Window, config: PillarsConfig) -> Floats:
+    """Returns the middles x, y (K, 2) of output cells, numbered along x first."""
+    row, column = np.divmod(place, window.columns // STRIDE)
+    return window.low + (np.stack([column, row], -1) + 0.5) * STRIDE * config.cell_m
+
+
+def terms_of(boxes: Floats, middle: Floats, kind: Ints, config: PillarsConfig) -> Floats32:
+    """Writes boxes (K, 7), z over the road, as terms (K, 7) of anchors at middles (K, 2).
+
+    `kind` (K,) is the anchor's direction: 0 along x, 1 along y. The yaw's term is the angle to the
+    anchor within a quarter turn either way: a box has no front.
+    """
+    length_m, width_m, height_m = config.anchor_m
+    diagonal_m = np.hypot(length_m, width_m)
+    off = (boxes[:, :2] - middle) / diagonal_m
+    rise = (boxes[:, 2] - config.middle_m) / height_m
+    sizes = np.log(boxes[:, 3:6] / [length_m, width_m, height_m])
+    turn = boxes[:, 6] - kind * (np.pi / ANCHOR_YAWS)
+    turn = (turn + np.pi / 2) % np.pi - np.pi / 2
+    return np.column_stack([off, rise, sizes, turn]).astype(np.float32)
+
+
+def boxes_of(terms: Floats32, middle: Floats, kind: Ints, config: PillarsConfig) -> Floats:
+    """Reads boxes (K, 7), z over the road, from terms (K, 7); see `terms_of`."""
+    length_m, width_m, height_m = config.anchor_m
+    diagonal_m = np.hypot(length_m, width_m)
+    terms = terms.astype(np.float64)
+    xy = middle + terms[:, :2] * diagonal_m
+    z = config.middle_m + terms[:, 2] * height_m
+    sizes = np.exp(np.clip(terms[:, 3:6], -2, 2)) * [length_m, width_m, height_m]
+    yaw = terms[:, 6] + kind * (np.pi / ANCHOR_YAWS)
+    return np.column_stack([xy, z, sizes, yaw])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """See `PointPillars.forward`."""
+
+    features: Tensor
+    pillar: Tensor
+    cell: Tensor
+    shape: Tensor
+
+    @classmethod
+    def of(cls, windows: Sequence[Pillars], size: tuple[int, int], device: torch.device) -> Batch:
+        """Puts windows of one size together, rows and columns."""
+        places = size[0] * size[1]
+        first = np.cumsum([0, *(len(w.cell) for w in windows)])
+        pillar = [w.pillar + at for w, at in zip(windows, first[:-1], strict=True)]
+        cell = [w.cell + number * places for number, w in enumerate(windows)]
+        return cls(
+            torch.from_numpy(np.concatenate([w.features for w in windows])).to(device),
+            torch.from_numpy(np.concatenate(pillar)).to(device),
+            torch.from_numpy(np.concatenate(cell)).to(device),
+            torch.tensor([len(windows), *size]),
+        )

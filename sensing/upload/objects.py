@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from perception.config import DetectionConfig, GeofenceConfig
-from perception.detector import Cloud, Detector
+from perception.detector import Cloud, Detector, Vehicles
 from perception.registry import detector_of
 from perception.roadway import Roadway
-from perception.vehicles import Vehicles
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 from protocol.scans import RangeScan

@@ -10,7 +10,7 @@ import numpy as np
 from learning.moments import Moment
 from perception.arrays import Bools, Floats, Floats32
 from perception.config import DetectorName
-from perception.vehicles import Vehicles
+from perception.detector import Vehicles
 from protocol.roadmap import RoadMap
 from studies.bounds import VISIBLE_POINTS
 from studies.evaluate import Site, find

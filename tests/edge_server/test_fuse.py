@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from edge_server.config import FusionConfig
 from edge_server.fuse import fuse
-from perception.vehicles import Vehicles
+from perception.detector import Vehicles
 from protocol.messages import AgentPose, Equipment
 
 CENTRE = np.zeros(3)

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from learning.targets import targets_of
-from perception.overlap import overlaps
-from perception.pillars.anchors import boxes_of, middle_of
+from perception.boxes import overlaps
 from perception.pillars.config import SMALL
-from perception.pillars.voxels import Window
+from perception.pillars.network import boxes_of, middle_of
+from perception.pillars.windows import Window
 
 WINDOW = Window(np.array([-16.0, -16.0]), 128, 128)
 SIDE = 64

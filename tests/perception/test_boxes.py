@@ -10,8 +10,8 @@ import pytest
 
 from perception.boxes import fit_boxes
 from perception.config import BoxConfig
+from perception.detector import Vehicles
 from perception.roadway import Roadway
-from perception.vehicles import Vehicles
 from protocol.roadmap import RoadMap
 
 

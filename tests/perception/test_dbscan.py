@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from perception.cluster import NOISE, cluster
 from perception.config import ClusterConfig
-from perception.split import split
+from perception.fast import split
 
 EPS_M = 1.25
 

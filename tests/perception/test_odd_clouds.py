@@ -13,14 +13,11 @@ import pytest
 from edge_server.config import EdgeConfig
 from edge_server.pipeline import Pipeline
 from perception import reference
-from perception.cluster import NOISE, cluster
+from perception.cluster import NOISE, _by_parts, _compare, cluster
 from perception.config import ClusterConfig, DetectionConfig
-from perception.detector import Cloud, Detector
-from perception.lowest import lowest
+from perception.detector import Cloud, Detector, Vehicles
 from perception.registry import detector_of
-from perception.roadway import Placed, Roadway
-from perception.touch import _by_parts, _compare
-from perception.vehicles import Vehicles
+from perception.roadway import Placed, Roadway, lowest
 from protocol.geometry import SE3
 from tests.edge_server.conftest import make_road
 from tests.edge_server.test_edge_pipeline import ROADSIDE, frame_of

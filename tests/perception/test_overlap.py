@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perception.overlap import overlaps, suppress
+from perception.boxes import overlaps, suppress
 
 box = st.tuples(
     st.floats(-3, 3), st.floats(-3, 3), st.floats(-1, 1),

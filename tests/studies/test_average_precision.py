@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perception.overlap import overlaps
+from perception.boxes import overlaps
 from studies.average_precision import (
     FALSE,
     HIT,

@@ -13,8 +13,7 @@ from rich.console import Console
 from cpnet.evaluation import Source, detectors_of
 from edge_server.config import EdgeConfig
 from learning.moments import Moment, Shot
-from perception.detector import Cloud
-from perception.vehicles import Vehicles
+from perception.detector import Cloud, Vehicles
 from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from studies import evaluate as study

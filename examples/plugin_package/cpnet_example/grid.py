@@ -6,9 +6,8 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from perception.config import DetectionConfig
-from perception.detector import Cloud, Stage, untimed
+from perception.detector import Cloud, Stage, Vehicles, untimed
 from perception.roadway import Roadway, merge
-from perception.vehicles import Vehicles
 
 LENGTH_M, WIDTH_M, HEIGHT_M = 4.5, 1.8, 1.5
 

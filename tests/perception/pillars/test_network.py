@@ -13,13 +13,16 @@ from safetensors.torch import load_file, save_file  # noqa: E402 - after the che
 
 from perception.config import PillarsDetection  # noqa: E402
 from perception.detector import Cloud  # noqa: E402
-from perception.pillars.batch import Batch  # noqa: E402
 from perception.pillars.config import SMALL, PillarsConfig  # noqa: E402
-from perception.pillars.detector import PillarsDetector, pillars_detector  # noqa: E402
-from perception.pillars.engine import Engine, Seen  # noqa: E402
-from perception.pillars.network import PointPillars  # noqa: E402
-from perception.pillars.voxels import Window, pillars_of  # noqa: E402
+from perception.pillars.detector import (  # noqa: E402
+    Engine,
+    PillarsDetector,
+    Seen,
+    pillars_detector,
+)
+from perception.pillars.network import Batch, PointPillars  # noqa: E402
 from perception.pillars.weights import SHIPPED, load, save  # noqa: E402
+from perception.pillars.windows import Window, pillars_of  # noqa: E402
 from perception.roadway import Placed, Roadway  # noqa: E402
 from protocol.errors import ConfigError  # noqa: E402
 from protocol.roadmap import Lane, RoadMap, Signal  # noqa: E402

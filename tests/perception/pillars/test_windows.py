@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perception.pillars.anchors import boxes_of, middle_of, terms_of
 from perception.pillars.config import SMALL, STRIDE
-from perception.pillars.cover import HALO_M, LONG_M, STEP_M, cover
-from perception.pillars.voxels import Window, pillars_of
+from perception.pillars.network import boxes_of, middle_of, terms_of
+from perception.pillars.windows import HALO_M, LONG_M, STEP_M, Window, cover, pillars_of
 
 CELLS = 64
 

@@ -1,13 +1,22 @@
-"""Clusters that are too long for one vehicle, parted: a queue in a dense cloud is one cluster."""
+"""The detector `fast` (Chen et al. 2022): ground removal, DBSCAN, a box per cluster.
+
+Clusters too long for one vehicle are split: in a dense cloud, a queue is one cluster.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
 from perception.arrays import Bools, Floats32, Ints, Ints32
+from perception.boxes import fit_boxes
 from perception.cluster import NOISE, cluster, renumber
-from perception.config import ClusterConfig
+from perception.config import ClusterConfig, DetectionConfig
+from perception.detector import Cloud, Stage, Vehicles, untimed
+from perception.ground import remove_ground
+from perception.roadway import Roadway, merge
 
 TALL_M = 3.5  # a cluster that is this high is a building or a tree, not several vehicles
 
@@ -64,3 +73,34 @@ def _to_part(points: Floats32, labels: Ints32, longest_m: float, too_long: Bools
             again[count] = index
             count += 1
     return again[:count].copy()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FastDetector:
+    """The stages with their parameters, on a road."""
+
+    config: DetectionConfig
+    roadway: Roadway
+
+    def detect(self, cloud: Cloud, rng: np.random.Generator, stage: Stage = untimed) -> Vehicles:
+        """See `perception.detector.Detector.detect`."""
+        with stage("ground"):
+            above, ground_m = remove_ground(cloud.near, config=self.config.ground, rng=rng)
+            if cloud.bare:
+                bare, road_m = merge(cloud.bare)
+                above = np.concatenate([above, bare])
+                ground_m = np.concatenate([ground_m, road_m])
+        with stage("detect"):
+            labels = cluster(above, config=self.config.cluster)
+            longest_m = float(
+                np.hypot(self.config.boxes.max_length_m, self.config.boxes.max_width_m)
+            )
+            labels = split(above, labels, config=self.config.cluster, longest_m=longest_m)
+            return fit_boxes(
+                above,
+                ground_m,
+                labels,
+                roadway=self.roadway,
+                sensors=cloud.sensors,
+                config=self.config.boxes,
+            )
