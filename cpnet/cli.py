@@ -154,8 +154,7 @@ def report_command(
     """Print the summary of a run, write it as a page, or compare its results with another run's."""
     from cpnet.run_report import write_page
     from recorder.compare import differences
-    from studies.report import print_report
-    from studies.summary import summarise, to_json
+    from studies.summary import print_report, summarise, to_json
 
     if html is not None:
         console.print(f"wrote {write_page(run, html)}", highlight=False, soft_wrap=True)
@@ -180,7 +179,7 @@ def draw_command(
     frame: Annotated[int | None, typer.Option(help="a recorded frame; default the last")] = None,
 ) -> None:
     """Draw the merged cloud of a frame with its boxes over the lanes."""
-    from studies.draw import draw_frame
+    from studies.snapshot import draw_frame
 
     console.print(f"wrote {draw_frame(run, frame, png)}", highlight=False, soft_wrap=True)
 

@@ -19,9 +19,8 @@ from edge_server.config import EdgeConfig
 from perception.registry import check
 from protocol.errors import ConfigError
 from studies.page.save import check_target
-from studies.sweep.cell import Cell, cells_of
-from studies.sweep.spec import Study, read_study
-from studies.sweep.store import Store
+from studies.sweep.cells import Cell, Store, cells_of
+from studies.sweep.study_file import Study, read_study
 
 if TYPE_CHECKING:
     from studies.sweep.engine import Failure
@@ -70,7 +69,7 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
     _check_detectors(study, cells)
     with _needs_extra():
         from cpnet.study_report import write_reports
-        from studies.sweep.table import table, write_table
+        from studies.sweep.results import table, write_table
     store = Store.at(out or Path("runs") / f"study-{study.name}")
     with _stopped_by_signals() as stop:
         failures = _run(cells, store, scheduler, jobs, stop, keep_runs=keep_runs)
@@ -115,8 +114,7 @@ def _run(
     """Runs what is missing; returns what failed."""
     with _needs_extra():
         from studies.sweep.cluster import local, remote, usable_cores
-        from studies.sweep.engine import Engine, missing
-        from studies.sweep.watch import Display
+        from studies.sweep.engine import Engine, ProgressDisplay, missing
     todo = missing(cells, store)
     if not todo:
         return []
@@ -124,7 +122,7 @@ def _run(
     seats = min(jobs or len(usable_cores()), len(todo))
     try:
         with (
-            Display(errors, len(todo), kept) as display,
+            ProgressDisplay(errors, len(todo), kept) as display,
             remote(scheduler) if scheduler else local(seats) as client,
         ):
             engine = Engine(client, store, display, keep_runs=keep_runs, check=stop.check)
@@ -149,7 +147,7 @@ def _conclude(
     *,
     as_json: bool,
 ) -> None:
-    from studies.sweep.overview import overview, print_overview
+    from studies.sweep.results import overview, print_overview
 
     axes = list(dict.fromkeys(name for cell in cells for name in cell.labels))
     if as_json:

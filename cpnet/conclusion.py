@@ -14,8 +14,7 @@ def conclude(run_dir: Path) -> None:
     if not (run_dir / "run.sqlite").is_file():
         console.print("the results are where the role record runs")
         return
-    from studies.report import print_report
-    from studies.summary import summarise
+    from studies.summary import print_report, summarise
 
     summary = summarise(run_dir)
     if not summary["frames"]:

@@ -14,13 +14,12 @@ from recorder.versions import versions
 from studies.accuracy.kept import accuracy_of
 from studies.accuracy.scenes import scenes_section
 from studies.accuracy.table import accuracy_section
-from studies.of_study.bandwidth import bandwidth_page
-from studies.of_study.findings import Findings
-from studies.of_study.paper import paper_page
-from studies.of_study.plain import plain_page
 from studies.page.model import Section
 from studies.page.save import save_html, save_markdown
-from studies.sweep.spec import Accuracy, Study
+from studies.paper_page import paper_page
+from studies.study_page import bandwidth_page, plain_page
+from studies.study_tables import StudyResults
+from studies.sweep.study_file import Accuracy, Study
 
 NAME = "report.html"
 PAGES = {"plain": plain_page, "paper": paper_page, "bandwidth": bandwidth_page}
@@ -48,7 +47,7 @@ def write_reports(
         ConfigError: a file cannot be written, or a detector cannot be had here.
     """
     command = shlex.join(["cpnet", *sys.argv[1:]])
-    findings = Findings(study, frame, command, versions(), scenario, missing)
+    findings = StudyResults(study, frame, command, versions(), scenario, missing)
     page = PAGES[study.page](findings, _accuracy(study.accuracy, scenario, folder))
     path = folder / NAME
     save_html(page, path)

@@ -31,8 +31,8 @@ from studies.attacks import (
     Peopled,
     Replayed,
 )
+from studies.in_process import run_in_process
 from studies.playback import frames_of
-from studies.solo import play
 
 HONEST = "none"
 WINDOW_S = 6.0  # of an attack
@@ -195,7 +195,7 @@ def measure_plausibility(scenarios: Sequence[dict[str, Any]]) -> Iterator[Plausi
     """
     for scenario in scenarios:
         with tempfile.TemporaryDirectory(prefix="cpnet-bench-") as name:
-            play(scenario, Path(name))
+            run_in_process(scenario, Path(name))
             yield from measure_run(Path(name))
 
 

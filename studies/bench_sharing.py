@@ -32,8 +32,8 @@ from sim_host.setup import build_setup
 from studies.bench_choices import LEARNING_FRAMES, SHARING
 from studies.bench_traffic import POST, SEED, believed_sensor, post_pose, visible_vehicles
 from studies.bench_uplink import UplinkRow
+from studies.count_error import PerceptionTally
 from studies.latency import distribution_ms
-from studies.tally import Tally
 
 
 def measure_sharing(traffic: Path, link: str, frames: int) -> UplinkRow:
@@ -53,7 +53,7 @@ class _Sharing:
         self._visible = visible_vehicles(traffic)
         self._post = post_pose(setup.road_map, Terrain(setup.road_map, SceneConfig(), SEED))
         self._pipeline = Pipeline(setup.road_map, EdgeConfig(), seed=SEED)
-        self._tally = Tally(setup)
+        self._tally = PerceptionTally(setup)
         self._link = link
         self._period_ns = round(self._recording.frame_period_s * 1e9)
         self._up, self._down = (self._links(way) for way in ("up", "down"))

@@ -32,7 +32,7 @@ from sim_host.filming import film
 from sim_host.setup import build_setup
 from sim_host.world import Bodies
 from studies.bench_choices import FRAME_PERIOD_S
-from studies.bounds import VISIBLE_POINTS
+from studies.ecvpr import VISIBLE_POINTS
 
 SEED = 1
 POST = "rsu-0"

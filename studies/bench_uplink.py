@@ -8,11 +8,11 @@ from typing import Any
 
 from recorder.run import Run
 from recorder.tables import CountRow, DetectionRow, TruthRow
-from studies.bandwidth import by_agent
 from studies.bench_choices import LEARNING_FRAMES
+from studies.count_error import PerceptionTally
 from studies.ecvpr import by_frame
 from studies.latency import end_to_end_ms
-from studies.tally import Tally
+from studies.uplink import by_agent
 
 EMP_LATENCY_MS, EMP_RATE_HZ = 93.0, 24.0  # published: mean end to end, frames a second
 SUSTAINED_SHARE = 0.98  # of all frames
@@ -116,8 +116,8 @@ def _whole_per_s(run: Run, frame_period_s: float) -> float | None:
     return whole / frames / frame_period_s if frames else None
 
 
-def _tally(run: Run, visible: Visible) -> Tally:
-    tally = Tally(run.setup)
+def _tally(run: Run, visible: Visible) -> PerceptionTally:
+    tally = PerceptionTally(run.setup)
     found, counts = dict(by_frame(run.rows(DetectionRow))), dict(by_frame(run.rows(CountRow)))
     perceived = {n for (n,) in run.query("SELECT frame FROM frames WHERE detections IS NOT NULL")}
     for frame, vehicles in by_frame(run.rows(TruthRow)):

@@ -1,4 +1,4 @@
-"""How far the edge's lane counts are from the truth."""
+"""Errors of the edge's lane counts against the truth, and the detection figures of a bench."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import numpy as np
 from edge_server.config import EdgeConfig
 from edge_server.lanes import LaneIndex, Place
 from perception.arrays import Floats
+from protocol.messages import Setup
 from protocol.roadmap import RoadMap
 from recorder.run import Run
-from recorder.tables import CountRow, TruthRow
-from studies.ecvpr import by_frame
+from recorder.tables import CountRow, DetectionRow, TruthRow
+from studies.ecvpr import DOWNSTREAM_M, UPSTREAM_M, EvaluationArea, by_frame, matched_vehicles
 
 
 def lane_errors(run: Run) -> Floats:
@@ -23,11 +24,11 @@ def lane_errors(run: Run) -> Floats:
     Raises:
         ConfigError: the run folder lacks its setup.
     """
-    errors = [row.vehicles - present for row, present in compared(run)]
+    errors = [row.vehicles - present for row, present in counts_with_truth(run)]
     return np.array(errors, np.float64)
 
 
-def compared(run: Run) -> Iterator[tuple[CountRow, int]]:
+def counts_with_truth(run: Run) -> Iterator[tuple[CountRow, int]]:
     """Yields each count of a frame that has truth, with how many vehicles truly were there.
 
     Raises:
@@ -62,3 +63,46 @@ class TrueCounts:
             place, upstream_m=self._upstream_m, downstream_m=self._downstream_m
         )
         return {"upstream": before, "downstream": behind}
+
+
+class PerceptionTally:
+    """Takes frame after frame; a figure without any frame is None."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._reach = EvaluationArea(setup.road_map)
+        self._counter = TrueCounts(setup.road_map, UPSTREAM_M, DOWNSTREAM_M)
+        self._types = {kind.name: kind for kind in setup.vehicle_types}
+        self._seen = self._found = self._false = self._frames = 0
+        self._errors: list[int] = []
+
+    def add(
+        self,
+        visible: set[str],
+        detections: list[DetectionRow],
+        counts: list[CountRow],
+        vehicles: list[TruthRow],
+    ) -> None:
+        """Takes a frame: what there was to see, what was found and counted, and the truth."""
+        here = {v.vehicle for v in vehicles if self._reach.contains(v.lane, v.lane_position_m)}
+        matched, wrong = matched_vehicles(detections, vehicles, self._types)
+        self._seen += len(visible & here)
+        self._found += len(visible & here & matched)
+        self._false += wrong
+        self._frames += 1
+        true = self._counter.count(vehicles)
+        self._errors += [abs(row.vehicles - true[row.side].get(row.lane, 0)) for row in counts]
+
+    @property
+    def recall_visible(self) -> float | None:
+        """The share of the visible vehicles within the signal's reach that were found."""
+        return self._found / self._seen if self._seen else None
+
+    @property
+    def false_per_frame(self) -> float | None:
+        """Detections of nothing."""
+        return self._false / self._frames if self._frames else None
+
+    @property
+    def count_error(self) -> float | None:
+        """The mean absolute error of a lane's count, before and behind the stop bar, vehicles."""
+        return float(np.mean(self._errors)) if self._errors else None

@@ -1,25 +1,190 @@
-"""E-CVPR: which penetration rate of connected vehicles perception is worth.
+"""E-CVPR: the penetration rate of connected vehicles that perception is worth.
 
 Chen et al. 2022: in each frame, the true detections over the vehicles present within 200 m upstream
-and 100 m downstream of the stop bar.
+and 100 m downstream of the stop bar. From top to bottom: where vehicles count, how detections are
+matched with vehicles, the upper bounds of perception, the score of a frame and of a run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import heapq
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import groupby
 from operator import attrgetter
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
-from protocol.messages import VehicleType
+from perception.arrays import Floats
+from protocol.messages import Equipment, VehicleType
+from protocol.roadmap import RoadMap
 from recorder.run import Run
-from recorder.tables import CountRow, DetectionRow, TruthRow
-from studies.bounds import Bounds
-from studies.matching import MARGIN_M, match
-from studies.reach import Reach
+from recorder.tables import CountRow, DetectionRow, SightingRow, TruthRow
+
+UPSTREAM_M = 200.0
+DOWNSTREAM_M = 100.0
+
+
+class EvaluationArea:
+    """The lanes that lead to the stop bar and those that leave it, so far as the signal looks.
+
+    The reach of Chen et al. 2022: 200 m upstream, 100 m downstream, measured along the lanes. The
+    junction's own lanes lie behind the stop bar.
+    """
+
+    def __init__(
+        self,
+        road_map: RoadMap,
+        upstream_m: float = UPSTREAM_M,
+        downstream_m: float = DOWNSTREAM_M,
+    ) -> None:
+        lengths = {lane.id: lane.length_m for lane in road_map.lanes}
+        onward = {lane.id: lane.successors for lane in road_map.lanes}
+        incoming = [lane for lane in road_map.incoming if lane in lengths]
+        behind = [after for lane in incoming for after in onward[lane] if after in lengths]
+        starts = behind or [lane for lane in road_map.outgoing if lane in lengths]
+        # by lane: metres from its end to the stop bar, and from the stop bar to its beginning
+        self._before = _spread(incoming, road_map.predecessors, lengths, upstream_m)
+        self._behind = _spread(starts, onward, lengths, downstream_m)
+        self._lengths = lengths
+        self._upstream_m, self._downstream_m = upstream_m, downstream_m
+
+    def contains(self, lane: str, position_m: float) -> bool:
+        """Whether a vehicle that has gone so far along a lane is within the reach."""
+        if lane in self._before:
+            left_m = self._lengths[lane] - position_m + self._before[lane]
+            if left_m <= self._upstream_m:
+                return True
+        return lane in self._behind and self._behind[lane] + position_m <= self._downstream_m
+
+
+def _spread(
+    starts: Iterable[str],
+    onward: Mapping[str, Iterable[str]],
+    lengths: Mapping[str, float],
+    limit_m: float,
+) -> dict[str, float]:
+    """Returns the shortest way from the starts to each lane within the limit (Dijkstra)."""
+    reached: dict[str, float] = {}
+    queue = [(0.0, lane) for lane in sorted(starts)]
+    while queue:
+        way_m, lane = heapq.heappop(queue)
+        if lane in reached or way_m > limit_m:
+            continue
+        reached[lane] = way_m
+        for after in onward.get(lane, ()):
+            if after in lengths:
+                heapq.heappush(queue, (way_m + lengths[lane], after))
+    return reached
+
+
+MARGIN_M = 0.5
+
+
+def match(
+    centres_m: Floats, vehicles: Floats, sizes_m: Floats, margin_m: float = MARGIN_M
+) -> list[tuple[int, int]]:
+    """Returns pairs (detection, vehicle): a detection's centre lies in the vehicle's footprint.
+
+    The nearest pairs are taken first, and nobody twice. Ties are broken by where things are, never
+    by their order, so that a permutation of the input gives the same pairs.
+
+    Args:
+        centres_m: (N, 2) x, y of the detections.
+        vehicles: (M, 3) x, y of the footprints' centres and yaw in rad.
+        sizes_m: (M, 2) length and width.
+        margin_m: the footprint grows by this on every side.
+    """
+    offset = centres_m[:, None, :] - vehicles[None, :, :2]
+    cos, sin = np.cos(vehicles[:, 2]), np.sin(vehicles[:, 2])
+    along = np.abs(offset[..., 0] * cos + offset[..., 1] * sin)
+    across = np.abs(offset[..., 1] * cos - offset[..., 0] * sin)
+    reach_m = sizes_m / 2 + margin_m
+    detection, vehicle = np.nonzero((along <= reach_m[:, 0]) & (across <= reach_m[:, 1]))
+    distance = np.hypot(along, across)[detection, vehicle]
+    ties = (*vehicles[vehicle].T, *centres_m[detection].T)
+    return _greedy(detection, vehicle, np.lexsort((*ties, distance)))
+
+
+def _greedy(
+    detection: npt.NDArray[np.int64], vehicle: npt.NDArray[np.int64], order: npt.NDArray[np.int64]
+) -> list[tuple[int, int]]:
+    seen_detections: set[int] = set()
+    seen_vehicles: set[int] = set()
+    pairs = []
+    for d, v in zip(detection[order].tolist(), vehicle[order].tolist(), strict=True):
+        if d not in seen_detections and v not in seen_vehicles:
+            seen_detections.add(d)
+            seen_vehicles.add(v)
+            pairs.append((d, v))
+    return pairs
+
+
+VISIBLE_POINTS = 5  # in the scans of all agents together, as in Chen et al. 2022
+
+
+class PerceptionBounds:
+    """Answers frame after frame, in their order.
+
+    A vehicle that reports itself is both: the edge knows of it whatever LiDARs see.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._sightings = _by_frame(run.rows(SightingRow))
+        self._next = next(self._sightings, None)
+        centre = np.array(run.setup.road_map.centre[:2])
+        scenario = run.scenario
+        mounts: list[dict[str, float]] = scenario.get("roadside_mounts", [])
+        places = [centre + np.array([mount["x_m"], mount["y_m"]]) for mount in mounts]
+        self._posts = np.array(places).reshape(-1, 2)
+        self._post_range_m = _range_m(scenario, "roadside")
+        self._cav_range_m = _range_m(scenario, "vehicle")
+
+    def visible(self, frame: int, vehicles: list[TruthRow]) -> set[str]:
+        """Returns the vehicles with `VISIBLE_POINTS` or more on them; frames must not go back."""
+        points: Counter[str] = Counter()
+        while self._next is not None and self._next[0] <= frame:
+            if self._next[0] == frame:
+                points = self._next[1]
+            self._next = next(self._sightings, None)
+        seen = {vehicle for vehicle, n in points.items() if n >= VISIBLE_POINTS}
+        return seen | _reporting(vehicles)
+
+    def in_range(self, vehicles: list[TruthRow]) -> set[str]:
+        """Returns the vehicles whose middle is within the range of a LiDAR."""
+        at = np.array([(v.x_m, v.y_m) for v in vehicles]).reshape(-1, 2)
+        cavs = at[[v.equipment == Equipment.CAV for v in vehicles]]
+        near = _within(at, self._posts, self._post_range_m) | _within(at, cavs, self._cav_range_m)
+        inside = {v.vehicle for v, is_near in zip(vehicles, near, strict=True) if is_near}
+        return inside | _reporting(vehicles)
+
+
+def _reporting(vehicles: list[TruthRow]) -> set[str]:
+    return {vehicle.vehicle for vehicle in vehicles if vehicle.equipment != Equipment.NONE}
+
+
+def _within(places: Floats, sensors: Floats, range_m: float) -> np.ndarray:
+    apart = np.linalg.norm(places[:, None] - sensors, axis=2)
+    return np.asarray((apart <= range_m).any(axis=1))
+
+
+def _range_m(scenario: dict[str, Any], kind: str) -> float:
+    lidar: dict[str, Any] = scenario.get("lidar", {})
+    return float(lidar.get(kind, {}).get("range", 0.0))
+
+
+def _by_frame(rows: Iterator[SightingRow]) -> Iterator[tuple[int, Counter[str]]]:
+    """Yields frames with the points on each vehicle, of all agents together."""
+    for frame, group in groupby(rows, key=attrgetter("frame")):
+        points: Counter[str] = Counter()
+        for row in group:
+            points.update(json.loads(row.points))
+        yield frame, points
+
 
 R = TypeVar("R", TruthRow, DetectionRow, CountRow)
 
@@ -58,16 +223,18 @@ class FrameScore:
         return vehicles / self.present if self.present else None
 
 
-def score(run: Run, reach: Reach | None = None, margin_m: float = MARGIN_M) -> list[FrameScore]:
+def score(
+    run: Run, reach: EvaluationArea | None = None, margin_m: float = MARGIN_M
+) -> list[FrameScore]:
     """Returns the score of every frame that has truth and was perceived.
 
     Raises:
         ConfigError: the run folder lacks its setup.
     """
-    reach = reach or Reach(run.setup.road_map)
+    reach = reach or EvaluationArea(run.setup.road_map)
     types = {kind.name: kind for kind in run.setup.vehicle_types}
     perceived = {n for (n,) in run.query("SELECT frame FROM frames WHERE detections IS NOT NULL")}
-    detections, bounds = by_frame(run.rows(DetectionRow)), Bounds(run)
+    detections, bounds = by_frame(run.rows(DetectionRow)), PerceptionBounds(run)
     waiting = next(detections, None)
     scores = []
     for frame, vehicles in by_frame(run.rows(TruthRow)):
@@ -88,7 +255,7 @@ def score_frame(
     detections: list[DetectionRow],
     vehicles: list[TruthRow],
     types: dict[str, VehicleType],
-    reach: Reach,
+    reach: EvaluationArea,
     margin_m: float = MARGIN_M,
 ) -> FrameScore:
     """Returns the score of one frame. A vehicle outside the reach is neither true nor false.

@@ -27,7 +27,7 @@ from perception.roadway import Placed, Roadway
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 from studies.average_precision import Scene, View, average_precision, outcomes
-from studies.bounds import VISIBLE_POINTS
+from studies.ecvpr import VISIBLE_POINTS
 
 Truth = Literal["all", "visible"]
 Kind = tuple[Literal["single", "merged"], Literal["none", "early", "late"]]

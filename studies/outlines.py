@@ -1,12 +1,15 @@
-"""Outlines in the map frame, for drawing, and from where to look at them."""
+"""Outlines in the map frame, for drawing: boxes, lane borders, the road's surface."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from perception.arrays import Floats
 from protocol.roadmap import Lane, RoadMap
+from studies.page.charts import Ring
 
 _CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) / 2
 GROUND_BAND_M = 0.35
@@ -68,3 +71,20 @@ def view_azimuth(road_map: RoadMap) -> float:
     edges = {tuple(np.round(end / max(np.linalg.norm(end), 1e-9), 1)) for end in ends}
     x, y = np.sum([*edges, (0.0, 0.02)], axis=0)
     return float(np.arctan2(y, x))
+
+
+def road_rings(road_map: RoadMap) -> tuple[tuple[Ring, ...], tuple[Ring, ...]]:
+    """Returns the surfaces of lanes and junction, and the lines between lanes."""
+    sides = [(lane, *borders(lane)) for lane in road_map.lanes]
+    surfaces = [ring([*left, *right[::-1]]) for _, left, right in sides]
+    if len(road_map.junction) > 2:
+        surfaces.append(ring(road_map.junction))
+    lines = [
+        ring(side) for lane, left, right in sides if not lane.internal for side in (left, right)
+    ]
+    return tuple(surfaces), tuple(lines)
+
+
+def ring(points: Iterable[Sequence[float]]) -> Ring:
+    """Returns points (N, 2 or more) as x, y in m, to the centimetre."""
+    return tuple((round(float(p[0]), 2), round(float(p[1]), 2)) for p in points)

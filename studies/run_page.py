@@ -1,22 +1,137 @@
-"""The page of one run: what came of it, over time, by agent, on the map, and how it was made."""
+"""The page of one run: results, counts, signal, uplink, latency, map, and how it was made."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+
+import yaml
 
 from protocol.errors import ConfigError
 from recorder.run import Run
 from studies.ecvpr import FrameScore, score
-from studies.of_run.clock import Clock
-from studies.of_run.delays import latency_section, latency_table
-from studies.of_run.origin import origin_section
-from studies.of_run.phases import phases_section
-from studies.of_run.places import places_section
-from studies.of_run.results import drop_table, facts, lead, result_table
-from studies.of_run.uplink import uplink_section
-from studies.of_run.vehicles import vehicles_section
-from studies.page.model import Beside, Block, Page, Section, Text
+from studies.latency import latency_section, latency_table
+from studies.over_time import FrameClock
+from studies.page.cells import DASH
+from studies.page.model import Beside, Block, Cell, Code, Column, Fact, Page, Section, Table, Text
+from studies.run_sections import map_section, phases_section, vehicles_section
 from studies.summary import Summary, summarise
+from studies.uplink import uplink_section
+
+
+def facts(summary: Summary) -> tuple[Fact, ...]:
+    """Returns what stands at the top of the page."""
+    e_cvpr, delay, uplink = summary["e_cvpr"], summary["delay_s"], summary["uplink_mbps"]
+    latency, frames = summary["latency_ms"]["end_to_end"], summary["frames"]
+    return (
+        Fact(
+            "E-CVPR",
+            _number(e_cvpr["mean"], 100, 1, " %"),
+            _note("s.d. of frames", e_cvpr["std"], 100, " %"),
+        ),
+        Fact(
+            "delay per vehicle",
+            _number(delay["mean"], 1, 1, " s"),
+            _note("s.d. of vehicles", delay["std"], 1, " s"),
+        ),
+        Fact(
+            "uplink, all agents",
+            _number(uplink["mean"], 1, 1, " Mbit/s"),
+            _note("peak", uplink["peak"], 1, " Mbit/s"),
+        ),
+        Fact(
+            "sensing to signal, p50",
+            _number(latency["p50"], 1, 0, " ms"),
+            _note("p95", latency["p95"], 1, " ms"),
+        ),
+        Fact("frames", f"{frames}", f"{summary['frames_incomplete']} incomplete"),
+        Fact("phase switches", str(summary["phases"]["switches"])),
+    )
+
+
+def result_table(summary: Summary) -> Table:
+    """Returns the figures of traffic and perception."""
+    vehicles, seen = summary["vehicles"], summary["detections_per_frame"]
+    rows: tuple[tuple[Cell, Cell], ...] = (
+        ("simulated time, s", round(summary["sim_duration_s"], 1)),
+        ("real-time factor", _rounded(summary["real_time_factor"])),
+        ("vehicles at frame 0", vehicles["at_start"]),
+        ("inserted", vehicles["inserted"]),
+        ("finished", vehicles["finished"]),
+        ("kept outside: no room to enter", vehicles["waiting"]),
+        ("teleported", vehicles["teleported"]),
+        ("in reach per frame", _rounded(seen["present"])),
+        ("truly detected per frame", _rounded(seen["true"])),
+        ("false detections per frame", _rounded(seen["false"])),
+        ("agents that sent", len(summary["agents"])),
+        ("greatest error of clocks, ms", _rounded(summary["clock_error_ms"])),
+        ("messages dropped", summary["drops"]),
+    )
+    return Table((Column("result"), Column("")), rows)
+
+
+def drop_table(summary: Summary) -> Table | None:
+    """Returns what was dropped by process and reason; None if nothing was."""
+    rows = tuple(
+        (process, reason, times)
+        for process, reasons in summary["drops_by_reason"].items()
+        for reason, times in reasons.items()
+    )
+    columns = (Column("process"), Column("reason"), Column("times", "d"))
+    return Table(columns, rows, "What was dropped") if rows else None
+
+
+def lead(summary: Summary) -> str:
+    """Returns in a sentence which run this is and how it ended."""
+    ended = summary["ended"] or "was cut off"
+    words = {"finished": "came to its end", "was cut off": "was cut off"}
+    how = words.get(ended, f"ended early: {ended}")
+    mode = f" in {summary['mode']}" if summary["mode"] else ""
+    seed = f", seed {summary['seed']}" if summary["seed"] is not None else ""
+    return f"A run{mode}{seed}, that {how} after {summary['sim_duration_s']:.1f} simulated seconds."
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 2)
+
+
+def _number(value: float | None, factor: float, digits: int, unit: str) -> str:
+    return DASH if value is None else f"{value * factor:.{digits}f}{unit}"
+
+
+def _note(word: str, value: float | None, factor: float, unit: str = "") -> str:
+    return "" if value is None else f"{word} {value * factor:.1f}{unit}"
+
+
+def origin_section(run: Run, command: str) -> Section:
+    """Returns what is needed to make the run again."""
+    blocks: list[Block] = []
+    if command:
+        blocks.append(Code(command, "The command that makes this run again"))
+    else:
+        blocks.append(Text("The command is not known: this version does not take the scenario."))
+    rows = _versions(run)
+    blocks.append(Table((Column("made with"), Column("version")), rows))
+    if run.scenario:
+        text = yaml.safe_dump(run.scenario, sort_keys=False, allow_unicode=True)
+        blocks.append(Code(text, "The scenario, with every default", folded=True))
+    else:
+        blocks.append(Text("No scenario was recorded."))
+    return Section("How it was made", tuple(blocks))
+
+
+def _versions(run: Run) -> tuple[tuple[Cell, ...], ...]:
+    try:
+        found = json.loads(run.meta.get("versions", "{}"))
+    except ValueError:
+        found = {}
+    if not isinstance(found, dict) or not found:  # a run from before all of them were kept
+        found = {"cpnet-edge": run.meta.get("version", "unknown")}
+    started = run.meta.get("started")
+    return (
+        *((str(k), str(v)) for k, v in found.items()),
+        *([("started", started)] if started else []),
+    )
 
 
 def run_page(run_dir: Path, command: str = "") -> Page:
@@ -31,7 +146,7 @@ def run_page(run_dir: Path, command: str = "") -> Page:
     """
     summary = summarise(run_dir)
     with Run(run_dir) as run:
-        clock = Clock.of(run)
+        clock = FrameClock.of(run)
         sections = (
             Section(
                 "Results",
@@ -44,7 +159,7 @@ def run_page(run_dir: Path, command: str = "") -> Page:
             phases_section(run, clock),
             uplink_section(run, clock),
             latency_section(run, clock, summary["latency_ms"]),
-            places_section(run, clock),
+            map_section(run, clock),
             origin_section(run, command),
         )
         name = str(summary["scenario"] or run_dir.name)

@@ -1,4 +1,7 @@
-"""A run in figures. The keys are stable; a figure that the run does not yield is None."""
+"""The summary of a run: its figures as a dictionary, as JSON, and as tables on one screen.
+
+The keys are stable; a figure that the run does not yield is None.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich import box
+from rich.columns import Columns
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
 from protocol.errors import ConfigError
 from recorder.run import Run
 from recorder.tables import DropRow
-from studies.bandwidth import by_agent, total_mbps
 from studies.doubted import doubted
 from studies.ecvpr import score
-from studies.latency import clock_error_ms, latencies
+from studies.latency import STAGES, clock_error_ms, latencies
+from studies.uplink import by_agent, total_mbps
 
 Summary = dict[str, Any]
 
@@ -130,3 +138,137 @@ def _mean_std(values: list[float]) -> tuple[float, float] | tuple[None, None]:
         return None, None
     array = np.array(values, np.float64)
     return float(array.mean()), float(array.std())
+
+
+_MOST_AGENTS = 8
+_BLANK = "–"
+_MANY = 0.2  # of a run's frames
+
+
+def print_report(summary: Summary, console: Console) -> None:
+    """Prints the summary; a figure that the run does not yield is a dash."""
+    console.print(_headline(summary))
+    console.print(Columns([_result_table(summary), _latency_table(summary)]))
+    if summary["clock_error_ms"]:
+        console.print(f"latencies between machines: ± {summary['clock_error_ms']:.2f} ms")
+    if summary["agents"] or summary["doubted"]:
+        console.print(_agent_table(summary))
+    if summary["drops"]:
+        console.print(_drop_table(summary))
+    if summary["frames_incomplete"] > _MANY * summary["frames"]:
+        console.print(
+            "Many frames were incomplete: scans came later than edge.deadline_ms; a slow link "
+            "needs a longer one, or agents that send less (upload.policy, upload.filters)."
+        )
+
+
+def _headline(summary: Summary) -> str:
+    ended = summary["ended"] or "cut off"
+    name = escape(str(summary["scenario"] or "run"))
+    told = "; a replay: traffic and delay are the recording's" if summary["replay_of"] else ""
+    return (
+        f"[bold]{name}[/bold]  {summary['mode'] or ''}  "
+        f"seed {summary['seed']}  [dim]({escape(ended)}{told})[/dim]"
+    )
+
+
+def _result_table(summary: Summary) -> Table:
+    vehicles, seen = summary["vehicles"], summary["detections_per_frame"]
+    e_cvpr, delay = summary["e_cvpr"], summary["delay_s"]
+    facts = [
+        ("frames", str(summary["frames"])),
+        ("  incomplete", str(summary["frames_incomplete"])),
+        ("simulated time", f"{summary['sim_duration_s']:.1f} s"),
+        ("real-time factor", _number(summary["real_time_factor"], 2)),
+        ("E-CVPR", _spread(e_cvpr, 100, 1, " %")),
+        ("delay per vehicle", _spread(delay, 1, 1, " s")),
+        ("vehicles at frame 0", str(vehicles["at_start"])),
+        ("  inserted", str(vehicles["inserted"])),
+        ("  finished", str(vehicles["finished"])),
+        ("  kept outside", _number(vehicles["waiting"], 0)),
+        ("  teleported", str(vehicles["teleported"])),
+        ("in reach per frame", _number(seen["present"], 1)),
+        ("  truly detected", _number(seen["true"], 1)),
+        ("  false detections", _number(seen["false"], 1)),
+        ("with lanes unseen", _percent(summary["unknown_share"])),
+        ("phase switches", str(summary["phases"]["switches"])),
+        ("drops", str(summary["drops"])),
+    ]
+    table = _numeric("result", "")
+    for name, value in facts:
+        table.add_row(name, value)
+    return table
+
+
+def _latency_table(summary: Summary) -> Table:
+    table = _numeric("latency in ms", "p50", "p95", "p99")
+    latency = summary["latency_ms"]
+    for stage in (*STAGES, *(stage for stage in latency if stage not in STAGES)):
+        style = None if stage in STAGES else "dim"
+        style = "bold" if stage == "end_to_end" else style
+        figures = [_number(latency[stage][p], 2) for p in ("p50", "p95", "p99")]
+        table.add_row(stage.replace("_", " "), *figures, style=style)
+    return table
+
+
+def _agent_table(summary: Summary) -> Table:
+    table = _numeric("agent", "frames", "points", "kB/frame", "Mbit/s", "by TCP", "score")
+    doubted = summary["doubted"]
+    agents = sorted(summary["agents"].items(), key=lambda item: (-item[1]["frames"], item[0]))
+    for agent, figures in agents[:_MOST_AGENTS]:
+        table.add_row(
+            escape(agent),
+            str(figures["frames"]),
+            _number(figures["points_per_frame"], 0),
+            _number(figures["bytes_per_frame"] / 1e3, 1),
+            _number(figures["mbps"], 2),
+            _number(figures["wire_mbps"], 2),
+            _belief(doubted.get(agent)),
+        )
+    if len(agents) > _MOST_AGENTS:
+        rest = agents[_MOST_AGENTS:]
+        table.add_row(f"and {len(rest)} more", str(sum(a["frames"] for _, a in rest)))
+    for agent in [name for name in doubted if name not in summary["agents"]][:_MOST_AGENTS]:
+        table.add_row(escape(agent), "", "", "", "", "", _belief(doubted[agent]))
+    total = summary["uplink_mbps"]
+    table.add_row("all together", "", "", "mean", _number(total["mean"], 2), style="bold")
+    table.add_row("", "", "", "peak", _number(total["peak"], 2), style="bold")
+    return table
+
+
+def _belief(doubt: dict[str, float] | None) -> str:
+    """Returns the least score that an agent had, and in how many frames it was left out."""
+    if doubt is None:
+        return "1.00"
+    out = doubt["frames_left_out"]
+    return f"{doubt['least_score']:.2f}" + (f", {out} out" if out else "")
+
+
+def _drop_table(summary: Summary) -> Table:
+    table = _numeric("dropped by", "times")
+    for process, reasons in summary["drops_by_reason"].items():
+        for reason, times in reasons.items():
+            table.add_row(escape(f"{process}: {reason}"), str(times))
+    return table
+
+
+def _numeric(first: str, *others: str) -> Table:
+    table = Table(first, box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in others:
+        table.add_column(name, justify="right")
+    return table
+
+
+def _number(value: float | None, digits: int) -> str:
+    return _BLANK if value is None else f"{value:.{digits}f}"
+
+
+def _percent(share: float | None) -> str:
+    return _BLANK if share is None else f"{100 * share:.1f} %"
+
+
+def _spread(figures: dict[str, float | None], factor: float, digits: int, unit: str) -> str:
+    mean, std = figures["mean"], figures["std"]
+    if mean is None or std is None:
+        return _BLANK
+    return f"{mean * factor:.{digits}f} ± {std * factor:.{digits}f}{unit}"

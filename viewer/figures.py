@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from protocol.messages import SignalRequest, VehicleType
 from protocol.roadmap import RoadMap
 from recorder.rows import detection_rows, truth_rows
-from studies.ecvpr import FrameScore, score_frame
-from studies.reach import Reach
+from studies.ecvpr import EvaluationArea, FrameScore, score_frame
 from viewer.moments import Moment
 from viewer.road import approaches
 
@@ -17,7 +16,7 @@ class Judge:
     """Compares what was detected with the truth."""
 
     def __init__(self, road_map: RoadMap, types: Mapping[str, VehicleType]) -> None:
-        self._reach = Reach(road_map)
+        self._reach = EvaluationArea(road_map)
         self._types = dict(types)
 
     def score(self, moment: Moment) -> FrameScore | None:

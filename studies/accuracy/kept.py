@@ -12,8 +12,7 @@ from typing import Any
 from perception.config import DetectorName
 from studies.accuracy.measure import Scenario, measure_accuracy
 from studies.evaluate import EvalRow
-from studies.sweep.cell import identify
-from studies.sweep.store import Store, write_whole
+from studies.sweep.cells import Store, identify, write_whole
 
 SCHEMA = 1
 """To be raised when the same moments would give other rows: all is measured anew."""

@@ -7,9 +7,8 @@ import numpy as np
 from perception.arrays import Bools, Floats, Floats32
 from studies import palette
 from studies.accuracy.view import View
-from studies.outlines import footprints, stands_out
+from studies.outlines import footprints, ring, road_rings, stands_out
 from studies.page.charts import MapChart, Outlines, Points
-from studies.road_rings import ring, road_rings
 
 SHOWN_POINTS = 3000
 _POINT_SIZE = 3.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from studies.average_precision import View
-from studies.bounds import VISIBLE_POINTS
+from studies.ecvpr import VISIBLE_POINTS
 from studies.evaluate import EVERYTHING, VIEWS, EvalRow, Truth
 from studies.evaluate_table import PAPER
 from studies.page.model import Cell, Column, Section, Table, Text

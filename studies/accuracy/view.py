@@ -12,9 +12,8 @@ from perception.arrays import Bools, Floats, Floats32
 from perception.config import DetectorName
 from perception.detector import Vehicles
 from protocol.roadmap import RoadMap
-from studies.bounds import VISIBLE_POINTS
+from studies.ecvpr import VISIBLE_POINTS, match
 from studies.evaluate import Site, find
-from studies.matching import match
 from studies.outlines import borders, resampled
 
 Window = tuple[float, float, float, float]  # the lowest x and y, then the highest, m

@@ -32,7 +32,7 @@ _CONFIG = {
 }
 
 
-class Seated(WorkerPlugin):
+class CorePinning(WorkerPlugin):
     """Gives each worker process a core of its own, by which its thread pools size themselves."""
 
     def __init__(self, cores: list[int]) -> None:
@@ -54,17 +54,17 @@ def usable_cores() -> list[int]:
 @contextmanager
 def local(jobs: int) -> Iterator[Client]:
     """Starts worker processes here, one thread each, and ends them; from the main thread only."""
-    _hush()
+    _silence_dask_logs()
     with dask.config.set(_CONFIG), ExitStack() as stack:
         with _signals_held():
             cluster = stack.enter_context(_cluster(jobs))
             client = stack.enter_context(Client(cluster))
             stack.push(lambda kind, *_: _kill(cluster) if kind is not None else None)
-            client.register_plugin(Seated(usable_cores()))
+            client.register_plugin(CorePinning(usable_cores()))
         yield client
 
 
-def _hush() -> None:
+def _silence_dask_logs() -> None:
     """Silences Dask's logs: what matters comes back as a cell's failure or a lost scheduler."""
     for name in sorted(logging.root.manager.loggerDict):  # Dask gives some a level of their own
         if name.split(".")[0] in ("distributed", "tornado", "asyncio"):
@@ -112,7 +112,7 @@ def remote(address: str) -> Iterator[Client]:
     Raises:
         ConfigError: it does not answer.
     """
-    _hush()
+    _silence_dask_logs()
     try:
         asyncio.run(asyncio.wait_for(_greet(address), CONNECT_S))
         client = Client(address, timeout=CONNECT_S)

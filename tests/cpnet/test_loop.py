@@ -19,8 +19,8 @@ from recorder.account import stage_sum_ns
 from recorder.compare import differences
 from recorder.run import Run
 from recorder.tables import AccountRow, FrameRow, PhaseRow
+from studies.in_process import run_in_process
 from studies.safety import violations_of
-from studies.solo import play
 from tests.cpnet.conftest import children_of
 from tests.hostile import Hostile
 from tests.waiting import wait_until
@@ -87,7 +87,7 @@ def test_another_number_of_vehicle_processes_gives_the_same_rows(shell, first_ru
 def test_one_process_without_a_network_gives_the_same_rows(shell, first_run):
     alone = shell.folder / "alone"
     alone.mkdir()
-    play(json.loads((first_run / "scenario.json").read_text()), alone)
+    run_in_process(json.loads((first_run / "scenario.json").read_text()), alone)
     assert differences(first_run, alone) == []
     assert rows(alone, "sightings") > 0
 
@@ -187,7 +187,7 @@ def test_virtual_links_give_the_same_rows_whatever_the_number_of_processes(shell
     assert differences(shell.folder / "first", shell.folder / "second") == []
     alone = shell.folder / "alone"
     alone.mkdir()
-    play(json.loads((shell.folder / "first" / "scenario.json").read_text()), alone)
+    run_in_process(json.loads((shell.folder / "first" / "scenario.json").read_text()), alone)
     assert differences(shell.folder / "first", alone) == []
     assert rows(shell.folder / "first", "uploads") == rows(alone, "uploads")
     drops = json.loads(shell.run("report", "first", "--json")[1])["drops_by_reason"]

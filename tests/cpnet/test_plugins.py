@@ -14,8 +14,8 @@ from perception.registry import check
 from protocol.errors import ConfigError
 from recorder.run import Run
 from recorder.tables import DetectionRow, RequestRow, UploadRow
-from studies.measures import measure
-from studies.solo import play
+from studies.in_process import run_in_process
+from studies.sweep.worker import measure
 from tests.cpnet.conftest import Shell
 from tests.example_plugins import install, pretend
 
@@ -50,7 +50,7 @@ def installed(packages: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def played(folder: Path, **settings: Any) -> Path:
     folder.mkdir()
-    play(scenarios.load("t_junction", SMALL | settings).model_dump(mode="json"), folder)
+    run_in_process(scenarios.load("t_junction", SMALL | settings).model_dump(mode="json"), folder)
     return folder
 
 

@@ -25,7 +25,7 @@ from recorder.tables import (
     TruthRow,
     UploadRow,
 )
-from studies.solo import play_setup
+from studies.in_process import run_setup_in_process
 from studies.summary import summarise
 from tests.cpnet.conftest import Shell
 from tests.cpnet.test_loop import free_ports
@@ -48,7 +48,7 @@ def taped(tmp_path_factory) -> Path:
 def solo(taped: Path, folder: Path, *settings: str) -> Path:
     overrides = dict(scenarios.parse_assignment(setting) for setting in settings)
     folder.mkdir()
-    play_setup(setup_of(taped, overrides, Pace()), folder)
+    run_setup_in_process(setup_of(taped, overrides, Pace()), folder)
     return folder
 
 

@@ -20,7 +20,7 @@ from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from recorder.run import Run
 from recorder.tables import CountRow, DetectionRow, FrameRow, RequestRow
-from studies.solo import play_setup
+from studies.in_process import run_setup_in_process
 
 SHARED = Path(__file__).parents[3] / "shared" / "data" / "lidar" / "car_three_lidars"
 CARS = [(9.0, 3.0, 0.1), (-8.0, -5.0, 0.0)]
@@ -29,7 +29,7 @@ CARS = [(9.0, 3.0, 0.1), (-8.0, -5.0, 0.0)]
 def played(folder: Path, asked: Scans) -> Path:
     made = played_scans(asked, Pace(), Console())
     folder.mkdir()
-    play_setup(made.setup(folder), folder)
+    run_setup_in_process(made.setup(folder), folder)
     return folder
 
 

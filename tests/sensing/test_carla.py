@@ -22,7 +22,7 @@ from sensing.carla.frames import carla_pose, scan_of
 from sensing.carla.server import load_carla
 from sensing.carla.source import Carla
 from sensing.config import LidarConfig
-from studies.solo import play
+from studies.in_process import run_in_process
 from tests.sensing.fake_carla import Location, Package, Rotation, Transform
 
 LIDAR = LidarConfig(channels=256, points_per_second=256 * 2048 * 10, upper_fov=40, lower_fov=-40)
@@ -282,7 +282,7 @@ def test_a_run_takes_its_scans_from_carla(carla, tmp_path) -> None:
         "traffic.warmup_s": 30,
         "traffic.cav_rate": 0.1,
     }
-    play(scenarios.load("t_junction", keys).model_dump(mode="json"), tmp_path)
+    run_in_process(scenarios.load("t_junction", keys).model_dump(mode="json"), tmp_path)
     with Run(tmp_path) as run:
         uploads = list(run.rows(UploadRow))
     assert {upload.frame for upload in uploads} == {0, 1, 2}

@@ -12,8 +12,8 @@ from rich.console import Console
 from cpnet import scenario as scenarios
 from studies.attacks import GHOST, Displaced, Emptied, GhostReport, Peopled, Replayed
 from studies.bench_plausibility import HONEST, Stage, attacks_on
+from studies.in_process import run_in_process
 from studies.plausibility_table import print_plausibility
-from studies.solo import play
 
 SHORT = {
     "duration_s": 12,
@@ -31,7 +31,7 @@ SHORT = {
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory: pytest.TempPathFactory) -> Stage:
     folder = tmp_path_factory.mktemp("run")
-    play(scenarios.load("t_junction", SHORT).model_dump(mode="json"), folder)
+    run_in_process(scenarios.load("t_junction", SHORT).model_dump(mode="json"), folder)
     return Stage(folder)
 
 
@@ -69,5 +69,5 @@ def test_an_attack_changes_what_its_victim_says_and_nothing_else(stage: Stage):
 
 def test_a_run_that_kept_no_scan_has_no_frames(tmp_path: Path):
     keys = SHORT | {"duration_s": 1, "record.snapshot_period_s": 0}
-    play(scenarios.load("t_junction", keys).model_dump(mode="json"), tmp_path)
+    run_in_process(scenarios.load("t_junction", keys).model_dump(mode="json"), tmp_path)
     assert Stage(tmp_path).frames == []

@@ -11,7 +11,7 @@ from protocol.messages import Equipment
 from recorder.database import Database
 from recorder.run import Run
 from recorder.tables import MetaRow, SightingRow, TruthRow
-from studies.bounds import VISIBLE_POINTS, Bounds
+from studies.ecvpr import VISIBLE_POINTS, PerceptionBounds
 from tests.studies.test_matching_and_ecvpr import write_setup
 
 SCENARIO = {
@@ -42,7 +42,7 @@ def run(tmp_path: Path):
 
 
 def test_points_of_all_agents_count_together(run):
-    bounds = Bounds(run)
+    bounds = PerceptionBounds(run)
     assert bounds.visible(2, []) == set()
     assert bounds.visible(3, []) == {"a", "b"}
     assert bounds.visible(4, []) == set()
@@ -51,8 +51,8 @@ def test_points_of_all_agents_count_together(run):
 
 def test_who_reports_itself_is_visible_and_in_range(run):
     reporting = [vehicle("cv", 900, Equipment.CV), vehicle("dark", 901)]
-    assert Bounds(run).visible(0, reporting) == {"cv"}
-    assert Bounds(run).in_range(reporting) == {"cv"}
+    assert PerceptionBounds(run).visible(0, reporting) == {"cv"}
+    assert PerceptionBounds(run).in_range(reporting) == {"cv"}
 
 
 def test_range_is_that_of_each_kind_of_lidar(run):
@@ -63,4 +63,4 @@ def test_range_is_that_of_each_kind_of_lidar(run):
         vehicle("near the cav", 129),
         vehicle("far off", 131),
     ]
-    assert Bounds(run).in_range(vehicles) == {"near the post", "cav", "near the cav"}
+    assert PerceptionBounds(run).in_range(vehicles) == {"near the post", "cav", "near the cav"}

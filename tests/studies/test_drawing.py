@@ -17,8 +17,7 @@ from protocol.wire import encode
 from recorder.database import Database
 from recorder.run import SETUP_NAME, Run
 from recorder.tables import CloudRow, CountRow, DetectionRow, FrameRow, PhaseRow, TruthRow
-from studies.draw import draw_frame
-from studies.snapshot import load_snapshot
+from studies.snapshot import draw_frame, load_snapshot
 
 FRAME = 7
 

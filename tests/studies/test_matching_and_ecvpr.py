@@ -13,9 +13,7 @@ from protocol.wire import encode
 from recorder.database import Database
 from recorder.run import SETUP_NAME, Run
 from recorder.tables import DetectionRow, FrameRow, TruthRow
-from studies.ecvpr import FrameScore, score
-from studies.matching import match
-from studies.reach import Reach
+from studies.ecvpr import EvaluationArea, FrameScore, match, score
 
 CAR = VehicleType(name="car", mesh="car", length_m=4.0, width_m=2.0, height_m=1.5)
 COORDINATES = st.floats(-15, 15, allow_nan=False)
@@ -62,7 +60,7 @@ def straight_road() -> RoadMap:
     ],
 )
 def test_the_reach_is_measured_along_the_lanes(name: str, position_m: float, inside: bool) -> None:
-    assert Reach(straight_road()).contains(name, position_m) is inside
+    assert EvaluationArea(straight_road()).contains(name, position_m) is inside
 
 
 def test_a_centre_up_to_half_a_metre_beside_the_footprint_matches() -> None:

@@ -12,9 +12,9 @@ from protocol.errors import ConfigError
 from recorder.compare import differences
 from recorder.run import Run
 from recorder.tables import CountRow, PhaseRow, TripRow
-from studies.columns import MEASURES
-from studies.measures import HISTOGRAM_BINS, measure
-from studies.solo import play
+from studies.in_process import run_in_process
+from studies.sweep.study_file import MEASURES
+from studies.sweep.worker import HISTOGRAM_BINS, measure
 
 SMALL = {
     "lidar.vehicle.channels": 16,
@@ -33,7 +33,7 @@ EXACT = {f"pose.cv_{name}": 0 for name in ("position_std_m", "height_std_m", "he
 def played(folder: Path, **settings: Any) -> Path:
     keys = {name.replace("__", "."): value for name, value in settings.items()}
     folder.mkdir()
-    play(scenarios.load("t_junction", SMALL | keys).model_dump(mode="json"), folder)
+    run_in_process(scenarios.load("t_junction", SMALL | keys).model_dump(mode="json"), folder)
     return folder
 
 

@@ -21,8 +21,7 @@ from recorder.tables import (
     UploadRow,
 )
 from studies.latency import STAGES
-from studies.report import print_report
-from studies.summary import summarise, to_json
+from studies.summary import print_report, summarise, to_json
 
 MS = 1_000_000
 

@@ -8,17 +8,23 @@ import pytest
 
 pl = pytest.importorskip("polars", reason="needs the extra `study`")
 
-from studies.measures import HISTOGRAM_BINS  # noqa: E402 - needs polars
-from studies.of_study.bandwidth import RATE, bandwidth_page  # noqa: E402
-from studies.of_study.claims import claims  # noqa: E402
-from studies.of_study.findings import Findings  # noqa: E402
-from studies.of_study.paper import PERFECT, paper_page  # noqa: E402
-from studies.of_study.plain import plain_page  # noqa: E402
 from studies.page.charts import Chart  # noqa: E402
 from studies.page.html import to_html  # noqa: E402
 from studies.page.markdown import to_markdown  # noqa: E402
 from studies.page.model import Page, Table  # noqa: E402
-from studies.sweep.spec import Study, read_study  # noqa: E402
+from studies.paper_page import (  # noqa: E402
+    PERFECT,
+    claims,
+    paper_page,
+)
+from studies.study_page import (  # noqa: E402
+    RATE,
+    bandwidth_page,
+    plain_page,
+)
+from studies.study_tables import StudyResults  # noqa: E402
+from studies.sweep.study_file import Study, read_study  # noqa: E402
+from studies.sweep.worker import HISTOGRAM_BINS  # noqa: E402 - needs polars
 
 ROW = {
     "frames": 10, "e_cvpr": 0.6, "e_cvpr_std": 0.1, "e_cvpr_hist": [1] * HISTOGRAM_BINS,
@@ -28,7 +34,7 @@ ROW = {
 }  # fmt: skip
 
 
-def findings(study: Study, **changes: Any) -> Findings:
+def findings(study: Study, **changes: Any) -> StudyResults:
     """Returns a study whose cells all have one row's figures; `changes` maps labels to figures."""
     rows = []
     for grid in study.grids:
@@ -43,7 +49,7 @@ def findings(study: Study, **changes: Any) -> Findings:
     names = list(dict.fromkeys(name for row in rows for name in row))
     whole = [{name: row.get(name) for name in names} for row in rows]
     frame = pl.DataFrame(whole, strict=False, infer_schema_length=None)
-    return Findings(study, frame, "cpnet study mine", {"python": "3.11"})
+    return StudyResults(study, frame, "cpnet study mine", {"python": "3.11"})
 
 
 def tables(page: Page) -> list[Table]:
@@ -166,4 +172,4 @@ def test_pages_can_be_drawn_both_ways(tmp_path):
 def test_a_study_without_a_finished_cell_has_a_page():
     study = plain_study()
     empty = findings(study).frame.clear()
-    assert to_html(plain_page(Findings(study, empty, "cpnet study mine")))
+    assert to_html(plain_page(StudyResults(study, empty, "cpnet study mine")))

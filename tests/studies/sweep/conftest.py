@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.sweep.cell import Cell, identify
-from studies.sweep.store import Store
+from studies.sweep.cells import Cell, Store, identify
 
 
 def cell(seed: int, grid: str = "all", **labels: str | float) -> Cell:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from protocol.errors import ConfigError
-from studies.sweep.axes import points
-from studies.sweep.cell import cells_of, identify
-from studies.sweep.spec import Study
+from studies.sweep.cells import cells_of, identify
+from studies.sweep.study_file import Study, points
 from tests.studies.sweep.conftest import cell
 
 STUDY = Study.model_validate(
@@ -62,7 +61,7 @@ def test_a_cell_is_known_by_its_scenario_alone():
 
 def test_another_version_is_another_cell(monkeypatch):
     before = identify({})
-    monkeypatch.setattr("studies.sweep.cell.version", lambda _: "9.9")
+    monkeypatch.setattr("studies.sweep.cells.version", lambda _: "9.9")
     assert identify({}) != before
 
 

@@ -17,7 +17,7 @@ from distributed import get_worker
 
 from studies.sweep.cluster import local, remote, usable_cores
 from studies.sweep.engine import Engine, missing
-from studies.sweep.work import Outcome, in_own_folder
+from studies.sweep.worker import Outcome, in_own_folder
 
 
 class Told:

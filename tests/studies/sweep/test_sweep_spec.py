@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from protocol.errors import ConfigError
-from studies.sweep.spec import builtin_studies, read_study
+from studies.sweep.study_file import builtin_studies, read_study
 
 GOOD = """
 name: small

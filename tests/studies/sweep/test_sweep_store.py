@@ -7,13 +7,13 @@ import json
 import pytest
 
 from protocol.errors import ConfigError
-from studies.sweep.store import Store
+from studies.sweep.cells import Store
 from tests.studies.sweep.conftest import cell
 
 pytest.importorskip("distributed", reason="needs the extra `study`")
 
 from studies.sweep.engine import missing
-from studies.sweep.work import Outcome
+from studies.sweep.worker import Outcome
 
 ROW = {"frames": 3, "delay_s": 0.1 + 0.2, "e_cvpr": None, "e_cvpr_hist": [1, 2]}
 
@@ -37,7 +37,7 @@ def test_writing_that_was_cut_off_leaves_nothing_that_counts(store, monkeypatch)
     def fail(*_):
         raise OSError("no space left")
 
-    monkeypatch.setattr("studies.sweep.store.os.fsync", fail)
+    monkeypatch.setattr("studies.sweep.cells.os.fsync", fail)
     with pytest.raises(ConfigError, match="no space left"):
         store.keep(cell(1), Outcome(ROW, 1.5))
     assert store.row(cell(1).id) is None

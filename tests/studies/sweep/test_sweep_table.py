@@ -12,8 +12,8 @@ from tests.studies.sweep.conftest import cell
 pl = pytest.importorskip("polars", reason="needs the extra `study`")
 pytest.importorskip("scipy", reason="needs the extra `study`")
 
-from studies.sweep.table import over_seeds, table, write_table  # noqa: E402
-from studies.sweep.work import Outcome  # noqa: E402
+from studies.sweep.results import over_seeds, table, write_table  # noqa: E402
+from studies.sweep.worker import Outcome  # noqa: E402
 
 
 def filled(store, cells, row=lambda c: {"frames": c.seed, "delay_s": c.seed / 2}):

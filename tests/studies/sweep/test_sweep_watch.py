@@ -11,8 +11,7 @@ from tests.studies.sweep.conftest import cell
 
 pytest.importorskip("distributed", reason="needs the extra `study`")
 
-from studies.sweep.engine import Failure
-from studies.sweep.watch import Display, Pace, duration
+from studies.sweep.engine import Failure, ProgressDisplay, TimeLeft, duration
 
 
 @pytest.mark.parametrize(
@@ -25,8 +24,8 @@ def test_times_are_told_as_people_do(seconds, text):
 
 def test_the_time_left_follows_from_cells_done_and_sinks_while_one_waits(monkeypatch):
     now_ns = 0
-    monkeypatch.setattr("studies.sweep.watch.time.monotonic_ns", lambda: now_ns)
-    pace = Pace(4)
+    monkeypatch.setattr("studies.sweep.engine.time.monotonic_ns", lambda: now_ns)
+    pace = TimeLeft(4)
     assert pace.left() == ""
     now_ns = 10_000_000_000
     pace.step()
@@ -39,7 +38,7 @@ def test_the_time_left_follows_from_cells_done_and_sinks_while_one_waits(monkeyp
 
 def test_without_a_terminal_there_is_a_line_for_each_cell_and_each_failure():
     said = io.StringIO()
-    with Display(Console(file=said, width=40), todo=2, kept=3) as display:
+    with ProgressDisplay(Console(file=said, width=40), todo=2, kept=3) as display:
         display.started(cell(1, rate=0.5))
         display.finished(cell(1, rate=0.5))
         display.failed(Failure(cell(2, name="[/x]"), "no [such] thing"))
@@ -54,7 +53,7 @@ def test_without_a_terminal_there_is_a_line_for_each_cell_and_each_failure():
 def test_a_terminal_shows_a_bar_with_what_runs():
     said = io.StringIO()
     console = Console(file=said, width=100, force_terminal=True, color_system=None)
-    with Display(console, todo=3, kept=1) as display:
+    with ProgressDisplay(console, todo=3, kept=1) as display:
         for seed in (1, 2, 3):
             display.started(cell(seed, name="[/x]"))
     assert "1/4" in said.getvalue()

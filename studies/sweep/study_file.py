@@ -1,20 +1,167 @@
-"""A study file: which scenario keys are varied, over which values and seeds."""
+"""A study file: which scenario keys are varied, over which values and seeds.
+
+From top to bottom: names that an axis may not have, axes and their combinations, the file.
+"""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import resources
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import yaml
-from pydantic import Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from perception.config import DetectorName
 from protocol.config import Section
 from protocol.errors import ConfigError
 from protocol.files import is_file
-from studies.sweep.axes import Axis, Settings, check_axes, settings_clash
+
+MEASURES = frozenset(
+    {
+        "frames",
+        "e_cvpr",
+        "e_cvpr_std",
+        "e_cvpr_hist",
+        "visible_share",
+        "in_range_share",
+        "present",
+        "false_detections",
+        "count_error",
+        "count_bias",
+        "delay_s",
+        "delay_std_s",
+        "switches",
+        "vehicles_at_start",
+        "vehicles_inserted",
+        "vehicles_finished",
+        "vehicles_teleported",
+        "vehicles_waiting",
+        "uplink_mbps",
+        "uplink_peak_mbps",
+    }
+)
+"""What `studies.sweep.worker.measure` gives."""
+
+LISTS = frozenset({"e_cvpr_hist"})
+RESERVED = frozenset({"grid", "seed", "n"}) | MEASURES
+"""What no axis may be called; nor by a measure's name with an end, such as delay_s_mean."""
+
+
+def is_taken(name: str) -> bool:
+    """Whether a column of this name is the table's own."""
+    stems = (name.removeprefix("_").rpartition("_")[0], name)
+    return name in RESERVED or any(stem in MEASURES for stem in stems)
+
+
+Label = str | int | float
+Settings = dict[str, Any]
+"""Values by dotted scenario keys."""
+
+
+def _shape(axis: object) -> object:
+    if isinstance(axis, list) and axis:
+        return axis
+    if isinstance(axis, dict) and axis and all(isinstance(v, dict) for v in axis.values()):
+        return axis
+    raise ValueError("must be a list of values, or labels with the keys that each sets")
+
+
+Axis = Annotated[list[Any] | dict[Any, Settings], BeforeValidator(_shape)]
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """One value of an axis."""
+
+    label: Label
+    settings: Settings
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One combination of a grid's axes."""
+
+    labels: dict[str, Label]
+    settings: Settings
+
+
+def points(axes: dict[str, Axis]) -> Iterator[Point]:
+    """Yields the full product; the last axis changes first."""
+    named = [[(name, choice) for choice in _choices(name, axis)] for name, axis in axes.items()]
+    for combination in product(*named):
+        settings: Settings = {}
+        for _, choice in combination:
+            settings |= choice.settings
+        yield Point({name: choice.label for name, choice in combination}, settings)
+
+
+def check_axes(axes: dict[str, Axis]) -> None:
+    """Checks what pydantic cannot.
+
+    Raises:
+        ValueError: a name is taken, a label stands twice or is none, two axes set one key.
+    """
+    setter: dict[str, str] = {}
+    for name, axis in axes.items():
+        if is_taken(name):
+            raise ValueError(f"an axis is called {name}: this is a column of its own in the table")
+        choices = _choices(name, axis)
+        _check_labels(name, [choice.label for choice in choices])
+        for key in {key for choice in choices for key in choice.settings}:
+            if key == "seed":
+                raise ValueError(f"the axis {name} sets seed: give seeds: [..] instead")
+            other = next((own for own in setter if setter[own] != name and touch(key, own)), None)
+            if other is not None:
+                raise ValueError(f"the axes {setter[other]} and {name} both set {key}")
+            setter[key] = name
+
+
+def touch(key: str, other: str) -> bool:
+    """Whether two dotted keys name the same value, or one a part of the other."""
+    return f"{key}.".startswith(f"{other}.") or f"{other}.".startswith(f"{key}.")
+
+
+def settings_clash(settings: Settings, axes: dict[str, Axis]) -> None:
+    """Checks that no axis varies what is to be set.
+
+    Raises:
+        ConfigError: one does.
+    """
+    for name, axis in axes.items():
+        for choice in _choices(name, axis):
+            both = sorted(key for key in settings for own in choice.settings if touch(key, own))
+            if both:
+                raise ConfigError(f"--set {both[0]}: the axis {name} varies it")
+
+
+def _choices(name: str, axis: Axis) -> list[Choice]:
+    if isinstance(axis, dict):
+        return [Choice(label, dict(settings)) for label, settings in axis.items()]
+    return [Choice(_label(value), {name: value}) for value in axis]
+
+
+def _label(value: object) -> Label:
+    """Returns a value as it stands in the table: numbers and texts as they are."""
+    is_plain = isinstance(value, (str, int, float)) and not isinstance(value, bool)
+    return value if is_plain else json.dumps(value, default=str)  # type: ignore[return-value]
+
+
+def _check_labels(name: str, labels: list[Label]) -> None:
+    for label in labels:
+        if isinstance(label, bool) or not isinstance(label, (str, int, float)):
+            raise ValueError(f"the axis {name} has the label {label!r}: put it into quotes")
+    for label in labels:
+        if isinstance(label, int) and abs(label) >= 1 << 63:
+            raise ValueError(f"the axis {name} has the label {label}: put it into quotes")
+    shown = [str(label) for label in labels] if str in map(type, labels) else labels
+    if len(set(shown)) < len(shown):  # as the table writes them
+        raise ValueError(f"the axis {name} has the values {labels}, each may stand once")
+
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=80)]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
@@ -111,7 +258,7 @@ class Study(Section):
         data["set"] = _without(self.settings, settings) | settings
         data["seeds"] = seeds or self.seeds
         for grid in data["grids"]:
-            for own in _parted(grid["set"], settings):
+            for own in _partial_overrides(grid["set"], settings):
                 raise ConfigError(f"--set {own}: grid {grid['name']} sets a whole that holds it")
             grid["set"] = _without(grid["set"], settings)
         return _validated(data, f"study {self.name}")
@@ -126,7 +273,7 @@ def _without(settings: Settings, stronger: Settings) -> Settings:
     }
 
 
-def _parted(settings: Settings, stronger: Settings) -> list[str]:
+def _partial_overrides(settings: Settings, stronger: Settings) -> list[str]:
     """Returns the stronger keys that name a part of what one of the settings gives as a whole."""
     return [one for one in stronger for key in settings if one.startswith(f"{key}.")]
 

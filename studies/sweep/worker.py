@@ -1,16 +1,25 @@
-"""What a study keeps of a run: one flat row, in which nothing depends on the clock on the wall."""
+"""What a worker does with a cell: it runs the scenario in its own process and measures it."""
 
 from __future__ import annotations
 
+import shutil
+import tempfile
+import threading
+import time
+from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from protocol.errors import ConfigError
 from recorder.run import Run
-from studies.bandwidth import total_mbps
 from studies.count_error import lane_errors
 from studies.ecvpr import FrameScore, score
+from studies.in_process import run_in_process
 from studies.summary import traffic_of
+from studies.uplink import total_mbps
 
 Value = float | int | str | list[int] | None
 Row = dict[str, Value]
@@ -69,3 +78,56 @@ def _traffic(run: Run) -> Row:
 def _mean(values: object) -> float | None:
     known = [value for value in np.asarray(values, object).ravel() if value is not None]
     return float(np.mean(known)) if known else None
+
+
+_ONE_AT_A_TIME = threading.Lock()  # SUMO keeps its state globally, whatever the worker's threads
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What a worker is asked."""
+
+    scenario: dict[str, Any]
+    version: str
+    keep: str | None = None
+    """A folder for the run, which must not exist; None: the run is deleted once measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a worker answers."""
+
+    row: Row
+    took_s: float
+
+
+def run_cell(task: Task) -> Outcome:
+    """Plays and measures one run.
+
+    Raises:
+        ConfigError: the scenario cannot be played, or this is another version.
+    """
+    here = version("cpnet-edge")
+    if here != task.version:
+        raise ConfigError(f"this worker has cpnet {here}, the study is of {task.version}")
+    with _ONE_AT_A_TIME, in_own_folder() as folder:
+        begun_ns = time.monotonic_ns()
+        run_dir = Path(folder) / "run"
+        run_dir.mkdir()
+        run_in_process(task.scenario, run_dir)
+        row = measure(run_dir)
+        took_s = (time.monotonic_ns() - begun_ns) / 1e9
+        if task.keep is not None:
+            shutil.copytree(run_dir, task.keep, dirs_exist_ok=True)
+    return Outcome(row, took_s)
+
+
+def in_own_folder() -> tempfile.TemporaryDirectory[str]:
+    """Returns a folder for one run, in the worker's own: Dask deletes that of a killed one too."""
+    from distributed import get_worker
+
+    try:
+        within = get_worker().local_directory
+    except ValueError:  # no worker does this
+        within = None
+    return tempfile.TemporaryDirectory(prefix="cell-", dir=within)

@@ -1,14 +1,60 @@
-"""The page of the study `bandwidth`: the curve that says what an uplink must carry."""
+"""The pages of a plain study and of the study `bandwidth`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from studies.of_study.blocks import COUNT_ERROR, DELAY, E_CVPR, bare_mean, curves, grid_table
-from studies.of_study.findings import Findings, Known, label_of, number
-from studies.of_study.origin import origin_section
 from studies.page.model import Block, Cell, Column, Page, Section, Table, Text
-from studies.sweep.spec import Grid
+from studies.study_tables import (
+    COUNT_ERROR,
+    DELAY,
+    E_CVPR,
+    GridRow,
+    Measure,
+    StudyResults,
+    bare_mean,
+    bars,
+    curves,
+    figure_of,
+    grid_table,
+    label_of,
+    origin_section,
+)
+from studies.sweep.study_file import Grid
+
+_DRAWN = (DELAY, E_CVPR, COUNT_ERROR)
+
+
+def plain_page(findings: StudyResults, sections: Sequence[Section] = ()) -> Page:
+    """Returns further sections, then tables and charts of all grids."""
+    study = findings.study
+    grids = (_grid_section(findings, grid.name) for grid in study.grids)
+    lead = f"Study {study.name}: {len(findings.frame)} runs, seeds {_listed(study.seeds)}."
+    lead += findings.gaps()
+    return Page(study.title or study.name, lead, (*sections, *grids, origin_section(findings)))
+
+
+def _grid_section(findings: StudyResults, grid: str) -> Section:
+    axes, rows = findings.axes(grid), findings.rows(grid)
+    caption = "Means over seeds ± half the width of the 95 % confidence interval."
+    blocks: list[Block] = [grid_table(rows, axes, caption)]
+    drawn = [one for one in _DRAWN if any(figure_of(r, f"{one.value}_mean") for r in rows)]
+    blocks += [_chart(rows, axes, one) for one in drawn if len(rows) > 1]
+    return Section(grid, tuple(blocks))
+
+
+def _chart(rows: list[GridRow], axes: list[str], shown: Measure) -> Block:
+    """Draws over the numeric axis with most values; bars where there is none."""
+    numeric = {a: len({r[a] for r in rows}) for a in axes if not isinstance(rows[0][a], str)}
+    longest = max(numeric, key=lambda axis: numeric[axis], default=None)
+    if longest is None or numeric[longest] < 2:
+        return bars(rows, axes, shown)
+    return curves(rows, longest, [axis for axis in axes if axis != longest], shown)
+
+
+def _listed(seeds: list[int]) -> str:
+    return ", ".join(map(str, seeds))
+
 
 UPLOAD, RATE = "upload", "uplink in Mbit/s"
 _LONG_S = 1800.0
@@ -20,7 +66,7 @@ _TITLES = {
 }
 
 
-def bandwidth_page(findings: Findings, sections: Sequence[Section] = ()) -> Page:
+def bandwidth_page(findings: StudyResults, sections: Sequence[Section] = ()) -> Page:
     """Returns what is enough first, then further sections, then each grid."""
     study = findings.study
     lead = (
@@ -29,7 +75,7 @@ def bandwidth_page(findings: Findings, sections: Sequence[Section] = ()) -> Page
         f"are real, arrival is in simulated time. {len(findings.frame)} runs, "
         f"seeds of each cell: {len(study.seeds)}." + findings.gaps()
     )
-    grids = (_grid_section(findings, grid) for grid in study.grids)
+    grids = (_uplink_grid_section(findings, grid) for grid in study.grids)
     return Page(
         study.title or study.name,
         lead,
@@ -37,7 +83,7 @@ def bandwidth_page(findings: Findings, sections: Sequence[Section] = ()) -> Page
     )
 
 
-def _answer_section(findings: Findings) -> Section:
+def _answer_section(findings: StudyResults) -> Section:
     names = [grid.name for grid in findings.study.grids if RATE in grid.axes]
     rows = tuple(row for name in names for row in _answers(findings, name))
     columns = (
@@ -52,20 +98,20 @@ def _answer_section(findings: Findings) -> Section:
     return Section("How much is enough", (Text(text), Table(columns, rows)))
 
 
-def _answers(findings: Findings, grid: str) -> Iterator[tuple[Cell, ...]]:
-    groups: dict[str, list[Known]] = {}
+def _answers(findings: StudyResults, grid: str) -> Iterator[tuple[Cell, ...]]:
+    groups: dict[str, list[GridRow]] = {}
     for row in findings.rows(grid):
         groups.setdefault(label_of(row[UPLOAD]), []).append(row)
     for upload, rows in groups.items():
-        rows.sort(key=lambda row: number(row, RATE) or 0.0)
-        goal = ENOUGH * (number(rows[-1], "e_cvpr_mean") or 0.0)
-        first = next(row for row in rows if (number(row, "e_cvpr_mean") or 0.0) >= goal)
+        rows.sort(key=lambda row: figure_of(row, RATE) or 0.0)
+        goal = ENOUGH * (figure_of(rows[-1], "e_cvpr_mean") or 0.0)
+        first = next(row for row in rows if (figure_of(row, "e_cvpr_mean") or 0.0) >= goal)
         figures = (bare_mean(first, shown) for shown in (E_CVPR, DELAY))
-        sent = number(first, "uplink_mbps_mean")
+        sent = figure_of(first, "uplink_mbps_mean")
         yield (_TITLES.get(grid, grid), upload, label_of(first[RATE]), *figures, sent)
 
 
-def _grid_section(findings: Findings, grid: Grid) -> Section:
+def _uplink_grid_section(findings: StudyResults, grid: Grid) -> Section:
     axes, rows = findings.axes(grid.name), findings.rows(grid.name)
     axis = axes[-1]
     blocks: list[Block] = [

@@ -1,4 +1,4 @@
-"""What agents sent."""
+"""Uplink use of agents: bytes and rates, and the section of a run's page that shows them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,54 @@ from collections import defaultdict
 
 from recorder.run import Run
 from studies import palette
-from studies.bandwidth import by_agent
-from studies.of_run.clock import Clock, over_time
+from studies.over_time import FrameClock, over_time, thinned_series
 from studies.page.charts import Chart, Series
 from studies.page.model import Cell, Column, Section, Table, Text
-from studies.thin import line
+
+Figures = dict[str, float | None]
+
+_PER_AGENT = """
+    SELECT agent, count(DISTINCT frame), sum(points), sum(payload_bytes), sum(wire_bytes),
+           count(DISTINCT CASE WHEN wire_bytes IS NOT NULL THEN frame END)
+    FROM uploads WHERE payload_bytes IS NOT NULL GROUP BY agent ORDER BY agent
+"""
+
+
+def by_agent(run: Run, frame_period_s: float) -> dict[str, Figures]:
+    """Returns by agent its frames, points and bytes per frame, and its rate in Mbit/s.
+
+    The rate is that of the frames in which the agent sent something, at the run's frame rate:
+    what its link must carry when the run keeps pace with the clock. `wire_*` is what TCP sent:
+    poses, message headers and repetitions included, the headers of TCP and IP not; None if the
+    transport could not tell.
+    """
+    return {
+        agent: {
+            "frames": frames,
+            "points_per_frame": points / frames,
+            "bytes_per_frame": payload / frames,
+            "mbps": _mbps(payload / frames, frame_period_s),
+            "wire_bytes_per_frame": wire / counted if wire else None,
+            "wire_mbps": _mbps(wire / counted, frame_period_s) if wire else None,
+        }
+        for agent, frames, points, payload, wire, counted in run.query(_PER_AGENT)
+    }
+
+
+def total_mbps(run: Run, frame_period_s: float) -> Figures:
+    """Returns mean and peak of what all agents together sent in a frame, as a rate."""
+    sql = "SELECT sum(payload_bytes) FROM uploads WHERE payload_bytes IS NOT NULL GROUP BY frame"
+    rates = [_mbps(sent, frame_period_s) for (sent,) in run.query(sql)]
+    frames = run.query("SELECT count(*) FROM frames WHERE tick_ns IS NOT NULL")[0][0]
+    return {
+        "mean": sum(rates) / frames if frames else None,
+        "peak": max(rates, default=None),
+    }
+
+
+def _mbps(bytes_per_frame: float, frame_period_s: float) -> float:
+    return bytes_per_frame * 8e-6 / frame_period_s
+
 
 MOST_AGENTS = 8
 MOST_ROWS = 15
@@ -28,7 +71,7 @@ _SENT = """
 """
 
 
-def uplink_section(run: Run, clock: Clock) -> Section:
+def uplink_section(run: Run, clock: FrameClock) -> Section:
     """Returns bytes per agent, over time and as a table."""
     sent: dict[str, dict[int, int]] = defaultdict(dict)
     for agent, frame, payload in run.query(_SENT):
@@ -43,7 +86,7 @@ def most_active(agents: dict[str, int]) -> list[str]:
     return sorted(agents, key=lambda agent: (-agents[agent], agent))[:MOST_AGENTS]
 
 
-def _charts(sent: dict[str, dict[int, int]], clock: Clock) -> tuple[Chart, Chart]:
+def _charts(sent: dict[str, dict[int, int]], clock: FrameClock) -> tuple[Chart, Chart]:
     named = most_active({agent: len(frames) for agent, frames in sent.items()})
     totals: dict[int, int] = defaultdict(int)
     for frames in sent.values():
@@ -61,13 +104,13 @@ def _charts(sent: dict[str, dict[int, int]], clock: Clock) -> tuple[Chart, Chart
 
 
 def _line(
-    name: str, sent: dict[int, int], order: range, clock: Clock, colour: str | None = None
+    name: str, sent: dict[int, int], order: range, clock: FrameClock, colour: str | None = None
 ) -> Series:
     kilobytes = [sent[frame] / 1e3 if frame in sent else None for frame in order]
-    return line(name, [clock[frame] for frame in order], kilobytes, colour)
+    return thinned_series(name, [clock[frame] for frame in order], kilobytes, colour)
 
 
-def _table(run: Run, clock: Clock) -> Table:
+def _table(run: Run, clock: FrameClock) -> Table:
     found = by_agent(run, clock.period_s)
     order = sorted(found, key=lambda agent: (-(found[agent]["frames"] or 0), agent))
     rows = tuple(_row(agent, found[agent]) for agent in order[:MOST_ROWS])

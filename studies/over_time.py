@@ -1,31 +1,33 @@
-"""Long series with fewer points: the mean of each stretch, and how far it goes down and up."""
+"""Charts over simulated time: when frames were, and long series thinned to what can be seen."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from perception.arrays import Floats
-from studies.page.charts import Numbers, Series
+from recorder.run import Run
+from studies.page.charts import Chart, ChartKind, Numbers, Series
 
-MOST_POINTS = 1500
+MAX_POINTS = 1500
 STRETCHES = 300
 NOTE = "Lines are means over short stretches of time; the surfaces reach from least to greatest."
 
 
-def line(
+def thinned_series(
     name: str, x: Sequence[float], y: Sequence[float | None], colour: str | None = None
 ) -> Series:
-    """Returns a series as it is, or of `STRETCHES` points if it has more than `MOST_POINTS`.
+    """Returns a series as it is, or of `STRETCHES` points if it has more than `MAX_POINTS`.
 
     Of a stretch there are the mean, the least and the greatest, so that no extreme is lost; its x
     is that of its middle. None is a gap; one that is shorter than a stretch is bridged.
     """
     values = np.array([np.nan if one is None else one for one in y], np.float64)
-    if len(values) <= MOST_POINTS:
+    if len(values) <= MAX_POINTS:
         return Series(name, tuple(x), _numbers(values), colour=colour)
     edges = np.linspace(0, len(values), STRETCHES + 1).astype(np.int64)
     parts = [values[begin:end] for begin, end in pairwise(edges.tolist())]
@@ -46,3 +48,36 @@ def note_on(series: tuple[Series, ...]) -> str:
 
 def _numbers(values: Floats) -> Numbers:
     return tuple(None if np.isnan(value) else value for value in values.tolist())
+
+
+TIME = "simulated time, s"
+
+
+@dataclass(frozen=True, slots=True)
+class FrameClock:
+    """Simulated seconds by frame; a frame whose time was never heard is where it should be."""
+
+    period_s: float
+    start_s: float
+    times_s: dict[int, float]
+
+    @classmethod
+    def of(cls, run: Run) -> FrameClock:
+        """Reads the times of a run's frames."""
+        rows = run.query("SELECT frame, sim_time_ns FROM frames WHERE sim_time_ns IS NOT NULL")
+        times_s = {frame: ns / 1e9 for frame, ns in rows}
+        period_s = float(run.scenario.get("frame_period_s", 0.1))
+        first = min(times_s, default=0)
+        return cls(period_s, times_s.get(first, 0.0) - first * period_s, times_s)
+
+    def __getitem__(self, frame: int) -> float:
+        """Returns the simulated time of a frame, s."""
+        return self.times_s.get(frame, self.start_s + frame * self.period_s)
+
+
+def over_time(
+    title: str, y_label: str, series: tuple[Series, ...], kind: ChartKind = "line", notes: str = ""
+) -> Chart:
+    """Returns a chart over simulated time; thinned series are explained under it."""
+    said = " ".join(filter(None, (notes, note_on(series))))
+    return Chart(title, TIME, y_label, series, kind, notes=said)

@@ -29,11 +29,11 @@ from sim_host.setup import build_setup
 from vehicle_agent.role import VehicleRole
 
 IDLE_S = 0.001  # what waits for the clock alone, as the recorder's end does
-STUCK_NS = 120_000_000_000
+STALL_NS = 120_000_000_000
 Builder = Callable[[Context], Role]
 
 
-class _Seat:
+class _RoleSlot:
     """One role's place in the round."""
 
     def __init__(self, name: str, context: Context, build: Builder) -> None:
@@ -65,7 +65,7 @@ class _Seat:
             self._context.world.close()
 
 
-def play(scenario: dict[str, Any], run_dir: Path) -> None:
+def run_in_process(scenario: dict[str, Any], run_dir: Path) -> None:
     """Plays a scenario to its end; the run folder is as `cpnet up --mode lockstep` leaves it.
 
     Args:
@@ -76,10 +76,10 @@ def play(scenario: dict[str, Any], run_dir: Path) -> None:
         ConfigError: the scenario cannot be played.
         BusError: the roles wait for one another.
     """
-    play_setup(build_setup(scenario, run_dir), run_dir)
+    run_setup_in_process(build_setup(scenario, run_dir), run_dir)
 
 
-def play_setup(setup: Setup, run_dir: Path) -> None:
+def run_setup_in_process(setup: Setup, run_dir: Path) -> None:
     """Plays what a setup says, be it a tape.
 
     Raises:
@@ -87,17 +87,17 @@ def play_setup(setup: Setup, run_dir: Path) -> None:
         BusError: the roles wait for one another.
     """
     (run_dir / "setup.msgpack").write_bytes(encode(setup))
-    table = _Table(setup, run_dir)
+    table = _Buses(setup, run_dir)
     sim_builder, builders = _builders(setup.scenario)
     with ExitStack() as stack:
 
-        def seat(name: str, build: Builder) -> _Seat:
-            taken = _Seat(name, table.context(name), build)
+        def seat(name: str, build: Builder) -> _RoleSlot:
+            taken = _RoleSlot(name, table.context(name), build)
             stack.callback(taken.leave)
             return taken
 
         sim = seat("sim", sim_builder)  # leaves last: with the world goes what others may ask
-        _go_round(sim, [seat(name, build) for name, build in builders])
+        _run_until_done(sim, [seat(name, build) for name, build in builders])
 
 
 def _builders(scenario: dict[str, Any]) -> tuple[Builder, list[tuple[str, Builder]]]:
@@ -119,7 +119,7 @@ def _builders(scenario: dict[str, Any]) -> tuple[Builder, list[tuple[str, Builde
     ]
 
 
-class _Table:
+class _Buses:
     """Where all roles sit: the two buses."""
 
     def __init__(self, setup: Setup, run_dir: Path) -> None:
@@ -143,7 +143,7 @@ class _Table:
         )
 
 
-def _go_round(sim: _Seat, others: list[_Seat]) -> None:
+def _run_until_done(sim: _RoleSlot, others: list[_RoleSlot]) -> None:
     """Gives everybody a turn, again and again, until the world is done and the recorder has left.
 
     Agents leave when they hear of the end; edge and signal stay as long as they are asked.
@@ -160,7 +160,7 @@ def _go_round(sim: _Seat, others: list[_Seat]) -> None:
                 seat.leave()
         if moved:
             busy_ns = time.monotonic_ns()
-        elif time.monotonic_ns() - busy_ns > STUCK_NS:
+        elif time.monotonic_ns() - busy_ns > STALL_NS:
             raise BusError("nobody has said anything for two minutes: the roles wait for another")
         else:
             time.sleep(IDLE_S)

@@ -1,1 +1,0 @@
-"""The sections of one run's page. Each says what is missing when the run does not yield it."""

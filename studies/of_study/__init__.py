@@ -1,1 +1,0 @@
-"""Pages about studies: what came of all cells, as tables and charts."""

@@ -1,0 +1,315 @@
+"""Sections of a run's page: vehicle counts, signal phases, the map of seen and missed vehicles."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from dataclasses import dataclass, field, replace
+from itertools import groupby
+from math import ceil
+
+import numpy as np
+
+from protocol.errors import ConfigError
+from protocol.messages import VehicleType
+from protocol.roadmap import RoadMap, Signal
+from recorder.run import Run
+from recorder.tables import CountRow, DetectionRow, PhaseRow, RequestRow, TruthRow
+from studies import palette
+from studies.count_error import counts_with_truth
+from studies.ecvpr import EvaluationArea, FrameScore, matches
+from studies.outlines import road_rings
+from studies.over_time import TIME, FrameClock, over_time, thinned_series
+from studies.page.charts import Chart, MapChart, Mark, Points, Span, Timeline
+from studies.page.model import Beside, Block, Column, Section, Table, Text
+
+Counted = list[tuple[CountRow, int | None]]
+_COLUMNS = (
+    Column("lane"),
+    Column("side"),
+    Column("counted", ".2f"),
+    Column("present", ".2f"),
+    Column("mean error", "+.2f"),
+    Column("mean absolute error", ".2f"),
+)
+
+
+def vehicles_section(run: Run, clock: FrameClock, scores: list[FrameScore]) -> Section:
+    """Returns counts and E-CVPR over time, and counts by lane."""
+    counted = _counted(run)
+    blocks: list[Block] = []
+    charts = [_over_time(counted, clock)] if counted else []
+    if scores:
+        charts.append(_rate(scores, clock))
+    else:
+        blocks.append(Text("There is no truth to compare with, or no frame that was perceived."))
+    if charts:
+        blocks.append(Beside(tuple(charts)))
+    blocks.append(_by_lane(counted) if counted else Text("No lane counts were recorded."))
+    return Section("Vehicles", tuple(blocks))
+
+
+def _counted(run: Run) -> Counted:
+    """Returns all counts, with the truth where there is one."""
+    try:
+        found: Counted = list(counts_with_truth(run))
+    except ConfigError:  # without its setup, or of a scenario that this version does not know
+        found = []
+    return found or [(row, None) for row in run.rows(CountRow)]
+
+
+def _over_time(counted: Counted, clock: FrameClock) -> Chart:
+    frames: dict[int, list[float]] = defaultdict(lambda: [0.0, 0.0])
+    for row, present in counted:
+        sums = frames[row.frame]
+        sums[0] += row.vehicles
+        sums[1] += np.nan if present is None else present
+    x = [clock[frame] for frame in frames]
+    series = [thinned_series("counted", x, [sums[0] for sums in frames.values()], palette.PLAIN)]
+    there = [sums[1] for sums in frames.values()]
+    if not np.isnan(there).all():
+        series.insert(0, thinned_series("present", x, there, palette.QUIET))
+    return over_time("Vehicles on the counted lanes", "vehicles", tuple(series))
+
+
+def _rate(scores: list[FrameScore], clock: FrameClock) -> Chart:
+    x = [clock[one.frame] for one in scores]
+    shares = {
+        "detected": [one.e_cvpr for one in scores],
+        "visible": [one.visible_share for one in scores],
+    }
+    colours = {"detected": palette.GOOD, "visible": palette.QUIET}
+    series = tuple(
+        thinned_series(
+            name, x, [None if share is None else 100 * share for share in values], colours[name]
+        )
+        for name, values in shares.items()
+        if any(share is not None for share in values)
+    )
+    return over_time("Vehicles within reach that were detected (E-CVPR)", "%", series)
+
+
+def _by_lane(counted: Counted) -> Table:
+    lanes: dict[tuple[str, str], list[tuple[int, int | None]]] = defaultdict(list)
+    for row, present in counted:
+        lanes[row.side, row.lane].append((row.vehicles, present))
+    rows = tuple(
+        (lane, side, *_means(pairs))
+        for (side, lane), pairs in sorted(
+            lanes.items(), key=lambda one: (one[0][0] != "upstream", one[0])
+        )
+    )
+    return Table(_COLUMNS, rows, "By lane, mean over frames")
+
+
+def _means(pairs: list[tuple[int, int | None]]) -> tuple[float | None, ...]:
+    mean = float(np.mean([counted for counted, _ in pairs]))
+    known = np.array([pair for pair in pairs if pair[1] is not None], np.float64).reshape(-1, 2)
+    if not len(known):
+        return mean, None, None, None
+    error = known[:, 0] - known[:, 1]
+    return mean, float(known[:, 1].mean()), float(error.mean()), float(np.abs(error).mean())
+
+
+_LONGEST = 28  # letters of a phase's name
+_LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+
+
+class PhaseNames:
+    """Phases by a letter and the edges that they let go; the plan's come first."""
+
+    def __init__(self, run: Run) -> None:
+        try:
+            self._signal: Signal | None = run.setup.road_map.signal
+        except ConfigError:  # cut off before its setup was written, or moved without it
+            self._signal = None
+        self.greens = self._signal.greens if self._signal else []
+
+    def __getitem__(self, green: str) -> str:
+        """Returns the name of a green state; one that the plan lacks takes the next letter."""
+        if green not in self.greens:
+            self.greens.append(green)
+        number = self.greens.index(green)
+        letter = _LETTERS[number] if number < len(_LETTERS) else str(number)
+        return f"{letter}: {self._edges(green)}"
+
+    def _edges(self, green: str) -> str:
+        links = self._signal.links if self._signal else []
+        lanes = [k.from_lane for k in links if k.index < len(green) and green[k.index] in "Gg"]
+        edges = ", ".join(dict.fromkeys(lane.rpartition("_")[0] or lane for lane in lanes))
+        text = edges or green
+        return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
+
+
+def phases_section(run: Run, clock: FrameClock) -> Section:
+    """Returns phases over time, and pressures."""
+    names = PhaseNames(run)
+    blocks: list[Block] = []
+    spans = _spans(list(run.rows(PhaseRow)), names, clock)
+    if spans:
+        rows = tuple(sorted(dict.fromkeys(span.row for span in spans)))
+        blocks.append(Timeline("Phases", TIME, rows, tuple(spans), palette.LAMPS))
+    else:
+        blocks.append(Text("No signal state was recorded."))
+    pressures = _pressures(run, names, clock)
+    blocks.append(pressures or Text("No pressures were recorded: the policy does not weigh any."))
+    return Section("Signal", tuple(blocks))
+
+
+def _spans(rows: list[PhaseRow], names: PhaseNames, clock: FrameClock) -> list[Span]:
+    """Returns how long each stage lasted, of all signals."""
+    rows = sorted(rows, key=lambda row: (row.tls, row.frame))
+    many = len({row.tls for row in rows}) > 1
+    spans: list[Span] = []
+    for tls, shown in groupby(rows, key=lambda row: row.tls):
+        spans += _of_signal(list(shown), names, clock, f"{tls} " if many else "")
+    return spans
+
+
+def _of_signal(
+    rows: list[PhaseRow], names: PhaseNames, clock: FrameClock, prefix: str
+) -> list[Span]:
+    """Returns one signal's stages; yellow and all-red stand with the green that they end."""
+    spans: list[Span] = []
+    present = ""
+    for (stage, green), group in groupby(rows, key=lambda row: (row.stage, row.green)):
+        first = next(group)
+        if stage == "green" or not present:
+            present = green
+        start_s = clock[first.frame]
+        if spans:
+            spans[-1] = replace(spans[-1], end=start_s)
+        row = prefix + names[present]
+        spans.append(Span(row, start_s, start_s, stage.replace("_", " ")))
+    if spans:
+        spans[-1] = replace(spans[-1], end=clock[rows[-1].frame] + clock.period_s)
+    return spans
+
+
+def _pressures(run: Run, names: PhaseNames, clock: FrameClock) -> Chart | None:
+    x: list[float] = []
+    table: list[list[float]] = []
+    for row in run.rows(RequestRow):
+        values = _parsed(row.pressures)
+        if values and len(values) == len(names.greens):
+            x.append(clock[row.frame])
+            table.append(values)
+    if not table:
+        return None
+    series = tuple(
+        thinned_series(names[green], x, [values[i] for values in table])
+        for i, green in enumerate(names.greens)
+    )
+    return over_time("Pressure of each phase", "vehicles", series, kind="steps")
+
+
+def _parsed(text: str) -> list[float]:
+    try:
+        values = json.loads(text)
+    except ValueError:
+        return []
+    is_list = isinstance(values, list) and all(isinstance(v, int | float) for v in values)
+    return [float(v) for v in values] if is_list else []
+
+
+MOST_POINTS = 4000
+_MARGIN_M = 8.0
+_FRAMES = """
+    SELECT frame FROM frames WHERE detections IS NOT NULL
+    INTERSECT SELECT frame FROM truth ORDER BY frame
+"""
+
+
+@dataclass(slots=True)
+class _Class:
+    """Points of one class while they are gathered."""
+
+    name: str
+    colour: str
+    mark: Mark = "disc"
+    size: float = 4.5
+    rows: list[tuple[float, float, str]] = field(default_factory=list)
+
+    def points(self) -> Points:
+        x_m, y_m, hover = zip(*self.rows, strict=True) if self.rows else ((), (), ())
+        return Points(self.name, x_m, y_m, hover, self.size, self.mark, self.colour)
+
+
+def map_section(run: Run, clock: FrameClock) -> Section:
+    """Returns the map of a run, or why there is none."""
+    title = "Where vehicles were seen and missed"
+    try:
+        setup = run.setup
+    except ConfigError as error:
+        return Section(title, (Text(f"There is no map: {error}."),))
+    frames = [frame for (frame,) in run.query(_FRAMES)]
+    if not frames:
+        missing = "No frame has both truth and detections, so that the map shows the road alone."
+        return Section(title, (Text(missing), _map(setup.road_map, _sensors(run), "")))
+    kept = _thinned(run, frames)
+    types = {kind.name: kind for kind in setup.vehicle_types}
+    classes = _gathered(run, kept, clock, types, EvaluationArea(setup.road_map))
+    points = [one.points() for one in classes if one.rows]
+    notes = f"Vehicles within reach of the signal in {len(kept)} of {len(frames)} frames."
+    return Section(title, (_map(setup.road_map, [*points, *_sensors(run)], notes),))
+
+
+def _thinned(run: Run, frames: list[int]) -> list[int]:
+    """Returns every n-th frame, so that about `MOST_POINTS` vehicles are shown."""
+    ((vehicles,),) = run.query("SELECT count(*) FROM truth")
+    return frames[:: max(1, ceil(vehicles / MOST_POINTS))]
+
+
+def _gathered(
+    run: Run,
+    frames: list[int],
+    clock: FrameClock,
+    types: dict[str, VehicleType],
+    reach: EvaluationArea,
+) -> list[_Class]:
+    seen, own = _Class("detected", palette.GOOD), _Class("reports itself", palette.PLAIN)
+    missed = _Class("missed", palette.BAD)
+    nothing = _Class("detection of nothing", palette.INK, "cross", 6.0)
+    for frame in frames:
+        detections, when = run.of_frame(DetectionRow, frame), f"{clock[frame]:.1f} s"
+        vehicles = run.of_frame(TruthRow, frame)
+        found, false = matches(detections, vehicles, types)
+        reporting = {one.source for one in detections}
+        for one in vehicles:
+            if reach.contains(one.lane, one.lane_position_m):
+                kind = own if one.vehicle in reporting else seen if one.vehicle in found else missed
+                kind.rows.append((one.x_m, one.y_m, f"{one.vehicle}, {when}"))
+        nothing.rows += [(one.x_m, one.y_m, f"{one.source}, {when}") for one in false]
+    return [seen, own, missed, nothing]
+
+
+def _sensors(run: Run) -> list[Points]:
+    """Returns where the roadside sensors stand."""
+    centre = run.setup.road_map.centre
+    mounts = run.scenario.get("roadside_mounts", [])
+    places = [
+        (centre[0] + float(one.get("x_m", 0)), centre[1] + float(one.get("y_m", 0)), str(one["id"]))
+        for one in mounts
+    ]
+    if not places:
+        return []
+    x_m, y_m, names = zip(*places, strict=True)
+    return [Points("roadside LiDAR", x_m, y_m, names, 13.0, "star", "#e69f00")]
+
+
+def _map(road_map: RoadMap, points: list[Points], notes: str) -> MapChart:
+    surfaces, lines = road_rings(road_map)
+    return MapChart("From above", surfaces, lines, tuple(points), (), _window(points), notes)
+
+
+def _window(points: list[Points]) -> tuple[float, float, float, float] | None:
+    x_m = [x for one in points for x in one.x_m]
+    y_m = [y for one in points for y in one.y_m]
+    if len(x_m) < 2:
+        return None
+    return (
+        min(x_m) - _MARGIN_M,
+        min(y_m) - _MARGIN_M,
+        max(x_m) + _MARGIN_M,
+        max(y_m) + _MARGIN_M,
+    )

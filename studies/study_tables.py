@@ -1,0 +1,202 @@
+"""Tables and charts of a study's grids: means over seeds with 95 % confidence intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import polars as pl
+import yaml
+
+from studies.page.charts import Chart, Number, Series
+from studies.page.model import Block, Cell, Code, Column, Section, Table
+from studies.sweep.results import over_seeds
+from studies.sweep.study_file import Study
+
+VALUES = (
+    "delay_s",
+    "e_cvpr",
+    "e_cvpr_std",
+    "visible_share",
+    "in_range_share",
+    "count_error",
+    "uplink_mbps",
+    "false_detections",
+    "vehicles_inserted",
+    "vehicles_finished",
+    "vehicles_teleported",
+    "vehicles_waiting",
+)
+"""Measures that pages speak of."""
+
+GridRow = dict[str, float | int | str | None]
+
+
+@dataclass(frozen=True, slots=True)
+class StudyResults:
+    """A study, its table, and the command that makes both again.
+
+    `scenario` is what all cells have in common, with every key; `missing` has no figures.
+    """
+
+    study: Study
+    frame: pl.DataFrame
+    command: str
+    versions: Mapping[str, str] = field(default_factory=dict)
+    scenario: Mapping[str, Any] = field(default_factory=dict)
+    missing: tuple[str, ...] = ()
+
+    def gaps(self) -> str:
+        """Returns a sentence on cells that failed or were not run; empty if there are none."""
+        if not self.missing:
+            return ""
+        some = "; ".join(self.missing[:5]) + (" …" if len(self.missing) > 5 else "")
+        whole = len(self.frame) + len(self.missing)
+        return (
+            f" {len(self.missing)} of {whole} cells are MISSING, means are over the rest: {some}."
+        )
+
+    def axes(self, grid: str) -> list[str]:
+        """Returns the names of a grid's axes."""
+        return [name for one in self.study.grids if one.name == grid for name in one.axes]
+
+    def rows(self, grid: str) -> list[GridRow]:
+        """Returns a row for each cell of a grid, over its seeds: see `over_seeds`."""
+        part = self.frame.filter(pl.col("grid") == grid)
+        present = [value for value in VALUES if value in part.columns]
+        return over_seeds(part, self.axes(grid), present).to_dicts() if len(part) else []
+
+
+def figure_of(row: GridRow, name: str) -> float | None:
+    """Returns a row's figure, None where it has none."""
+    value = row.get(name)
+    return None if value is None or isinstance(value, str) else float(value)
+
+
+def label_of(value: float | str | None) -> str:
+    """Returns an axis's label as people write it."""
+    return value if isinstance(value, str) else "–" if value is None else f"{value:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """A measure as pages write it: its name, its unit's factor, its decimals."""
+
+    value: str
+    name: str
+    factor: float = 1.0
+    decimals: int = 1
+
+
+DELAY = Measure("delay_s", "mean delay, s")
+E_CVPR = Measure("e_cvpr", "E-CVPR, %", 100)
+VISIBLE = Measure("visible_share", "visible, %", 100)
+IN_RANGE = Measure("in_range_share", "in range, %", 100)
+COUNT_ERROR = Measure("count_error", "error of a lane's count, vehicles", 1, 2)
+UPLINK = Measure("uplink_mbps", "uplink of all, Mbit/s", 1, 2)
+TRAFFIC = (
+    Measure("vehicles_inserted", "inserted", 1, 0),
+    Measure("vehicles_finished", "finished", 1, 0),
+    Measure("vehicles_teleported", "teleported", 1, 1),
+    Measure("vehicles_waiting", "kept outside", 1, 1),
+)
+"""What stands beside every delay: whom it is the mean of, and who is missing."""
+
+
+def mean_of(row: GridRow, shown: Measure) -> str | None:
+    """Returns mean ± half width of its confidence interval; the mean alone of a single seed."""
+    mean, half = figure_of(row, f"{shown.value}_mean"), figure_of(row, f"{shown.value}_ci95")
+    if mean is None:
+        return None
+    text = f"{mean * shown.factor:.{shown.decimals}f}"
+    return text if half is None else f"{text} ± {half * shown.factor:.{shown.decimals}f}"
+
+
+def bare_mean(row: GridRow, shown: Measure) -> float | None:
+    """Returns the mean alone, rounded as it is written."""
+    mean = figure_of(row, f"{shown.value}_mean")
+    return None if mean is None else round(mean * shown.factor, shown.decimals)
+
+
+def grid_table(rows: list[GridRow], axes: Sequence[str], caption: str = "") -> Table:
+    """Returns a line for each cell."""
+    measures = (DELAY, E_CVPR, VISIBLE, IN_RANGE, COUNT_ERROR, UPLINK)
+    used = [one for one in measures if any(figure_of(r, f"{one.value}_mean") for r in rows)]
+    columns = [*(Column(axis) for axis in axes), *(Column(one.name) for one in used)]
+    columns += [*(Column(one.name, f".{one.decimals}f") for one in TRAFFIC), Column("seeds")]
+    cells: list[tuple[Cell, ...]] = [
+        (
+            *(label_of(row[axis]) for axis in axes),
+            *(mean_of(row, one) for one in used),
+            *(bare_mean(row, one) for one in TRAFFIC),
+            row["n"],
+        )
+        for row in rows
+    ]
+    return Table(tuple(columns), tuple(cells), caption)
+
+
+def curve(rows: list[GridRow], axis: str, shown: Measure, name: str) -> Series:
+    """Returns a measure over an axis of numbers, with its confidence band."""
+    points = sorted(
+        (figure_of(row, axis) or 0.0, row) for row in rows if figure_of(row, axis) is not None
+    )
+    x: tuple[Number, ...] = tuple(at for at, _ in points)
+    mean = [figure_of(row, f"{shown.value}_mean") for _, row in points]
+    half = [figure_of(row, f"{shown.value}_ci95") for _, row in points]
+    scaled = tuple(None if m is None else m * shown.factor for m in mean)
+    if any(h is None for h in half):
+        return Series(name, x, scaled, style="line+points")
+    pairs = list(zip(mean, half, strict=True))
+    low = tuple(None if m is None or h is None else (m - h) * shown.factor for m, h in pairs)
+    high = tuple(None if m is None or h is None else (m + h) * shown.factor for m, h in pairs)
+    return Series(name, x, scaled, low, high, style="line+points")
+
+
+def curves(rows: list[GridRow], axis: str, others: Sequence[str], shown: Measure) -> Chart:
+    """Returns a line for each combination of the other axes."""
+    groups: dict[str, list[GridRow]] = {}
+    for row in rows:
+        name = ", ".join(label_of(row[other]) for other in others) or shown.name
+        groups.setdefault(name, []).append(row)
+    series = tuple(curve(part, axis, shown, name) for name, part in groups.items())
+    return Chart(f"{shown.name} over {axis}", axis, shown.name, series, x_log=_is_wide(rows, axis))
+
+
+def bars(rows: list[GridRow], axes: Sequence[str], shown: Measure) -> Chart:
+    """Returns a bar for each cell, with whiskers where there are several seeds."""
+    names = tuple(", ".join(label_of(row[axis]) for axis in axes) for row in rows)
+    mean = [figure_of(row, f"{shown.value}_mean") for row in rows]
+    half = [figure_of(row, f"{shown.value}_ci95") for row in rows]
+    pairs = list(zip(mean, half, strict=True))
+    known = all(h is not None for h in half)
+    low = tuple(None if m is None or h is None else (m - h) * shown.factor for m, h in pairs)
+    high = tuple(None if m is None or h is None else (m + h) * shown.factor for m, h in pairs)
+    series = Series(
+        shown.name,
+        tuple(range(len(names))),
+        tuple(None if m is None else m * shown.factor for m in mean),
+        low if known else None,
+        high if known else None,
+    )
+    return Chart(shown.name, "", shown.name, (series,), "bar", x_categories=names)
+
+
+def _is_wide(rows: list[GridRow], axis: str) -> bool:
+    """Whether an axis spans so much that only a logarithm shows it all."""
+    values = [value for row in rows if (value := figure_of(row, axis)) is not None]
+    return bool(values) and min(values) > 0 and max(values) / min(values) > 100
+
+
+def origin_section(findings: StudyResults) -> Section:
+    """Returns what is needed to make the study again."""
+    text = yaml.safe_dump(
+        findings.study.model_dump(by_alias=True), sort_keys=False, allow_unicode=True
+    )
+    blocks: list[Block] = [Code(findings.command, "The command that makes this again")]
+    if findings.versions:
+        rows = tuple(findings.versions.items())
+        blocks.append(Table((Column("made with"), Column("version")), rows))
+    blocks.append(Code(text, "The study, with what was set on the command line", folded=True))
+    return Section("How it was made", tuple(blocks))
