@@ -15,8 +15,8 @@ from tempfile import TemporaryDirectory
 from cpnet import scenario as scenarios
 from recorder.run import Run
 from recorder.tables import UploadRow
-from studies.measures import measure
-from studies.solo import play
+from studies.in_process import run_in_process
+from studies.sweep.worker import measure
 
 
 def run_once(run_dir: Path, policy: str, duration_s: float, channels: int) -> dict[str, float]:
@@ -33,7 +33,7 @@ def run_once(run_dir: Path, policy: str, duration_s: float, channels: int) -> di
             "lidar.roadside.channels": channels,
         },
     )
-    play(scenario.model_dump(mode="json"), run_dir)
+    run_in_process(scenario.model_dump(mode="json"), run_dir)
     figures = measure(run_dir)
     with Run(run_dir) as run:
         largest_bytes = max(upload.payload_bytes for upload in run.rows(UploadRow))
