@@ -18,7 +18,7 @@ _FRONT_M = (12.0, 32.0)
 _DEPTH_M = (10.0, 18.0)
 _HEIGHT_M = (6.0, 22.0)
 _JITTER_M = 3.0  # fronts do not form one line
-_SUNK_M = 2.0  # walls begin under the ground, which need not be level
+_WALL_SUNK_M = 2.0  # walls begin under the ground, which need not be level
 
 
 def buildings(
@@ -41,7 +41,7 @@ def buildings(
                 continue
             placed.append(outline)
             base_m = float(terrain.height_m(outline).min())
-            meshes.append(extrude(outline, base_m - _SUNK_M, base_m + height_m))
+            meshes.append(extrude(outline, base_m - _WALL_SUNK_M, base_m + height_m))
     return meshes
 
 
@@ -59,7 +59,7 @@ def from_polygons(
         if len(outline) < 3 or contains(outline, on_lanes).any():
             continue
         base_m = float(terrain.height_m(outline).min())
-        bottom_m, top_m = base_m - _SUNK_M, base_m + height_m
+        bottom_m, top_m = base_m - _WALL_SUNK_M, base_m + height_m
         meshes.append(extrude(outline, bottom_m, top_m, roof=triangulate(outline)))
     return meshes
 

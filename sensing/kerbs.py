@@ -14,7 +14,7 @@ from sensing.terrain import Terrain
 
 _WIDTHS = (1.0, 0.5, 0.1)  # of the pavement's, tried in turn where another lane is near
 _SLOPE_M = 0.4  # the pavement falls to the ground over this width
-_SUNK_M = 0.15  # surfaces end this far under the ground, so that no ray slips through
+_KERB_SUNK_M = 0.15  # surfaces end this far under the ground, so that no ray slips through
 
 
 def kerbs(
@@ -44,10 +44,10 @@ def _kerb(edge: Edge, terrain: Terrain, widths: Floats, config: SceneConfig) -> 
     points, outward, widths = edge.points[wide], edge.outward[wide], widths[wide]
     rise_m = config.kerb_height_m
     profile = (
-        (np.zeros_like(widths), -_SUNK_M),
+        (np.zeros_like(widths), -_KERB_SUNK_M),
         (np.zeros_like(widths), rise_m),
         (widths, rise_m),
-        (widths + _SLOPE_M, -_SUNK_M),
+        (widths + _SLOPE_M, -_KERB_SUNK_M),
     )
     sections = np.empty((len(points), len(profile), 3))
     for k, (offset, height_m) in enumerate(profile):

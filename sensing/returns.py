@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from perception.arrays import Floats, Floats32
+from perception.arrays import Floats32
+from protocol.geometry import Floats
 from sensing.config import LidarConfig
 
 MIN_RANGE_M = 0.5

@@ -20,7 +20,7 @@ _TRUNK_RADIUS_M = (0.12, 0.25)
 _CROWN_RADIUS_M = (1.3, 2.4)
 _LEAVES = 70  # triangles a crown; more of them cost and show little
 _LEAF_M = 0.45
-_SUNK_M = 0.3
+_POLE_SUNK_M = 0.3
 
 
 def street_lights(
@@ -90,7 +90,7 @@ def _off_road(feet: list[Floats], road: RoadArea, radius_m: float) -> list[Float
 def _pole(foot: Floats, terrain: Terrain, radius_m: float, height_m: float) -> TriangleMesh:
     ground_m = float(terrain.height_m(foot)[0])
     ring = regular_polygon(foot, radius_m, 6)
-    return extrude(ring, ground_m - _SUNK_M, ground_m + height_m, taper=0.7)
+    return extrude(ring, ground_m - _POLE_SUNK_M, ground_m + height_m, taper=0.7)
 
 
 def _signal_post(foot: Floats, terrain: Terrain) -> list[TriangleMesh]:
@@ -106,7 +106,7 @@ def _tree(
     ground_m = float(terrain.height_m(foot)[0])
     trunk_m = float(rng.uniform(1.8, 2.8))
     ring = regular_polygon(foot, float(rng.uniform(*_TRUNK_RADIUS_M)), 5)
-    trunk = extrude(ring, ground_m - _SUNK_M, ground_m + trunk_m + radius_m * 0.5, taper=0.6)
+    trunk = extrude(ring, ground_m - _POLE_SUNK_M, ground_m + trunk_m + radius_m * 0.5, taper=0.6)
     middle = np.array([foot[0], foot[1], ground_m + trunk_m + radius_m * 0.8])
     spread = rng.standard_normal((_LEAVES, 3))
     spread /= np.maximum(np.sqrt((spread**2).sum(axis=1, keepdims=True)), 1e-9)

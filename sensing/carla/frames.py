@@ -10,11 +10,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from perception.arrays import Floats, Floats32, Ints
 from protocol.scans import RangeScan, ScanPattern
-
-Floats = npt.NDArray[np.float64]
-Floats32 = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int64]
 
 
 def carla_pose(map_pose: npt.ArrayLike, net_offset_m: tuple[float, float]) -> Floats:

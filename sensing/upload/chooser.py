@@ -7,17 +7,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from perception.roadway import Roadway
 from protocol.geometry import SE3
 from protocol.plugins import Plugin
 from protocol.scans import RangeScan, ScanPattern
 from sensing.config import UploadConfig
-from sensing.upload.cells import NOT_SENT
+from sensing.upload.cells import NOT_SENT, Bytes
 from sensing.upload.registry import NAMES, policy_of
-
-Bytes = npt.NDArray[np.uint8]
 
 
 class Chooser(Protocol):

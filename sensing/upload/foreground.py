@@ -13,9 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from sensing.upload.locate import Located
+from sensing.upload.locate import Floats32, Located
 
-Floats32 = npt.NDArray[np.float32]
 Bytes = npt.NDArray[np.uint8]
 Ints32 = npt.NDArray[np.int32]
 

@@ -13,14 +13,12 @@ from perception.thin import thin
 from protocol.geometry import SE3
 from protocol.messages import Plan
 from protocol.scans import RangeScan, ScanPattern
-from sensing.upload.cells import NOT_SENT, cut
+from sensing.upload.cells import NOT_SENT, Bytes, Floats32, cut
 from sensing.upload.chooser import Chooser
 from sensing.upload.foreground import Background, driving_foreground
 from sensing.upload.locate import locate
 from sensing.upload.registry import Filter, Policy
 
-Floats32 = npt.NDArray[np.float32]
-Bytes = npt.NDArray[np.uint8]
 Bools = npt.NDArray[np.bool_]
 
 
