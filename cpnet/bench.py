@@ -18,9 +18,9 @@ from cpnet.scenario import load
 from cpnet.up import up
 from protocol.errors import ConfigError
 from recorder.run import Run
-from sensing.link.named import NONE, profile_named
-from sensing.recording import Recording
-from sensing.upload.registry import NAMES, Filter
+from sensing.link_config import NONE, profile_named
+from sensing.recorded_scans import Recording
+from sensing.upload_policies import NAMES, Filter
 from studies.bench_choices import (
     FRAME_PERIOD_S,
     LEARNING_FRAMES,

@@ -34,10 +34,9 @@ from protocol.logs import LogStyle
 from protocol.messages import Setup
 from protocol.topics import BusName
 from protocol.wire import encode
-from sensing.carla.server import load_carla
 from sensing.radio import AgentKind
-from sensing.source_check import check_recording, is_of_carla
-from sensing.upload.registry import policy_of
+from sensing.recorded_scans import check_recording, is_of_carla
+from sensing.upload_policies import policy_of
 from signal_controller.registry import check as check_policy
 
 SENSING = {"vehicle", "infra"}
@@ -158,6 +157,8 @@ def _check_scans(names: list[str], scenario: dict[str, Any]) -> None:
     if PLAYERS.intersection(names):
         check_recording(scenario)
     if SENSING.intersection(names) and is_of_carla(scenario):
+        from sensing.carla import load_carla
+
         load_carla()
 
 

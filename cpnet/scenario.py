@@ -17,9 +17,15 @@ from protocol.config import Section
 from protocol.errors import ConfigError
 from protocol.files import is_file
 from recorder.config import RecordConfig
-from sensing.carla.config import CarlaConfig
-from sensing.config import LidarConfig, Mount, PoseErrorConfig, SceneConfig, UploadConfig
-from sensing.link.config import LinkConfig
+from sensing.config import (
+    CarlaConfig,
+    LidarConfig,
+    Mount,
+    PoseErrorConfig,
+    SceneConfig,
+    UploadConfig,
+)
+from sensing.link_config import LinkConfig
 from signal_controller.config import SignalConfig
 from sim_host.config import CabinetConfig, TrafficConfig
 

@@ -17,9 +17,9 @@ from perception.arrays import Floats
 from protocol.messages import NEVER_NS, Plan
 from protocol.roadmap import RoadMap
 from sensing.config import UploadConfig
-from sensing.link.config import LinkConfig
+from sensing.link_config import LinkConfig
 from sensing.radio import ENVELOPE_BYTES
-from sensing.upload.registry import Policy, policy_of
+from sensing.upload_policies import Policy, policy_of
 
 AHEAD_FRAMES = 2  # a plan is followed so long after its frame: by then all agents have it
 KEPT_PLANS = 8

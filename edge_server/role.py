@@ -33,8 +33,8 @@ from protocol.messages import (
 from protocol.process import Context
 from protocol.roadmap import RoadMap
 from sensing.config import Mount, UploadConfig
-from sensing.link.config import LinkConfig
-from sensing.upload.registry import policy_of
+from sensing.link_config import LinkConfig
+from sensing.upload_policies import policy_of
 
 _TOLD_BYTES = 200 << 10  # of a frame's times in one message
 _TIMES_BYTES = 200  # of one part, besides its agent's id, which stands there three times

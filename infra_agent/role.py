@@ -6,8 +6,8 @@ from protocol.inbox import Envelope, Presence
 from protocol.messages import Tick
 from protocol.process import Context
 from sensing.config import Mount
-from sensing.mounting import mounted
-from sensing.sensors import Sensors
+from sensing.lidar_uplink import LidarUplinks
+from sensing.pose import mounted
 from sensing.station import Station
 
 
@@ -18,7 +18,7 @@ class InfraRole:
         number = int(context.id.rpartition("-")[2])
         mount = Mount.model_validate(context.setup.scenario["roadside_mounts"][number])
         self._station = Station(context, "roadside")
-        self._sensors = Sensors(context, "roadside")
+        self._sensors = LidarUplinks(context, "roadside")
         self._map_SE3_sensor = mounted(mount, context.setup.road_map, self._sensors.terrain)
         self._bus = context.open_v2x()
         radio = self._station.radio(mount.id, self._bus)
@@ -37,7 +37,7 @@ class InfraRole:
 
     def close(self) -> None:
         """Accounts for the last frame and hangs up."""
-        self._station.hang_up(self._uplink.agent)
+        self._station.close_uplink(self._uplink.agent)
         self._station.report()
         self._sensors.close()
         self._bus.close()

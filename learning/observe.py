@@ -19,11 +19,10 @@ from protocol.messages import Equipment
 from protocol.roadmap import RoadMap
 from sensing.config import Mount
 from sensing.lidar import Lidar
-from sensing.mounting import above, mounted
+from sensing.mesh import VehicleShapes
 from sensing.noise import stream
-from sensing.pose import believed_pose
+from sensing.pose import above, believed_pose, mounted
 from sensing.scene import scene_of
-from sensing.shapes import VehicleShapes
 from sim_host.config import TrafficConfig
 from sim_host.filming import film
 from sim_host.junctions import write_junction

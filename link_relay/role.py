@@ -11,9 +11,9 @@ from protocol.errors import BusError, ConfigError
 from protocol.inbox import Envelope, Presence
 from protocol.messages import End
 from protocol.process import Context
-from sensing.link.config import LinkConfig
-from sensing.link.path import Path
-from sensing.link.profile import LinkProfile
+from sensing.link_channel import Channel
+from sensing.link_config import LinkConfig
+from sensing.link_profile import LinkProfile
 
 _log = logging.getLogger(__name__)
 
@@ -44,8 +44,8 @@ class RelayRole:
         seed: int = context.setup.scenario["seed"]
         listen, upstream = _address(context.uplink), _address(context.v2x_endpoint)
 
-        def draw(number: int) -> Path:
-            return Path.draw(profile, seed, f"{kind} {number}")
+        def draw(number: int) -> Channel:
+            return Channel.draw(profile, seed, f"{kind} {number}")
 
         try:
             shaper = Shaper(listen, upstream, draw)

@@ -15,7 +15,7 @@ import socket
 import time
 from collections.abc import Callable
 
-from sensing.link.path import SEGMENT_BYTES, Path
+from sensing.link_channel import SEGMENT_BYTES, Channel
 
 CHUNK_NS = 2_000_000  # of the link's time in a chunk, but a packet at least
 MOST_BYTES = 65_536
@@ -27,7 +27,7 @@ SLACK_NS = 5_000_000  # a timer that fires late does not slow the link
 _log = logging.getLogger(__name__)
 
 Address = tuple[str, int]
-Draw = Callable[[int], Path]
+Draw = Callable[[int], Channel]
 
 
 class Shaper:
@@ -124,7 +124,7 @@ class Shaper:
         return edge
 
     async def _pass_on(
-        self, source: socket.socket, sink: socket.socket, path: Path, *, limited: bool
+        self, source: socket.socket, sink: socket.socket, path: Channel, *, limited: bool
     ) -> None:
         line: asyncio.Queue[tuple[int, bytes]] = asyncio.Queue(LINE_CHUNKS)
         delivery = self._loop.create_task(self._deliver(line, sink))
@@ -138,7 +138,7 @@ class Shaper:
         self,
         source: socket.socket,
         line: asyncio.Queue[tuple[int, bytes]],
-        path: Path,
+        path: Channel,
         *,
         limited: bool,
     ) -> None:
@@ -182,7 +182,7 @@ class Shaper:
         return time.monotonic_ns() - self._since_ns
 
 
-def _buffer_bytes(path: Path) -> int:
+def _buffer_bytes(path: Channel) -> int:
     """Returns what a channel takes in `BUFFER_NS` on average, within what a buffer can be."""
     period_ns = path.rate_bps.period_ns
     mean = path.bytes_in(0, period_ns) * BUFFER_NS // period_ns

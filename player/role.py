@@ -16,9 +16,9 @@ from protocol.messages import Tick
 from protocol.process import Context
 from sensing.radio import ENVELOPE_BYTES, AgentKind, Radio
 from sensing.station import Station
-from sensing.way import Way
+from sensing.uplink import Uplink
 from tape.reader import Tape
-from vehicle_agent.connections import Connections
+from vehicle_agent.role import Connections
 
 FORGET_FRAMES = 600  # an agent whose link was full for so long is taken to have left
 
@@ -48,7 +48,7 @@ class PlayerRole:
         self._seen: dict[str, int] = {}
         self._buses: dict[str, Bus] = {}
         self._radios: dict[str, Radio] = {}
-        self._ways: dict[str, Way] = {}
+        self._ways: dict[str, Uplink] = {}
         self._station.open(role)
 
     @classmethod
@@ -124,7 +124,7 @@ class PlayerRole:
         self._buses[agent] = bus
         self._radios[agent] = radio = self._station.radio(agent, bus)
         if words.has_sensor:
-            self._ways[agent] = self._station.add(Way(agent, bus, radio, self._terms))
+            self._ways[agent] = self._station.add(Uplink(agent, bus, radio, self._terms))
         return True
 
     def _forget_all_but(self, present: set[str]) -> None:
@@ -139,7 +139,7 @@ class PlayerRole:
 
 @dataclass(frozen=True, slots=True)
 class _Terms:
-    """See `sensing.way.Terms`."""
+    """See `sensing.uplink.UplinkContext`."""
 
     region: str
     process: str

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from player.words import Part, Words, made_ns
 from protocol.messages import Scan, Span
-from sensing.way import Shipment, Way
+from sensing.uplink import FrameUpload, Uplink
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,23 +28,23 @@ class Pace:
 
 
 @dataclass(slots=True, eq=False)
-class Played(Shipment):
+class Played(FrameUpload):
     """The same chunks or boxes, byte for byte.
 
     Their times are moved so that each was made as it is sent: what its agent's work took stays.
     """
 
-    way: Way
+    way: Uplink
     words: Words
     pace: Pace | None
 
     @property
     def chunks(self) -> int:
-        """See `Shipment.chunks`."""
+        """See `FrameUpload.chunks`."""
         return len(self.words.parts)
 
     def send(self, chunk: int) -> int:
-        """See `Shipment.send`."""
+        """See `FrameUpload.send`."""
         part = self.words.parts[chunk]
         if self.pace is not None:
             self.pace.wait(made_ns(part))

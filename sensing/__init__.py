@@ -1,1 +1,13 @@
-"""Simulated sensors: the scene, LiDAR scans of it, and how well an agent knows its pose."""
+"""Simulated sensors of agents, and what agents send of their scans.
+
+Scene:    `terrain`, `road`, `mesh`, `scene` build the static world; `embree` casts rays into it,
+          `candidates` at vehicles; `lidar` makes scans of the hits.
+Sources:  `source` chooses where scans come from: `lidar`, a CARLA server (`carla`) or
+          `recorded_scans`. `point_files` reads clouds of other people.
+Uploads:  `upload_policies` names what may be sent; `upload_filters` and `upload_selection` choose
+          beams and chunks; `uplink` and `lidar_uplink` encode and send them.
+Links:    `link_profile` and `link_config` describe a link, `link_channel` computes its rate and
+          delay, `radio` is one agent's side of it.
+Agents:   `station` is what all agent processes share, `pose` what an agent believes of its pose.
+          `config` is the scenario's part, `noise` gives the random streams.
+"""

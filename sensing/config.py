@@ -1,4 +1,4 @@
-"""Configuration of sensors, of the scene they see and of what agents know about themselves."""
+"""Configuration of sensors, scene, upload policies, pose errors and the CARLA server."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from protocol.config import Section
 from protocol.plugins import PluginSettings
 from protocol.profiles import Profile
 from protocol.scans import ScanPattern
-from sensing.upload.registry import POLICIES, Filter, PolicyName, policy_of
+from sensing.upload_policies import POLICIES, Filter, PolicyName, policy_of
 
 MAX_COLUMNS = 8192
 
@@ -212,3 +212,22 @@ class UploadConfig(Section):
                 "share one plan: choose one of them for both"
             )
         return self
+
+
+class CarlaConfig(Section):
+    """The CARLA server that casts scans where `lidar.source` is carla."""
+
+    host: str = Field("127.0.0.1", description="its machine; that of all agents that share it")
+    port: int = Field(2000, ge=1, le=65_535, description="its port for commands")
+    timeout_s: float = Field(60.0, gt=0, le=3600, description="how long it may take to answer")
+    town: str | None = Field(
+        None, description="map to be loaded, such as Town04; null: what is loaded there"
+    )
+    net_offset_m: tuple[float, float] = Field(
+        (0.0, 0.0), description="the net's netOffset, in its <location>: where CARLA's 0, 0 lies"
+    )
+    blueprints: dict[str, str] = Field(
+        {},
+        description="by name of the SUMO vType; others look like a car, a van or a bus by their "
+        "mesh",
+    )

@@ -1,4 +1,4 @@
-"""A spinning LiDAR: one scan of the static scene and of the bodies in it."""
+"""From a clean distance to a LiDAR's return: CARLA's model of intensity, loss and noise."""
 
 from __future__ import annotations
 
@@ -7,17 +7,108 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
+from numba import njit
 
 from perception.arrays import Floats32, Ints, Ints32
 from protocol.geometry import SE3, Floats
-from protocol.scans import RangeScan
-from sensing.candidates import gather, keep_nearest, place, windows
+from protocol.scans import RangeScan, ScanPattern
+from sensing.candidates import gather, keep_nearest, place, turn, windows
 from sensing.config import LidarConfig
 from sensing.embree import Caster
-from sensing.returns import returns
+from sensing.mesh import VehicleShapes
 from sensing.scene import Scene
-from sensing.shapes import VehicleShapes
-from sensing.static import StaticWorld
+
+MIN_RANGE_M = 0.5
+
+
+def returns(
+    distance_m: Floats32, config: LidarConfig, rng: np.random.Generator
+) -> tuple[Floats32, Floats32]:
+    """Returns range, 0 for none, and intensity, each of the distance's shape.
+
+    After CARLA 0.9's `ARayCastLidar` (`RayCastLidar.cpp`): intensity is exp(-attenuation * d).
+    `PreprocessRays` loses a ray with the general rate; `PostprocessDetection` moves the point
+    along its ray by normal noise, then keeps one of intensity I above the limit always, any other
+    with probability (1 - zero) + I * zero / limit. Here both losses are decided by one draw, with
+    the product of the probabilities. Numbers are drawn for every ray, so that a ray's noise does
+    not depend on what other rays hit.
+
+    Args:
+        distance_m: to the first surface along each ray; the range's end or more for none.
+        config: the sensor's parameters.
+        rng: two draws per ray.
+    """
+    lot = rng.random(distance_m.shape, np.float32)
+    noise = rng.standard_normal(distance_m.shape, np.float32)
+    intensity = distance_m * np.float32(-config.atmosphere_attenuation_rate)
+    np.exp(intensity, out=intensity)
+    range_m = np.empty_like(distance_m)
+    rates = np.array(
+        [
+            np.float32(config.range),
+            1.0 - config.dropoff_general_rate,
+            config.dropoff_intensity_limit,
+            config.dropoff_zero_intensity,
+            config.noise_stddev,
+        ]
+    )
+    flat = [a.reshape(-1) for a in (distance_m, lot, noise, range_m, intensity)]
+    _lose(*flat, rates)
+    return range_m, intensity
+
+
+def share_kept(distance_m: Floats, config: LidarConfig) -> Floats:
+    """Returns the probability that a ray which hits something at this distance returns."""
+    intensity = np.exp(-config.atmosphere_attenuation_rate * distance_m)
+    zero, limit = config.dropoff_zero_intensity, config.dropoff_intensity_limit
+    weak = np.where(intensity <= limit, 1.0 - zero + intensity * zero / limit, 1.0)
+    result: Floats = (1.0 - config.dropoff_general_rate) * weak
+    return result
+
+
+@njit(
+    "void(float32[::1], float32[::1], float32[::1], float32[::1], float32[::1], float64[::1])",
+    cache=True,
+)
+def _lose(
+    distance_m: Floats32,
+    lot: Floats32,
+    noise: Floats32,
+    range_m: Floats32,
+    intensity: Floats32,
+    rates: npt.NDArray[np.float64],
+) -> None:
+    farthest, keep, limit, zero, stddev = rates
+    for n in range(len(distance_m)):
+        value = intensity[n]
+        chance = keep
+        if value <= limit:
+            chance *= 1.0 - zero + value * zero / limit
+        if MIN_RANGE_M <= distance_m[n] < farthest and lot[n] < chance:
+            range_m[n] = max(distance_m[n] + noise[n] * stddev, MIN_RANGE_M)
+        else:
+            range_m[n] = 0.0
+            intensity[n] = 0.0
+
+
+class StaticWorld:
+    """Casts whole patterns into the scene."""
+
+    def __init__(self, scene: Scene, pattern: ScanPattern) -> None:
+        self._shape = pattern.channels, pattern.columns
+        self._caster = Caster(scene.mesh)
+        self._directions = np.ascontiguousarray(pattern.directions.reshape(-1, 3).T)
+        self._turned = np.empty_like(self._directions)
+
+    def cast(self, map_SE3_sensor: SE3, range_m: float) -> Floats32:
+        """Returns clean distances (channels, columns); `range_m` where nothing is."""
+        distance_m = np.full(self._shape, range_m, np.float32)
+        start = map_SE3_sensor.translation.astype(np.float32).reshape(3, 1)
+        turn(self._directions, map_SE3_sensor.rotation.astype(np.float32), self._turned)
+        self._caster.cast(start, self._turned, distance_m.reshape(-1))
+        return distance_m
+
 
 _KEPT_VIEWS = 32  # of sensors that stand still: 0.5 MB each
 
@@ -26,7 +117,7 @@ _Buffers = tuple[Floats32, Floats32, Floats32, Ints32, Ints32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class RayHits:
     """Clean distances and what is hit, both (channels, columns).
 
     The range's end where nothing is; the index of a body, -1 where none is.
@@ -122,10 +213,10 @@ class Lidar:
         poses: Floats,
         types: Sequence[str],
         own: int | None,
-    ) -> View:
+    ) -> RayHits:
         """Returns what is there, before any loss and noise; see `scan`."""
         distance_m = self._static_view(map_SE3_sensor).copy()
-        view = View(distance_m, np.full(distance_m.shape, -1, np.int32))
+        view = RayHits(distance_m, np.full(distance_m.shape, -1, np.int32))
         if len(poses):
             self._add_bodies(view, map_SE3_sensor, poses, types, own)
         return view
@@ -143,7 +234,7 @@ class Lidar:
 
     def _add_bodies(
         self,
-        view: View,
+        view: RayHits,
         map_SE3_sensor: SE3,
         poses: Floats,
         types: Sequence[str],

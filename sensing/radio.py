@@ -7,9 +7,8 @@ from typing import Any, Literal, Protocol
 
 from protocol.bus import Bus
 from protocol.messages import NEVER_NS
-from sensing.link.config import LinkConfig
-from sensing.link.path import Path, on_air_bytes
-from sensing.link.virtual import Passage, VirtualLink
+from sensing.link_channel import Channel, Transmission, VirtualLink, on_air_bytes
+from sensing.link_config import LinkConfig
 
 ENVELOPE_BYTES = 320  # a scan without its payload, or a pose, with Zenoh's key and framing
 
@@ -28,13 +27,13 @@ class Radio(Protocol):
         agent hears that the edge has had enough since `enough_sim_ns`.
         """
 
-    def is_clogged(self, sim_time_ns: int) -> bool:
+    def is_congested(self, sim_time_ns: int) -> bool:
         """Whether what is queued takes longer to leave than a frame lasts: leave a frame out."""
 
-    def hears_ns(self, said_sim_ns: int) -> int:
+    def reception_ns(self, published_sim_ns: int) -> int:
         """Returns when the agent hears what the edge said then, in simulated time."""
 
-    def carry(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> Passage | None:
+    def carry(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> Transmission | None:
         """Takes note of a message of a frame; None where the link is real."""
 
     def wire_bytes(self) -> int:
@@ -54,14 +53,14 @@ class RealRadio:
         """Does nothing: an outbox gives up chunks in real time."""
         return 0
 
-    def is_clogged(self, sim_time_ns: int) -> bool:  # noqa: ARG002 - a real link has its own time
+    def is_congested(self, sim_time_ns: int) -> bool:  # noqa: ARG002 - a real link has its own time
         """Compares what waits with what left since the last frame."""
         before, self._sent_bytes = self._sent_bytes, self._bus.wire_bytes()
         return self._bus.unsent_bytes() > max(0, self._sent_bytes - before)
 
-    def hears_ns(self, said_sim_ns: int) -> int:
+    def reception_ns(self, published_sim_ns: int) -> int:
         """See `Radio.hears_ns`."""
-        return said_sim_ns
+        return published_sim_ns
 
     def carry(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> None:
         """See `Radio.carry`."""
@@ -74,7 +73,7 @@ class RealRadio:
 class IdealRadio(RealRadio):
     """Takes everything; used in lockstep where no link is modelled."""
 
-    def is_clogged(self, sim_time_ns: int) -> bool:  # noqa: ARG002 - it takes everything at any time
+    def is_congested(self, sim_time_ns: int) -> bool:  # noqa: ARG002 - it takes everything at any time
         """See `Radio.is_clogged`."""
         return False
 
@@ -96,26 +95,28 @@ class VirtualRadio:
             return 0
         until_ns = sim_time_ns + self._lead_ns
         if enough_sim_ns is not None:
-            until_ns = min(until_ns, self.hears_ns(enough_sim_ns))
+            until_ns = min(until_ns, self.reception_ns(enough_sim_ns))
         recalled = self._link.recall(until_ns)
         self._taken_bytes -= sum(passage.on_air_bytes for passage in recalled)
         return len(recalled)
 
-    def is_clogged(self, sim_time_ns: int) -> bool:
+    def is_congested(self, sim_time_ns: int) -> bool:
         """See `Radio.is_clogged`."""
         if self._link is None:
             return False
         return self._link.backlog_ns(sim_time_ns + self._lead_ns) >= self._period_ns
 
-    def hears_ns(self, said_sim_ns: int) -> int:
+    def reception_ns(self, published_sim_ns: int) -> int:
         """See `Radio.hears_ns`; the way back has the same delay and no queue."""
-        return said_sim_ns + (0 if self._link is None else self._link.delay_ns(said_sim_ns))
+        return published_sim_ns + (
+            0 if self._link is None else self._link.delay_ns(published_sim_ns)
+        )
 
-    def carry(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> Passage:
+    def carry(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> Transmission:
         """See `Radio.carry`; a chunk that the next frame will overtake never arrives."""
         sent_ns = sim_time_ns + self._lead_ns
         if self._link is None:
-            passage = Passage(sent_ns, sent_ns, sent_ns, sent_ns, on_air_bytes(size_bytes))
+            passage = Transmission(sent_ns, sent_ns, sent_ns, sent_ns, on_air_bytes(size_bytes))
         else:
             passage = self._link.send(sent_ns, size_bytes, recallable=is_chunk)
         self._taken_bytes += passage.on_air_bytes
@@ -136,6 +137,6 @@ def radio_of(
     if config.way(scenario["mode"]) == "none":
         return IdealRadio(bus)
     profile = config.profile if kind == "vehicle" else config.roadside_profile
-    link = None if profile is None else VirtualLink(Path.draw(profile, scenario["seed"], agent))
+    link = None if profile is None else VirtualLink(Channel.draw(profile, scenario["seed"], agent))
     lead_ns = round(config.agent_compute_ms * 1e6)
     return VirtualRadio(link, lead_ns, round(scenario["frame_period_s"] * 1e9))

@@ -11,7 +11,7 @@ from numba import njit
 
 from protocol.geometry import Floats
 from protocol.roadmap import Lane, RoadMap
-from sensing.outline import signed_area_m2
+from sensing.mesh import signed_area_m2
 
 EDGE_STEP_M = 3.0
 _PROBE_M = 0.2  # a place this far outside an edge decides whether the road ends there

@@ -8,14 +8,12 @@ import numpy as np
 
 from protocol.geometry import SE3
 from protocol.messages import Setup, Tick
-from sensing.carla.config import CarlaConfig
-from sensing.config import LidarConfig, SceneConfig
+from sensing.config import CarlaConfig, LidarConfig, SceneConfig
 from sensing.lidar import Lidar, Sensed
+from sensing.mesh import VehicleShapes
 from sensing.noise import stream
-from sensing.recording import Recording
+from sensing.recorded_scans import Recording, is_of_carla, recording_of
 from sensing.scene import scene_of
-from sensing.shapes import VehicleShapes
-from sensing.source_check import is_of_carla, recording_of
 
 
 class ScanSource(Protocol):
@@ -28,7 +26,7 @@ class ScanSource(Protocol):
         """Lets go of what it holds."""
 
 
-class Cast:
+class ModelSource:
     """Scans of the LiDAR model."""
 
     def __init__(self, lidar: Lidar, seed: int) -> None:
@@ -44,7 +42,7 @@ class Cast:
         """Holds nothing."""
 
 
-class Played:
+class RecordedSource:
     """Scans of a recording."""
 
     def __init__(self, recording: Recording) -> None:
@@ -66,12 +64,12 @@ def source_of(setup: Setup, config: LidarConfig) -> ScanSource:
     """
     scenario: dict[str, Any] = setup.scenario
     if scenario.get("recording"):
-        return Played(recording_of(scenario, config))
+        return RecordedSource(recording_of(scenario, config))
     seed: int = scenario["seed"]
     if is_of_carla(scenario):
-        from sensing.carla.source import Carla
+        from sensing.carla import CarlaSource
 
         server = CarlaConfig.model_validate(scenario["carla"])
-        return Carla(server, config, setup.vehicle_types, seed)
+        return CarlaSource(server, config, setup.vehicle_types, seed)
     scene = scene_of(setup, SceneConfig.model_validate(scenario["scene"]), seed)
-    return Cast(Lidar(config, scene, VehicleShapes.from_setup(setup)), seed)
+    return ModelSource(Lidar(config, scene, VehicleShapes.from_setup(setup)), seed)

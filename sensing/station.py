@@ -14,12 +14,12 @@ from protocol.messages import End, Metrics, Plan, Roster, Sighting, Span, Tick, 
 from protocol.process import Context
 from sensing.config import UploadConfig
 from sensing.lidar import Sensed
-from sensing.link.config import LinkConfig
+from sensing.link_config import LinkConfig
 from sensing.radio import AgentKind, Radio, radio_of
-from sensing.upload.registry import policy_of
-from sensing.way import Shipment, Way
+from sensing.uplink import FrameUpload, Uplink
+from sensing.upload_policies import policy_of
 
-W = TypeVar("W", bound=Way)
+W = TypeVar("W", bound=Uplink)
 
 PLAN_WAIT_NS = 2_000_000_000  # in lockstep; a plan that has not come by then is lost
 
@@ -41,10 +41,10 @@ class Station:
         self._keeps_truth: bool = scenario["record"]["truth"]
         self._policy = policy_of(UploadConfig.model_validate(scenario["upload"]).of(kind).policy)
         self._lockstep = scenario["mode"] == "lockstep"
-        self._ways: dict[str, Way] = {}
+        self._uplinks: dict[str, Uplink] = {}
         self._scanned: tuple[int, list[str]] = (-1, [])
         self._settled: list[WireCount] = []
-        self._left: list[Shipment] = []
+        self._left: list[FrameUpload] = []
         self._tick: Tick | None = None
         self._ticked_ns = 0
         self._drops: Counter[str] = Counter()
@@ -68,28 +68,28 @@ class Station:
         """Takes the way to the edge of an agent that has its bus for itself, and opens it."""
         if self._policy.cells or not self._lockstep:
             way.bus.subscribe("plan", region=self.region, agent=way.agent)
-        self._ways[way.agent] = way
+        self._uplinks[way.agent] = way
         return way
 
-    def hang_up(self, agent: str) -> None:
+    def close_uplink(self, agent: str) -> None:
         """Ends an agent's way to the edge; its connection is the caller's to close."""
-        way = self._ways.pop(agent)
+        way = self._uplinks.pop(agent)
         way.finish()
         self._left += way.take_done()
-        self._settled += way.settle()
+        self._settled += way.take_wire_counts()
         self._drops["overtaken_chunks"] += way.unsent_chunks
 
     def begin(self, tick: Tick) -> None:
         """Begins a frame on all ways to the edge."""
-        for _, way in sorted(self._ways.items()):
+        for _, way in sorted(self._uplinks.items()):
             way.begin(tick.frame, tick.sim_time_ns)
-            self._settled += way.settle(tick.frame)
+            self._settled += way.take_wire_counts(tick.frame)
 
     def admits(self, radio: Radio, tick: Tick) -> bool:
         """Whether an agent takes part in a frame; if not, its link has not taken the last one."""
-        clogged = radio.is_clogged(tick.sim_time_ns)
-        self._drops["skipped_frames"] += clogged
-        return not clogged
+        congested = radio.is_congested(tick.sim_time_ns)
+        self._drops["skipped_frames"] += congested
+        return not congested
 
     def take(self, item: Envelope | Presence) -> None:
         """Looks at what arrived; all but ticks, plans and the end are let pass."""
@@ -99,8 +99,8 @@ class Station:
             self._drops["skipped_ticks"] += self._tick is not None
             self._tick, self._ticked_ns = item.message, item.received_ns
         elif isinstance(item.message, Plan):
-            if way := self._ways.get(item.message.agent):
-                way.hear(item.message)
+            if way := self._uplinks.get(item.message.agent):
+                way.receive(item.message)
         elif isinstance(item.message, End):
             self.context.stop.set()
 
@@ -141,7 +141,7 @@ class Station:
         if tick is not None:
             frames[tick.frame] = (tick, [], [])
         done, self._left = self._left, []
-        for _, way in sorted(self._ways.items()):
+        for _, way in sorted(self._uplinks.items()):
             done += way.take_done()
         for shipment in done:
             _, uploads, spans = frames.setdefault(shipment.frame, (shipment.tick, [], []))
@@ -155,7 +155,7 @@ class Station:
         if not (self._lockstep and self._policy.cells):
             return False
         frame, scanned = self._scanned
-        ways = [self._ways[agent] for agent in scanned if agent in self._ways]
+        ways = [self._uplinks[agent] for agent in scanned if agent in self._uplinks]
         if frame != tick.frame - 1 or all(way.told >= frame for way in ways):
             return False
         if time.monotonic_ns() - self._ticked_ns < PLAN_WAIT_NS:
@@ -167,7 +167,7 @@ class Station:
     def _publish_metrics(
         self, tick: Tick, uploads: list[Upload], spans: list[Span], wire: list[WireCount]
     ) -> None:
-        overtaken = sum(way.unsent_chunks for way in self._ways.values())
+        overtaken = sum(way.unsent_chunks for way in self._uplinks.values())
         drops = Counter(self.context.inbox.drops) + self._drops
         drops["overtaken_chunks"] += overtaken
         metrics = Metrics(

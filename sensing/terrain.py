@@ -1,4 +1,4 @@
-"""The ground: heights anywhere, and how a body stands on it."""
+"""Terrain: a grid of ground heights, how a body stands on it, and its mesh."""
 
 from __future__ import annotations
 
@@ -11,8 +11,96 @@ from numba import njit
 from protocol.geometry import Floats
 from protocol.roadmap import RoadMap
 from sensing.config import SceneConfig
+from sensing.mesh import TriangleMesh
 from sensing.noise import stream
-from sensing.relief import road_relief, undulation
+from sensing.road import RoadArea, resample
+
+_REACH_M = 9.0  # a lane's height counts for grid points this near
+_SAMPLE_M = 3.0
+_WAVES = ((48.0, 0.7), (17.0, 0.3))  # spacing of the undulation in m, share of its amplitude
+
+
+def road_relief(road_map: RoadMap, origin: Floats, cell_m: float, shape: tuple[int, int]) -> Floats:
+    """Returns heights (rows, columns): the lanes' near them, smoothly interpolated elsewhere.
+
+    Only sums and products are used, so that every machine finds the same numbers.
+    """
+    weight, total = np.zeros(shape), np.zeros(shape)
+    reach = int(np.ceil(_REACH_M / cell_m))
+    step = np.arange(-reach, reach + 1)
+    for lane in road_map.lanes:
+        line = lane.points
+        flat = resample(line[:, :2], _SAMPLE_M)
+        height = _height_along(flat, line)
+        grid = (flat - origin) / cell_m
+        node = np.floor(grid).astype(np.int64)
+        column = node[:, 0, None, None] + step[None, None, :]
+        row = node[:, 1, None, None] + step[None, :, None]
+        dx, dy = column - grid[:, 0, None, None], row - grid[:, 1, None, None]
+        near = np.maximum(1.0 - (dx * dx + dy * dy) * (cell_m / _REACH_M) ** 2, 0.0) ** 2
+        column, row = np.broadcast_arrays(column, row)
+        np.add.at(weight, (row, column), near)
+        np.add.at(total, (row, column), near * height[:, None, None])
+    return _spread(weight, total)
+
+
+def undulation(
+    origin: Floats, cell_m: float, shape: tuple[int, int], rng: np.random.Generator
+) -> Floats:
+    """Returns smooth heights (rows, columns) within ±1, drawn on coarse lattices."""
+    result = np.zeros(shape)
+    for spacing_m, share in _WAVES:
+        low = np.floor(origin / spacing_m)
+        x = (origin[0] + np.arange(shape[1]) * cell_m) / spacing_m - low[0]
+        y = (origin[1] + np.arange(shape[0]) * cell_m) / spacing_m - low[1]
+        lattice = rng.uniform(-share, share, (int(y[-1]) + 2, int(x[-1]) + 2))
+        result += _blend(_blend(lattice, y).T, x).T
+    return result
+
+
+def _height_along(flat: Floats, line: Floats) -> Floats:
+    """Returns the heights at points (N, 2) that were resampled from a polyline (K, 3)."""
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line[:, :2], axis=0).T))])
+    here = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(flat, axis=0).T))])
+    return np.asarray(np.interp(here, way, line[:, 2]))
+
+
+def _blend(lattice: Floats, at: Floats) -> Floats:
+    """Interpolates the rows of a lattice with a quintic step: no creases at the lattice."""
+    low = at.astype(np.int64)
+    t = at - low
+    s = (t * t * t * (t * (t * 6 - 15) + 10))[:, None]
+    return np.asarray(lattice[low] * (1 - s) + lattice[low + 1] * s)
+
+
+def _spread(weight: Floats, total: Floats) -> Floats:
+    """Fills a sparsely known grid from ever coarser means of it (push-pull interpolation)."""
+    rows, columns = weight.shape
+    known = weight > 0
+    mean = np.divide(total, weight, out=np.zeros_like(total), where=known)
+    if rows <= 2 and columns <= 2:
+        everywhere = float(total.sum() / max(weight.sum(), 1e-12))
+        return np.where(known, mean, everywhere)
+    trust = np.minimum(weight, 1.0)
+    coarse = _spread(_halved(trust), _halved(trust * mean))
+    wide = _doubled(_doubled(coarse, rows).T, columns).T
+    return trust * mean + (1.0 - trust) * wide
+
+
+def _halved(grid: Floats) -> Floats:
+    rows, columns = grid.shape
+    even = np.pad(grid, ((0, rows % 2), (0, columns % 2)))
+    return np.asarray(even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2])
+
+
+def _doubled(coarse: Floats, rows: int) -> Floats:
+    """Interpolates between the rows of a halved grid, whose centres lie half a row further."""
+    at = np.clip((np.arange(rows) - 0.5) / 2, 0, len(coarse) - 1)
+    low = np.minimum(at.astype(np.int64), max(len(coarse) - 2, 0))
+    high = np.minimum(low + 1, len(coarse) - 1)
+    t = (at - low)[:, None]
+    return np.asarray(coarse[low] * (1 - t) + coarse[high] * t)
+
 
 CELL_M = 4.0
 MARGIN_M = 128.0  # as far beyond the road as a sensor on it sees
@@ -108,3 +196,79 @@ def _stand(nodes: Floats, origin: Floats, cell_m: float, plane: Floats, result: 
         result[n, 3] = math.atan(bank * math.cos(math.atan(climb)))
         result[n, 4] = -math.atan(climb)  # nose up is negative about y, which points left
         result[n, 5] = yaw
+
+
+_BLOCK = 4  # cells along a block's side
+_FINE_WITHIN_M = 60.0  # of the road
+
+Blocks = npt.NDArray[np.int8]
+_NONE, _COARSE, _FINE = 0, 1, 2
+
+
+def ground(terrain: Terrain, road: RoadArea) -> TriangleMesh:
+    """Returns the ground's mesh; blocks of cells that no sensor on the road sees are left out."""
+    rows, columns = terrain.nodes.shape
+    blocks = _levels(terrain, road, ((rows - 1) // _BLOCK, (columns - 1) // _BLOCK))
+    triangles = [_fine_triangles(blocks, columns), _coarse_triangles(blocks, columns)]
+    used, renamed = np.unique(np.concatenate(triangles), return_inverse=True)
+    row, column = np.divmod(used, columns)
+    vertices = np.column_stack(
+        [
+            terrain.origin[0] + column * terrain.cell_m,
+            terrain.origin[1] + row * terrain.cell_m,
+            terrain.nodes[row, column],
+        ]
+    )
+    return TriangleMesh.of(vertices, renamed.reshape(-1, 3))
+
+
+def _levels(terrain: Terrain, road: RoadArea, shape: tuple[int, int]) -> Blocks:
+    size_m = _BLOCK * terrain.cell_m
+    row, column = np.indices(shape)
+    middle: Floats = terrain.origin + (np.stack([column, row], -1) + 0.5) * size_m
+    clearance = road.clearance_m(middle).reshape(shape) - size_m * 0.71
+    levels = np.where(clearance < _FINE_WITHIN_M, _FINE, _COARSE)
+    return np.where(clearance < MARGIN_M, levels, _NONE).astype(np.int8)
+
+
+def _fine_triangles(blocks: Blocks, columns: int) -> npt.NDArray[np.int64]:
+    """Cells are cut from low to high x and y, as `Terrain` interpolates."""
+    row, column = np.nonzero(blocks == _FINE)
+    step = np.arange(_BLOCK)
+    i = (row[:, None, None] * _BLOCK + step[:, None]).repeat(_BLOCK, 2).ravel()
+    j = (column[:, None, None] * _BLOCK + step[None, :]).repeat(_BLOCK, 1).ravel()
+    low = i * columns + j
+    right, up, high = low + 1, low + columns, low + columns + 1
+    return np.concatenate([np.stack([low, right, high], -1), np.stack([low, high, up], -1)])
+
+
+def _coarse_triangles(blocks: Blocks, columns: int) -> npt.NDArray[np.int64]:
+    """A fan from each block's middle; a side shared with a fine block takes all nodes there."""
+    found: list[tuple[int, int, int]] = []
+    for row, column in np.argwhere(blocks == _COARSE).tolist():
+        ring = _ring(blocks, row, column)
+        i, j = row * _BLOCK, column * _BLOCK
+        nodes = [(i + di) * columns + j + dj for di, dj in ring]
+        hub = (i + _BLOCK // 2) * columns + j + _BLOCK // 2
+        found += [(hub, a, b) for a, b in zip(nodes, nodes[1:] + nodes[:1], strict=True)]
+    return np.array(found, np.int64).reshape(-1, 3)
+
+
+def _ring(blocks: Blocks, row: int, column: int) -> list[tuple[int, int]]:
+    """Returns a block's border nodes, counter-clockwise from its low corner."""
+
+    def is_fine(r: int, c: int) -> bool:
+        within = 0 <= r < blocks.shape[0] and 0 <= c < blocks.shape[1]
+        return within and int(blocks[r, c]) == _FINE
+
+    steps = {side: 1 if is_fine(row + side[0], column + side[1]) else _BLOCK for side in _SIDES}
+    south, east, north, west = (range(0, _BLOCK, steps[side]) for side in _SIDES)
+    return (
+        [(0, n) for n in south]
+        + [(n, _BLOCK) for n in east]
+        + [(_BLOCK, _BLOCK - n) for n in north]
+        + [(_BLOCK - n, 0) for n in west]
+    )
+
+
+_SIDES = ((-1, 0), (0, 1), (1, 0), (0, -1))

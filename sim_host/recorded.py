@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from protocol.messages import Trip
-from sensing.recording import Recording
+from sensing.recorded_scans import Recording
 from sim_host.world import Bodies, Counts
 
 

@@ -13,7 +13,7 @@ from protocol.messages import End, Metrics, SignalRequest, Span, Trips
 from protocol.process import Context
 from protocol.topics import BusName
 from sensing.config import SceneConfig
-from sensing.recording import Recording
+from sensing.recorded_scans import Recording
 from sensing.terrain import Terrain
 from sim_host.broadcast import tick_of, truth_of
 from sim_host.cabinet import SignalCabinet

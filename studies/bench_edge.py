@@ -31,7 +31,7 @@ from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from protocol.messages import Scan, Truth
 from sensing.config import SceneConfig, UploadConfig
-from sensing.recording import Recording
+from sensing.recorded_scans import Recording
 from sensing.terrain import Terrain
 from sim_host.setup import build_setup
 from studies.bench_traffic import POST, SEED, believed_sensor, post_pose, record_traffic

@@ -11,12 +11,11 @@ import numpy as np
 from protocol.geometry import SE3
 from protocol.scans import Floats32, RangeScan
 from sensing.config import LidarConfig, SceneConfig
-from sensing.lidar import Lidar
-from sensing.mounting import above
+from sensing.lidar import MIN_RANGE_M, Lidar, share_kept
+from sensing.mesh import VehicleShapes
 from sensing.noise import stream
-from sensing.returns import MIN_RANGE_M, share_kept
+from sensing.pose import above
 from sensing.scene import scene_of
-from sensing.shapes import VehicleShapes
 from sim_host.filming import film
 from sim_host.setup import build_setup
 

@@ -22,11 +22,11 @@ from protocol.codec import decode, encode_scan
 from protocol.messages import NEVER_NS, Setup, Truth
 from recorder.rows import count_rows, detection_rows, truth_rows
 from sensing.config import SceneConfig, UploadConfig
-from sensing.link.named import profile_named
-from sensing.link.path import Path as LinkPath
-from sensing.link.virtual import VirtualLink
+from sensing.link_channel import Channel as LinkPath
+from sensing.link_channel import VirtualLink
+from sensing.link_config import profile_named
 from sensing.radio import ENVELOPE_BYTES
-from sensing.recording import Recording
+from sensing.recorded_scans import Recording
 from sensing.terrain import Terrain
 from sim_host.setup import build_setup
 from studies.bench_choices import LEARNING_FRAMES, SHARING

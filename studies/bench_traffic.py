@@ -20,12 +20,11 @@ from protocol.roadmap import RoadMap
 from protocol.scans import RangeScan
 from sensing.config import LidarConfig, PoseErrorConfig, SceneConfig
 from sensing.lidar import Lidar
-from sensing.mounting import above
+from sensing.mesh import VehicleShapes
 from sensing.noise import stream
-from sensing.pose import believed_pose
-from sensing.recording import write_recording
+from sensing.pose import above, believed_pose
+from sensing.recorded_scans import write_recording
 from sensing.scene import scene_of
-from sensing.shapes import VehicleShapes
 from sensing.terrain import Terrain
 from sim_host.broadcast import truth_of
 from sim_host.filming import film

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 
-from sensing.link.path import HEADER_BYTES, SEGMENT_BYTES
+from sensing.link_channel import HEADER_BYTES, SEGMENT_BYTES
 
 MTU = SEGMENT_BYTES + HEADER_BYTES
 FRAME_BYTES = MTU + 14  # tbf counts the header of Ethernet, a profile's rate does not

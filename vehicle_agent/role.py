@@ -1,6 +1,9 @@
-"""The vehicle role: one or more CAVs and CVs, those that the world gave to this process."""
+"""The vehicle role: CAVs sense, encode and upload; CVs report their pose."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
@@ -11,13 +14,51 @@ from protocol.inbox import Envelope, Presence
 from protocol.messages import AgentPose, Equipment, Tick
 from protocol.process import Context
 from sensing.config import PoseErrorConfig
+from sensing.lidar_uplink import LidarUplink, LidarUplinks
 from sensing.noise import stream
 from sensing.pose import believed_pose, position_std_m
 from sensing.radio import ENVELOPE_BYTES, Radio
-from sensing.sensors import Sensors
 from sensing.station import Station
-from sensing.uplink import Uplink
-from vehicle_agent.connections import Connections
+
+
+class Connections:
+    """Opens a connection when an agent first asks.
+
+    Over a mobile network that takes several round trips: with `wait` false it is done in the
+    background, so that a newcomer does not hold up the other agents of its process.
+    """
+
+    def __init__(self, open_v2x: Callable[[], Bus], *, wait: bool) -> None:
+        self._open_v2x = open_v2x
+        self._wait = wait
+        self._buses: dict[str, Future[Bus]] = {}
+        self._workers = ThreadPoolExecutor(4, "connect")
+
+    def get(self, agent: str) -> Bus | None:
+        """Returns the agent's connection, None while it is being opened.
+
+        Raises:
+            BusError: nothing answers.
+        """
+        if agent not in self._buses:
+            self._buses[agent] = self._workers.submit(self._open_v2x)
+        opening = self._buses[agent]
+        return opening.result() if self._wait or opening.done() else None
+
+    def close_all_but(self, agents: Iterable[str]) -> None:
+        """Hangs up the connections of all agents that are not named."""
+        for agent in sorted(self._buses.keys() - set(agents)):
+            self._buses.pop(agent).add_done_callback(_close)
+
+    def close(self) -> None:
+        """Hangs up all; those still being opened as soon as they are."""
+        self.close_all_but(())
+        self._workers.shutdown()
+
+
+def _close(opened: Future[Bus]) -> None:
+    if opened.exception() is None:
+        opened.result().close()
 
 
 class VehicleRole:
@@ -27,14 +68,14 @@ class VehicleRole:
         scenario = context.setup.scenario
         self._context = context
         self._station = Station(context, "vehicle")
-        self._sensors = Sensors(context, "vehicle")
+        self._sensors = LidarUplinks(context, "vehicle")
         self._pose_error = PoseErrorConfig.model_validate(scenario["pose"])
         self._body_SE3_sensor = SE3.from_pose([0, 0, scenario["sensor_height_m"], 0, 0, 0])
         self._connections = Connections(context.open_v2x, wait=scenario["mode"] == "lockstep")
         self._shapes_poses = self._station.link.way(scenario["mode"]) == "emulated"
         self._buses: dict[str, Bus] = {}
         self._radios: dict[str, Radio] = {}
-        self._uplinks: dict[str, Uplink] = {}
+        self._uplinks: dict[str, LidarUplink] = {}
         self._types = {kind.name: kind for kind in context.setup.vehicle_types}
         self._station.open("vehicle")
 
@@ -137,7 +178,7 @@ class VehicleRole:
     def _forget_all_but(self, present: set[str]) -> None:
         for agent in sorted(self._uplinks.keys() - present):
             del self._uplinks[agent]
-            self._station.hang_up(agent)
+            self._station.close_uplink(agent)
         for known in (self._buses, self._radios):
             for agent in sorted(known.keys() - present):
                 del known[agent]

@@ -100,7 +100,7 @@ def test_detectors_are_measured_by_the_same_names(installed) -> None:
 BAD = """
 import numpy as np
 from signal_controller.policies import Decision
-from sensing.upload.registry import Policy
+from sensing.upload_policies import Policy
 
 class Sees:
     def __init__(self, *_): pass

@@ -5,7 +5,7 @@ from cpnet import scenario as scenarios
 from cpnet.scenario import Scenario, load, parse_assignment
 from protocol.config import Section
 from protocol.errors import ConfigError
-from sensing.link.profile import VaryingRate
+from sensing.link_profile import VaryingRate
 
 
 def sections(model: type[Section]) -> list[type[Section]]:

@@ -14,7 +14,7 @@ from cpnet.soak.faults import processes_of
 from protocol.errors import ConfigError
 from recorder.compare import differences
 from recorder.run import Run
-from sensing.link.path import on_air_bytes
+from sensing.link_channel import on_air_bytes
 from tests.cpnet.city import City, Host
 from tests.cpnet.conftest import SMALL, Command, Shell
 from tests.waiting import wait_until

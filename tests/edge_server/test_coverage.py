@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from edge_server.coverage import Borders, Uploaded
 from edge_server.plan import power_weights
 from edge_server.planner import borders_of
-from sensing.upload.cells import cut
+from sensing.upload_selection import cut
 
 BOX = np.array([-400.0, -400.0, 400.0, 400.0])
 PLACES = np.random.default_rng(5).uniform(-400, 400, (3000, 2)).astype(np.float32)

@@ -33,10 +33,9 @@ from protocol.messages import MESSAGES, ClockReading, Message, Scan, TimeReply
 from protocol.scans import MAX_POINTS
 from protocol.topics import TOPICS, Topic, alive_parts
 from protocol.wire import MAX_BODY_BYTES, decode, encode, peek_moment
-from sensing.link.files import read_trace
-from sensing.lzf import decompress
-from sensing.point_files import read_points
-from sensing.recording import Recording
+from sensing.link_config import read_trace
+from sensing.point_files import decompress, read_points
+from sensing.recorded_scans import Recording
 
 HERE = Path(__file__).parent
 GOLDEN = HERE.parent / "protocol" / "golden"

@@ -38,7 +38,13 @@ FOUND = 3
 _SLACK_MIB = 256  # for what the fuzzer itself keeps
 _REMEMBERED = 256  # inputs between two looks at memory
 _TRIES = 3
-_GUIDED_BY = ("protocol", "sensing.link.files", "sensing.point_files", "sensing.lzf", "sensing.rec")
+_GUIDED_BY = (
+    "protocol",
+    "sensing.link_config",
+    "sensing.point_files",
+    "sensing.point_files",
+    "sensing.rec",
+)
 
 
 class Feeder:

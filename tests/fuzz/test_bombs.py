@@ -25,7 +25,7 @@ from protocol.codec.tables import LEVELS, spread, write_tables
 from protocol.errors import CodecError, ConfigError, MessageError
 from protocol.scans import MAX_BEAMS, MAX_POINTS, PointCloud, RangeScan, ScanPattern
 from sensing.point_files import read_points
-from sensing.recording import Recording
+from sensing.recorded_scans import Recording
 
 TRIES = 5
 BASE = m.LaneCounts(

@@ -38,7 +38,7 @@ from recorder.glance import MAX_AGENTS as MAX_GLANCED
 from recorder.ledger import MAX_ENTRIES, MAX_WIRED
 from recorder.pulse import OPEN_FRAMES
 from recorder.role import RecordRole
-from sensing.upload.plans import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES, Plans
+from sensing.uplink import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES, Plans
 from sim_host.fleet import MAX_PROCESSES as MAX_HOSTS
 from sim_host.fleet import Fleet
 from sim_host.roll_call import RollCall

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 
 from link_relay.shaper import Address, Shaper
 from protocol.tcpinfo import unsent_bytes
-from sensing.link.named import profile_named
-from sensing.link.path import Path
-from sensing.link.profile import LinkProfile
+from sensing.link_channel import Channel
+from sensing.link_config import profile_named
+from sensing.link_profile import LinkProfile
 from tests.waiting import wait_until
 
 
@@ -50,7 +50,7 @@ class Rig:
     """A relay before a sink, and one connection to it."""
 
     def __init__(self, profile: str) -> None:
-        self.path = Path.draw(profile_named(profile) or LinkProfile(), 1, "vehicle 0")
+        self.path = Channel.draw(profile_named(profile) or LinkProfile(), 1, "vehicle 0")
         self.sink = Sink()
         self.since_ns = time.monotonic_ns()
         self.relay = Shaper(("127.0.0.1", 0), self.sink.address, lambda _: self.path)

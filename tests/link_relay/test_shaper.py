@@ -10,9 +10,8 @@ from statistics import fmean, median
 import pytest
 
 from link_relay.shaper import SLACK_NS, Shaper
-from sensing.link.path import Path, on_air_bytes
-from sensing.link.profile import LinkProfile
-from sensing.link.virtual import VirtualLink
+from sensing.link_channel import Channel, VirtualLink, on_air_bytes
+from sensing.link_profile import LinkProfile
 from tests.kernel_links import shaped_connection
 from tests.link_relay.sink import Rig, rigs
 
@@ -36,7 +35,7 @@ def compare(make: Make, name: str, size: int, messages: int = 20) -> tuple[float
         time.sleep(max(0, begin_ns + number * 100 * MS - time.monotonic_ns()) / 1e9)
         now_ns = time.monotonic_ns()
         sent.append(now_ns)
-        virtual.append(link.send(now_ns - rig.since_ns, size).took_ns)
+        virtual.append(link.send(now_ns - rig.since_ns, size).latency_ns)
         rig.agent.sendall(bytes(size))
     emulated = [
         rig.sink.arrival_ns((number + 1) * size) - now_ns for number, now_ns in enumerate(sent)
@@ -97,8 +96,8 @@ def test_nothing_comes_faster_than_the_link_carries(make):
     rig = make("4mbit,30ms")
     begin_ns = time.monotonic_ns()
     rig.agent.sendall(bytes(100_000))
-    took_ns = rig.sink.arrival_ns(100_000) - begin_ns
-    assert took_ns >= on_air_bytes(100_000) * 8 * 250 + 15 * MS - SLACK_NS
+    latency_ns = rig.sink.arrival_ns(100_000) - begin_ns
+    assert latency_ns >= on_air_bytes(100_000) * 8 * 250 + 15 * MS - SLACK_NS
     for when_ns, count in rig.sink.marks:
         assert count * 8 * 250 <= when_ns - begin_ns + SLACK_NS
 
@@ -115,7 +114,7 @@ def test_the_answer_takes_half_a_round_trip(make):
 def test_an_edge_that_is_not_there_ends_the_agents_connection():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         nowhere = taken.getsockname()
-    path = Path.draw(LinkProfile(), 1, "a")
+    path = Channel.draw(LinkProfile(), 1, "a")
     shaper = Shaper(("127.0.0.1", 0), nowhere, lambda _: path)
     thread = threading.Thread(target=shaper.run)
     thread.start()

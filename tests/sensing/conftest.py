@@ -8,9 +8,8 @@ import pytest
 from protocol.messages import VehicleType
 from protocol.roadmap import Lane, Link, RoadMap, Signal
 from sensing.config import SceneConfig
-from sensing.mesh import TriangleMesh, extrude, merge
+from sensing.mesh import TriangleMesh, VehicleShapes, extrude, merge
 from sensing.scene import Scene, build_scene
-from sensing.shapes import VehicleShapes
 
 SEED = 7
 

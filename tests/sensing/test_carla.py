@@ -17,11 +17,8 @@ from protocol.messages import Tick, VehicleType
 from protocol.scans import ScanPattern
 from recorder.run import Run
 from recorder.tables import UploadRow
-from sensing.carla.config import CarlaConfig
-from sensing.carla.frames import carla_pose, scan_of
-from sensing.carla.server import load_carla
-from sensing.carla.source import Carla
-from sensing.config import LidarConfig
+from sensing.carla import CarlaSource, carla_pose, load_carla, scan_of
+from sensing.config import CarlaConfig, LidarConfig
 from studies.in_process import run_in_process
 from tests.sensing.fake_carla import Location, Package, Rotation, Transform
 
@@ -116,9 +113,9 @@ def carla(monkeypatch: pytest.MonkeyPatch) -> Package:
     return package
 
 
-def source(**config: Any) -> Carla:
+def source(**config: Any) -> CarlaSource:
     keys = {"net_offset_m": OFFSET_M, "timeout_s": 1} | config
-    return Carla(CarlaConfig.model_validate(keys), LIDAR, TYPES, 7)
+    return CarlaSource(CarlaConfig.model_validate(keys), LIDAR, TYPES, 7)
 
 
 def tick(frame: int, **bodies: tuple[float, ...]) -> Tick:

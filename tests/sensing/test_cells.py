@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from sensing.upload.cells import BEYOND, NOT_SENT, PLAIN, TIGHT, WIDE, cut
+from sensing.upload_selection import BEYOND, NOT_SENT, PLAIN, TIGHT, WIDE, cut
 
 Floats = npt.NDArray[np.float64]
 Bytes = npt.NDArray[np.uint8]

@@ -13,10 +13,9 @@ from protocol.geometry import SE3
 from sensing.config import LidarConfig
 from sensing.embree import Caster
 from sensing.lidar import Lidar
-from sensing.mesh import TriangleMesh, merge
+from sensing.mesh import TriangleMesh, VehicleShapes, merge
 from sensing.noise import stream
 from sensing.scene import Scene
-from sensing.shapes import VehicleShapes
 from tests.sensing.conftest import SEED
 
 CONFIG = LidarConfig(channels=48, points_per_second=48 * 900 * 10)

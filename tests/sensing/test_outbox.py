@@ -9,8 +9,8 @@ from collections.abc import Callable
 import pytest
 
 from protocol.errors import BusError
-from sensing.upload import outbox as module
-from sensing.upload.outbox import Outbox
+from sensing import uplink as module
+from sensing.uplink import Outbox
 from tests.waiting import wait_until
 
 PATIENCE_S = 10.0
@@ -88,7 +88,7 @@ def test_no_more_chunks_go_out_when_the_edge_has_enough(outbox: Outbox) -> None:
     parcel = Parcel(5, gate)
     outbox.put(parcel)
     assert gate.reached.wait(PATIENCE_S)
-    outbox.hear(enough=5, mbps=0.0)
+    outbox.receive(enough=5, mbps=0.0)
     gate.opened.set()
     assert done(outbox) == [5]
     assert parcel.sent == [0, 1]
@@ -96,7 +96,7 @@ def test_no_more_chunks_go_out_when_the_edge_has_enough(outbox: Outbox) -> None:
 
 
 def test_chunks_leave_at_the_rate_of_the_uplink(outbox: Outbox) -> None:
-    outbox.hear(enough=-1, mbps=0.2)  # 40 ms a chunk
+    outbox.receive(enough=-1, mbps=0.2)  # 40 ms a chunk
     times_ns: list[int] = []
     outbox.put(Parcel(0, lambda _: times_ns.append(time.monotonic_ns())))
     done(outbox)
@@ -114,7 +114,7 @@ def test_the_queue_below_never_holds_more_than_a_chunk_and_a_little(outbox: Outb
         free_ns = max(free_ns, now_ns) + 8_000_000  # 1000 bytes at 1 Mbit/s
         queue_ns.append(free_ns - now_ns)
 
-    outbox.hear(enough=-1, mbps=1.0)
+    outbox.receive(enough=-1, mbps=1.0)
     for frame in range(15):
         outbox.put(Parcel(frame, link))
         time.sleep(0.02)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.messages import Plan
-from sensing.upload.plans import MAX_AGE_FRAMES, Plans
+from sensing.uplink import MAX_AGE_FRAMES, Plans
 
 
 def plan(frame: int) -> Plan:
@@ -23,7 +23,7 @@ def plan(frame: int) -> Plan:
 def heard(*frames: int, arrival_sim_ns: int = 0) -> Plans:
     plans = Plans()
     for frame in frames:
-        plans.hear(plan(frame), frame=max(frame - 1, 0), arrival_sim_ns=arrival_sim_ns)
+        plans.receive(plan(frame), frame=max(frame - 1, 0), arrival_sim_ns=arrival_sim_ns)
     return plans
 
 
@@ -53,6 +53,6 @@ def test_a_plan_that_has_not_arrived_in_simulated_time_is_not_followed() -> None
 
 def test_what_is_older_or_absurd_is_left_and_does_not_bar_the_way() -> None:
     plans = heard(5)
-    assert not plans.hear(plan(4), frame=5, arrival_sim_ns=0)
-    assert not plans.hear(plan(10**6), frame=5, arrival_sim_ns=0)
-    assert plans.hear(plan(6), frame=5, arrival_sim_ns=0)
+    assert not plans.receive(plan(4), frame=5, arrival_sim_ns=0)
+    assert not plans.receive(plan(10**6), frame=5, arrival_sim_ns=0)
+    assert plans.receive(plan(6), frame=5, arrival_sim_ns=0)

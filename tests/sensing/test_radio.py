@@ -1,8 +1,8 @@
 from protocol.inbox import Inbox
 from protocol.local import LocalBus, LocalNetwork
 from protocol.messages import NEVER_NS
-from sensing.link.config import LinkConfig
-from sensing.link.path import on_air_bytes
+from sensing.link_channel import on_air_bytes
+from sensing.link_config import LinkConfig
 from sensing.radio import AgentKind, IdealRadio, Radio, RealRadio, VirtualRadio, radio_of
 
 MS = 1_000_000
@@ -36,13 +36,13 @@ def test_mode_and_link_choose_the_radio() -> None:
 
 def test_a_virtual_radio_queues_in_simulated_time_and_says_when_to_skip() -> None:
     made = radio(profile="1mbit,10ms", agent_compute_ms=4)
-    assert not made.is_clogged(0)
-    took_ns = 8_000 * on_air_bytes(20_000)  # 1000 ns a bit
+    assert not made.is_congested(0)
+    latency_ns = 8_000 * on_air_bytes(20_000)  # 1000 ns a bit
     passage = made.carry(0, 20_000, is_chunk=True)
     assert passage is not None
-    assert (passage.sent_ns, passage.arrival_ns) == (4 * MS, 4 * MS + took_ns + 5 * MS)
-    assert made.is_clogged(0)
-    assert not made.is_clogged(100 * MS)  # less than a frame is left
+    assert (passage.sent_ns, passage.arrival_ns) == (4 * MS, 4 * MS + latency_ns + 5 * MS)
+    assert made.is_congested(0)
+    assert not made.is_congested(100 * MS)  # less than a frame is left
     assert made.wire_bytes() == on_air_bytes(20_000)
 
 
@@ -74,7 +74,7 @@ def test_a_roadside_post_is_wired_unless_it_has_a_profile_of_its_own() -> None:
     passage = wired.carry(7 * MS, 10**9, is_chunk=True)
     assert passage is not None
     assert (passage.sent_ns, passage.arrival_ns) == (7 * MS, 7 * MS)
-    assert not wired.is_clogged(7 * MS)
+    assert not wired.is_congested(7 * MS)
     linked = radio("roadside", roadside_profile="1mbit").carry(0, 10**9, is_chunk=True)
     assert linked is not None
     assert linked.arrival_ns > 0
@@ -83,9 +83,9 @@ def test_a_roadside_post_is_wired_unless_it_has_a_profile_of_its_own() -> None:
 def test_a_real_radio_is_clogged_when_more_waits_than_left_in_a_frame() -> None:
     bus = FullBus()
     made = RealRadio(bus)
-    assert not made.is_clogged(0)
+    assert not made.is_congested(0)
     bus.sent, bus.waiting = 1000, 900
-    assert not made.is_clogged(0)
+    assert not made.is_congested(0)
     bus.sent, bus.waiting = 2000, 1900
-    assert made.is_clogged(0)
+    assert made.is_congested(0)
     assert made.carry(0, 5, is_chunk=True) is None

@@ -10,8 +10,7 @@ from protocol.errors import ConfigError
 from protocol.messages import Equipment, Truth
 from protocol.scans import RangeScan, ScanPattern
 from sensing.config import LidarConfig
-from sensing.recording import Recording, write_recording
-from sensing.source_check import check_recording
+from sensing.recorded_scans import Recording, check_recording, write_recording
 
 CONFIG = LidarConfig(channels=4, points_per_second=320)
 SCAN = RangeScan(CONFIG.pattern, np.full((4, 8), 7, np.float32), np.zeros((4, 8), np.float32))

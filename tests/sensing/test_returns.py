@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sensing.config import LidarConfig
+from sensing.lidar import MIN_RANGE_M, returns
 from sensing.noise import stream
-from sensing.returns import MIN_RANGE_M, returns
 
 SHAPE = (64, 1800)
 

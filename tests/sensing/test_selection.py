@@ -12,12 +12,11 @@ from protocol.roadmap import RoadMap
 from protocol.scans import RangeScan
 from sensing.config import LidarConfig, UploadConfig
 from sensing.lidar import Lidar
+from sensing.mesh import VehicleShapes
 from sensing.scene import Scene
-from sensing.shapes import VehicleShapes
-from sensing.upload.foreground import LEARNT_FRAMES
-from sensing.upload.locate import locate
-from sensing.upload.registry import POLICIES, PolicyName
-from sensing.upload.selection import Selection, Selector
+from sensing.upload_filters import LEARNT_FRAMES, locate
+from sensing.upload_policies import POLICIES, PolicyName
+from sensing.upload_selection import Selection, Selector
 
 CONFIG = LidarConfig(channels=32, points_per_second=288_000)
 AGENTS = ["a", "b", "c"]

@@ -15,10 +15,10 @@ from protocol.roadmap import RoadMap
 from protocol.scans import RangeScan, ScanPattern
 from sensing.config import UploadConfig
 from sensing.lidar import Sensed
+from sensing.lidar_uplink import LidarContext, LidarUplink
 from sensing.radio import RealRadio
-from sensing.uplink import Kit, Uplink
-from sensing.upload.registry import POLICIES
-from sensing.upload.selection import Selector
+from sensing.upload_policies import POLICIES
+from sensing.upload_selection import Selector
 
 PATTERN = ScanPattern(16, 900, 15.0, -25.0)
 POSE = SE3.from_pose([0, 0, 3.0, 0, 0, 0])
@@ -66,8 +66,8 @@ def sent(road_map: RoadMap, **config: Any) -> Scan:
         standing=False,
     )
     wire = Wire()
-    kit = Kit("r", "vehicle-0", 1, Tunnel(), upload, None, lockstep=True, period_ns=10**8)
-    uplink = Uplink("a", wire, RealRadio(wire), kit, selector)
+    kit = LidarContext("r", "vehicle-0", 1, Tunnel(), upload, None, lockstep=True, period_ns=10**8)
+    uplink = LidarUplink("a", wire, RealRadio(wire), kit, selector)
     tick = Tick(
         frame=0,
         sim_time_ns=0,

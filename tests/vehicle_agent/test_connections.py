@@ -6,7 +6,7 @@ from protocol.errors import BusError
 from protocol.inbox import Inbox
 from protocol.local import LocalBus, LocalNetwork
 from tests.waiting import wait_until
-from vehicle_agent.connections import Connections
+from vehicle_agent.role import Connections
 
 
 class Network:

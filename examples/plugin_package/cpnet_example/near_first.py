@@ -8,7 +8,7 @@ from perception.roadway import Roadway
 from protocol.geometry import SE3
 from protocol.scans import RangeScan, ScanPattern
 from sensing.config import UploadConfig
-from sensing.upload.registry import Policy
+from sensing.upload_policies import Policy
 
 
 class NearFirst:

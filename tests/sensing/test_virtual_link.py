@@ -6,11 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sensing.link.builtin import BUILTIN
-from sensing.link.named import profile_named
-from sensing.link.path import Path, on_air_bytes
-from sensing.link.profile import LinkProfile, Outages, RoundTrip, TraceRate, VaryingRate
-from sensing.link.virtual import VirtualLink
+from sensing.link_channel import Channel, VirtualLink, on_air_bytes
+from sensing.link_config import profile_named
+from sensing.link_profile import BUILTIN, LinkProfile, Outages, RoundTrip, TraceRate, VaryingRate
 
 MS = 1_000_000
 SENDS = st.lists(st.tuples(st.integers(0, 300 * MS), st.integers(1, 200_000)), max_size=30)
@@ -27,7 +25,7 @@ def traffic(sends: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 paths = st.sampled_from(
     [
-        Path.draw(profile_named(name) or LinkProfile(), 3, "cav")
+        Channel.draw(profile_named(name) or LinkProfile(), 3, "cav")
         for name in ("5g-urban", "5g-weak", "lte-poor", "5mbit", "300kbit,80ms")
     ]
 )
@@ -65,7 +63,7 @@ def recalling(link: VirtualLink, time_ns: int) -> list[int]:
 
 
 def test_what_has_not_begun_to_leave_can_be_taken_back() -> None:
-    link = VirtualLink(Path.draw(profile_named("8mbit") or LinkProfile(), 1, "a"))
+    link = VirtualLink(Channel.draw(profile_named("8mbit") or LinkProfile(), 1, "a"))
     for _ in range(4):
         link.send(0, 948, recallable=True)  # 1000 bytes on the link: 1 ms each
     assert recalling(link, 1 * MS + 1) == [3 * MS, 2 * MS]
@@ -75,7 +73,7 @@ def test_what_has_not_begun_to_leave_can_be_taken_back() -> None:
 
 
 def test_what_stands_before_a_message_that_stays_is_not_taken_back() -> None:
-    link = VirtualLink(Path.draw(profile_named("8mbit") or LinkProfile(), 1, "a"))
+    link = VirtualLink(Channel.draw(profile_named("8mbit") or LinkProfile(), 1, "a"))
     link.send(0, 948, recallable=True)
     link.send(0, 948)
     link.send(0, 948, recallable=True)
@@ -83,18 +81,18 @@ def test_what_stands_before_a_message_that_stays_is_not_taken_back() -> None:
 
 
 def test_a_fixed_rate_takes_bits_over_rate_and_half_a_round_trip():
-    link = VirtualLink(Path.draw(profile_named("5mbit,20ms") or LinkProfile(), 1, "a"))
-    took_ns = link.send(7 * MS, 62_500).arrival_ns - 7 * MS
-    assert took_ns == on_air_bytes(62_500) * 8 * 200 + 10 * MS
-    assert link.backlog_ns(7 * MS) == took_ns - 10 * MS
+    link = VirtualLink(Channel.draw(profile_named("5mbit,20ms") or LinkProfile(), 1, "a"))
+    latency_ns = link.send(7 * MS, 62_500).arrival_ns - 7 * MS
+    assert latency_ns == on_air_bytes(62_500) * 8 * 200 + 10 * MS
+    assert link.backlog_ns(7 * MS) == latency_ns - 10 * MS
 
 
 def test_without_connection_a_message_waits_for_it():
     trace = TraceRate(starts_us=[0, 100_000], rates_bps=[0, 8_000_000], period_us=200_000)
-    link = VirtualLink(Path.draw(LinkProfile(rate=trace), 1, "a"))
+    link = VirtualLink(Channel.draw(LinkProfile(rate=trace), 1, "a"))
     assert link.send(30 * MS, 948).arrival_ns == 101 * MS  # 1000 bytes on the link, 1 ms
     assert link.send(101 * MS, 948).arrival_ns == 102 * MS
-    half_done = VirtualLink(Path.draw(LinkProfile(rate=trace), 1, "a"))
+    half_done = VirtualLink(Channel.draw(LinkProfile(rate=trace), 1, "a"))
     assert half_done.send(199_500_000, 948).arrival_ns == 300_500_000
 
 
@@ -102,7 +100,7 @@ def test_the_round_trip_of_a_trace_is_its_own():
     trace = TraceRate(
         starts_us=[0, 1000], rates_bps=[8_000_000] * 2, rtt_us=[0, 50_000], period_us=2000
     )
-    path = Path.draw(LinkProfile(rate=trace, rtt=RoundTrip.steady(9)), 1, "a")
+    path = Channel.draw(LinkProfile(rate=trace, rtt=RoundTrip.steady(9)), 1, "a")
     assert [path.delay_ns(t) for t in (0, 1 * MS)] == [0, 25 * MS]
 
 
@@ -110,7 +108,7 @@ def test_a_packet_that_travels_long_holds_up_those_behind_it():
     trace = TraceRate(
         starts_us=[0, 10_000], rates_bps=[8_000_000] * 2, rtt_us=[200_000, 0], period_us=900_000
     )
-    link = VirtualLink(Path.draw(LinkProfile(rate=trace), 1, "a"))
+    link = VirtualLink(Channel.draw(LinkProfile(rate=trace), 1, "a"))
     arrival_ns = link.send(
         5 * MS, 14 * 948
     ).arrival_ns  # leaves from 5 to 19 ms, the first half goes slowly
@@ -125,7 +123,7 @@ def test_built_in_profiles_have_the_figures_they_name(name):
     assert isinstance(profile.rate, VaryingRate)
     means, rtts = [], []
     for agent in range(4):
-        path = Path.draw(profile, 5, f"cav-{agent}")
+        path = Channel.draw(profile, 5, f"cav-{agent}")
         span_ns = path.rate_bps.period_ns
         means.append(path.rate_bps.integral(0, span_ns) / span_ns / 1e6)
         rtts += path.rtt_ns.values
@@ -138,7 +136,7 @@ def test_built_in_profiles_have_the_figures_they_name(name):
 
 def test_a_path_depends_on_seed_and_agent_alone():
     def draw(seed: int, agent: str) -> tuple[list[int], list[int]]:
-        path = Path.draw(BUILTIN["5g-weak"], seed, agent)
+        path = Channel.draw(BUILTIN["5g-weak"], seed, agent)
         rates = [path.rate_bps.at(t) for t in range(0, path.rate_bps.period_ns, 100 * MS)]
         return rates, path.rtt_ns.values
 
@@ -150,7 +148,7 @@ def test_a_path_depends_on_seed_and_agent_alone():
 def test_outages_take_their_share_and_leave_the_rest_alone():
     quiet = LinkProfile(rate=VaryingRate(mean_mbps=8))
     lossy = quiet.model_copy(update={"outages": Outages(per_minute=6, mean_s=2)})
-    path = Path.draw(lossy, 1, "a")
+    path = Channel.draw(lossy, 1, "a")
     rate = path.rate_bps
     assert {rate.at(t) for t in range(0, rate.period_ns, 77 * MS)} == {0, 8_000_000}
     share = rate.integral(0, rate.period_ns) / rate.period_ns / 8e6
@@ -159,8 +157,8 @@ def test_outages_take_their_share_and_leave_the_rest_alone():
 
 def test_outages_go_over_a_trace_of_any_length():
     trace = TraceRate(starts_us=[0, 700_000], rates_bps=[1000, 3000], period_us=1_300_000)
-    path = Path.draw(LinkProfile(rate=trace, outages=Outages(per_minute=2, mean_s=3)), 4, "a")
-    plain = Path.draw(LinkProfile(rate=trace), 4, "a")
+    path = Channel.draw(LinkProfile(rate=trace, outages=Outages(per_minute=2, mean_s=3)), 4, "a")
+    plain = Channel.draw(LinkProfile(rate=trace), 4, "a")
     moments = range(0, path.rate_bps.period_ns, 77 * MS)
     assert any(path.rate_bps.at(t) == 0 for t in moments)
     for t in moments:
@@ -170,14 +168,14 @@ def test_outages_go_over_a_trace_of_any_length():
 def test_outages_cost_no_more_on_a_trace_of_milliseconds():
     trace = TraceRate(starts_us=[0, 1000], rates_bps=[2000, 6000], period_us=2000)
     begin = time.monotonic_ns()
-    path = Path.draw(LinkProfile(rate=trace, outages=Outages(per_minute=6, mean_s=2)), 4, "a")
+    path = Channel.draw(LinkProfile(rate=trace, outages=Outages(per_minute=6, mean_s=2)), 4, "a")
     assert time.monotonic_ns() - begin < 100 * MS
     assert 0 < path.rate_bps.integral(0, path.rate_bps.period_ns) < 4000 * path.rate_bps.period_ns
 
 
 def test_a_message_under_way_for_hours_is_timed_at_once():
     trace = TraceRate(starts_us=[0, 1000], rates_bps=[2000, 0], rtt_us=[9, 5], period_us=2000)
-    path = Path.draw(LinkProfile(rate=trace), 1, "a")
+    path = Channel.draw(LinkProfile(rate=trace), 1, "a")
     begin = time.monotonic_ns()
     assert path.arrival_ns(0, 100_000_000 * MS) == 100_000_000 * MS + 4500
     assert time.monotonic_ns() - begin < 100 * MS

@@ -7,11 +7,9 @@ from hypothesis import strategies as st
 
 from protocol.errors import ConfigError
 from protocol.messages import Setup
-from sensing.link.config import LinkConfig
-from sensing.link.files import read_trace
-from sensing.link.named import profile_named
-from sensing.link.path import Path as LinkPath
-from sensing.link.profile import (
+from sensing.link_channel import Channel as LinkPath
+from sensing.link_config import LinkConfig, profile_named, read_trace
+from sensing.link_profile import (
     MAX_PERIOD_US,
     MAX_RATE_BPS,
     MAX_RTT_US,

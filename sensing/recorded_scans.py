@@ -1,8 +1,9 @@
-"""A recording: traffic and scans of a stretch of time, to be played instead of being simulated.
+"""Recorded scans: traffic and scans of a stretch of time that replace the simulated ones.
 
 A folder. `recording.json` names agents, scan pattern and frame period; `truth.bin` holds a `Truth`
 message a frame, each behind its length (u32); `ranges.npy` the scans (frames, agents, channels,
-columns) in steps of 2 mm, 0 for no return. It is played there and back, so that nothing ever jumps.
+columns) in steps of 2 mm, 0 for no return. It is played forwards, then backwards, so that nothing
+jumps.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from tokenize import TokenError
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +25,7 @@ from protocol.messages import Truth
 from protocol.messages.fields import Id
 from protocol.scans import RangeScan, ScanPattern
 from protocol.wire import decode, encode
+from sensing.config import LidarConfig
 
 STEP_M = 0.002
 _ABOUT, _TRUTH, _RANGES = "recording.json", "truth.bin", "ranges.npy"
@@ -153,3 +156,41 @@ def _first(error: ValidationError) -> str:
 def _steps(scan: RangeScan) -> npt.NDArray[np.uint16]:
     steps: npt.NDArray[np.float32] = np.rint(scan.range_m / np.float32(STEP_M))
     return np.minimum(steps, np.float32(np.iinfo(np.uint16).max)).astype(np.uint16)
+
+
+def check_recording(scenario: dict[str, Any]) -> None:
+    """Finds before the start what would keep the roles from playing a scenario's recording.
+
+    Raises:
+        ConfigError: it cannot be read, or does not fit the scenario's LiDARs or mounts.
+    """
+    if not scenario.get("recording"):
+        return
+    mounts = [mount["id"] for mount in scenario["roadside_mounts"]]
+    for kind in ["vehicle", "roadside"] if mounts else ["vehicle"]:
+        recording = recording_of(scenario, LidarConfig.model_validate(scenario["lidar"][kind]))
+    if missing := [mount for mount in mounts if mount not in recording.agents]:
+        raise ConfigError(
+            f"recording {scenario['recording']}: has no scans of the roadside mount {missing[0]}; "
+            f"it has {', '.join(recording.agents)}"
+        )
+
+
+def is_of_carla(scenario: dict[str, Any]) -> bool:
+    """Whether a scenario's scans are cast by a CARLA server."""
+    return bool(scenario["lidar"].get("source") == "carla")
+
+
+def recording_of(scenario: dict[str, Any], config: LidarConfig) -> Recording:
+    """Opens a scenario's recording.
+
+    Raises:
+        ConfigError: it cannot be read, or its scans are not of such a LiDAR.
+    """
+    recording = Recording(Path(scenario["recording"]))
+    if recording.pattern != config.pattern:
+        raise ConfigError(
+            f"recording {scenario['recording']}: its scans are of {recording.pattern}, the "
+            f"scenario's LiDARs of {config.pattern}"
+        )
+    return recording

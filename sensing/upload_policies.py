@@ -1,4 +1,4 @@
-"""The upload policies by name: the one list that scenarios, agents and the edge go by.
+"""Upload policies by name: the list that scenarios, agents and the edge share.
 
 The entry point of a plug-in (group `cpnet.upload_policies`) names a `Policy`.
 """
@@ -13,7 +13,8 @@ from pydantic import AfterValidator
 from protocol.plugins import Catalogue
 
 if TYPE_CHECKING:
-    from sensing.upload.chooser import ChooserMaker
+    from sensing.upload_selection import ChooserMaker
+
 
 Filter = Literal["roi", "foreground"]
 Sends = Literal["scan", "objects", "nothing"]

@@ -1,12 +1,12 @@
-"""Recorded links: CSV traces and Mahimahi trace files.
+"""The link section of a scenario: profiles by name, by rate, or from a trace file.
 
 CSV: a first line that names the columns, then one line a step. `time_s` ascends from any start;
-`rate_mbps` is the uplink's rate from then on, 0 for no connection; `rtt_ms` may be left out. Other
+`rate_mbps` is the uplink's rate from then on, 0 for no connection; `rtt_ms` is optional. Other
 columns are ignored. The last step lasts as long as the one before it (one alone never ends); then
-the trace begins anew.
+the trace repeats.
 
 Mahimahi: a line is the millisecond at which one packet of 1500 bytes can leave; a millisecond may
-stand on several lines. The trace begins anew after its last millisecond.
+stand on several lines. The trace repeats after its last millisecond.
 
 A trace has at most 200 000 steps of 1 ms or more, lasts at most a day, passes 1 kbit/s or more in
 the mean and never more than 100 Gbit/s; round trips are at most 60 s.
@@ -15,13 +15,18 @@ the mean and never more than 100 Gbit/s; round trips are at most 60 s.
 from __future__ import annotations
 
 import csv
+import re
 from collections import Counter
 from pathlib import Path
+from typing import Any, Literal, Self
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError, field_validator
 
+from protocol.config import Section
 from protocol.errors import ConfigError
-from sensing.link.profile import (
+from protocol.files import is_file
+from sensing.link_profile import (
+    BUILTIN,
     MAX_RATE_BPS,
     MAX_RTT_US,
     MAX_STEPS,
@@ -29,6 +34,7 @@ from sensing.link.profile import (
     LinkProfile,
     RoundTrip,
     TraceRate,
+    VaryingRate,
 )
 
 MAX_FILE_BYTES = 64 << 20
@@ -180,3 +186,86 @@ def _number(
             f"{where}: {name} is {text!r:.80}, needs a number from {least:g} to {most:g}"
         )
     return value
+
+
+NONE = "none"
+_FIXED = re.compile(
+    r"(?P<rate>[0-9]+(?:\.[0-9]+)?)(?P<unit>k|m|g)bit(?:/s)?(?:,(?P<rtt>[0-9]+(?:\.[0-9]+)?)ms)?",
+    re.IGNORECASE,
+)
+_MBPS = {"k": 1e-3, "m": 1.0, "g": 1e3}
+
+
+def profile_named(text: str) -> LinkProfile | None:
+    """Reads `none`, a built-in name, `5mbit`, `5mbit,20ms` (rate, round trip) or a trace file.
+
+    Raises:
+        ConfigError: it is none of these, or the file cannot be read.
+    """
+    if text == NONE:
+        return None
+    if text in BUILTIN:
+        return BUILTIN[text]
+    if match := _FIXED.fullmatch(text):
+        return _fixed(text, match)
+    if not is_file(text):
+        raise ConfigError(
+            f"link {text!r:.80}: neither a file, nor a rate such as 5mbit or 5mbit,20ms (rate and "
+            f"round trip), nor one of {', '.join([NONE, *BUILTIN])}"
+        )
+    return read_trace(Path(text))
+
+
+def _fixed(text: str, match: re.Match[str]) -> LinkProfile:
+    mbps, rtt_ms = float(match["rate"]) * _MBPS[match["unit"].lower()], float(match["rtt"] or 0)
+    if not (0.001 <= mbps <= 100_000 and rtt_ms <= 60_000):
+        raise ConfigError(
+            f"link {text!r:.80}: the rate must be 1kbit to 100gbit, the round trip at most 60000ms"
+        )
+    return LinkProfile(
+        name=text[:80],
+        source="asked for by the user",
+        rate=VaryingRate(mean_mbps=mbps),
+        rtt=RoundTrip.steady(rtt_ms),
+    )
+
+
+class LinkConfig(Section):
+    """The network between agents and edge. Without profiles it is as fast as the machine.
+
+    A profile is written as `none`, a built-in name, `5mbit`, `5mbit,20ms`, a trace file, or in
+    full; the scenario keeps it in full, so that other machines need no file.
+    """
+
+    profile: LinkProfile | None = Field(None, description="of every vehicle with a radio")
+    roadside_profile: LinkProfile | None = Field(
+        None, description="of every roadside LiDAR; null: it is wired and has no limits"
+    )
+    apply: Literal["auto", "virtual", "emulated", "none"] = Field(
+        "auto",
+        description="virtual: arrival in simulated time, for lockstep; emulated: a shaping relay, "
+        "for realtime; auto: virtual or emulated, whichever fits the mode; none: profiles are not "
+        "applied",
+    )
+    agent_compute_ms: float = Field(
+        0.0, ge=0, le=10_000, description="virtual: from the frame's time until an agent sends"
+    )
+    edge_compute_ms: float = Field(
+        0.0, ge=0, le=10_000, description="virtual: from the last arrival until the request is out"
+    )
+
+    @classmethod
+    def of(cls, scenario: dict[str, Any]) -> Self:
+        """Reads the section of a scenario's data."""
+        return cls.model_validate(scenario.get("link", {}))
+
+    @field_validator("profile", "roadside_profile", mode="before")
+    @classmethod
+    def _by_name(cls, value: object) -> object:
+        return profile_named(value) if isinstance(value, str) else value
+
+    def way(self, mode: str) -> Literal["virtual", "emulated", "none"]:
+        """Returns how links are applied in a mode."""
+        if self.apply == "none" or (self.profile is None and self.roadside_profile is None):
+            return "none"
+        return "virtual" if mode == "lockstep" else "emulated"

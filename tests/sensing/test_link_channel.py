@@ -2,18 +2,18 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from sensing.link.steps import Interrupted, Steps
+from sensing.link_channel import InterruptedSteps, StepFunction
 
 TIMES = st.integers(-10_000, 10_000)
 
 
 @st.composite
-def steps(draw: st.DrawFn) -> Steps:
+def steps(draw: st.DrawFn) -> StepFunction:
     starts = sorted({0, *draw(st.lists(st.integers(1, 199), max_size=6))})
     values = draw(st.lists(st.integers(0, 50), min_size=len(starts), max_size=len(starts)))
     if not any(values):
         values[0] = 1
-    return Steps(starts, values, 200)
+    return StepFunction(starts, values, 200)
 
 
 @settings(deadline=None)
@@ -41,7 +41,7 @@ def test_changes_are_the_starts_of_steps(trace, after, length):
 
 def test_what_is_always_zero_is_never_reached():
     with pytest.raises(ValueError, match="nothing ever passes"):
-        Steps([0], [0], 10).reach(0, 1)
+        StepFunction([0], [0], 10).reach(0, 1)
 
 
 @pytest.mark.parametrize(
@@ -49,15 +49,15 @@ def test_what_is_always_zero_is_never_reached():
 )
 def test_steps_that_cannot_be_are_refused(starts, values):
     with pytest.raises(ValueError, match="steps"):
-        Steps(starts, values, 10)
+        StepFunction(starts, values, 10)
 
 
 @st.composite
-def interrupted(draw: st.DrawFn) -> tuple[Interrupted, Steps, list[tuple[int, int]]]:
+def interrupted(draw: st.DrawFn) -> tuple[InterruptedSteps, StepFunction, list[tuple[int, int]]]:
     base = draw(steps())
     edges = sorted(draw(st.sets(st.integers(1, 599), max_size=8)))
     gone = list(zip(edges[::2], edges[1::2], strict=False))
-    return Interrupted(base, gone, 3), base, gone
+    return InterruptedSteps(base, gone, 3), base, gone
 
 
 @settings(deadline=None)
@@ -83,4 +83,4 @@ def test_an_amount_is_reached_past_the_spans_at_its_first_moment(made, start, am
 def test_spans_that_overlap_or_leave_the_period_are_refused():
     for gone in ([(0, 5), (4, 6)], [(5, 11)]):
         with pytest.raises(ValueError, match="spans"):
-            Interrupted(Steps([0], [1], 10), gone, 1)
+            InterruptedSteps(StepFunction([0], [1], 10), gone, 1)

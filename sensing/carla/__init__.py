@@ -1,1 +1,0 @@
-"""LiDAR scans of a running CARLA server, while SUMO moves the traffic."""

@@ -1,0 +1,228 @@
+"""The uplink of an agent with a LiDAR: sense, select, encode (or detect on board) and send."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from perception.config import DetectionConfig, GeofenceConfig
+from perception.detector import Cloud, Detector, Vehicles
+from perception.registry import detector_of
+from perception.roadway import Roadway
+from protocol.bus import Bus
+from protocol.codec import encode_scan
+from protocol.geometry import SE3
+from protocol.messages import Objects, Scan, Tick
+from protocol.process import Context
+from protocol.roadmap import RoadMap
+from protocol.scans import RangeScan
+from sensing.config import LidarConfig, SceneConfig, UploadConfig
+from sensing.lidar import Sensed
+from sensing.noise import stream
+from sensing.radio import AgentKind, Radio
+from sensing.source import ScanSource, source_of
+from sensing.terrain import Terrain
+from sensing.uplink import FrameUpload, Uplink
+from sensing.upload_policies import policy_of
+from sensing.upload_selection import Selection, Selector, chooser_of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OnboardDetector:
+    """The edge's detector, with its parameters, on one agent's scan alone."""
+
+    roadway: Roadway
+    geofence: GeofenceConfig
+    detector: Detector
+
+    @classmethod
+    def of(cls, road_map: RoadMap, edge: dict[str, Any]) -> OnboardDetector:
+        """Builds it from the scenario's section of the edge."""
+        chosen = {name: edge[name] for name in DetectionConfig.model_fields}
+        config = DetectionConfig.model_validate(chosen)
+        roadway = Roadway.of(road_map, margin_m=config.geofence.margin_m)
+        return cls(roadway, config.geofence, detector_of(config, roadway))
+
+    def detect(
+        self, scan: RangeScan, map_SE3_sensor: SE3, rng: np.random.Generator, *, ground_free: bool
+    ) -> Vehicles:
+        """Returns the vehicles in a scan, in the map frame; `ground_free` scans have no ground."""
+        placed = self.roadway.place(
+            scan.cloud().points,
+            map_SE3_sensor,
+            below_m=self.geofence.below_m,
+            above_m=self.geofence.above_m,
+        )
+        near, bare = ([], [placed]) if ground_free else ([placed], [])
+        return self.detector.detect(Cloud(near, bare, map_SE3_sensor.translation[None]), rng)
+
+
+@dataclass(frozen=True, slots=True)
+class LidarContext:
+    """What all uplinks of a process share."""
+
+    region: str
+    process: str
+    seed: int
+    source: ScanSource
+    config: UploadConfig
+    detector: OnboardDetector | None  # of agents that send objects
+    lockstep: bool
+    period_ns: int  # of a frame
+
+
+@dataclass(slots=True, eq=False)
+class _ScanUpload(FrameUpload):
+    """A frame that was sensed: chunks are encoded as they are sent."""
+
+    uplink: LidarUplink
+    scan: RangeScan
+    selection: Selection
+    believed_SE3_sensor: SE3
+    sense_start_ns: int
+    sense_end_ns: int
+
+    @property
+    def chunks(self) -> int:
+        """See `FrameUpload.chunks`."""
+        return self.selection.chunks
+
+    def send(self, chunk: int) -> int:
+        """See `FrameUpload.send`."""
+        return self.uplink.send_chunk(self, chunk)
+
+
+class LidarUplink(Uplink):
+    """The way of an agent that has a sensor."""
+
+    def __init__(
+        self, agent: str, bus: Bus, radio: Radio, kit: LidarContext, selector: Selector
+    ) -> None:
+        super().__init__(agent, bus, radio, kit)
+        self._kit = kit
+        self._selector = selector
+
+    def sense_and_send(
+        self,
+        tick: Tick,
+        map_SE3_sensor: SE3,
+        believed_SE3_sensor: SE3,
+        own: int | None,
+    ) -> Sensed:
+        """Senses once from the true pose and sends it, or its part, with the believed one."""
+        sense_start_ns = time.monotonic_ns()
+        sensed = self._kit.source.scan(self.agent, tick, map_SE3_sensor, own)
+        sense_end_ns = time.monotonic_ns()
+        plan = self._plans.of(tick.frame, tick.sim_time_ns)
+        selection = self._selector.select(sensed.scan, believed_SE3_sensor, self.agent, plan)
+        shipment = _ScanUpload(
+            tick, self, sensed.scan, selection, believed_SE3_sensor, sense_start_ns, sense_end_ns
+        )
+        shipment.spans = [
+            self.span("sense", sense_start_ns, sense_end_ns),
+            self.span("select", sense_end_ns, time.monotonic_ns()),
+        ]
+        if self._kit.detector is not None:
+            self._send_objects(shipment, self._kit.detector)
+            self.keep(shipment)
+        else:
+            self.ship(shipment)
+        return sensed
+
+    def send_chunk(self, shipment: _ScanUpload, chunk: int) -> int:
+        """Encodes a chunk and sends it; returns the message's size in bytes."""
+        start_ns = time.monotonic_ns()
+        part = shipment.selection.part(shipment.scan, chunk)
+        config, tick = self._kit.config, shipment.tick
+        payload = encode_scan(
+            part,
+            config.max_error_m,
+            profile=config.profile,
+            intensity=config.intensity,
+            fill=config.fill_lost and part is shipment.scan,
+        )
+        message = Scan(
+            frame=tick.frame,
+            sim_time_ns=tick.sim_time_ns,
+            agent=self.agent,
+            chunk=chunk,
+            chunks=shipment.chunks,
+            points=int(np.count_nonzero(part.range_m)),
+            plan_frame=shipment.selection.plan_frame,
+            ground_free=self._selector.is_ground_free,
+            sensor_pose=shipment.believed_SE3_sensor.as_pose(),
+            sense_start_ns=shipment.sense_start_ns,
+            sense_end_ns=shipment.sense_end_ns,
+            encode_end_ns=time.monotonic_ns(),
+            payload=np.frombuffer(payload, np.uint8),
+        )
+        return self.send(shipment, message, start_ns)
+
+    def _send_objects(self, shipment: _ScanUpload, detector: OnboardDetector) -> None:
+        """Sends boxes; finding them takes the place of encoding."""
+        start_ns, tick = time.monotonic_ns(), shipment.tick
+        rng = stream(self._kit.seed, "detect", self.agent, tick.frame)
+        found = detector.detect(
+            shipment.selection.part(shipment.scan, 0),
+            shipment.believed_SE3_sensor,
+            rng,
+            ground_free=self._selector.is_ground_free,
+        )
+        message = Objects(
+            frame=tick.frame,
+            sim_time_ns=tick.sim_time_ns,
+            agent=self.agent,
+            boxes=found.boxes.astype(np.float32),
+            scores=found.scores.astype(np.float32),
+            sense_start_ns=shipment.sense_start_ns,
+            sense_end_ns=shipment.sense_end_ns,
+            detect_end_ns=time.monotonic_ns(),
+        )
+        self.send(shipment, message, start_ns)
+
+
+class LidarUplinks:
+    """Makes the uplink of each agent of one kind that has a LiDAR."""
+
+    def __init__(self, context: Context, kind: AgentKind) -> None:
+        scenario, road_map = context.setup.scenario, context.setup.road_map
+        config = LidarConfig.model_validate(scenario["lidar"][kind])
+        scene = SceneConfig.model_validate(scenario["scene"])
+        upload = UploadConfig.model_validate(scenario["upload"])
+        self.terrain = Terrain(road_map, scene, scenario["seed"])
+        self._pattern = config.pattern
+        self._standing = kind == "roadside"
+        self._chosen = upload.of(kind)
+        self._policy = policy_of(self._chosen.policy)
+        self._roadway = Roadway.of(road_map, margin_m=upload.roi_margin_m)
+        detects = self._policy.sends == "objects"
+        self._kit = LidarContext(
+            region=scenario["region"],
+            process=context.id,
+            seed=scenario["seed"],
+            source=source_of(context.setup, config),
+            config=upload,
+            detector=OnboardDetector.of(road_map, scenario["edge"]) if detects else None,
+            lockstep=scenario["mode"] == "lockstep",
+            period_ns=round(scenario["frame_period_s"] * 1e9),
+        )
+
+    def uplink(self, agent: str, bus: Bus, radio: Radio) -> LidarUplink:
+        """Returns the way to the edge of an agent that has this bus for itself."""
+        selector = Selector(
+            self._policy,
+            self._chosen.filters,
+            self._roadway,
+            self._pattern,
+            chooser_of(self._chosen.policy, self._kit.config, self._roadway, self._pattern),
+            thin_m=self._kit.config.thin_m,
+            standing=self._standing,
+        )
+        return LidarUplink(agent, bus, radio, self._kit, selector)
+
+    def close(self) -> None:
+        """Lets go of them, once every agent has hung up."""
+        self._kit.source.close()

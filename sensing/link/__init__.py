@@ -1,1 +1,0 @@
-"""Links between agents and the edge: profiles, and what they do to bytes."""

@@ -1,1 +1,0 @@
-"""What of a scan an agent sends, in which order, and when it stops."""
