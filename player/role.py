@@ -130,7 +130,7 @@ class PlayerRole:
     def _forget_all_but(self, present: set[str]) -> None:
         for agent in sorted(self._ways.keys() - present):
             del self._ways[agent]
-            self._station.hang_up(agent)
+            self._station.close_uplink(agent)
         for known in (self._buses, self._radios, self._seen):
             for agent in sorted(known.keys() - present):
                 del known[agent]
