@@ -27,8 +27,8 @@ class Piece:
     frame: int
     sim_time_ns: int
     agent: str
-    chunk: int
-    chunks: int
+    index: int
+    chunk_count: int
     sensor_pose: Floats
     points: Floats32
     received_ns: int
@@ -118,8 +118,8 @@ def _piece(scan: Scan, points: Floats32, received_ns: int, start_ns: int) -> Pie
         frame=scan.frame,
         sim_time_ns=scan.sim_time_ns,
         agent=scan.agent,
-        chunk=scan.chunk,
-        chunks=scan.chunks,
+        index=scan.chunk,
+        chunk_count=scan.chunks,
         sensor_pose=scan.sensor_pose,
         points=points,
         received_ns=received_ns,

@@ -33,7 +33,7 @@ class Gathering:
     rosters: dict[str, Roster] = field(default_factory=dict)
     poses: dict[str, AgentPose] = field(default_factory=dict)
     pieces: dict[tuple[str, int], Piece] = field(default_factory=dict)
-    chunks: dict[str, int] = field(default_factory=dict)
+    chunk_counts: dict[str, int] = field(default_factory=dict)
     found: dict[str, Found] = field(default_factory=dict)
     opening: set[tuple[str, int]] = field(default_factory=set)
     is_closing: bool = False
@@ -80,7 +80,7 @@ class Gathering:
             reason = "duplicate"
         elif self.is_closing:
             reason = "late"
-        elif self.chunks.get(scan.agent, scan.chunks) != scan.chunks:
+        elif self.chunk_counts.get(scan.agent, scan.chunks) != scan.chunks:
             reason = "contradiction"
         elif len(self.pieces) >= MAX_PIECES and not self._can_oust_for(scan.agent):
             reason = "too_many_agents"
@@ -92,7 +92,7 @@ class Gathering:
     def begin(self, scan: Scan) -> None:
         """Takes note that a chunk that was wanted is being decoded."""
         self.opening.add((scan.agent, scan.chunk))
-        self.chunks[scan.agent] = scan.chunks
+        self.chunk_counts[scan.agent] = scan.chunks
 
     def forgo(self, scan: Scan) -> None:
         """Takes note that a chunk will not come after all."""
@@ -100,14 +100,14 @@ class Gathering:
 
     def add_piece(self, piece: Piece) -> None:
         """Takes a decoded chunk that was wanted."""
-        self.opening.discard((piece.agent, piece.chunk))
+        self.opening.discard((piece.agent, piece.index))
         while not self._fits(piece) and self._can_oust_for(piece.agent):
             self._oust(self.pieces, [key for key in self.pieces if not self._is_announced(key[0])])
         if not self._fits(piece):
             self.drops["frame_too_large"] += 1
             return
-        self.chunks[piece.agent] = piece.chunks
-        self.pieces[piece.agent, piece.chunk] = piece
+        self.chunk_counts[piece.agent] = piece.chunk_count
+        self.pieces[piece.agent, piece.index] = piece
         self._date(piece.sim_time_ns)
 
     def has_poses(self, roster: Roster) -> bool:
@@ -118,7 +118,7 @@ class Gathering:
         """Returns how far an agent's scan came; boxes of its own count as a whole scan."""
         if agent in self.found:
             return Uploaded(1, 1, -1)
-        chunks, came = self.chunks.get(agent, 0), 0
+        chunks, came = self.chunk_counts.get(agent, 0), 0
         while came < chunks and (agent, came) in self.pieces:
             came += 1
         return Uploaded(came, chunks, self.pieces[agent, 0].plan_frame if came else -1)

@@ -115,7 +115,7 @@ class Planner:
         """Takes note, agent by agent, of how long what came of a frame was on its virtual link."""
         sent_ns = frame.sim_time_ns + self._lead_ns
         came = [(pose.agent, -1, 0, pose.arrival_sim_ns) for pose in frame.poses]
-        came += [(p.agent, p.chunk, p.size_bytes, p.arrival_sim_ns) for p in frame.pieces]
+        came += [(p.agent, p.index, p.size_bytes, p.arrival_sim_ns) for p in frame.pieces]
         for agent, _, payload_bytes, arrival_ns in sorted(came, key=lambda part: part[:2]):
             if arrival_ns is not None and arrival_ns < NEVER_NS:
                 size_bytes = payload_bytes + ENVELOPE_BYTES

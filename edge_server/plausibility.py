@@ -333,5 +333,5 @@ def _is_empty(pieces: Sequence[Piece]) -> bool:
     """
     if any(piece.is_spoilt for piece in pieces):
         return False
-    is_whole = len(pieces) == pieces[0].chunks and all(p.plan_frame < 0 for p in pieces)
+    is_whole = len(pieces) == pieces[0].chunk_count and all(p.plan_frame < 0 for p in pieces)
     return is_whole and not any(piece.returns for piece in pieces)

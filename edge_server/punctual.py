@@ -73,6 +73,6 @@ def _uploaded(frame: Frame, until_ns: int) -> dict[str, Uploaded]:
     uploaded |= {boxes.agent: Uploaded(1, 1, -1) for boxes in frame.found}
     for piece in frame.pieces:  # in the order of chunks
         came = uploaded.get(piece.agent, Uploaded(0, 0, -1)).came
-        if piece.chunk == came and _arrival_ns(piece) <= until_ns:
-            uploaded[piece.agent] = Uploaded(came + 1, piece.chunks, piece.plan_frame)
+        if piece.index == came and _arrival_ns(piece) <= until_ns:
+            uploaded[piece.agent] = Uploaded(came + 1, piece.chunk_count, piece.plan_frame)
     return uploaded

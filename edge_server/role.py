@@ -284,7 +284,7 @@ def _told(frame: Frame) -> Frame:
 
 
 def _arrivals(frame: Frame) -> list[Arrival]:
-    chunks = [(p.agent, p.chunk, p.received_ns, p.decode_end_ns) for p in frame.pieces]
+    chunks = [(p.agent, p.index, p.received_ns, p.decode_end_ns) for p in frame.pieces]
     boxes = [(one.agent, 0, one.received_ns, one.received_ns) for one in frame.found]
     return [
         Arrival(agent=agent, chunk=chunk, received_ns=received_ns, decoded_ns=decoded_ns)

@@ -185,5 +185,5 @@ def _shell(pose: Floats, rng: np.random.Generator) -> Floats32:
 
 def _with(frame: Frame, victim: str, *pieces: Piece) -> Frame:
     others: Sequence[Piece] = [piece for piece in frame.pieces if piece.agent != victim]
-    both = sorted([*others, *pieces], key=lambda piece: (piece.agent, piece.chunk))
+    both = sorted([*others, *pieces], key=lambda piece: (piece.agent, piece.index))
     return replace(frame, pieces=both)

@@ -72,7 +72,7 @@ def whole(frame: int = 0) -> list[Roster | AgentPose | Piece]:
 
 def names(frame: Frame) -> tuple[list[str], list[str], list[tuple[str, int]]]:
     poses = [p.agent for p in frame.poses]
-    return frame.agents, poses, [(p.agent, p.chunk) for p in frame.pieces]
+    return frame.agents, poses, [(p.agent, p.index) for p in frame.pieces]
 
 
 def test_a_frame_is_whole_with_its_last_part_whichever_that_is() -> None:

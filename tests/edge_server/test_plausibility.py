@@ -235,7 +235,7 @@ def test_chunks_from_two_places_are_not_of_one_scan(scene: Scene):
     frames = []
     for number in range(FRAMES):
         whole = scene.frame(number)
-        other = replace(whole.pieces[0], chunk=1, sensor_pose=whole.pieces[0].sensor_pose + 2.0)
+        other = replace(whole.pieces[0], index=1, sensor_pose=whole.pieces[0].sensor_pose + 2.0)
         frames.append(frame_of(number, whole.poses, [*whole.pieces, other]))
     judged = scene.judge(frames)
     assert outcasts(frames, judged) == {"a"}

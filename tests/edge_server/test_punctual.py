@@ -55,7 +55,7 @@ def test_what_is_late_is_left_out_and_the_deadline_counts() -> None:
     cut, late = RULE.cut(whole)
     assert (late, cut.complete, cut.delay_sim_ns) == (2, False, 83 * MS)
     assert cut.agents == ["a"]
-    assert [p.chunk for p in cut.pieces] == [0]
+    assert [p.index for p in cut.pieces] == [0]
 
 
 def test_a_frame_of_nobody_takes_the_computing_alone() -> None:
@@ -85,7 +85,7 @@ def test_chunks_are_needed_only_until_they_cover_the_scene() -> None:
     whole = replace(frame([pose("a", 30)], parts), scanning=["a", "b"])
     cut, late = RULE.cut(whole, lambda came: sum(scan.came for scan in came.values()) == 3)
     assert (late, cut.complete, cut.delay_sim_ns) == (0, True, 63 * MS)
-    assert [(p.agent, p.chunk) for p in cut.pieces] == [("a", 0), ("b", 0), ("b", 1)]
+    assert [(p.agent, p.index) for p in cut.pieces] == [("a", 0), ("b", 0), ("b", 1)]
     assert RULE.end_ns(cut) == NOW + 60 * MS
 
 
