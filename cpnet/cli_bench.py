@@ -134,8 +134,8 @@ def bench_plausibility_command(
 ) -> None:
     """Measure how soon the edge finds out an agent that errs or lies, and whom else it doubts."""
     from cpnet.scenario import load
-    from studies.bench_plausibility import measure_plausibility
-    from studies.plausibility_table import print_plausibility
+    from studies.bench_misbehaviour import measure_plausibility
+    from studies.misbehaviour_table import print_plausibility
 
     scenarios = []
     for rate in cav_rates or [0.05, 0.3]:

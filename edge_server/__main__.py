@@ -1,7 +1,6 @@
 """`python -m edge_server`: see `protocol.process`."""
 
-from edge_server.memory import keep_freed_memory
-from edge_server.role import EdgeRole
+from edge_server.role import EdgeRole, keep_freed_memory
 from protocol.process import run
 
 keep_freed_memory()

@@ -1,15 +1,161 @@
-"""Puts together what belongs to one frame, and says when it is whole or when to stop waiting."""
+"""Frame assembly: collects what belongs to one frame, decides when it is complete or timed out."""
 
 from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TypeVar
 
-from edge_server.coverage import Uploaded
-from edge_server.frame import Found, Frame, Piece
-from edge_server.gathering import Gathering
+from edge_server.completion import UploadProgress
+from edge_server.frame import AgentDetections, Chunk, Frame
 from protocol.horizon import Horizon
 from protocol.messages import AgentPose, Objects, Roster, Scan
+
+K = TypeVar("K")
+V = TypeVar("V")
+
+MAX_AGENTS = 512  # of a frame
+MAX_CHUNKS = 4 * MAX_AGENTS
+MAX_BOXES = 4 * MAX_AGENTS  # that agents found for themselves
+MAX_POINTS = 10_000_000  # of a frame; placed, they take 160 MB
+
+
+@dataclass(slots=True, eq=False)
+class FrameAssembly:
+    """A frame under way. Chunks are known by (agent, chunk); `drops` counts what came in vain.
+
+    `decoding` are the chunks that are wanted and not decoded yet. A frame that `is_closing` takes no
+    more.
+    """
+
+    first_ns: int
+    drops: Counter[str]
+    time_ns: int | None = None
+    rosters: dict[str, Roster] = field(default_factory=dict)
+    poses: dict[str, AgentPose] = field(default_factory=dict)
+    chunks: dict[tuple[str, int], Chunk] = field(default_factory=dict)
+    chunk_counts: dict[str, int] = field(default_factory=dict)
+    found: dict[str, AgentDetections] = field(default_factory=dict)
+    decoding: set[tuple[str, int]] = field(default_factory=set)
+    is_closing: bool = False
+
+    def add_roster(self, roster: Roster) -> None:
+        """Takes a process's first roster."""
+        held = sum(_size(other) + 1 for other in self.rosters.values())
+        if roster.process in self.rosters:
+            self.drops["duplicate"] += 1
+        elif held + _size(roster) > MAX_AGENTS:
+            self.drops["too_many_agents"] += 1
+        else:
+            self.rosters[roster.process] = roster
+
+    def add_pose(self, pose: AgentPose) -> None:
+        """Takes an agent's first pose."""
+        if pose.agent in self.poses:
+            self.drops["duplicate"] += 1
+            return
+        if len(self.poses) >= MAX_AGENTS and self._is_announced(pose.agent):
+            self._oust(self.poses, [agent for agent in self.poses if not self._is_announced(agent)])
+        if len(self.poses) >= MAX_AGENTS:
+            self.drops["too_many_agents"] += 1
+            return
+        self.poses[pose.agent] = pose
+        self._date(pose.sim_time_ns)
+
+    def add_found(self, found: AgentDetections) -> None:
+        """Takes the first boxes that an agent found for itself."""
+        if found.agent in self.found:
+            self.drops["duplicate"] += 1
+        elif len(self.found) >= MAX_AGENTS:
+            self.drops["too_many_agents"] += 1
+        elif sum(len(one.objects.boxes) for one in [*self.found.values(), found]) > MAX_BOXES:
+            self.drops["frame_too_large"] += 1
+        else:
+            self.found[found.agent] = found
+            self._date(found.objects.sim_time_ns)
+
+    def wants(self, scan: Scan) -> bool:
+        """Whether a chunk is new, agrees with its fellows and has room; counts it if not."""
+        key = scan.agent, scan.chunk
+        if key in self.chunks or key in self.decoding:
+            reason = "duplicate"
+        elif self.is_closing:
+            reason = "late"
+        elif self.chunk_counts.get(scan.agent, scan.chunks) != scan.chunks:
+            reason = "contradiction"
+        elif len(self.chunks) >= MAX_CHUNKS and not self._can_oust_for(scan.agent):
+            reason = "too_many_agents"
+        else:
+            return True
+        self.drops[reason] += 1
+        return False
+
+    def begin(self, scan: Scan) -> None:
+        """Takes note that a chunk that was wanted is being decoded."""
+        self.decoding.add((scan.agent, scan.chunk))
+        self.chunk_counts[scan.agent] = scan.chunks
+
+    def forgo(self, scan: Scan) -> None:
+        """Takes note that a chunk will not come after all."""
+        self.decoding.discard((scan.agent, scan.chunk))
+
+    def add_chunk(self, chunk: Chunk) -> None:
+        """Takes a decoded chunk that was wanted."""
+        self.decoding.discard((chunk.agent, chunk.index))
+        while not self._fits(chunk) and self._can_oust_for(chunk.agent):
+            self._oust(self.chunks, [key for key in self.chunks if not self._is_announced(key[0])])
+        if not self._fits(chunk):
+            self.drops["frame_too_large"] += 1
+            return
+        self.chunk_counts[chunk.agent] = chunk.chunk_count
+        self.chunks[chunk.agent, chunk.index] = chunk
+        self._date(chunk.sim_time_ns)
+
+    def has_poses(self, roster: Roster) -> bool:
+        """Whether all poses came that a roster announces."""
+        return all(agent in self.poses for agent in roster.agents)
+
+    def uploaded(self, agent: str) -> UploadProgress:
+        """Returns how far an agent's scan came; boxes of its own count as a whole scan."""
+        if agent in self.found:
+            return UploadProgress(1, 1, -1)
+        chunks, came = self.chunk_counts.get(agent, 0), 0
+        while came < chunks and (agent, came) in self.chunks:
+            came += 1
+        return UploadProgress(came, chunks, self.chunks[agent, 0].plan_frame if came else -1)
+
+    def named(self) -> list[str]:
+        """Returns of whom something came, sorted; of too many those who were announced first."""
+        came = {*self.poses, *self.found, *(agent for agent, _ in self.chunks)}
+        if len(came) > MAX_AGENTS:
+            came = set(sorted(came, key=lambda a: (not self._is_announced(a), a))[:MAX_AGENTS])
+        return sorted(came)
+
+    def _is_announced(self, agent: str) -> bool:
+        return any(agent in roster.agents for roster in self.rosters.values())
+
+    def _can_oust_for(self, agent: str) -> bool:
+        return self._is_announced(agent) and not all(self._is_announced(a) for a, _ in self.chunks)
+
+    def _fits(self, chunk: Chunk) -> bool:
+        returns = chunk.returns + sum(other.returns for other in self.chunks.values())
+        return len(self.chunks) < MAX_CHUNKS and returns <= MAX_POINTS
+
+    def _oust(self, held: dict[K, V], strangers: list[K]) -> None:
+        if strangers:
+            del held[strangers[-1]]
+            self.drops["stranger_ousted"] += 1
+
+    def _date(self, sim_time_ns: int) -> None:
+        if self.time_ns is None:
+            self.time_ns = sim_time_ns
+
+
+def _size(roster: Roster) -> int:
+    """Returns how many agents a roster names, be they rightly in both of its lists or not."""
+    return max(len(roster.agents), len(roster.scanning))
+
 
 MAX_OPEN_FRAMES = 4
 MAX_PROCESSES = 256  # that were not expected
@@ -29,7 +175,7 @@ class Assembler:
         *,
         wait_ns: int,
         expected: dict[str, str],
-        covers: Callable[[Mapping[str, Uploaded]], bool] | None = None,
+        covers: Callable[[Mapping[str, UploadProgress]], bool] | None = None,
     ) -> None:
         self._wait_ns = wait_ns
         self._covers = covers
@@ -38,7 +184,7 @@ class Assembler:
         self._roles = dict(expected)
         self._alive: set[str] = set()
         self._heard = set(expected)
-        self._open: dict[int, Gathering] = {}
+        self._open: dict[int, FrameAssembly] = {}
         self._times_ns: dict[int, int] = {}
         self._finished = -1
         self._horizon = Horizon()
@@ -95,7 +241,7 @@ class Assembler:
     def add_objects(self, objects: Objects, received_ns: int) -> None:
         """Takes what an agent detected for itself."""
         if part := self._part(objects.frame, received_ns):
-            part.add_found(Found(objects, received_ns))
+            part.add_found(AgentDetections(objects, received_ns))
 
     def wants(self, scan: Scan, received_ns: int) -> bool:
         """Whether it is worth decoding a scan; counts it if not."""
@@ -112,10 +258,10 @@ class Assembler:
         if part := self._open.get(scan.frame):
             part.forgo(scan)
 
-    def add_piece(self, piece: Piece) -> None:
+    def add_chunk(self, chunk: Chunk) -> None:
         """Takes a chunk of a scan that was wanted, decoded."""
-        if part := self._part(piece.frame, piece.received_ns):
-            part.add_piece(piece)
+        if part := self._part(chunk.frame, chunk.received_ns):
+            part.add_chunk(chunk)
 
     def pop(self, now_ns: int) -> Frame | None:
         """Returns the newest whole frame, else the oldest that has been waited for long enough.
@@ -129,7 +275,7 @@ class Assembler:
         if not whole and not old:
             return None
         number = max(whole) if whole else min(old)
-        if not whole and self._open[number].opening:
+        if not whole and self._open[number].decoding:
             self._open[number].is_closing = True
             return None
         part = self._open.pop(number)
@@ -142,7 +288,7 @@ class Assembler:
         self.drops["frame_incomplete"] += not whole
         return self._close(number, part, complete=bool(whole), now_ns=now_ns)
 
-    def _part(self, frame: int, received_ns: int) -> Gathering | None:
+    def _part(self, frame: int, received_ns: int) -> FrameAssembly | None:
         if frame <= self._finished:
             # Of a frame that had enough, more may have been on its way.
             self.drops["late"] += frame not in self._had_enough
@@ -150,7 +296,7 @@ class Assembler:
         if not self._is_near(frame):
             return None
         if frame not in self._open:
-            self._open[frame] = Gathering(received_ns, self.drops)
+            self._open[frame] = FrameAssembly(received_ns, self.drops)
             if len(self._open) > MAX_OPEN_FRAMES:
                 self._give_up(self._horizon.farthest(self._open))
         part = self._open.get(frame)
@@ -171,13 +317,13 @@ class Assembler:
     def _awaited(self) -> set[str]:
         return self._alive & self._heard
 
-    def _is_credible(self, number: int, part: Gathering) -> bool:
+    def _is_credible(self, number: int, part: FrameAssembly) -> bool:
         """Whether more than a single message speaks for a frame: its end makes others late."""
         awaited = self._awaited
         said = len(awaited & part.rosters.keys())
         return number in self._times_ns or 2 * said > len(awaited)
 
-    def _is_whole(self, number: int, part: Gathering) -> bool:
+    def _is_whole(self, number: int, part: FrameAssembly) -> bool:
         awaited = self._awaited
         if number not in self._times_ns and part.time_ns is None:
             return False
@@ -191,12 +337,12 @@ class Assembler:
             return True
         return self._covers is not None and self._covers(uploaded)
 
-    def _uploaded(self, part: Gathering) -> dict[str, Uploaded]:
+    def _uploaded(self, part: FrameAssembly) -> dict[str, UploadProgress]:
         """Returns how far the scans came of all that those who are awaited announced."""
         rosters = [part.rosters[name] for name in sorted(self._awaited & part.rosters.keys())]
         return {a: part.uploaded(a) for roster in rosters for a in roster.scanning}
 
-    def _close(self, number: int, part: Gathering, *, complete: bool, now_ns: int) -> Frame:
+    def _close(self, number: int, part: FrameAssembly, *, complete: bool, now_ns: int) -> Frame:
         agents = part.named()
         latest_ns = max(self._times_ns.values(), default=0)
         own_ns = latest_ns if part.time_ns is None else part.time_ns
@@ -205,7 +351,7 @@ class Assembler:
             sim_time_ns=self._times_ns.get(number, own_ns),
             agents=agents,
             poses=[part.poses[agent] for agent in sorted(part.poses)],
-            pieces=[part.pieces[key] for key in sorted(part.pieces)],
+            chunks=[part.chunks[key] for key in sorted(part.chunks)],
             complete=complete,
             first_ns=part.first_ns,
             ready_ns=now_ns,

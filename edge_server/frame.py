@@ -16,7 +16,7 @@ from protocol.messages import AgentPose, Objects, Scan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Piece:
+class Chunk:
     """One decoded chunk of a scan: points (N, 3) in the sensor frame, until they are placed.
 
     `sensor_pose` (6,) is `map_SE3_sensor` as the agent believes it. For `plan_frame` and
@@ -42,9 +42,9 @@ class Piece:
     view: View | None = None
     placed_ns: int = 0
     returns: int = 0
-    is_spoilt: bool = False
+    is_undecodable: bool = False
 
-    def with_placed(self, placed: Placed, view: View | None) -> Piece:
+    def with_placed(self, placed: Placed, view: View | None) -> Chunk:
         """Returns the piece with its points on the road, map frame, and when that was done.
 
         `view` is what they show to be taken and to be free, if anybody will ask.
@@ -57,7 +57,7 @@ class Piece:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class AgentDetections:
     """Boxes that an agent found for itself, and when they came."""
 
     objects: Objects
@@ -87,16 +87,16 @@ class Frame:
     sim_time_ns: int
     agents: list[str]
     poses: list[AgentPose]
-    pieces: list[Piece]
+    chunks: list[Chunk]
     complete: bool
     first_ns: int
     ready_ns: int
     scanning: Sequence[str] = ()
-    found: Sequence[Found] = ()
+    found: Sequence[AgentDetections] = ()
     delay_sim_ns: int | None = None
 
 
-def open_scan(scan: Scan, received_ns: int) -> Piece:
+def decode_chunk(scan: Scan, received_ns: int) -> Chunk:
     """Decodes a chunk.
 
     Raises:
@@ -104,17 +104,17 @@ def open_scan(scan: Scan, received_ns: int) -> Piece:
     """
     start_ns = time.monotonic_ns()
     points = np.ascontiguousarray(decode(scan.payload).points, np.float32)
-    return _piece(scan, points, received_ns, start_ns)
+    return _chunk(scan, points, received_ns, start_ns)
 
 
-def spoilt_scan(scan: Scan, received_ns: int) -> Piece:
+def undecodable_scan(scan: Scan, received_ns: int) -> Chunk:
     """Returns a chunk without points in place of one that does not decode: it did come."""
     points = np.zeros((0, 3), np.float32)
-    return replace(_piece(scan, points, received_ns, time.monotonic_ns()), is_spoilt=True)
+    return replace(_chunk(scan, points, received_ns, time.monotonic_ns()), is_undecodable=True)
 
 
-def _piece(scan: Scan, points: Floats32, received_ns: int, start_ns: int) -> Piece:
-    return Piece(
+def _chunk(scan: Scan, points: Floats32, received_ns: int, start_ns: int) -> Chunk:
+    return Chunk(
         frame=scan.frame,
         sim_time_ns=scan.sim_time_ns,
         agent=scan.agent,

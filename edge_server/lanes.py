@@ -1,35 +1,35 @@
-"""Lanes: which one a vehicle is on, how far it is from the stop bar, and how many there are."""
+"""Lanes: vehicles' positions on them, counts, and how much of each lane sensors cover."""
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
 from perception.arrays import Bools, Floats, Ints
-from protocol.roadmap import RoadMap
+from protocol.roadmap import Lane, RoadMap
 
 LEVEL_M = 3.5  # a lane farther below or above is on another level: it counts as farther away
 ACROSS_M = 1.75  # a lane at right angles to the vehicle counts as this much farther away
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
+class LanePositions:
     """Where vehicles are: index into the map's lanes (N,), -1 off the road; metres along (N,)."""
 
     lane: Ints
     along_m: Floats
 
-    def take(self, chosen: Bools) -> Place:
+    def take(self, chosen: Bools) -> LanePositions:
         """Returns some of them, by mask."""
-        return Place(self.lane[chosen], self.along_m[chosen])
+        return LanePositions(self.lane[chosen], self.along_m[chosen])
 
 
 @dataclass(frozen=True, slots=True)
-class Reach:
+class Approach:
     """How a lane relates to the signal.
 
     `counts_for` is the incoming lane it leads to, or the outgoing lane it belongs to. `start_m` is
@@ -59,7 +59,7 @@ class LaneIndex:
         self.upstream = self._reach_upstream()
         self.downstream = self._reach_downstream()
 
-    def locate(self, boxes: Floats, *, margin_m: Floats) -> Place:
+    def locate(self, boxes: Floats, *, margin_m: Floats) -> LanePositions:
         """Finds the lane under each box (N, 7): the nearest that runs along the box.
 
         A box is on the road if its centre is at most its margin (N,) beyond the edge of a lane.
@@ -68,13 +68,13 @@ class LaneIndex:
         along_m = np.zeros(len(boxes))
         reach_m = np.broadcast_to(np.asarray(margin_m, np.float64), len(boxes)).copy()
         _locate(np.ascontiguousarray(boxes, np.float64), reach_m, self._segments, lane, along_m)
-        return Place(np.where(lane >= 0, self._owners[lane], -1), along_m)
+        return LanePositions(np.where(lane >= 0, self._owners[lane], -1), along_m)
 
-    def names(self, place: Place) -> list[str]:
+    def names(self, place: LanePositions) -> list[str]:
         """Returns the lanes' ids, an empty string off the road."""
         return [self._map.lanes[i].id if i >= 0 else "" for i in place.lane]
 
-    def distances_m(self, place: Place) -> Floats:
+    def distances_m(self, place: LanePositions) -> Floats:
         """Returns the way to the stop bar (N,), negative behind it; 0 where no way leads there."""
         result = np.zeros(len(place.lane))
         for index, name in enumerate(self.names(place)):
@@ -84,7 +84,7 @@ class LaneIndex:
         return result
 
     def count(
-        self, place: Place, *, upstream_m: float, downstream_m: float
+        self, place: LanePositions, *, upstream_m: float, downstream_m: float
     ) -> tuple[dict[str, int], dict[str, int]]:
         """Counts vehicles per incoming lane before the stop bar, and per outgoing lane behind it.
 
@@ -103,7 +103,7 @@ class LaneIndex:
                 behind[reach.counts_for] += 1
         return before, behind
 
-    def _reach_upstream(self) -> dict[str, Reach]:
+    def _reach_upstream(self) -> dict[str, Approach]:
         """Follows the lanes back from the stop bars; the junction's own lanes lie behind them."""
         inside = {name for name, _, _ in self._through_junction()}
         known = [name for name in self._map.incoming if name in self._map.by_id]
@@ -114,18 +114,18 @@ class LaneIndex:
             barred=inside | set(self._map.outgoing) - set(known),
         )
         return {
-            name: Reach(owner, way_m + self._lengths_m[name])
+            name: Approach(owner, way_m + self._lengths_m[name])
             for name, (way_m, owner) in found.items()
         }
 
-    def _reach_downstream(self) -> dict[str, Reach]:
+    def _reach_downstream(self) -> dict[str, Approach]:
         """Follows the lanes on from the stop bars, through the junction."""
         inside = self._through_junction()
-        result: dict[str, Reach] = {}
+        result: dict[str, Approach] = {}
         exits: dict[str, float] = dict.fromkeys(self._map.outgoing, np.inf)
         for name, owner, way_m in inside:
             if name not in result or way_m < -result[name].start_m:
-                result[name] = Reach(owner, -way_m)
+                result[name] = Approach(owner, -way_m)
             exits[owner] = min(exits[owner], way_m + self._lengths_m[name])
         starts = [
             (way_m if np.isfinite(way_m) else 0.0, name, name)
@@ -138,7 +138,7 @@ class LaneIndex:
             self._lengths_m,
             barred={name for name, _, _ in inside} | set(self._map.incoming) - set(exits),
         )
-        return result | {name: Reach(owner, -way_m) for name, (way_m, owner) in found.items()}
+        return result | {name: Approach(owner, -way_m) for name, (way_m, owner) in found.items()}
 
     def _through_junction(self) -> list[tuple[str, str, float]]:
         """Returns the junction's own lanes, the exit each leads to and the way to its start."""
@@ -214,3 +214,73 @@ def _locate(boxes: Floats, margin_m: Floats, segments: Floats, best: Ints, along
                 least_m = cost_m
                 best[index] = segment
                 along_m[index] = before_m + share * np.sqrt(square)
+
+
+SPACING_M = 4.0
+CoverageShares = dict[str, float]
+
+
+class LaneCoverage:
+    """Knows places along the reach of each lane that counts: before the stop bar, and behind it."""
+
+    def __init__(
+        self, road_map: RoadMap, lanes: LaneIndex, *, upstream_m: float, downstream_m: float
+    ) -> None:
+        before = _places(road_map, lanes.upstream, 0.0, upstream_m)
+        behind = _places(road_map, lanes.downstream, -downstream_m, np.inf)
+        self._sides = [
+            _Side(road_map.incoming, *before),
+            _Side(road_map.outgoing, *behind),
+        ]
+
+    def shares(self, sensors_m: Floats, sight_m: float) -> tuple[CoverageShares, CoverageShares]:
+        """Returns by lane the share within sight of any sensor (S, 2), upstream and downstream.
+
+        What stands in between is not asked: a queue hides some of what is behind it.
+        """
+        upstream, downstream = (side.shares(sensors_m, sight_m) for side in self._sides)
+        return upstream, downstream
+
+
+class _Side:
+    """Places (N, 2) and the number of the lane that each counts for (N,)."""
+
+    def __init__(self, names: list[str], places_m: Floats, owners: list[str]) -> None:
+        self._names = names
+        self._places_m = places_m
+        number = {name: index for index, name in enumerate(names)}
+        self._owner = np.array([number[owner] for owner in owners], np.int64)
+        self._total = np.bincount(self._owner, minlength=len(names))
+
+    def shares(self, sensors_m: Floats, sight_m: float) -> CoverageShares:
+        x_m, y_m = self._places_m.T[:, :, None]
+        apart_m2 = (x_m - sensors_m[:, 0]) ** 2 + (y_m - sensors_m[:, 1]) ** 2
+        near: Bools = (apart_m2 <= sight_m**2).any(axis=1)
+        seen = np.bincount(self._owner[near], minlength=len(self._names))
+        known = zip(self._names, seen.tolist(), self._total.tolist(), strict=True)
+        return {name: round(one / all_of, 3) for name, one, all_of in known if all_of}
+
+
+def _places(
+    road_map: RoadMap, reaches: Mapping[str, Approach], low_m: float, high_m: float
+) -> tuple[Floats, list[str]]:
+    """Returns places whose distance to the stop bar is between two, and whom each counts for."""
+    places, owners = [np.zeros((0, 2))], []
+    for lane in road_map.lanes:
+        reach = reaches.get(lane.id)
+        if reach is None:
+            continue
+        along_m = np.arange(SPACING_M / 2, lane.length_m, SPACING_M)
+        left_m = reach.start_m - along_m
+        along_m = along_m[(left_m >= low_m) & (left_m <= high_m)]
+        places.append(_at(lane, along_m))
+        owners += [reach.counts_for] * len(along_m)
+    return np.concatenate(places), owners
+
+
+def _at(lane: Lane, along_m: Floats) -> Floats:
+    """Returns places (N, 2) so far along a lane's centreline (N,)."""
+    points = lane.points[:, :2]
+    ends_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    scaled = along_m * ends_m[-1] / lane.length_m
+    return np.column_stack([np.interp(scaled, ends_m, points[:, axis]) for axis in range(2)])

@@ -28,7 +28,7 @@ STEADY_FRAMES = 20  # in a new place, before an agent is believed to be there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stand:
+class ClaimedPose:
     """Where an agent says that it stands (6,), or its post's sensor; how sure of it, and since.
 
     `mount` (6,) is by how much its sensor stands ahead, to the left, over and turned of its own
@@ -62,7 +62,7 @@ class Stand:
         mount[:2] = _turned(pose.pose[5], *mount[:2])
         return cls(sim_time_ns, pose.pose, std_m, is_post=False, mount=mount)
 
-    def leads_to(self, later: Stand, fast_mps: float) -> bool:
+    def leads_to(self, later: ClaimedPose, fast_mps: float) -> bool:
         """Whether who stood here can stand there a while later."""
         if self.is_post or later.is_post:
             return self.is_post and later.is_post and _is_near(self.pose, later.pose, POST_M)
@@ -70,20 +70,20 @@ class Stand:
         may_go_m = fast_mps * took_ns / 1e9 + CERTAIN * math.hypot(self.std_m, later.std_m)
         return self._is_mounted_as(later) and self._reaches(later, may_go_m, took_ns)
 
-    def _is_mounted_as(self, later: Stand) -> bool:
+    def _is_mounted_as(self, later: ClaimedPose) -> bool:
         before, after = self.mount, later.mount
         if before is None or after is None:
             return True
         return _is_near(before, after, MOUNT_M, MOUNT_RAD)
 
-    def _reaches(self, later: Stand, may_go_m: float, took_ns: int) -> bool:
+    def _reaches(self, later: ClaimedPose, may_go_m: float, took_ns: int) -> bool:
         x, y, _, _, _, turn_rad = (later.pose - self.pose).tolist()
         along_m, across_m = _turned(float(self.pose[5]), x, y)
         turns = took_ns > FORGET_NS or _wrapped(turn_rad) <= TURN_RAD + may_go_m / TURN_M
         return turns and abs(along_m) <= may_go_m and abs(across_m) <= may_go_m + LANE_M
 
 
-class Motion:
+class MotionCheck:
     """Remembers where one agent was last believed to be, and where it says it is since.
 
     Whoever jumps is doubted, until it has been steady in its new place for long enough: it may
@@ -93,11 +93,11 @@ class Motion:
     __slots__ = ("_last", "_steady", "_there")
 
     def __init__(self) -> None:
-        self._last: Stand | None = None
-        self._there: Stand | None = None
+        self._last: ClaimedPose | None = None
+        self._there: ClaimedPose | None = None
         self._steady = 0
 
-    def score(self, stand: Stand, fast_mps: float) -> float:
+    def score(self, stand: ClaimedPose, fast_mps: float) -> float:
         """Returns 1 if an agent can stand there, else 0."""
         if self._last is None or self._last.leads_to(stand, fast_mps):
             self._last, self._there, self._steady = stand, None, 0

@@ -10,7 +10,7 @@ from protocol.messages import Roster
 MAX_AGENTS = 512  # of a process
 
 
-class Owners:
+class AgentOwners:
     """An agent belongs to the process that first said something of it.
 
     So it stays until that process leaves it out of a roster, or vanishes. The agents in `pinned`

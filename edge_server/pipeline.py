@@ -10,14 +10,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from edge_server.config import EdgeConfig
-from edge_server.frame import Frame, Piece, open_scan
-from edge_server.fuse import fuse
-from edge_server.lanes import LaneIndex, Place
+from edge_server.frame import Chunk, Frame, decode_chunk
+from edge_server.fusion import fuse
+from edge_server.lanes import CoverageShares, LaneCoverage, LaneIndex, LanePositions
 from edge_server.merge import sensor_in_map
-from edge_server.plausibility import Judged, Plausibility
-from edge_server.sight import Shares, Sight
+from edge_server.misbehaviour import Judged, Plausibility
 from edge_server.spans import Spans
-from edge_server.standing import Standing
+from edge_server.stationary import StationaryVehicles
 from perception.arrays import Floats
 from perception.detector import Cloud, DetectorMaker, Vehicles
 from perception.registry import detector_of
@@ -66,10 +65,10 @@ class Pipeline:
         self._roadway = Roadway.of(road_map, margin_m=config.geofence.margin_m)
         self._detector = detector(config, self._roadway)
         self._lanes = LaneIndex(road_map)
-        self._sight = Sight(
+        self._sight = LaneCoverage(
             road_map, self._lanes, upstream_m=config.upstream_m, downstream_m=config.downstream_m
         )
-        self._standing = Standing(config.standing_mps)
+        self._standing = StationaryVehicles(config.standing_mps)
         self._centre = np.array(road_map.centre)
         self._posts = posts or {}
         self._plausibility = (
@@ -86,10 +85,10 @@ class Pipeline:
             judged = self._judged(frame)
             frame = judged.frame
             near, bare = (
-                [p.placed for p in frame.pieces if p.placed and p.ground_free is is_bare]
+                [p.placed for p in frame.chunks if p.placed and p.ground_free is is_bare]
                 for is_bare in (False, True)
             )
-        found = self._detector.detect(Cloud(near, bare, _sensors(frame.pieces)), rng, spans.stage)
+        found = self._detector.detect(Cloud(near, bare, _sensors(frame.chunks)), rng, spans.stage)
         with spans.stage("fuse"):
             for objects in (one.objects for one in frame.found):
                 found += Vehicles.from_lidar(
@@ -105,47 +104,47 @@ class Pipeline:
             detections = self._detections(frame, vehicles, place)
             still = self._standing.mark(frame.sim_time_ns, vehicles.boxes[:, :2])
             counts = self._counts(frame, place, place.take(still))
-        points = sum(piece.returns for piece in frame.pieces)
+        points = sum(chunk.returns for chunk in frame.chunks)
         return Result(detections, counts, spans.done, points, judged.left_out, judged.doubts)
 
-    def open(self, scan: Scan, received_ns: int) -> Piece:
+    def open(self, scan: Scan, received_ns: int) -> Chunk:
         """Decodes a chunk and places it, if that needs nothing of others; for any thread.
 
         Raises:
             CodecError: the payload is not a scan.
         """
-        return self.place_early(open_scan(scan, received_ns))
+        return self.place_early(decode_chunk(scan, received_ns))
 
-    def place_early(self, piece: Piece) -> Piece:
+    def place_early(self, chunk: Chunk) -> Chunk:
         """Places a piece while others are still under way, if that needs nothing of theirs."""
         if self._config.merge != "se3":
-            return piece
-        placed, checks = self.place(piece, piece.sensor_pose), self._plausibility
-        view = None if checks is None else checks.view([placed], piece.sensor_pose)
-        return piece.with_placed(placed, view)
+            return chunk
+        placed, checks = self.place(chunk, chunk.sensor_pose), self._plausibility
+        view = None if checks is None else checks.view([placed], chunk.sensor_pose)
+        return chunk.with_placed(placed, view)
 
-    def place(self, piece: Piece, reference_pose: Floats) -> Placed:
+    def place(self, chunk: Chunk, reference_pose: Floats) -> Placed:
         """Moves a piece's points into the map and leaves out what is off the road."""
-        if piece.placed is not None:
-            return piece.placed
+        if chunk.placed is not None:
+            return chunk.placed
         map_SE3_sensor = sensor_in_map(
-            piece.sensor_pose, method=self._config.merge, reference_pose=reference_pose
+            chunk.sensor_pose, method=self._config.merge, reference_pose=reference_pose
         )
         fence = self._config.geofence
         return self._roadway.place(
-            piece.points, map_SE3_sensor, below_m=fence.below_m, above_m=fence.above_m
+            chunk.points, map_SE3_sensor, below_m=fence.below_m, above_m=fence.above_m
         )
 
     def _judged(self, frame: Frame) -> Judged:
         """Returns the frame with its pieces placed, without the agents that are not believed."""
         reference = _reference(frame)
-        pieces = [replace(piece, placed=self.place(piece, reference)) for piece in frame.pieces]
-        frame = replace(frame, pieces=pieces)
+        chunks = [replace(chunk, placed=self.place(chunk, reference)) for chunk in frame.chunks]
+        frame = replace(frame, chunks=chunks)
         if self._plausibility is None:
             return Judged(frame, Counter(), [])
         return self._plausibility.judge(frame)
 
-    def _detections(self, frame: Frame, vehicles: Vehicles, place: Place) -> Detections:
+    def _detections(self, frame: Frame, vehicles: Vehicles, place: LanePositions) -> Detections:
         return Detections(
             frame=frame.frame,
             sim_time_ns=frame.sim_time_ns,
@@ -157,7 +156,7 @@ class Pipeline:
             sources=vehicles.sources,
         )
 
-    def _counts(self, frame: Frame, place: Place, queued: Place) -> LaneCounts:
+    def _counts(self, frame: Frame, place: LanePositions, queued: LanePositions) -> LaneCounts:
         reach = self._config.upstream_m, self._config.downstream_m
         (upstream, downstream), (queued_upstream, queued_downstream) = (
             self._lanes.count(part, upstream_m=reach[0], downstream_m=reach[1])
@@ -179,7 +178,7 @@ class Pipeline:
             delay_sim_ns=frame.delay_sim_ns,
         )
 
-    def _seen(self, frame: Frame) -> tuple[Shares, Shares]:
+    def _seen(self, frame: Frame) -> tuple[CoverageShares, CoverageShares]:
         """Returns what of each lane was within sight of those whose scan or boxes came.
 
         Where there are LiDARs, a frame to which none contributed is one that nobody sees. Where
@@ -187,7 +186,7 @@ class Pipeline:
         """
         if not self._has_lidars:
             return {}, {}
-        seeing = [piece for piece in frame.pieces if not piece.is_spoilt]
+        seeing = [chunk for chunk in frame.chunks if not chunk.is_undecodable]
         places_m = np.concatenate([_sensors(seeing)[:, :2], self._finders(frame)])
         return self._sight.shares(places_m, self._config.sight_m)
 
@@ -199,14 +198,14 @@ class Pipeline:
         return np.array(known).reshape(-1, 2)
 
 
-def _sensors(pieces: Sequence[Piece]) -> Floats:
-    return np.array([piece.sensor_pose[:3] for piece in pieces]).reshape(-1, 3)
+def _sensors(chunks: Sequence[Chunk]) -> Floats:
+    return np.array([chunk.sensor_pose[:3] for chunk in chunks]).reshape(-1, 3)
 
 
 def _reference(frame: Frame) -> Floats:
     """Returns the pose of the paper's reference LiDAR: a roadside one, else the first."""
-    if not frame.pieces:
+    if not frame.chunks:
         return np.zeros(6)
     driving = {pose.agent for pose in frame.poses}
-    standing = [piece for piece in frame.pieces if piece.agent not in driving]
-    return (standing or frame.pieces)[0].sensor_pose
+    standing = [chunk for chunk in frame.chunks if chunk.agent not in driving]
+    return (standing or frame.chunks)[0].sensor_pose

@@ -1,25 +1,156 @@
-"""Makes each frame's plan from where the agents stand and what their uplinks carry."""
+"""Upload plans: frame by frame, from sensor sites and estimated uplink rates."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from edge_server.bandwidth import Bandwidth
+from edge_server.completion import CellBorders, UploadProgress
 from edge_server.config import PlanConfig
-from edge_server.coverage import Borders, Uploaded
 from edge_server.frame import Frame
-from edge_server.plan import PLAIN, cells, partners, power_weights, voronoi_weights
-from edge_server.sites import Site, Sites
+from edge_server.power_diagram import PLAIN, cells, partners, power_weights, voronoi_weights
 from perception.arrays import Floats
-from protocol.messages import NEVER_NS, Plan
+from protocol.messages import NEVER_NS, AgentPose, Plan, Scan
 from protocol.roadmap import RoadMap
 from sensing.config import UploadConfig
 from sensing.link_config import LinkConfig
 from sensing.radio import ENVELOPE_BYTES
 from sensing.upload_policies import Policy, policy_of
+
+MAX_UPLINKS = 512
+HALF_LIFE_FRAMES = 3
+FORGET_UPLINK_FRAMES = 100
+LEAST_MBPS, MOST_MBPS = 0.1, 1000.0
+SMALL_BYTES = 1500  # a packet: its way tells the delay, larger ones the rate
+SMALL_KEPT = 50
+_LONGEST_NS = 10_000_000_000  # between sending and arrival; more, or less than 0: other clocks
+
+
+@dataclass(slots=True)
+class _History:
+    """One agent's aged sums and the delays of its last small messages."""
+
+    frame: int
+    size_bytes: float = 0.0
+    busy_ns: float = 0.0
+    arrived_ns: int = 0
+    arrived_frame: int = -1
+    delays_ns: deque[int] = field(default_factory=lambda: deque(maxlen=SMALL_KEPT))
+
+
+class Bandwidth:
+    """Estimates by agent. Each has a history of its own; those long unheard are forgotten."""
+
+    def __init__(self) -> None:
+        self._histories: dict[str, _History] = {}
+
+    def heard(
+        self, agent: str, frame: int, size_bytes: int, *, sent_ns: int, received_ns: int
+    ) -> None:
+        """Takes note of a chunk, be it late or not; too many agents are not remembered."""
+        history = self._histories.get(agent)
+        if history is None:
+            if len(self._histories) >= MAX_UPLINKS:
+                return
+            history = self._histories[agent] = _History(frame)
+        self._age(history, frame)
+        busy_ns = _busy_ns(history, frame, size_bytes, sent_ns, received_ns)
+        history.arrived_ns = max(history.arrived_ns, received_ns)
+        history.arrived_frame = frame
+        if busy_ns is not None:
+            history.size_bytes += size_bytes
+            history.busy_ns += busy_ns
+
+    def mbps(self, agent: str) -> float | None:
+        """Returns the estimate, from 0.1 to 1000 Mbit/s; None while nothing tells it."""
+        history = self._histories.get(agent)
+        if history is None or history.size_bytes == 0:
+            return None
+        rate = history.size_bytes * 8e3 / max(history.busy_ns, 1.0)
+        return min(max(rate, LEAST_MBPS), MOST_MBPS)
+
+    def forget(self, frame: int) -> None:
+        """Drops the agents that were not heard of for long before this frame."""
+        for agent in [
+            a for a, h in self._histories.items() if h.frame < frame - FORGET_UPLINK_FRAMES
+        ]:
+            del self._histories[agent]
+
+    @staticmethod
+    def _age(history: _History, frame: int) -> None:
+        passed = max(frame - history.frame, 0)
+        fading = 0.5 ** (passed / HALF_LIFE_FRAMES)
+        history.size_bytes *= fading
+        history.busy_ns *= fading
+        history.frame = max(frame, history.frame)
+
+
+def _busy_ns(
+    history: _History, frame: int, size_bytes: int, sent_ns: int, received_ns: int
+) -> int | None:
+    """Returns how long the uplink was busy with a chunk; None if that cannot be told."""
+    if not 0 <= received_ns - sent_ns <= _LONGEST_NS:
+        follows = history.arrived_frame == frame and history.arrived_ns > 0
+        return max(received_ns - history.arrived_ns, 0) if follows else None
+    is_small = size_bytes <= SMALL_BYTES
+    if is_small:
+        history.delays_ns.append(received_ns - sent_ns)
+    begin_ns = sent_ns + min(history.delays_ns, default=0)
+    queued = history.arrived_ns > begin_ns
+    if is_small and not queued:
+        return None
+    return max(received_ns - max(begin_ns, history.arrived_ns), 0)
+
+
+MAX_SITES = 512
+FORGET_SITE_FRAMES = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorSite:
+    """A sensor's place (2,) in m in the map frame; `drives` if its agent has said a pose.
+
+    `told` are the frame and whether a scan said it: the newest is believed, and of one frame a scan
+    rather than a pose, which is that of the vehicle below the sensor. So the order in which they
+    come is no matter.
+    """
+
+    told: tuple[int, bool]
+    place: Floats
+    drives: bool
+
+
+class SensorSites:
+    """Remembers one place per agent. Posts say no pose, only scans tell where they stand."""
+
+    def __init__(self) -> None:
+        self._sites: dict[str, SensorSite] = {}
+
+    def hear(self, message: AgentPose | Scan) -> None:
+        """Takes note of where an agent believes to be; of too many agents no more are noted."""
+        known = self._sites.get(message.agent)
+        if known is None and len(self._sites) >= MAX_SITES:
+            return
+        if isinstance(message, AgentPose):
+            site = SensorSite((message.frame, False), message.pose[:2], drives=True)
+        else:
+            drives = known is not None and known.drives
+            site = SensorSite((message.frame, True), message.sensor_pose[:2], drives)
+        if known is not None and known.told > site.told:
+            site = replace(known, drives=known.drives or site.drives)
+        self._sites[message.agent] = site
+
+    def of(self, agents: Sequence[str], frame: int) -> dict[str, SensorSite]:
+        """Returns the sites of those agents that are known; who fell silent is forgotten."""
+        silent = [a for a, site in self._sites.items() if site.told[0] < frame - FORGET_SITE_FRAMES]
+        for agent in silent:
+            del self._sites[agent]
+        return {agent: self._sites[agent] for agent in agents if agent in self._sites}
+
 
 AHEAD_FRAMES = 2  # a plan is followed so long after its frame: by then all agents have it
 KEPT_PLANS = 8
@@ -43,8 +174,8 @@ class Planner:
         self._is_virtual = link.way(scenario["mode"]) == "virtual"
         self._lead_ns = round(link.agent_compute_ms * 1e6)
         self._box = _box(road_map)
-        self._borders: dict[int, Borders] = {}
-        self.sites = Sites()
+        self._borders: dict[int, CellBorders] = {}
+        self.sites = SensorSites()
         self.bandwidth = Bandwidth()
 
     @property
@@ -91,7 +222,7 @@ class Planner:
                 )
         return plans
 
-    def covers(self, uploaded: Mapping[str, Uploaded]) -> bool:
+    def covers(self, uploaded: Mapping[str, UploadProgress]) -> bool:
         """Whether a frame needs no more of its scanning agents than what they have sent.
 
         That is so if it holds by any plan that one of them followed.
@@ -99,7 +230,7 @@ class Planner:
         plans = {scan.plan_frame for scan in uploaded.values()} & self._borders.keys()
         return any(self._covers_by(plan, uploaded) for plan in plans)
 
-    def _covers_by(self, plan: int, uploaded: Mapping[str, Uploaded]) -> bool:
+    def _covers_by(self, plan: int, uploaded: Mapping[str, UploadProgress]) -> bool:
         """Judges by one plan; who followed another counts once all came that it sees.
 
         Of newcomers that the plan did not know, nothing is needed; of agents that have no cells,
@@ -115,7 +246,7 @@ class Planner:
         """Takes note, agent by agent, of how long what came of a frame was on its virtual link."""
         sent_ns = frame.sim_time_ns + self._lead_ns
         came = [(pose.agent, -1, 0, pose.arrival_sim_ns) for pose in frame.poses]
-        came += [(p.agent, p.index, p.size_bytes, p.arrival_sim_ns) for p in frame.pieces]
+        came += [(p.agent, p.index, p.size_bytes, p.arrival_sim_ns) for p in frame.chunks]
         for agent, _, payload_bytes, arrival_ns in sorted(came, key=lambda part: part[:2]):
             if arrival_ns is not None and arrival_ns < NEVER_NS:
                 size_bytes = payload_bytes + ENVELOPE_BYTES
@@ -123,7 +254,7 @@ class Planner:
                     agent, frame.frame, size_bytes, sent_ns=sent_ns, received_ns=arrival_ns
                 )
 
-    def _policy(self, site: Site) -> Policy:
+    def _policy(self, site: SensorSite) -> Policy:
         return self._vehicle if site.drives else self._roadside
 
     def _weights_m2(self, agents: list[str], places: Floats) -> Floats:
@@ -140,12 +271,12 @@ class Planner:
                 del self._borders[min(self._borders)]
 
 
-def borders_of(agents: list[str], sites: Floats, weights_m2: Floats, box: Floats) -> Borders:
+def borders_of(agents: list[str], sites: Floats, weights_m2: Floats, box: Floats) -> CellBorders:
     """Returns who borders on whom in a plan."""
     plain = cells(sites, weights_m2, box, border=PLAIN)
     owners = tuple(agent for agent, cell in zip(agents, plain, strict=True) if len(cell))
     pairs = partners(sites, weights_m2, box)
-    return Borders(tuple(agents), owners, tuple((agents[i], agents[j]) for i, j in pairs))
+    return CellBorders(tuple(agents), owners, tuple((agents[i], agents[j]) for i, j in pairs))
 
 
 def _box(road_map: RoadMap) -> Floats:

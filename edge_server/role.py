@@ -1,7 +1,8 @@
-"""The edge role: hears scans and poses, says detections and lane counts."""
+"""What becomes of memory that a frame no longer needs."""
 
 from __future__ import annotations
 
+import ctypes
 import time
 from collections import Counter
 from dataclasses import replace
@@ -10,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from edge_server.assembler import MAX_OPEN_FRAMES, Assembler
+from edge_server.completion import VirtualDeadline
 from edge_server.config import EdgeConfig
-from edge_server.frame import Found, Frame, Piece, spoilt_scan
-from edge_server.opening import Opener, Opening
-from edge_server.owners import Owners
+from edge_server.decoding import DecoderPool, PendingChunk
+from edge_server.frame import AgentDetections, Chunk, Frame, undecodable_scan
+from edge_server.owners import AgentOwners
 from edge_server.pipeline import Pipeline, Result
 from edge_server.planner import Planner
-from edge_server.punctual import Punctuality
 from perception.arrays import Floats
 from protocol.errors import CodecError
 from protocol.inbox import Envelope, Presence
@@ -35,6 +36,26 @@ from protocol.roadmap import RoadMap
 from sensing.config import Mount, UploadConfig
 from sensing.link_config import LinkConfig
 from sensing.upload_policies import policy_of
+
+# Of malloc.h: the free memory on top of the heap that goes back to the kernel, the size of what
+# gets pages of its own, and how many heaps there may be.
+_TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8
+_LARGEST_BYTES = 32 << 20  # glibc takes no more
+_KEPT_BYTES = 512 << 20
+
+
+def keep_freed_memory() -> None:
+    """Has the process keep what it frees, for the next frame, whichever thread works on it.
+
+    A frame's arrays are large enough for glibc to give them back each time; to be given the same
+    pages anew, zeroed, can take a fourth of a frame's time. Other C libraries are left as they are.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_MMAP_THRESHOLD, _LARGEST_BYTES)
+        mallopt(_TRIM_THRESHOLD, _KEPT_BYTES)
+        mallopt(_ARENA_MAX, 1)
+
 
 _TOLD_BYTES = 200 << 10  # of a frame's times in one message
 _TIMES_BYTES = 200  # of one part, besides its agent's id, which stands there three times
@@ -60,7 +81,7 @@ class EdgeRole:
             has_lidars=has_lidars(scenario),
             posts=mounts_of(scenario, road_map),
         )
-        self._opener = Opener(self._pipeline.open, context.inbox.wake)
+        self._decoders = DecoderPool(self._pipeline.open, context.inbox.wake)
         expected = expected_agents(scenario)
         self._missing = set(expected)
         self._announced = False
@@ -76,7 +97,7 @@ class EdgeRole:
         )
         mounts = scenario["roadside_mounts"]
         posts = {mount["id"]: f"infra-{n}" for n, mount in enumerate(mounts)}
-        self._owners = Owners(posts, self._assembler.drops)
+        self._owners = AgentOwners(posts, self._assembler.drops)
 
     @classmethod
     def build(cls, context: Context) -> EdgeRole:
@@ -134,8 +155,8 @@ class EdgeRole:
 
     def poll(self) -> None:
         """Shows the process once it is due, and works on the next frame that is ready."""
-        for opening in self._opener.done():
-            self._add(opening)
+        for pending in self._decoders.done():
+            self._add(pending)
         if not self._announced and not self._missing:
             self._announced = True
             self._context.announce("edge")
@@ -151,7 +172,7 @@ class EdgeRole:
 
     def close(self) -> None:
         """Ends the threads."""
-        self._opener.close()
+        self._decoders.close()
 
     def _hear(self, presence: Presence) -> None:
         if presence.role in ("vehicle", "infra"):
@@ -185,22 +206,22 @@ class EdgeRole:
             )
         if self._assembler.wants(scan, came.received_ns):
             self._assembler.begin(scan)
-            for opening in self._opener.put(scan, came.received_ns):
-                self._add(opening)
+            for pending in self._decoders.put(scan, came.received_ns):
+                self._add(pending)
 
-    def _add(self, opening: Opening) -> None:
+    def _add(self, pending: PendingChunk) -> None:
         """Takes a scan that is open; counts one that could not be opened."""
-        scan = opening.scan
+        scan = pending.scan
         try:
-            piece = opening.piece()
+            chunk = pending.chunk()
         except CodecError as error:
             self._context.inbox.refuse("scan", error, f"scan of {scan.agent}")
-            piece = spoilt_scan(scan, opening.received_ns)
+            chunk = undecodable_scan(scan, pending.received_ns)
         except (ValueError, LookupError, TypeError) as error:
             self._context.inbox.fail("scan", error)
             self._assembler.forgo(scan)
             return
-        self._assembler.add_piece(piece)
+        self._assembler.add_chunk(chunk)
 
     def _publish_plans(self, frame: Frame, cut: Frame) -> None:
         """Goes first, before the frame is worked on: it tells agents that the frame is over.
@@ -216,7 +237,7 @@ class EdgeRole:
         bus.publish("lanes", result.counts, region=self._region, tls=self._tls)
         bus.publish("detections", result.detections, region=self._region)
         told = _told(frame)
-        self._assembler.drops["untold"] += len(frame.pieces) - len(told.pieces)
+        self._assembler.drops["untold"] += len(frame.chunks) - len(told.chunks)
         metrics = Metrics(
             process=self._context.id,
             frame=frame.frame,
@@ -262,29 +283,29 @@ def mounts_of(scenario: dict[str, Any], road_map: RoadMap) -> dict[str, Floats]:
     return {m.id: np.array([x_m + m.x_m, y_m + m.y_m, np.radians(m.yaw_deg)]) for m in mounts}
 
 
-def punctuality(scenario: dict[str, Any], config: EdgeConfig) -> Punctuality | None:
+def punctuality(scenario: dict[str, Any], config: EdgeConfig) -> VirtualDeadline | None:
     """Returns the rule by which virtual links drop what is late; None where links are real."""
     link = LinkConfig.of(scenario)
     if link.way(scenario["mode"]) != "virtual":
         return None
-    return Punctuality(round(config.deadline_ms * 1e6), round(link.edge_compute_ms * 1e6))
+    return VirtualDeadline(round(config.deadline_ms * 1e6), round(link.edge_compute_ms * 1e6))
 
 
 def _told(frame: Frame) -> Frame:
     """Returns the frame with so many of its parts as have room in one message."""
     left = _TOLD_BYTES
-    pieces, found = list[Piece](), list[Found]()
-    for piece in frame.pieces:
-        left -= _TIMES_BYTES + 3 * len(piece.agent.encode())
-        pieces += [piece] if left >= 0 else []
+    chunks, found = list[Chunk](), list[AgentDetections]()
+    for chunk in frame.chunks:
+        left -= _TIMES_BYTES + 3 * len(chunk.agent.encode())
+        chunks += [chunk] if left >= 0 else []
     for one in frame.found:
         left -= _TIMES_BYTES + 3 * len(one.agent.encode())
         found += [one] if left >= 0 else []
-    return replace(frame, pieces=pieces, found=found)
+    return replace(frame, chunks=chunks, found=found)
 
 
 def _arrivals(frame: Frame) -> list[Arrival]:
-    chunks = [(p.agent, p.index, p.received_ns, p.decode_end_ns) for p in frame.pieces]
+    chunks = [(p.agent, p.index, p.received_ns, p.decode_end_ns) for p in frame.chunks]
     boxes = [(one.agent, 0, one.received_ns, one.received_ns) for one in frame.found]
     return [
         Arrival(agent=agent, chunk=chunk, received_ns=received_ns, decoded_ns=decoded_ns)
@@ -294,11 +315,11 @@ def _arrivals(frame: Frame) -> list[Arrival]:
 
 def _waits(frame: Frame) -> list[Span]:
     spans = [Span(stage="wait", start_ns=frame.first_ns, end_ns=frame.ready_ns)]
-    for piece in frame.pieces:
-        done_ns, agent = piece.decode_end_ns, piece.agent
+    for chunk in frame.chunks:
+        done_ns, agent = chunk.decode_end_ns, chunk.agent
         spans.append(
-            Span(stage="decode", agent=agent, start_ns=piece.decode_start_ns, end_ns=done_ns)
+            Span(stage="decode", agent=agent, start_ns=chunk.decode_start_ns, end_ns=done_ns)
         )
-        if piece.placed is not None:
-            spans.append(Span(stage="place", agent=agent, start_ns=done_ns, end_ns=piece.placed_ns))
+        if chunk.placed is not None:
+            spans.append(Span(stage="place", agent=agent, start_ns=done_ns, end_ns=chunk.placed_ns))
     return spans

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from edge_server.frame import Frame, Piece
+from edge_server.frame import Chunk, Frame
 from perception.arrays import Floats, Floats32
 from protocol.geometry import SE3
 from protocol.messages import AgentPose, Equipment
@@ -46,13 +46,13 @@ class Displaced:
             p.model_copy(update={"pose": self._moved(p.pose)}) if p.agent == victim else p
             for p in frame.poses
         ]
-        pieces = [
+        chunks = [
             replace(p, sensor_pose=self._moved(p.sensor_pose), placed=None)
             if p.agent == victim
             else p
-            for p in frame.pieces
+            for p in frame.chunks
         ]
-        return replace(frame, poses=poses, pieces=pieces)
+        return replace(frame, poses=poses, chunks=chunks)
 
     def _moved(self, pose: Floats) -> Floats:
         cos, sin = np.cos(pose[5]), np.sin(pose[5])
@@ -70,11 +70,11 @@ class Replayed:
 
     def __init__(self, frames_ago: int) -> None:
         self._ago = frames_ago
-        self._past: list[list[Piece]] = []
+        self._past: list[list[Chunk]] = []
 
     def apply(self, frame: Frame, victim: str) -> Frame:
         """See `Attack.apply`."""
-        own = [piece for piece in frame.pieces if piece.agent == victim]
+        own = [chunk for chunk in frame.chunks if chunk.agent == victim]
         self._past.append(own)
         if not own or len(self._past) <= self._ago or not self._past[-1 - self._ago]:
             return frame
@@ -89,7 +89,7 @@ class Emptied:
 
     def apply(self, frame: Frame, victim: str) -> Frame:
         """See `Attack.apply`."""
-        own = [piece for piece in frame.pieces if piece.agent == victim]
+        own = [chunk for chunk in frame.chunks if chunk.agent == victim]
         nothing = np.zeros((0, 3), np.float32)
         emptied = [replace(p, points=nothing, returns=0, placed=None) for p in own]
         return _with(frame, victim, *emptied)
@@ -104,7 +104,7 @@ class Peopled:
 
     def apply(self, frame: Frame, victim: str) -> Frame:
         """See `Attack.apply`."""
-        own = [piece for piece in frame.pieces if piece.agent == victim]
+        own = [chunk for chunk in frame.chunks if chunk.agent == victim]
         if not own:
             return frame
         map_SE3_sensor = SE3.from_pose(own[0].sensor_pose)
@@ -125,7 +125,7 @@ class GhostReport:
 
     def apply(self, frame: Frame, victim: str) -> Frame:
         """See `Attack.apply`."""
-        own = [piece for piece in frame.pieces if piece.agent == victim]
+        own = [chunk for chunk in frame.chunks if chunk.agent == victim]
         if not own:
             return frame
         places = free_places(self.road_map, frame, own[0].sensor_pose[:2], (15.0, 35.0))
@@ -161,11 +161,11 @@ def free_places(
     away_m = np.linalg.norm(every[:, :2] - around_m, axis=1)
     every = every[(ring_m[0] <= away_m) & (away_m <= ring_m[1])]
     bodies = [np.array([pose.pose[:2] for pose in frame.poses]).reshape(-1, 2)]
-    for piece in frame.pieces:
-        if piece.placed is not None:
-            over_m = piece.placed.points[:, 2] - piece.placed.road_m
+    for chunk in frame.chunks:
+        if chunk.placed is not None:
+            over_m = chunk.placed.points[:, 2] - chunk.placed.road_m
             bodies.append(
-                piece.placed.points[(over_m > 0.4) & (over_m < 2.0), :2][::8].astype(float)
+                chunk.placed.points[(over_m > 0.4) & (over_m < 2.0), :2][::8].astype(float)
             )
     taken = np.concatenate(bodies)
     apart_m = [np.linalg.norm(taken - place[:2], axis=1).min(initial=np.inf) for place in every]
@@ -183,7 +183,7 @@ def _shell(pose: Floats, rng: np.random.Generator) -> Floats32:
     return SE3.from_pose(pose).apply(local).astype(np.float32)
 
 
-def _with(frame: Frame, victim: str, *pieces: Piece) -> Frame:
-    others: Sequence[Piece] = [piece for piece in frame.pieces if piece.agent != victim]
-    both = sorted([*others, *pieces], key=lambda piece: (piece.agent, piece.index))
-    return replace(frame, pieces=both)
+def _with(frame: Frame, victim: str, *chunks: Chunk) -> Frame:
+    others: Sequence[Chunk] = [chunk for chunk in frame.chunks if chunk.agent != victim]
+    both = sorted([*others, *chunks], key=lambda chunk: (chunk.agent, chunk.index))
+    return replace(frame, chunks=both)

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from edge_server.config import EdgeConfig
+from edge_server.decoding import DecoderPool
 from edge_server.frame import Frame
-from edge_server.memory import keep_freed_memory
-from edge_server.opening import Opener
 from edge_server.pipeline import Pipeline
+from edge_server.role import keep_freed_memory
 from perception.config import DetectionConfig, DetectorName
 from perception.detector import Detector
 from perception.registry import detector_of
@@ -117,7 +117,7 @@ def _measure(traffic: Path, detector: str, agents: int) -> list[EdgeRow]:
         road_map = build_setup({}, Path(scratch)).road_map
     config = EdgeConfig.model_validate({"detector": detector})
     pipeline = Pipeline(road_map, config, seed=SEED, detector=_detector_of)
-    opener = Opener(pipeline.open)
+    pool = DecoderPool(pipeline.open)
     recording = Recording(traffic)
     chosen = [POST, *(name for name in recording.agents if name != POST)][:agents]
     post = post_pose(road_map, Terrain(road_map, SceneConfig(), SEED))
@@ -125,12 +125,12 @@ def _measure(traffic: Path, detector: str, agents: int) -> list[EdgeRow]:
     points = []
     for frame, truth in enumerate(recording.truths):
         scans = [_scan(recording, agent, truth, post) for agent in chosen]
-        spent, seen = _run(pipeline, opener, scans, truth)
+        spent, seen = _run(pipeline, pool, scans, truth)
         if frame >= WARM_UP:
             points.append(seen)
             for stage in STAGES:
                 times_ms[stage].append(spent.get(stage, 0.0))
-    opener.close()
+    pool.close()
     peak_mb = _peak_mb()
     shape = (detector, agents, round(float(np.mean(points))))
     rows = []
@@ -177,25 +177,25 @@ def _scan(recording: Recording, agent: str, truth: Truth, post: SE3) -> Scan:
 
 
 def _run(
-    pipeline: Pipeline, opener: Opener, scans: list[Scan], truth: Truth
+    pipeline: Pipeline, pool: DecoderPool, scans: list[Scan], truth: Truth
 ) -> tuple[dict[str, float], int]:
     """Returns the ms of each stage, those of threads summed, and how many points came."""
     begin_ns = time.monotonic_ns()
-    opened = [opening for scan in scans for opening in opener.put(scan, 0)] + list(opener.rest())
-    pieces = [opening.piece() for opening in opened]
+    opened = [pending for scan in scans for pending in pool.put(scan, 0)] + list(pool.rest())
+    chunks = [pending.chunk() for pending in opened]
     frame = Frame(
         truth.frame,
         truth.sim_time_ns,
         sorted(scan.agent for scan in scans),
         [],
-        pieces,
+        chunks,
         complete=True,
         first_ns=0,
         ready_ns=0,
     )
     result = pipeline.run(frame)
     spent = {TOTAL: (time.monotonic_ns() - begin_ns) / 1e6}
-    spent["decode"] = sum(p.decode_end_ns - p.decode_start_ns for p in pieces) / 1e6
-    spent["place"] = sum(p.placed_ns - p.decode_end_ns for p in pieces if p.placed) / 1e6
+    spent["decode"] = sum(p.decode_end_ns - p.decode_start_ns for p in chunks) / 1e6
+    spent["place"] = sum(p.placed_ns - p.decode_end_ns for p in chunks if p.placed) / 1e6
     spent |= {span.stage: (span.end_ns - span.start_ns) / 1e6 for span in result.spans}
     return spent, result.points

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from edge_server.config import EdgeConfig
-from edge_server.frame import Frame, Piece
+from edge_server.frame import Chunk, Frame
 from edge_server.pipeline import Pipeline
 from protocol.codec import decode, encode_scan
 from protocol.messages import NEVER_NS, Setup, Truth
@@ -91,7 +91,7 @@ class _Sharing:
         place = self._recording.place(frame)
         truth = self._recording.truths[place].model_copy(update={"frame": frame})
         now_ns = frame * self._period_ns
-        sent: dict[str, tuple[Piece, bytes, int]] = {}
+        sent: dict[str, tuple[Chunk, bytes, int]] = {}
         for agent in self._recording.agents:
             begin_ns = time.perf_counter_ns()
             scan = self._recording.scan(agent, frame)
@@ -110,26 +110,26 @@ class _Sharing:
     def _is_clogged(self, link: VirtualLink | None, now_ns: int) -> bool:
         return link is not None and link.backlog_ns(now_ns) >= self._period_ns
 
-    def _piece(self, agent: str, truth: Truth) -> Piece:
+    def _piece(self, agent: str, truth: Truth) -> Chunk:
         nothing = np.zeros((0, 3), np.float32)
         pose = believed_sensor(agent, truth, self._post).as_pose()
-        return Piece(truth.frame, truth.sim_time_ns, agent, 0, 1, pose, nothing, 0, 0, 0)
+        return Chunk(truth.frame, truth.sim_time_ns, agent, 0, 1, pose, nothing, 0, 0, 0)
 
     def _receive(
-        self, agent: str, truth: Truth, now_ns: int, sent: dict[str, tuple[Piece, bytes, int]]
+        self, agent: str, truth: Truth, now_ns: int, sent: dict[str, tuple[Chunk, bytes, int]]
     ) -> None:
         others = sorted((at_ns, name) for name, (_, _, at_ns) in sent.items() if name != agent)
         last_ns = now_ns
         for at_ns, name in others:
             last_ns = _carry(self._down[agent], at_ns, len(sent[name][1]))
         begin_ns = time.perf_counter_ns()
-        pieces = []
+        chunks = []
         for name in sorted(sent):
-            piece, payload, _ = sent[name]
+            chunk, payload, _ = sent[name]
             points = np.ascontiguousarray(decode(payload).points, np.float32)
-            pieces.append(self._pipeline.place_early(replace(piece, points=points)))
+            chunks.append(self._pipeline.place_early(replace(chunk, points=points)))
         whole = Frame(
-            truth.frame, now_ns, sorted(sent), [], pieces, complete=True, first_ns=0, ready_ns=0
+            truth.frame, now_ns, sorted(sent), [], chunks, complete=True, first_ns=0, ready_ns=0
         )
         result = self._pipeline.run(whole)
         if truth.frame >= LEARNING_FRAMES:

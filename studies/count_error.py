@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from edge_server.config import EdgeConfig
-from edge_server.lanes import LaneIndex, Place
+from edge_server.lanes import LaneIndex, LanePositions
 from perception.arrays import Floats
 from protocol.messages import Setup
 from protocol.roadmap import RoadMap
@@ -58,7 +58,7 @@ class TrueCounts:
         """Returns vehicles by side of the stop bar and lane."""
         lanes = [self._numbers.get(vehicle.lane, -1) for vehicle in vehicles]
         along_m = [vehicle.lane_position_m for vehicle in vehicles]
-        place = Place(np.array(lanes, np.int64), np.array(along_m, np.float64))
+        place = LanePositions(np.array(lanes, np.int64), np.array(along_m, np.float64))
         before, behind = self._index.count(
             place, upstream_m=self._upstream_m, downstream_m=self._downstream_m
         )

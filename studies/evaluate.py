@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from edge_server.config import EdgeConfig
-from edge_server.fuse import fuse
+from edge_server.fusion import fuse
 from edge_server.lanes import LaneIndex
 from learning.moments import Moment
 from perception.arrays import Bools, Floats, Ints

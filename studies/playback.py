@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from edge_server.frame import Frame, Piece
+from edge_server.frame import Chunk, Frame
 from protocol.codec import decode
 from protocol.messages import AgentPose, Equipment, VehicleType
 from recorder.run import Run
@@ -33,13 +33,13 @@ def frames_of(run_dir: Path) -> Iterator[Frame]:
             truth = run.of_frame(TruthRow, number)
             poses = [_pose(run.scenario, row, types) for row in truth if row.equipment]
             clouds = run.of_frame(CloudRow, number)
-            pieces = [_piece(run.scenario, row) for row in clouds]
+            chunks = [_piece(run.scenario, row) for row in clouds]
             yield Frame(
                 number,
                 _time_ns(run.scenario, number),
-                sorted({p.agent for p in poses} | {p.agent for p in pieces}),
+                sorted({p.agent for p in poses} | {p.agent for p in chunks}),
                 sorted(poses, key=lambda pose: pose.agent),
-                sorted(pieces, key=lambda piece: (piece.agent, piece.index)),
+                sorted(chunks, key=lambda chunk: (chunk.agent, chunk.index)),
                 complete=True,
                 first_ns=0,
                 ready_ns=0,
@@ -64,12 +64,12 @@ def _pose(scenario: dict[str, Any], row: TruthRow, types: dict[str, VehicleType]
     )
 
 
-def _piece(scenario: dict[str, Any], row: CloudRow) -> Piece:
+def _piece(scenario: dict[str, Any], row: CloudRow) -> Chunk:
     points = decode(np.frombuffer(row.payload, np.uint8)).points
     upload = UploadConfig.model_validate(scenario["upload"])
     is_post = row.agent in {mount["id"] for mount in scenario["roadside_mounts"]}
     filters = upload.of("roadside" if is_post else "vehicle").filters
-    return Piece(
+    return Chunk(
         frame=row.frame,
         sim_time_ns=_time_ns(scenario, row.frame),
         agent=row.agent,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from edge_server.plan import PLAIN, cells
+from edge_server.power_diagram import PLAIN, cells
 from perception.arrays import Floats
 from protocol.messages import Detections, LaneCounts, Plan, SignalState, Truth, VehicleType
 from protocol.roadmap import RoadMap

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from edge_server import gathering as module
+from edge_server import assembler as module
 from edge_server.assembler import Assembler
-from edge_server.coverage import Uploaded
-from edge_server.frame import Frame, Piece
+from edge_server.completion import UploadProgress
+from edge_server.frame import Chunk, Frame
 from protocol.messages import AgentPose, Equipment, Objects, Roster, Scan
 
 WAIT_NS = 1_000
@@ -43,36 +43,36 @@ def pose(agent: str, frame: int = 0) -> AgentPose:
     )
 
 
-def piece(agent: str, chunk: int = 0, chunks: int = 1, frame: int = 0) -> Piece:
+def chunk(agent: str, chunk: int = 0, chunks: int = 1, frame: int = 0) -> Chunk:
     points = np.zeros((10, 3), np.float32)
-    return Piece(frame, frame * 100, agent, chunk, chunks, np.zeros(6), points, 5, 5, 6, returns=10)
+    return Chunk(frame, frame * 100, agent, chunk, chunks, np.zeros(6), points, 5, 5, 6, returns=10)
 
 
-def give(to: Assembler, part: Roster | AgentPose | Piece, at_ns: int = 5) -> None:
+def give(to: Assembler, part: Roster | AgentPose | Chunk, at_ns: int = 5) -> None:
     match part:
         case Roster():
             to.add_roster(part, at_ns)
         case AgentPose():
             to.add_pose(part, at_ns)
-        case Piece():
-            to.add_piece(part)
+        case Chunk():
+            to.add_chunk(part)
 
 
-def whole(frame: int = 0) -> list[Roster | AgentPose | Piece]:
+def whole(frame: int = 0) -> list[Roster | AgentPose | Chunk]:
     return [
         roster("vehicle-0", ["b", "a"], ["a"], frame),
         roster("infra-0", ["rsu-0"], ["rsu-0"], frame),
         pose("b", frame),
         pose("a", frame),
-        piece("a", 1, 2, frame),
-        piece("a", 0, 2, frame),
-        piece("rsu-0", frame=frame),
+        chunk("a", 1, 2, frame),
+        chunk("a", 0, 2, frame),
+        chunk("rsu-0", frame=frame),
     ]
 
 
 def names(frame: Frame) -> tuple[list[str], list[str], list[tuple[str, int]]]:
     poses = [p.agent for p in frame.poses]
-    return frame.agents, poses, [(p.agent, p.index) for p in frame.pieces]
+    return frame.agents, poses, [(p.agent, p.index) for p in frame.chunks]
 
 
 def test_a_frame_is_whole_with_its_last_part_whichever_that_is() -> None:
@@ -159,7 +159,7 @@ def test_what_comes_late_is_counted_and_dropped() -> None:
     assert frame.frame == 3
     for part in whole(3)[:3]:
         give(assembler, part)
-    give(assembler, piece("a", frame=2))
+    give(assembler, chunk("a", frame=2))
     assert assembler.drops["late"] == 4
     assert assembler.pop(10 * WAIT_NS) is None
 
@@ -199,7 +199,7 @@ def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     give(assembler, roster("vehicle-0", list("abcd"), [], 0))
     assert assembler.drops["too_many_agents"] == 2
     for agent in "abc":
-        give(assembler, piece(agent, frame=0))
+        give(assembler, chunk(agent, frame=0))
     assert assembler.drops["frame_too_large"] == 1
 
 
@@ -240,11 +240,11 @@ def test_agents_that_were_not_announced_make_room_for_those_that_were(
     assembler = make()
     for agent in ("x", "y"):
         give(assembler, pose(agent))
-        give(assembler, piece(agent))
+        give(assembler, chunk(agent))
     give(assembler, roster("vehicle-0", ["a"], ["a"]))
     give(assembler, roster("infra-0", [], []))
     give(assembler, pose("a"))
-    give(assembler, piece("a"))
+    give(assembler, chunk("a"))
     frame = assembler.pop(6)
     assert frame is not None
     assert frame.complete
@@ -278,23 +278,23 @@ def chunk_of(agent: str, chunk: int = 0, chunks: int = 1, frame: int = 0) -> Sca
 
 
 def test_a_frame_ends_before_all_chunks_came_if_they_cover_the_scene() -> None:
-    asked: list[Mapping[str, Uploaded]] = []
+    asked: list[Mapping[str, UploadProgress]] = []
 
-    def covers(uploaded: Mapping[str, Uploaded]) -> bool:
+    def covers(uploaded: Mapping[str, UploadProgress]) -> bool:
         asked.append(uploaded)
         return uploaded["a"].came >= 2
 
     expected = {"vehicle-0": "vehicle"}
     assembler = Assembler(wait_ns=WAIT_NS, expected=expected, covers=covers)
     assembler.hear("vehicle-0", "vehicle", alive=True)
-    for part in (roster("vehicle-0", ["a"], ["a"]), piece("a", 0, 4)):
+    for part in (roster("vehicle-0", ["a"], ["a"]), chunk("a", 0, 4)):
         give(assembler, part)
         assert assembler.pop(6) is None
     assert asked == []  # without poses there is nothing to be asked
     give(assembler, pose("a"))
-    give(assembler, piece("a", 2, 4))  # a gap before it
+    give(assembler, chunk("a", 2, 4))  # a gap before it
     assert assembler.pop(6) is None
-    give(assembler, piece("a", 1, 4))
+    give(assembler, chunk("a", 1, 4))
     frame = assembler.pop(6)
     assert frame is not None
     assert frame.complete
@@ -348,7 +348,7 @@ def test_a_frame_whose_time_is_over_waits_for_what_is_being_opened_and_for_no_mo
     assert assembler.pop(6 + WAIT_NS) is None
     assert not assembler.wants(chunk_of("a", 2, 3), 6 + WAIT_NS)
     assert +assembler.drops == {"late": 1}
-    give(assembler, piece("rsu-0"))
+    give(assembler, chunk("rsu-0"))
     frame = assembler.pop(7 + WAIT_NS)
     assert frame is not None
     assert frame.complete
@@ -376,7 +376,7 @@ def test_a_whole_frame_does_not_wait_for_what_nobody_announced() -> None:
         give(assembler, part)
     assembler.begin(stranger)
     assert assembler.pop(6) is not None
-    give(assembler, piece("ghost"))
+    give(assembler, chunk("ghost"))
     assembler.forgo(stranger)
     assert +assembler.drops == {"late": 1}
 

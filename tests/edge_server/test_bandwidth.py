@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge_server import bandwidth as module
-from edge_server.bandwidth import LEAST_MBPS, MOST_MBPS, Bandwidth
+from edge_server import planner as module
+from edge_server.planner import LEAST_MBPS, MOST_MBPS, Bandwidth
 
 PERIOD_NS = 100_000_000
 
@@ -97,7 +97,7 @@ def test_whatever_is_claimed_the_estimate_stays_within_its_bounds(
 
 
 def test_agents_are_forgotten_and_their_number_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "MAX_AGENTS", 2)
+    monkeypatch.setattr(module, "MAX_UPLINKS", 2)
     bandwidth = Bandwidth()
     for agent in "abc":
         Link(5.0).send(bandwidth, agent, 0, [9_000])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from edge_server.config import EdgeConfig
-from edge_server.frame import Found, Frame, Piece
+from edge_server.frame import AgentDetections, Chunk, Frame
 from edge_server.pipeline import Pipeline
 from perception.config import GroundConfig
 from protocol.geometry import SE3
@@ -42,7 +42,7 @@ def frame_of(
         height_m=1.5,
         position_std_m=0.05,
     )
-    scan = Piece(number, 7, "rsu-0", 0, 1, ROADSIDE, in_sensor, 0, 0, 0)
+    scan = Chunk(number, 7, "rsu-0", 0, 1, ROADSIDE, in_sensor, 0, 0, 0)
     return Frame(number, 7, ["cav", "rsu-0"], [own], [scan], True, 0, 0)
 
 
@@ -105,7 +105,7 @@ def test_who_sends_boxes_sees_what_is_around_it_and_nothing_else(road_map, agent
         frame=0, sim_time_ns=0, agent=agent, boxes=np.zeros((0, 7), np.float32),
         scores=np.zeros(0, np.float32), sense_start_ns=0, sense_end_ns=0, detect_end_ns=0,
     )  # fmt: skip
-    frame = Frame(0, 0, [agent], [], [], True, 0, 0, found=[Found(found, 0)])
+    frame = Frame(0, 0, [agent], [], [], True, 0, 0, found=[AgentDetections(found, 0)])
     far, near = np.array([1000.0, 0, 0]), ROADSIDE[:3]
     for place, sees in ((near, is_known), (far, False)):
         pipeline = Pipeline(road_map, EdgeConfig(), seed=1, posts={"rsu-0": place})
@@ -115,9 +115,9 @@ def test_who_sends_boxes_sees_what_is_around_it_and_nothing_else(road_map, agent
 
 def test_a_scan_that_cannot_be_read_saw_nothing(road_map: RoadMap) -> None:
     points = np.zeros((0, 3), np.float32)
-    scan = Piece(0, 0, "rsu-0", 0, 1, ROADSIDE, points, 0, 0, 0)
-    for piece, nobody in ((scan, False), (replace(scan, is_spoilt=True), True)):
-        frame = Frame(0, 0, ["rsu-0"], [], [piece], True, 0, 0)
+    scan = Chunk(0, 0, "rsu-0", 0, 1, ROADSIDE, points, 0, 0, 0)
+    for chunk, nobody in ((scan, False), (replace(scan, is_undecodable=True), True)):
+        frame = Frame(0, 0, ["rsu-0"], [], [chunk], True, 0, 0)
         counts = Pipeline(road_map, EdgeConfig(), seed=1).run(frame).counts
         assert (max(counts.seen_upstream.values()) == 0) is nobody
 
@@ -136,7 +136,7 @@ def test_the_papers_settings_work_on_a_level_road(
     rng = np.random.default_rng(1)
     cars = [shell([x, -1.75, 0, 0, 0, 0], (0.0, 0.0), rng) for x in (-50, -30, 40)]
     points = np.concatenate([ground(rng), *cars])
-    scan = Piece(0, 0, "rsu-0", 0, 1, np.zeros(6), points, 0, 0, 0)
+    scan = Chunk(0, 0, "rsu-0", 0, 1, np.zeros(6), points, 0, 0, 0)
     frame = Frame(0, 0, ["rsu-0"], [], [scan], True, 0, 0)
     result = Pipeline(road_map, config, seed=1).run(frame)
     assert (result.counts.upstream["in_0"], result.counts.downstream["out_0"]) == (2, 1)

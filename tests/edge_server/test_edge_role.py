@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from edge_server.config import EdgeConfig
-from edge_server.frame import Piece
-from edge_server.opening import Opener
+from edge_server.decoding import DecoderPool
+from edge_server.frame import Chunk
 from edge_server.role import EdgeRole, has_lidars
 from protocol import messages as m
 from protocol.codec import encode_cloud
@@ -75,7 +75,7 @@ class Rig:
     def turn(self) -> list[Envelope | Presence]:
         """Lets the role take all that came, and open all scans; returns what it said."""
         heard = self.glance()
-        while len(self.role._opener):
+        while len(self.role._decoders):
             heard += self.glance()
         return heard
 
@@ -311,9 +311,9 @@ class Gate:
         self._open_scan = rig.role._pipeline.open
         self._error = error
         rig.role.close()
-        rig.role._opener = Opener(self._pass, rig.inbox.wake)
+        rig.role._decoders = DecoderPool(self._pass, rig.inbox.wake)
 
-    def _pass(self, scan: m.Scan, received_ns: int) -> Piece:
+    def _pass(self, scan: m.Scan, received_ns: int) -> Chunk:
         assert self.event.wait(PATIENCE_S)
         if self._error is not None:
             raise self._error
@@ -375,7 +375,7 @@ def test_a_frame_is_worked_on_as_soon_as_its_last_scan_is_open(
     try:
         rig.say_rosters(0, [], ["rsu-0"])
         rig.say_scan(0, "rsu-0")
-        wait_until(lambda: len(rig.role._opener) == 1 and rig.inbox._queue.empty())
+        wait_until(lambda: len(rig.role._decoders) == 1 and rig.inbox._queue.empty())
         gate.event.set()
         wait_until(lambda: said(rig.listen(), m.LaneCounts))
     finally:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from edge_server.config import EdgeConfig
-from edge_server.frame import Frame, open_scan
+from edge_server.frame import Frame, decode_chunk
 from edge_server.pipeline import Pipeline
 from protocol.messages import Scan, Setup
 from protocol.wire import decode
@@ -32,9 +32,9 @@ def replay() -> list[dict[str, object]]:
     pipeline = Pipeline(setup.road_map, config, seed=setup.scenario["seed"])
     results = []
     for number, scans in groupby(recorded(), key=lambda scan: scan.frame):
-        pieces = [open_scan(scan, 0) for scan in scans]
-        agents = [piece.agent for piece in pieces]
-        frame = Frame(number, 0, agents, [], pieces, complete=True, first_ns=0, ready_ns=0)
+        chunks = [decode_chunk(scan, 0) for scan in scans]
+        agents = [chunk.agent for chunk in chunks]
+        frame = Frame(number, 0, agents, [], chunks, complete=True, first_ns=0, ready_ns=0)
         result = pipeline.run(frame)
         results.append(
             {

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_server.lanes import LaneIndex, Place
+from edge_server.lanes import LaneIndex, LanePositions
 from protocol.roadmap import RoadMap
 
 
-def locate(index: LaneIndex, *vehicles: tuple[float, float, float], margin_m: float = 0.5) -> Place:
+def locate(
+    index: LaneIndex, *vehicles: tuple[float, float, float], margin_m: float = 0.5
+) -> LanePositions:
     boxes = np.array([(x, y, 0.75, 4.5, 1.8, 1.5, yaw) for x, y, yaw in vehicles])
     return index.locate(boxes.reshape(-1, 7), margin_m=np.full(len(boxes), margin_m))
 

@@ -7,30 +7,30 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge_server.motion import STEADY_FRAMES, Motion, Stand, fastest_mps
-from edge_server.trust import Trust
+from edge_server.misbehaviour import TrustScore
+from edge_server.motion import STEADY_FRAMES, ClaimedPose, MotionCheck, fastest_mps
 
 PERIOD_NS = 100_000_000
 FAST_MPS = fastest_mps([13.9])
 
 
-def stand(frame: int, x_m: float, *, yaw_deg: float = 0.0, std_m: float = 0.05) -> Stand:
+def stand(frame: int, x_m: float, *, yaw_deg: float = 0.0, std_m: float = 0.05) -> ClaimedPose:
     pose = np.array([x_m, 0, 0, 0, 0, np.radians(yaw_deg)])
-    return Stand(frame * PERIOD_NS, pose, std_m, is_post=False)
+    return ClaimedPose(frame * PERIOD_NS, pose, std_m, is_post=False)
 
 
 @given(st.floats(0, 20), st.floats(0, 3), st.integers(1, 40))
 def test_whoever_drives_is_believed_also_over_gaps(
     speed_mps: float, std_m: float, every: int
 ) -> None:
-    motion, rng = Motion(), np.random.default_rng(1)
+    motion, rng = MotionCheck(), np.random.default_rng(1)
     for frame in range(0, 200, every):
         x_m = speed_mps * frame / 10 + float(rng.normal(0, std_m))
         assert motion.score(stand(frame, x_m, std_m=std_m), FAST_MPS) == 1.0
 
 
 def test_whoever_jumps_is_doubted_until_it_has_been_steady_in_the_new_place():
-    motion = Motion()
+    motion = MotionCheck()
     scores = [motion.score(stand(f, f if f < 10 else f + 50.0), FAST_MPS) for f in range(60)]
     assert scores[:10] == [1.0] * 10
     assert scores[10 : 11 + STEADY_FRAMES] == [0.0] * (STEADY_FRAMES + 1)
@@ -38,13 +38,13 @@ def test_whoever_jumps_is_doubted_until_it_has_been_steady_in_the_new_place():
 
 
 def test_whoever_jumps_all_the_time_is_never_believed():
-    motion = Motion()
+    motion = MotionCheck()
     scores = [motion.score(stand(f, 40.0 * (f % 2)), FAST_MPS) for f in range(100)]
     assert scores == [1.0, 0.0] * 50
 
 
 def test_nobody_turns_on_the_spot():
-    motion = Motion()
+    motion = MotionCheck()
     assert motion.score(stand(0, 0), FAST_MPS) == 1.0
     assert motion.score(stand(1, 0, yaw_deg=170), FAST_MPS) == 0.0
     assert motion.score(stand(60, 0, yaw_deg=170), FAST_MPS) == 1.0
@@ -52,24 +52,24 @@ def test_nobody_turns_on_the_spot():
 
 @pytest.mark.parametrize(("moved_m", "score"), [(0.1, 1.0), (2.0, 0.0)])
 def test_a_post_stays_where_it_is(moved_m: float, score: float) -> None:
-    motion = Motion()
+    motion = MotionCheck()
     for frame, x_m in enumerate((0.0, moved_m)):
         pose = np.array([x_m, 0, 3, 0, 0, 0])
-        result = motion.score(Stand(frame * PERIOD_NS, pose, 0.0, is_post=True), FAST_MPS)
+        result = motion.score(ClaimedPose(frame * PERIOD_NS, pose, 0.0, is_post=True), FAST_MPS)
     assert result == score
 
 
 def test_a_sensor_stays_on_its_vehicle():
-    motion = Motion()
+    motion = MotionCheck()
     mounts = [np.array([0, 0, 2.4, 0, 0, 0]), np.array([0, 3.0, 2.4, 0, 0, 0])]
     for frame, mount in enumerate(mounts):
         one = stand(frame, 0)
-        scored = motion.score(Stand(one.sim_time_ns, one.pose, 0.05, False, mount), FAST_MPS)
+        scored = motion.score(ClaimedPose(one.sim_time_ns, one.pose, 0.05, False, mount), FAST_MPS)
     assert scored == 0.0
 
 
 def test_one_odd_frame_costs_no_trust_and_one_in_four_does():
-    trust = Trust(0.4)
+    trust = TrustScore(0.4)
     for frame in range(200):
         trust.add(0.0 if frame == 100 else 1.0)
         assert trust.is_believed
@@ -79,7 +79,7 @@ def test_one_odd_frame_costs_no_trust_and_one_in_four_does():
 
 
 def test_trust_comes_back_slowly():
-    trust = Trust(0.4)
+    trust = TrustScore(0.4)
     for _ in range(10):
         trust.add(0.0)
     assert not trust.is_believed

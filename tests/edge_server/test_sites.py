@@ -6,7 +6,7 @@ from itertools import permutations
 
 import numpy as np
 
-from edge_server.sites import FORGET_FRAMES, MAX_AGENTS, Sites
+from edge_server.planner import FORGET_SITE_FRAMES, MAX_SITES, SensorSites
 from protocol.messages import AgentPose, Equipment, Scan
 
 
@@ -42,7 +42,7 @@ def scan(frame: int, x: float, agent: str = "a") -> Scan:
 
 def test_the_newest_scan_tells_whatever_the_order_of_messages() -> None:
     for messages in permutations([pose(1, 1.0), scan(1, 1.1), pose(2, 2.0), scan(2, 2.1)]):
-        sites = Sites()
+        sites = SensorSites()
         for message in messages:
             sites.hear(message)
         site = sites.of(["a"], 2)["a"]
@@ -50,16 +50,16 @@ def test_the_newest_scan_tells_whatever_the_order_of_messages() -> None:
 
 
 def test_a_post_says_no_pose_and_does_not_drive() -> None:
-    sites = Sites()
+    sites = SensorSites()
     sites.hear(scan(1, 5.0))
     assert not sites.of(["a"], 1)["a"].drives
 
 
 def test_who_fell_silent_is_forgotten_and_strangers_find_no_room() -> None:
-    sites = Sites()
-    for number in range(MAX_AGENTS + 1):
+    sites = SensorSites()
+    for number in range(MAX_SITES + 1):
         sites.hear(pose(1, 0.0, f"agent {number}"))
-    sites.hear(pose(1 + FORGET_FRAMES, 1.0, "agent 0"))
-    assert f"agent {MAX_AGENTS}" not in sites.of([f"agent {MAX_AGENTS}"], 1)
-    later = sites.of(["agent 0", "agent 1"], 2 + FORGET_FRAMES)
+    sites.hear(pose(1 + FORGET_SITE_FRAMES, 1.0, "agent 0"))
+    assert f"agent {MAX_SITES}" not in sites.of([f"agent {MAX_SITES}"], 1)
+    later = sites.of(["agent 0", "agent 1"], 2 + FORGET_SITE_FRAMES)
     assert list(later) == ["agent 0"]

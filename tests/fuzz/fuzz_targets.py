@@ -22,7 +22,7 @@ from fuzz_mutate import (
     split_parts,
 )
 
-from edge_server.frame import open_scan
+from edge_server.frame import decode_chunk
 from protocol.bus import Endpoint
 from protocol.clock import Exchange, OffsetFilter
 from protocol.codec import decode as decode_scan
@@ -113,8 +113,8 @@ def _read_scan(data: bytes) -> None:
 
 
 def _read_scan_message(data: bytes) -> None:
-    piece = open_scan(decode(data, Scan), 0)
-    assert piece.returns == len(piece.points)
+    chunk = decode_chunk(decode(data, Scan), 0)
+    assert chunk.returns == len(chunk.points)
 
 
 def _read_key(data: bytes) -> None:

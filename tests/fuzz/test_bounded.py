@@ -10,16 +10,20 @@ import pytest
 from fuzz_watch import forget_peak, peak_kib
 
 from cpnet.crowd import MAX_STRANGERS, Crowd
-from edge_server import gathering
-from edge_server.assembler import MAX_OPEN_FRAMES, MAX_PROCESSES, Assembler
-from edge_server.bandwidth import MAX_AGENTS as MAX_BANDWIDTHS
-from edge_server.bandwidth import Bandwidth
-from edge_server.frame import Frame, Piece
-from edge_server.opening import PER_THREAD, Opener
-from edge_server.plausibility import MOST_DOUBTS
+from edge_server.assembler import (
+    MAX_AGENTS,
+    MAX_BOXES,
+    MAX_CHUNKS,
+    MAX_OPEN_FRAMES,
+    MAX_PROCESSES,
+    Assembler,
+    FrameAssembly,
+)
+from edge_server.decoding import PER_THREAD, DecoderPool
+from edge_server.frame import Chunk, Frame
+from edge_server.misbehaviour import MOST_DOUBTS
+from edge_server.planner import MAX_SITES, MAX_UPLINKS, Bandwidth, SensorSites
 from edge_server.role import _arrivals, _told, _waits
-from edge_server.sites import MAX_AGENTS as MAX_SITES
-from edge_server.sites import Sites
 from perception.parallel import threads
 from protocol import messages as m
 from protocol.errors import MessageError
@@ -86,10 +90,10 @@ def objects(agent: str, boxes: int, frame: int = 0) -> m.Objects:
     )
 
 
-def piece(agent: str, frame: int = 0) -> Piece:
+def chunk(agent: str, frame: int = 0) -> Chunk:
     points = np.zeros((0, 3), np.float32)
     late_ns = 1 << 60
-    return Piece(
+    return Chunk(
         frame, frame, agent, 0, 1, np.zeros(6), points, late_ns, late_ns, late_ns, returns=1
     )
 
@@ -151,7 +155,7 @@ def stuffed_frames(assembler: Assembler) -> None:
             )
         for n in range(3000):
             assembler.add_pose(pose(f"{n}{LONG}", frame), 5)
-            assembler.add_piece(piece(f"{n}{LONG}", frame))
+            assembler.add_chunk(chunk(f"{n}{LONG}", frame))
         for n in range(30):
             assembler.add_objects(objects(f"{n}{LONG}", MAX_ITEMS // 8, frame), 5)
 
@@ -168,10 +172,10 @@ def test_an_edge_gathers_no_more_than_a_few_frames_of_so_many_agents():
     assert len(assembler._open) <= MAX_OPEN_FRAMES
     for part in assembler._open.values():
         named = sum(len({*r.agents, *r.scanning}) for r in part.rosters.values())
-        assert named <= gathering.MAX_AGENTS
-        assert len(part.poses) <= gathering.MAX_AGENTS
-        assert len(part.pieces) <= gathering.MAX_PIECES
-        assert sum(len(one.objects.boxes) for one in part.found.values()) <= gathering.MAX_BOXES
+        assert named <= MAX_AGENTS
+        assert len(part.poses) <= MAX_AGENTS
+        assert len(part.chunks) <= MAX_CHUNKS
+        assert sum(len(one.objects.boxes) for one in part.found.values()) <= MAX_BOXES
     assert growth.mib < 128
 
 
@@ -184,13 +188,13 @@ def test_processes_that_come_and_go_leave_nothing_behind():
 
 
 def test_what_is_said_of_the_fullest_frame_fits_into_its_messages():
-    part = gathering.Gathering(0, Assembler(wait_ns=1, expected={}).drops)
+    part = FrameAssembly(0, Assembler(wait_ns=1, expected={}).drops)
     for n in range(4000):
-        part.add_piece(piece(f"{n}{LONG}"))
+        part.add_chunk(chunk(f"{n}{LONG}"))
         part.add_pose(pose(f"p{n}{LONG}"))
     names = part.named()
-    assert len(names) == gathering.MAX_AGENTS
-    frame = Frame(0, 0, names, [], [*part.pieces.values()], complete=True, first_ns=0, ready_ns=1)
+    assert len(names) == MAX_AGENTS
+    frame = Frame(0, 0, names, [], [*part.chunks.values()], complete=True, first_ns=0, ready_ns=1)
     told = _told(frame)
     spans, arrivals = _waits(told), _arrivals(told)
     doubts = [
@@ -201,10 +205,10 @@ def test_what_is_said_of_the_fullest_frame_fits_into_its_messages():
         process="edge", frame=0, sim_time_ns=0, spans=spans, arrivals=arrivals, doubts=doubts
     )
     assert len(encode(said)) > 1 << 16
-    assert 300 < len(told.pieces) < len(frame.pieces)
-    few = Frame(0, 0, names, [], frame.pieces[:200], complete=True, first_ns=0, ready_ns=1)
-    assert _told(few).pieces == few.pieces
-    lidar, own = ["lidar"] * gathering.MAX_BOXES, names
+    assert 300 < len(told.chunks) < len(frame.chunks)
+    few = Frame(0, 0, names, [], frame.chunks[:200], complete=True, first_ns=0, ready_ns=1)
+    assert _told(few).chunks == few.chunks
+    lidar, own = ["lidar"] * MAX_BOXES, names
     found = m.Detections(
         frame=0,
         sim_time_ns=0,
@@ -221,34 +225,34 @@ def test_what_is_said_of_the_fullest_frame_fits_into_its_messages():
 def test_an_edge_opens_no_more_scans_than_its_threads_need():
     gate = threading.Event()
 
-    def open_scan(scan: m.Scan, received_ns: int) -> Piece:
+    def open_scan(scan: m.Scan, received_ns: int) -> Chunk:
         gate.wait(10)
-        return piece(scan.agent)
+        return chunk(scan.agent)
 
-    opener = Opener(open_scan)
+    pool = DecoderPool(open_scan)
     scan = m.Scan(
         frame=0, sim_time_ns=0, agent="a", chunk=0, chunks=1, points=0, sensor_pose=np.zeros(6),
         sense_start_ns=1, sense_end_ns=1, encode_end_ns=1, payload=np.zeros(9, np.uint8),
     )  # fmt: skip
     try:
         for _ in range(PER_THREAD * threads()):
-            opener.put(scan, 1)
+            pool.put(scan, 1)
         gate.set()
         for _ in range(100):
-            opener.put(scan, 1)
-        assert len(opener) <= PER_THREAD * threads()
+            pool.put(scan, 1)
+        assert len(pool) <= PER_THREAD * threads()
     finally:
         gate.set()
-        opener.close()
+        pool.close()
 
 
 def test_an_edge_remembers_no_more_agents_than_it_serves():
-    sites, bandwidth = Sites(), Bandwidth()
+    sites, bandwidth = SensorSites(), Bandwidth()
     for n in range(3000):
         sites.hear(pose(f"{n}"))
         bandwidth.heard(f"{n}", 1, 100_000, sent_ns=1, received_ns=2)
     assert len(sites._sites) == MAX_SITES
-    assert len(bandwidth._histories) == MAX_BANDWIDTHS
+    assert len(bandwidth._histories) == MAX_UPLINKS
 
 
 def test_an_agent_keeps_the_plans_of_a_few_frames():

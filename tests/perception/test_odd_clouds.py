@@ -190,10 +190,10 @@ def test_an_agent_that_sends_them_changes_nothing_of_what_others_see(
     need(name)
     pipeline = Pipeline(make_road(0.035), EdgeConfig.model_validate({"detector": name}), seed=1)
     frame = frame_of(shell, ground)
-    bad = replace(frame.pieces[0], agent="bad", points=hostile(), ground_free=ground_free)
+    bad = replace(frame.chunks[0], agent="bad", points=hostile(), ground_free=ground_free)
     honest, spoilt = (
-        pipeline.run(replace(frame, pieces=pieces)).detections
-        for pieces in (frame.pieces, [*frame.pieces, bad])
+        pipeline.run(replace(frame, chunks=chunks)).detections
+        for chunks in (frame.chunks, [*frame.chunks, bad])
     )
     assert len(honest.boxes) > 0
     assert np.isfinite(spoilt.boxes).all()

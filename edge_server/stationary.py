@@ -13,7 +13,7 @@ FORGET_NS = 2_100_000_000
 JITTER_M = 0.3
 
 
-class Standing:
+class StationaryVehicles:
     """Remembers where vehicles were; frames come in the order of their time."""
 
     def __init__(self, below_mps: float) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge_server.coverage import Borders, Uploaded
-from edge_server.plan import power_weights
+from edge_server.completion import CellBorders, UploadProgress
 from edge_server.planner import borders_of
+from edge_server.power_diagram import power_weights
 from sensing.upload_selection import cut
 
 BOX = np.array([-400.0, -400.0, 400.0, 400.0])
@@ -47,27 +47,27 @@ def test_when_neighbours_cover_the_space_between_them_no_place_is_left(
 
 
 def test_two_neighbours_need_four_chunks_together() -> None:
-    borders = Borders(("a", "b", "c"), ("a", "b"), (("a", "b"),))
+    borders = CellBorders(("a", "b", "c"), ("a", "b"), (("a", "b"),))
     assert borders.covered({"a": 1, "b": 3, "c": 0})
     assert not borders.covered({"a": 1, "b": 2, "c": 4})
 
 
 def test_an_owner_s_own_part_is_needed_whatever_its_neighbours_sent() -> None:
-    borders = Borders(("a", "b", "c"), ("a", "b"), (("a", "b"), ("b", "c")))
+    borders = CellBorders(("a", "b", "c"), ("a", "b"), (("a", "b"), ("b", "c")))
     assert not borders.covered({"a": 4, "b": 0, "c": 4})
     assert borders.covered({"a": 4, "b": 1, "c": 4})
 
 
 def test_who_has_left_is_not_waited_for_and_who_is_alone_needs_one_chunk() -> None:
-    borders = Borders(("a", "b"), ("a", "b"), (("a", "b"),))
+    borders = CellBorders(("a", "b"), ("a", "b"), (("a", "b"),))
     assert borders.covered({"a": 1})
     assert not borders.covered({"a": 0})
-    assert Borders((), (), ()).covered({})
+    assert CellBorders((), (), ()).covered({})
 
 
 def test_chunks_count_by_their_own_plan_and_a_whole_scan_by_any() -> None:
-    part, whole = Uploaded(2, 4, plan_frame=7), Uploaded(4, 4, plan_frame=7)
+    part, whole = UploadProgress(2, 4, plan_frame=7), UploadProgress(4, 4, plan_frame=7)
     assert [part.came_by(plan) for plan in (7, 8)] == [2, 0]
     assert [whole.came_by(plan) for plan in (7, 8)] == [4, 4]
-    assert Uploaded(1, 1, plan_frame=-1).came_by(8) == 4  # of a newcomer, all it sees
-    assert Uploaded(0, 0, plan_frame=-1).came_by(8) == 0
+    assert UploadProgress(1, 1, plan_frame=-1).came_by(8) == 4  # of a newcomer, all it sees
+    assert UploadProgress(0, 0, plan_frame=-1).came_by(8) == 0

@@ -25,7 +25,7 @@ LEAST_VOTES = 40  # squares of a metre
 SENSOR_M = (0.0, 12.0)  # over the road, of a vehicle's sensor
 
 
-class Whereabouts:
+class MapConsistency:
     """The road map, prepared for questions about agents."""
 
     def __init__(self, road_map: RoadMap, roadway: Roadway) -> None:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge_server.plan import (
+from edge_server.power_diagram import (
     PLAIN,
     TIGHT,
     WIDE,

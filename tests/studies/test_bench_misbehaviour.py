@@ -11,9 +11,9 @@ from rich.console import Console
 
 from cpnet import scenario as scenarios
 from studies.attacks import GHOST, Displaced, Emptied, GhostReport, Peopled, Replayed
-from studies.bench_plausibility import HONEST, Stage, attacks_on
+from studies.bench_misbehaviour import HONEST, Stage, attacks_on
 from studies.in_process import run_in_process
-from studies.plausibility_table import print_plausibility
+from studies.misbehaviour_table import print_plausibility
 
 SHORT = {
     "duration_s": 12,
@@ -51,16 +51,16 @@ def test_honest_agents_are_never_left_out_and_a_jump_is_seen_at_once(stage: Stag
 
 def test_an_attack_changes_what_its_victim_says_and_nothing_else(stage: Stage):
     frame = stage.frames[20]
-    victim = next(p.agent for p in frame.pieces if p.agent != "rsu-0")
+    victim = next(p.agent for p in frame.chunks if p.agent != "rsu-0")
     replay = Replayed(1)
     replay.apply(stage.frames[19], victim)
     for attack in (Displaced(up_m=1.0), Emptied(), Peopled(stage.road_map, 2), replay):
         changed = attack.apply(frame, victim)
-        others = [p for p in changed.pieces if p.agent != victim]
-        before = [p for p in frame.pieces if p.agent != victim]
+        others = [p for p in changed.chunks if p.agent != victim]
+        before = [p for p in frame.chunks if p.agent != victim]
         assert all(a is b for a, b in zip(others, before, strict=True))
-        (own,) = [p for p in changed.pieces if p.agent == victim]
-        (was,) = [p for p in frame.pieces if p.agent == victim]
+        (own,) = [p for p in changed.chunks if p.agent == victim]
+        (was,) = [p for p in frame.chunks if p.agent == victim]
         differs = not np.array_equal(own.points, was.points)
         assert differs or not np.array_equal(own.sensor_pose, was.sensor_pose)
     ghost = GhostReport(stage.road_map, 0.5).apply(frame, "rsu-0")

@@ -8,7 +8,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
-from edge_server.frame import Piece
+from edge_server.frame import Chunk
 from perception.parallel import threads
 from protocol.codec import claimed_points
 from protocol.messages import Scan
@@ -18,20 +18,20 @@ PER_THREAD = 2  # scans: one that it opens, one that is next
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Opening:
+class PendingChunk:
     """A scan that is being opened or was, and when it came."""
 
     scan: Scan
     received_ns: int
     points: int
-    future: Future[Piece]
+    future: Future[Chunk]
 
-    def piece(self) -> Piece:
+    def chunk(self) -> Chunk:
         """Waits until the scan is open; raises what opening it raised."""
         return self.future.result()
 
 
-class Opener:
+class DecoderPool:
     """Opens scans in threads of its own and gives them back in the order in which they came.
 
     It is for the use of one thread; others call `open_scan`, and `wake` once a scan is open. What
@@ -41,35 +41,35 @@ class Opener:
     """
 
     def __init__(
-        self, open_scan: Callable[[Scan, int], Piece], wake: Callable[[], None] = lambda: None
+        self, open_scan: Callable[[Scan, int], Chunk], wake: Callable[[], None] = lambda: None
     ) -> None:
         self._open_scan = open_scan
         self._wake = wake
         self._most = PER_THREAD * threads()
         alone = threads() == 1
-        self._pool = _AtOnce() if alone else ThreadPoolExecutor(threads(), "opening")
-        self._under_way: deque[Opening] = deque()
+        self._pool = _CallerThread() if alone else ThreadPoolExecutor(threads(), "decode")
+        self._under_way: deque[PendingChunk] = deque()
 
     def __len__(self) -> int:
         return len(self._under_way)
 
-    def put(self, scan: Scan, received_ns: int) -> list[Opening]:
+    def put(self, scan: Scan, received_ns: int) -> list[PendingChunk]:
         """Has a scan opened; returns those, put before it, that it had to wait for."""
         points = claimed_points(scan.payload)
         waited_for = []
         while not self._has_room(points):
             waited_for.append(self._take())
         future = self._pool.submit(self._open_scan, scan, received_ns)
-        self._under_way.append(Opening(scan, received_ns, points, future))
+        self._under_way.append(PendingChunk(scan, received_ns, points, future))
         future.add_done_callback(lambda _: self._wake())
         return waited_for
 
-    def done(self) -> Iterator[Opening]:
+    def done(self) -> Iterator[PendingChunk]:
         """Yields what is open, up to the first scan that is not."""
         while self._under_way and self._under_way[0].future.done():
             yield self._under_way.popleft()
 
-    def rest(self) -> Iterator[Opening]:
+    def rest(self) -> Iterator[PendingChunk]:
         """Yields all that is under way, as soon as it is open."""
         while self._under_way:
             yield self._take()
@@ -83,13 +83,13 @@ class Opener:
         claimed = points + sum(other.points for other in self._under_way)
         return not self._under_way or (len(self._under_way) < self._most and claimed <= MAX_POINTS)
 
-    def _take(self) -> Opening:
-        opening = self._under_way.popleft()
-        opening.future.exception()
-        return opening
+    def _take(self) -> PendingChunk:
+        pending = self._under_way.popleft()
+        pending.future.exception()
+        return pending
 
 
-class _AtOnce(Executor):
+class _CallerThread(Executor):
     """Does what it is given there and then: with one core, a thread would only be in the way."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # noqa: ANN401 - as an Executor has it

@@ -1,10 +1,4 @@
-"""Whether what agents say can be so; what cannot is left out, and the rest goes on without it.
-
-Of each agent of a frame four pieces of evidence are scored, 0 to 1, each None where nothing speaks
-for or against: its motion, its place on the road, the ground in its cloud, and what others see of
-the same places. The least of them is the frame's score; a memory over frames decides. Nothing here
-reads a clock or depends on the order in which agents come.
-"""
+"""How far an agent is believed, from one frame to the next."""
 
 from __future__ import annotations
 
@@ -16,17 +10,41 @@ import numpy as np
 
 from edge_server.config import PlausibilityConfig
 from edge_server.confirmation import Confirmation, Confirmed, Witness
-from edge_server.frame import Frame, Piece
-from edge_server.motion import MOST_STD_M, Motion, Stand, fastest_mps
-from edge_server.trust import Trust
+from edge_server.frame import Chunk, Frame
+from edge_server.map_consistency import MapConsistency, height, within
+from edge_server.motion import MOST_STD_M, ClaimedPose, MotionCheck, fastest_mps
 from edge_server.views import Squares, View, Viewer
-from edge_server.whereabouts import Whereabouts, height, within
 from perception.arrays import Floats
 from perception.parallel import each
 from perception.roadway import Placed, Roadway
 from protocol.geometry import wrap_angle
 from protocol.messages import AgentPose, Doubt, Equipment
 from protocol.roadmap import RoadMap
+
+FALL = 0.3  # how much of a worse frame's score is taken over
+RISE = 0.05  # of a better one's: who was caught is believed again only after a while
+BACK = 0.2  # how far over the threshold the score must rise
+
+
+class TrustScore:
+    """A mean over frames that falls fast and rises slowly, and a yes or no with hysteresis.
+
+    Whoever is new is believed. One odd frame does not change that; one in four does.
+    """
+
+    __slots__ = ("_threshold", "is_believed", "score")
+
+    def __init__(self, threshold: float) -> None:
+        self._threshold = threshold
+        self.score = 1.0
+        self.is_believed = True
+
+    def add(self, score: float) -> None:
+        """Takes a frame's score, 0 to 1."""
+        self.score += (FALL if score < self.score else RISE) * (score - self.score)
+        mark = self._threshold if self.is_believed else self._threshold + BACK
+        self.is_believed = self.score >= min(mark, 0.99)
+
 
 MOUNT_M, MOUNT_RAD = 1.5, np.radians(5.0)  # between a post's sensor and its mount in the scenario
 KEEP = 0.85  # of what others said of an agent, from frame to frame
@@ -72,8 +90,8 @@ class Evidence:
 class _Known:
     """What is remembered of an agent; `squares` and `total` are of what others said."""
 
-    trust: Trust
-    motion: Motion = field(default_factory=Motion)
+    trust: TrustScore
+    motion: MotionCheck = field(default_factory=MotionCheck)
     squares: float = 0.0
     total: float = 0.0
     seen_ns: int = 0
@@ -103,11 +121,11 @@ class _Said:
 
     agent: str
     pose: AgentPose | None
-    pieces: list[Piece]
+    chunks: list[Chunk]
 
     @property
     def sensor_pose(self) -> Floats | None:
-        return self.pieces[0].sensor_pose if self.pieces else None
+        return self.chunks[0].sensor_pose if self.chunks else None
 
     @property
     def std_m(self) -> float:
@@ -116,7 +134,7 @@ class _Said:
 
     @property
     def is_of_one_place(self) -> bool:
-        return all((p.sensor_pose == self.pieces[0].sensor_pose).all() for p in self.pieces)
+        return all((p.sensor_pose == self.chunks[0].sensor_pose).all() for p in self.chunks)
 
 
 class Plausibility:
@@ -132,7 +150,7 @@ class Plausibility:
         self._threshold = config.threshold
         self._posts = posts
         self._fast_mps = fastest_mps([lane.speed_mps for lane in road_map.lanes])
-        self._whereabouts = Whereabouts(road_map, roadway)
+        self._whereabouts = MapConsistency(road_map, roadway)
         squares = Squares.of(roadway)
         self._viewer, self._confirmation = Viewer(squares), Confirmation(squares)
         self._known: dict[str, _Known] = {}
@@ -161,7 +179,7 @@ class Plausibility:
         """Begins or goes on with an agent, and forgets those of whom nothing came for long."""
         known = self._known.pop(agent, None)
         if known is None or now_ns - known.seen_ns > FORGET_NS:
-            known = _Known(Trust(self._threshold))
+            known = _Known(TrustScore(self._threshold))
         known.seen_ns = now_ns
         self._known[agent] = known
         if len(self._known) > MOST_KNOWN:
@@ -172,11 +190,11 @@ class Plausibility:
         found = Evidence()
         known, pose, sensor_pose = self._known[said.agent], said.pose, said.sensor_pose
         is_post = said.agent in self._posts
-        stand: Stand | None = None
+        stand: ClaimedPose | None = None
         if not is_post:
-            stand = Stand.of(now_ns, pose, sensor_pose)
+            stand = ClaimedPose.of(now_ns, pose, sensor_pose)
         elif sensor_pose is not None:
-            stand = Stand.of_post(now_ns, sensor_pose)
+            stand = ClaimedPose.of_post(now_ns, sensor_pose)
             found.place = _at_mount(sensor_pose, self._posts[said.agent])
         if stand is not None:
             found.motion = known.motion.score(stand, self._fast_mps)
@@ -190,17 +208,17 @@ class Plausibility:
 
     def _ground(self, said: _Said, sensor_m: Floats, *, is_post: bool) -> float | None:
         over_m = self._whereabouts.over_road_m(sensor_m)
-        bare = any(piece.ground_free for piece in said.pieces)
-        parts = [p.placed for p in said.pieces if p.placed is not None]
+        bare = any(chunk.ground_free for chunk in said.chunks)
+        parts = [p.placed for p in said.chunks if p.placed is not None]
         ground = None if bare else self._whereabouts.on_ground(parts, sensor_m, said.std_m)
-        if not bare and over_m is not None and _is_empty(said.pieces):
+        if not bare and over_m is not None and _is_empty(said.chunks):
             ground = 0.0  # whoever stands on the road sees the road
         both = (None if is_post else height(over_m), ground)
         return min((one for one in both if one is not None), default=None)
 
     def _together(self, said: Sequence[_Said], evidence: dict[str, Evidence]) -> None:
         """Adds what the agents say of one another."""
-        shown = [one for one in said if one.pieces and one.std_m <= EXACT_STD_M]
+        shown = [one for one in said if one.chunks and one.std_m <= EXACT_STD_M]
         if not shown or len(said) < 2:
             return
         views = each(self._view, shown)
@@ -229,10 +247,10 @@ class Plausibility:
                 self._look_at(one.pose, evidence[one.agent])
 
     def _view(self, said: _Said) -> View:
-        if len(said.pieces) == 1 and said.pieces[0].view is not None:
-            return said.pieces[0].view
-        parts = [piece.placed for piece in said.pieces if piece.placed is not None]
-        return self.view(parts, said.pieces[0].sensor_pose)
+        if len(said.chunks) == 1 and said.chunks[0].view is not None:
+            return said.chunks[0].view
+        parts = [chunk.placed for chunk in said.chunks if chunk.placed is not None]
+        return self.view(parts, said.chunks[0].sensor_pose)
 
     def _witness(self, said: _Said, view: View, evidence: Evidence) -> Witness:
         trust = self._known[said.agent].trust
@@ -301,10 +319,10 @@ class Plausibility:
 
 def _by_agent(frame: Frame) -> list[_Said]:
     poses = {pose.agent: pose for pose in frame.poses}
-    pieces: dict[str, list[Piece]] = {}
-    for piece in frame.pieces:
-        pieces.setdefault(piece.agent, []).append(piece)
-    return [_Said(agent, poses.get(agent), pieces.get(agent, [])) for agent in frame.agents]
+    chunks: dict[str, list[Chunk]] = {}
+    for chunk in frame.chunks:
+        chunks.setdefault(chunk.agent, []).append(chunk)
+    return [_Said(agent, poses.get(agent), chunks.get(agent, [])) for agent in frame.agents]
 
 
 def _without(frame: Frame, outcasts: set[str]) -> Frame:
@@ -314,7 +332,7 @@ def _without(frame: Frame, outcasts: set[str]) -> Frame:
         frame,
         agents=[agent for agent in frame.agents if agent not in outcasts],
         poses=[pose for pose in frame.poses if pose.agent not in outcasts],
-        pieces=[piece for piece in frame.pieces if piece.agent not in outcasts],
+        chunks=[chunk for chunk in frame.chunks if chunk.agent not in outcasts],
         found=[one for one in frame.found if one.agent not in outcasts],
     )
 
@@ -326,12 +344,12 @@ def _at_mount(sensor_pose: Floats, mount: Floats) -> float:
     return float(off_m <= MOUNT_M and turned_rad <= MOUNT_RAD)
 
 
-def _is_empty(pieces: Sequence[Piece]) -> bool:
+def _is_empty(chunks: Sequence[Chunk]) -> bool:
     """Whether a whole scan, of which no plan cut anything away, holds nothing at all.
 
     One that does not decode is counted elsewhere; nobody can tell what it showed.
     """
-    if any(piece.is_spoilt for piece in pieces):
+    if any(chunk.is_undecodable for chunk in chunks):
         return False
-    is_whole = len(pieces) == pieces[0].chunk_count and all(p.plan_frame < 0 for p in pieces)
-    return is_whole and not any(piece.returns for piece in pieces)
+    is_whole = len(chunks) == chunks[0].chunk_count and all(p.plan_frame < 0 for p in chunks)
+    return is_whole and not any(chunk.returns for chunk in chunks)

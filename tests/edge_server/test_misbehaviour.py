@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from edge_server.config import EdgeConfig, PlausibilityConfig
-from edge_server.frame import Found, Frame, Piece
+from edge_server.frame import AgentDetections, Chunk, Frame
+from edge_server.misbehaviour import MOST_DOUBTS, MOST_KNOWN, Judged, Plausibility
 from edge_server.pipeline import Pipeline
-from edge_server.plausibility import MOST_DOUBTS, MOST_KNOWN, Judged, Plausibility
 from perception.arrays import Floats
 from perception.roadway import Roadway
 from protocol.geometry import SE3
@@ -54,25 +54,25 @@ class Scene:
 
     def frame(self, number: int, **moved: Floats) -> Frame:
         """Returns a frame; who is named says that it stands so far off, (6,), and looks from it."""
-        poses, pieces = [], []
+        poses, chunks = [], []
         for agent, x, y in (("a", -40.0, -1.75), ("b", 44.0, 1.75)):
             true_pose = np.array([x, y, 0, 0, 0, 0])
             said = true_pose + moved.get(agent, 0)
             poses.append(pose_of(number, agent, said))
-            pieces.append(self.piece(number, agent, true_pose, said, 2.4))
+            chunks.append(self.chunk(number, agent, true_pose, said, 2.4))
         off = moved.get("rsu", np.zeros(6))
-        pieces.append(self.piece(number, POST, POST_POSE, POST_POSE + off, 0.0))
-        return frame_of(number, poses, pieces)
+        chunks.append(self.chunk(number, POST, POST_POSE, POST_POSE + off, 0.0))
+        return frame_of(number, poses, chunks)
 
-    def piece(self, number: int, agent: str, true: Floats, said: Floats, up_m: float) -> Piece:
+    def chunk(self, number: int, agent: str, true: Floats, said: Floats, up_m: float) -> Chunk:
         up = np.array([0, 0, up_m, 0, 0, 0])
         points = SE3.from_pose(true + up).inverse().apply(self.cloud(true + up))
         return self.placed(number, agent, said + up, points.astype(np.float32))
 
-    def placed(self, number: int, agent: str, sensor: Floats, points: Any) -> Piece:
+    def placed(self, number: int, agent: str, sensor: Floats, points: Any) -> Chunk:
         pose = SE3.from_pose(sensor)
         placed = self.roadway.place(points, pose, below_m=2.0, above_m=5.0)
-        one = Piece(number, number * 10**8, agent, 0, 1, sensor, points, 0, 0, 0)
+        one = Chunk(number, number * 10**8, agent, 0, 1, sensor, points, 0, 0, 0)
         return replace(one, placed=placed, returns=len(points))
 
     def judge(self, frames: Sequence[Frame]) -> list[Judged]:
@@ -96,9 +96,9 @@ def pose_of(
     )
 
 
-def frame_of(number: int, poses: list[AgentPose], pieces: list[Piece]) -> Frame:
-    agents = sorted({*(pose.agent for pose in poses), *(piece.agent for piece in pieces)})
-    return Frame(number, number * 10**8, agents, poses, pieces, True, 0, 0)
+def frame_of(number: int, poses: list[AgentPose], chunks: list[Chunk]) -> Frame:
+    agents = sorted({*(pose.agent for pose in poses), *(chunk.agent for chunk in chunks)})
+    return Frame(number, number * 10**8, agents, poses, chunks, True, 0, 0)
 
 
 def outcasts(frames: Sequence[Frame], judged: Sequence[Judged]) -> set[str]:
@@ -139,7 +139,7 @@ def test_a_vehicle_in_the_wrong_place_is_left_out_and_nobody_else(
     assert outcasts(frames, judged) == {"a"}
     last = judged[-1]
     assert [pose.agent for pose in last.frame.poses] == ["b"]
-    assert "a" not in {piece.agent for piece in last.frame.pieces}
+    assert "a" not in {chunk.agent for chunk in last.frame.chunks}
     assert sum(last.left_out.values()) == 1
     assert all(reason.startswith("implausible_") for reason in last.left_out)
     assert [(one.agent, one.believed) for one in last.doubts] == [("a", False)]
@@ -165,8 +165,8 @@ def test_word_against_word_leaves_nobody_out(scene: Scene):
     frames = []
     for number in range(FRAMES):
         whole = scene.frame(number, a=off)
-        pieces = [piece for piece in whole.pieces if piece.agent != POST]
-        frames.append(frame_of(number, whole.poses, pieces))
+        chunks = [chunk for chunk in whole.chunks if chunk.agent != POST]
+        frames.append(frame_of(number, whole.poses, chunks))
     assert outcasts(frames, scene.judge(frames)) == set()
 
 
@@ -179,7 +179,7 @@ def test_a_vehicle_where_others_see_the_road_is_a_ghost(scene: Scene, std_m: flo
         if std_m > 1:
             place[:2] = (7.0, 1.75)
         ghost = pose_of(number, "ghost", place, Equipment.CV, std_m)
-        frames.append(frame_of(number, [*whole.poses, ghost], whole.pieces))
+        frames.append(frame_of(number, [*whole.poses, ghost], whole.chunks))
     assert outcasts(frames, scene.judge(frames)) == ({"ghost"} if std_m < 1 else set())
 
 
@@ -190,7 +190,7 @@ def test_a_vehicle_with_a_radio_alone_that_is_there_is_believed(scene: Scene):
         whole = scene.frame(number)
         place = np.array([*(CARS[1] + rng.normal(0, 1.5, 2)), 0, 0, 0, 0])
         seen = pose_of(number, "cv", place, Equipment.CV, 1.5)
-        frames.append(frame_of(number, [*whole.poses, seen], whole.pieces))
+        frames.append(frame_of(number, [*whole.poses, seen], whole.chunks))
     assert outcasts(frames, scene.judge(frames)) == set()
 
 
@@ -199,9 +199,9 @@ def test_a_whole_scan_without_a_point_on_the_road_is_no_scan(scene: Scene):
     for number in range(FRAMES):
         whole = scene.frame(number)
         nothing = scene.placed(
-            number, "a", whole.pieces[0].sensor_pose, np.zeros((0, 3), np.float32)
+            number, "a", whole.chunks[0].sensor_pose, np.zeros((0, 3), np.float32)
         )
-        frames.append(frame_of(number, whole.poses, [nothing, *whole.pieces[1:]]))
+        frames.append(frame_of(number, whole.poses, [nothing, *whole.chunks[1:]]))
     judged = scene.judge(frames)
     assert outcasts(frames, judged) == {"a"}
     assert judged[-1].left_out == {"implausible_ground": 1}
@@ -212,9 +212,9 @@ def test_a_scan_that_does_not_decode_is_held_against_nobody(scene: Scene):
     for number in range(FRAMES):
         whole = scene.frame(number)
         points = np.zeros((0, 3), np.float32)
-        spoilt = scene.placed(number, "a", whole.pieces[0].sensor_pose, points)
-        pieces = [replace(spoilt, is_spoilt=True), *whole.pieces[1:]]
-        frames.append(frame_of(number, whole.poses, pieces))
+        spoilt = scene.placed(number, "a", whole.chunks[0].sensor_pose, points)
+        chunks = [replace(spoilt, is_undecodable=True), *whole.chunks[1:]]
+        frames.append(frame_of(number, whole.poses, chunks))
     assert outcasts(frames, scene.judge(frames)) == set()
 
 
@@ -235,8 +235,8 @@ def test_chunks_from_two_places_are_not_of_one_scan(scene: Scene):
     frames = []
     for number in range(FRAMES):
         whole = scene.frame(number)
-        other = replace(whole.pieces[0], index=1, sensor_pose=whole.pieces[0].sensor_pose + 2.0)
-        frames.append(frame_of(number, whole.poses, [*whole.pieces, other]))
+        other = replace(whole.chunks[0], index=1, sensor_pose=whole.chunks[0].sensor_pose + 2.0)
+        frames.append(frame_of(number, whole.poses, [*whole.chunks, other]))
     judged = scene.judge(frames)
     assert outcasts(frames, judged) == {"a"}
     assert judged[-1].left_out == {"implausible_motion": 1}
@@ -246,7 +246,7 @@ def test_scores_do_not_depend_on_the_order_of_agents(scene: Scene):
     off = np.array([0, 3.5, 0, 0, 0, 0])
     frames = [scene.frame(number, a=off) for number in range(12)]
     turned = [
-        replace(f, agents=f.agents[::-1], poses=f.poses[::-1], pieces=f.pieces[::-1])
+        replace(f, agents=f.agents[::-1], poses=f.poses[::-1], chunks=f.chunks[::-1])
         for f in frames
     ]
     for one, other in zip(scene.judge(frames), scene.judge(turned), strict=True):
@@ -279,7 +279,7 @@ def test_boxes_of_an_agent_that_is_not_believed_do_not_count(road_map: RoadMap):
             sense_end_ns=0,
             detect_end_ns=0,
         )
-        frame = replace(frame_of(number, [pose], []), found=[Found(said, 0)])
+        frame = replace(frame_of(number, [pose], []), found=[AgentDetections(said, 0)])
         counts.append(pipeline.run(frame).counts.upstream["in_0"])
     assert (counts[0], counts[-1]) == (2, 0)
 

@@ -6,7 +6,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from studies.bench_plausibility import HONEST, PlausibilityRow
+from studies.bench_misbehaviour import HONEST, PlausibilityRow
 from studies.whole_table import print_whole
 
 

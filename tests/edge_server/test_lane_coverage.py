@@ -5,17 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_server.lanes import LaneIndex
-from edge_server.sight import Sight
+from edge_server.lanes import LaneCoverage, LaneIndex
 from tests.studies.test_matching_and_ecvpr import straight_road
 
 NOBODY = np.zeros((0, 2))
 
 
 @pytest.fixture
-def sight() -> Sight:
+def sight() -> LaneCoverage:
     road = straight_road()
-    return Sight(road, LaneIndex(road), upstream_m=100, downstream_m=100)
+    return LaneCoverage(road, LaneIndex(road), upstream_m=100, downstream_m=100)
 
 
 def test_a_sensor_at_the_stop_bar_sees_as_far_as_it_is_trusted(sight):

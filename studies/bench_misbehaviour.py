@@ -16,7 +16,7 @@ import numpy as np
 
 from edge_server.config import EdgeConfig
 from edge_server.frame import Frame
-from edge_server.plausibility import Plausibility
+from edge_server.misbehaviour import Plausibility
 from edge_server.role import mounts_of
 from perception.roadway import Roadway
 from protocol.geometry import SE3
@@ -159,7 +159,7 @@ class Stage:
         need += round(REPLAY_S / self.period_s) if "ago" in name else 0
         present: dict[str, list[int]] = {}
         for frame in self.frames:
-            for agent in {piece.agent for piece in frame.pieces} - self._posts.keys():
+            for agent in {chunk.agent for chunk in frame.chunks} - self._posts.keys():
                 present.setdefault(agent, []).append(frame.frame)
         fit = [(agent, at) for agent, at in sorted(present.items()) if len(at) >= need]
         every = max(-(-len(fit) // MOST_VICTIMS), 1)
@@ -167,24 +167,24 @@ class Stage:
 
     def _placed(self, frame: Frame) -> Frame:
         fence = self._config.geofence
-        pieces = []
-        for piece in frame.pieces:
-            if piece.placed is None:
+        chunks = []
+        for chunk in frame.chunks:
+            if chunk.placed is None:
                 placed = self._roadway.place(
-                    piece.points,
-                    SE3.from_pose(piece.sensor_pose),
+                    chunk.points,
+                    SE3.from_pose(chunk.sensor_pose),
                     below_m=fence.below_m,
                     above_m=fence.above_m,
                 )
-                piece = replace(piece, placed=placed)
-            pieces.append(piece)
-        return replace(frame, pieces=pieces)
+                chunk = replace(chunk, placed=placed)
+            chunks.append(chunk)
+        return replace(frame, chunks=chunks)
 
 
 def _thinned(frame: Frame) -> Frame:
     """Keeps every third point: a run's clouds have to fit into memory."""
-    pieces = [replace(p, points=np.ascontiguousarray(p.points[::THIN])) for p in frame.pieces]
-    return replace(frame, pieces=pieces)
+    chunks = [replace(p, points=np.ascontiguousarray(p.points[::THIN])) for p in frame.chunks]
+    return replace(frame, chunks=chunks)
 
 
 def measure_plausibility(scenarios: Sequence[dict[str, Any]]) -> Iterator[PlausibilityRow]:

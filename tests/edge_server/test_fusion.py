@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge_server.config import FusionConfig
-from edge_server.fuse import fuse
+from edge_server.fusion import fuse
 from perception.detector import Vehicles
 from protocol.messages import AgentPose, Equipment
 

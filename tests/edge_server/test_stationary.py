@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge_server.standing import Standing
+from edge_server.stationary import StationaryVehicles
 
 S = 1_000_000_000
 
@@ -16,7 +16,7 @@ def at(*x_m: float) -> np.ndarray:
 
 @pytest.mark.parametrize("period_ns", [S // 10, S])
 def test_the_slow_stand_and_the_fast_do_not(period_ns):
-    standing = Standing(1.4)
+    standing = StationaryVehicles(1.4)
     for k in range(2 * S // period_ns + 1):
         t_s = k * period_ns / S
         marked = standing.mark(k * period_ns, at(0.0, 20 + 1.0 * t_s, 50 + 3.0 * t_s))
@@ -24,19 +24,19 @@ def test_the_slow_stand_and_the_fast_do_not(period_ns):
 
 
 def test_nobody_stands_who_was_not_seen_before():
-    standing = Standing(1.4)
+    standing = StationaryVehicles(1.4)
     assert not standing.mark(0, at(0.0)).any()
     assert standing.mark(S, at(0.0, 9.0)).tolist() == [True, False]
 
 
 def test_a_gap_in_time_forgets():
-    standing = Standing(1.4)
+    standing = StationaryVehicles(1.4)
     standing.mark(0, at(0.0))
     assert not standing.mark(3 * S, at(0.0)).any()
 
 
 def test_time_that_goes_back_begins_anew():
-    standing = Standing(1.4)
+    standing = StationaryVehicles(1.4)
     standing.mark(5 * S, at(0.0))
     assert not standing.mark(S, at(0.0)).any()
     assert standing.mark(2 * S, at(0.0)).all()
@@ -44,6 +44,6 @@ def test_time_that_goes_back_begins_anew():
 
 @given(st.lists(st.lists(st.floats(-100, 100), max_size=6), max_size=8))
 def test_the_mark_has_the_length_of_what_was_given(frames):
-    standing = Standing(1.4)
+    standing = StationaryVehicles(1.4)
     for k, x_m in enumerate(frames):
         assert standing.mark(k * S, at(*x_m)).shape == (len(x_m),)
