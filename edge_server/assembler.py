@@ -25,8 +25,8 @@ MAX_POINTS = 10_000_000  # of a frame; placed, they take 160 MB
 class FrameAssembly:
     """A frame under way. Chunks are known by (agent, chunk); `drops` counts what came in vain.
 
-    `decoding` are the chunks that are wanted and not decoded yet. A frame that `is_closing` takes no
-    more.
+    `decoding` are the chunks that are wanted and not decoded yet. A frame that `is_closing` takes
+    no more.
     """
 
     first_ns: int
