@@ -8,12 +8,9 @@ from typing import Literal
 
 from protocol.messages import LaneCounts, SignalState
 from protocol.roadmap import Signal
+from signal_controller.reckoning import Lanes, Weight, completed, weighed
 
-Weight = Literal["vehicles", "queued"]
 Unseen = Literal["alike", "empty"]
-Lanes = Mapping[str, float]
-
-LEAST_SEEN = 0.25  # of a lane's reach: less tells too little of the rest
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,31 +60,6 @@ def fixed(signal: Signal, sim_time_ns: int) -> Decision:
 def blind(signal: Signal, sim_time_ns: int, unknown: Iterable[str]) -> Decision:
     """Asks for the same because nothing is known of any lane before the stop bar."""
     return Decision(signal.planned_green(sim_time_ns / 1e9), [], "plan", tuple(unknown))
-
-
-def weighed(counts: LaneCounts, weight: Weight) -> tuple[Lanes, Lanes]:
-    """Returns by lane what presses, before the stop bar and behind it."""
-    if weight == "queued":
-        return counts.queued_upstream, counts.queued_downstream
-    return counts.upstream, counts.downstream
-
-
-def unknown(lanes: Iterable[str], seen: Mapping[str, float]) -> list[str]:
-    """Returns the lanes that nobody sees; where nobody can know, that is none."""
-    return [lane for lane in lanes if seen.get(lane, 1.0) < LEAST_SEEN]
-
-
-def completed(counts: Lanes, seen: Mapping[str, float]) -> Lanes:
-    """Returns the vehicles to be expected on all of each lane, were it as full as what is seen.
-
-    Of a lane of which less than `LEAST_SEEN` is seen, or of which nobody knows how much, the count
-    stands as it is. Behind the stop bar it does so for good: who is there drives off within
-    seconds, so that no number from before would help.
-    """
-    return {
-        lane: count / share if (share := seen.get(lane, 1.0)) >= LEAST_SEEN else count
-        for lane, count in counts.items()
-    }
 
 
 def _chosen(greens: list[str], pressures: list[float], shown: SignalState | None) -> str:

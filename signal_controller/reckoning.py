@@ -2,14 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 from protocol.messages import LaneCounts, SignalState
 from protocol.roadmap import Signal
 from signal_controller.config import SignalConfig
-from signal_controller.policies import completed, unknown, weighed
 
+Weight = Literal["vehicles", "queued"]
+Lanes = Mapping[str, float]
+
+LEAST_SEEN = 0.25  # of a lane's reach: less tells too little of the rest
 SPACING_M = 7.0  # from one standing vehicle to the next: a lane's reach holds no more
+
+
+def weighed(counts: LaneCounts, weight: Weight) -> tuple[Lanes, Lanes]:
+    """Returns by lane what presses, before the stop bar and behind it."""
+    if weight == "queued":
+        return counts.queued_upstream, counts.queued_downstream
+    return counts.upstream, counts.downstream
+
+
+def unknown(lanes: Iterable[str], seen: Mapping[str, float]) -> list[str]:
+    """Returns the lanes that nobody sees; where nobody can know, that is none."""
+    return [lane for lane in lanes if seen.get(lane, 1.0) < LEAST_SEEN]
+
+
+def completed(counts: Lanes, seen: Mapping[str, float]) -> Lanes:
+    """Returns the vehicles to be expected on all of each lane, were it as full as what is seen.
+
+    Of a lane of which less than `LEAST_SEEN` is seen, or of which nobody knows how much, the count
+    stands as it is. Behind the stop bar it does so for good: who is there drives off within
+    seconds, so that no number from before would help.
+    """
+    return {
+        lane: count / share if (share := seen.get(lane, 1.0)) >= LEAST_SEEN else count
+        for lane, count in counts.items()
+    }
 
 
 @dataclass(frozen=True, slots=True)

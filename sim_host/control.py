@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Protocol
 
-from protocol.messages import Setup, SignalRequest, SignalState
-from sim_host.actuated import ActuatedCabinet, programme
-from sim_host.config import CabinetConfig
-from sim_host.world import World
+from protocol.messages import SignalRequest, SignalState
 
 
 class Cabinet(Protocol):
@@ -27,12 +24,3 @@ class Cabinet(Protocol):
 
     def spat(self, frame: int, now_ns: int) -> SignalState:
         """Returns phase and timing."""
-
-
-def own_control(setup: Setup, world: World) -> Cabinet | None:
-    """Returns the control that SUMO itself runs, if the scenario wants that."""
-    config = CabinetConfig.model_validate(setup.scenario["cabinet"])
-    if config.control != "actuated":
-        return None
-    world.run_actuated(programme(setup.road_map.signal, config))
-    return ActuatedCabinet(setup.road_map.signal, world.shown)

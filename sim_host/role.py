@@ -9,17 +9,18 @@ from pathlib import Path
 
 from protocol.errors import BusError, CpnetError
 from protocol.inbox import Envelope, Presence
-from protocol.messages import End, Metrics, SignalRequest, Span, Trips
+from protocol.messages import End, Metrics, Setup, SignalRequest, Span, Trips
 from protocol.process import Context
 from protocol.topics import BusName
 from sensing.config import SceneConfig
 from sensing.recorded_scans import Recording
 from sensing.terrain import Terrain
+from sim_host.actuated import ActuatedCabinet, programme
 from sim_host.broadcast import tick_of, truth_of
 from sim_host.cabinet import SignalCabinet
 from sim_host.clock import Beat
 from sim_host.config import CabinetConfig
-from sim_host.control import Cabinet, own_control
+from sim_host.control import Cabinet
 from sim_host.fleet import Fleet
 from sim_host.pending import Pending
 from sim_host.recorded import RecordedWorld
@@ -109,7 +110,7 @@ class SimRole:
         else:
             world = World(setup, context.run_dir, Terrain(setup.road_map, scene, seed))
             world.start(seed)
-            cabinet = own_control(setup, world)
+            cabinet = _own_control(setup, world)
         return cls(context, world, cabinet).open()
 
     def open(self) -> SimRole:
@@ -332,3 +333,12 @@ class SimRole:
             self._world.counts,
         )
         self._context.stop.set()
+
+
+def _own_control(setup: Setup, world: World) -> Cabinet | None:
+    """Returns the control that SUMO itself runs, if the scenario wants that."""
+    config = CabinetConfig.model_validate(setup.scenario["cabinet"])
+    if config.control != "actuated":
+        return None
+    world.run_actuated(programme(setup.road_map.signal, config))
+    return ActuatedCabinet(setup.road_map.signal, world.shown)

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from protocol.messages import LaneCounts, SignalState
 from signal_controller.config import SignalConfig
-from signal_controller.policies import LEAST_SEEN, blind, max_pressure
-from signal_controller.reckoning import SPACING_M, Estimate, Reckoning
+from signal_controller.policies import blind, max_pressure
+from signal_controller.reckoning import LEAST_SEEN, SPACING_M, Estimate, Reckoning
 from tests.signal_controller.test_policies import MAIN, SIDE, SIGNAL
 
 S = 1_000_000_000
