@@ -12,8 +12,8 @@ from pydantic import Field
 from protocol.config import Section
 from protocol.geometry import Floats
 from sim_host.plain import Row, write_plain_net
+from sim_host.t_junction import TLS
 
-TLS = "J"
 Kind = Literal["tee", "cross", "fork", "skewed tee", "skewed cross"]
 
 _KINDS: dict[Kind, tuple[tuple[float, ...], float, float]] = {  # bearings, jitter, share
