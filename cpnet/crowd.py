@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from cpnet.scenario import Scenario
 from protocol.inbox import Presence
-from sim_host.roll_call import expected_processes
+from sim_host.presence import expected_processes
 
 Who = tuple[str, str]
 """Role and id of a process."""

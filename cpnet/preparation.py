@@ -37,7 +37,7 @@ from protocol.wire import encode
 from sensing.radio import AgentKind
 from sensing.recorded_scans import check_recording, is_of_carla
 from sensing.upload_policies import policy_of
-from signal_controller.registry import check as check_policy
+from signal_controller.policies import check_policy as check_policy
 
 SENSING = {"vehicle", "infra"}
 PLAYERS = SENSING | {"sim"}  # who plays a recording, if there is one

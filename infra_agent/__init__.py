@@ -1,1 +1,1 @@
-"""A LiDAR on a post at the roadside."""
+"""The roadside unit: a LiDAR on a mast. All in `role`."""

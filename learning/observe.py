@@ -24,10 +24,9 @@ from sensing.noise import stream
 from sensing.pose import above, believed_pose, mounted
 from sensing.scene import scene_of
 from sim_host.config import TrafficConfig
-from sim_host.filming import film
 from sim_host.junctions import write_junction
 from sim_host.setup import build_setup
-from sim_host.world import Bodies
+from sim_host.world import TrafficState, sample_traffic
 
 _CAVS = (1, 5)
 _CAVS_NEAR_M = 100.0  # from the junction's centre
@@ -61,7 +60,9 @@ class Observatory:
             }
             setup = build_setup(scenario, folder)
             scene = scene_of(setup, site.scene, site.seed)
-            self._filmed = film(setup, folder, scene.terrain, site.seed, self._steps(moments))
+            self._filmed = sample_traffic(
+                setup, folder, scene.terrain, site.seed, self._steps(moments)
+            )
         self.road_map: RoadMap = setup.road_map
         self._sensors = sensors or Sensors.drawn(site)
         given = self._sensors.mounts
@@ -99,7 +100,7 @@ class Observatory:
         at = np.cumsum(np.round(pauses_s / self.site.traffic.step_s)).astype(int)
         return [int(step) for step in at]
 
-    def _cavs(self, frame: int, bodies: Bodies) -> list[int]:
+    def _cavs(self, frame: int, bodies: TrafficState) -> list[int]:
         rng = stream(self.site.seed, "cavs", frame)
         centre = np.array(self.road_map.centre[:2])
         away_m = np.linalg.norm(bodies.poses[:, :2] - centre, axis=1)
@@ -119,7 +120,7 @@ class Observatory:
         self,
         who: tuple[int, str, Kind],
         poses: tuple[SE3, SE3],
-        bodies: Bodies,
+        bodies: TrafficState,
         sizes_m: Floats,
     ) -> Observed:
         frame, agent, kind = who

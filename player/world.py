@@ -7,10 +7,10 @@ import numpy as np
 from player.frames import CLOCK, Frames
 from protocol.errors import ConfigError
 from protocol.messages import SignalState, Tick, Trip, Trips, Truth
-from sim_host.world import Bodies, Counts
+from sim_host.world import TrafficCounts, TrafficState
 
 WORLD_TOPICS = ("tick", "truth", "trips", CLOCK)
-_NOBODY = Bodies(
+_NOBODY = TrafficState(
     ids=[],
     types=[],
     lanes=[],
@@ -22,7 +22,7 @@ _NOBODY = Bodies(
 
 
 class TapeWorld:
-    """Plays a frame of the tape in so many steps; `sim_host.traffic.Traffic` says what of a world.
+    """Plays a frame of the tape in so many steps; `sim_host.world.Traffic` says what of a world.
 
     Frames have their recorded times. Of a frame that the tape lacks, bodies stay where they were.
     """
@@ -47,7 +47,7 @@ class TapeWorld:
         self.time_ns = 0
         self._open()
         self.time_ns += self._step * step_ns
-        self.counts = Counts(inserted=len(self._bodies.ids))
+        self.counts = TrafficCounts(inserted=len(self._bodies.ids))
 
     def step(self) -> None:
         """Goes on by one step, with the last of a frame to the next."""
@@ -59,7 +59,7 @@ class TapeWorld:
             self._ended = self._trips
             self._open()
 
-    def bodies(self) -> Bodies:
+    def bodies(self) -> TrafficState:
         """Returns where every vehicle was."""
         return self._bodies
 
@@ -98,8 +98,8 @@ class TapeWorld:
             self._bodies = _bodies(places[0], [""] * len(places[0].ids), nowhere)
 
 
-def _bodies(of: Tick | Truth, lanes: list[str], lane_positions_m: np.ndarray) -> Bodies:
-    return Bodies(
+def _bodies(of: Tick | Truth, lanes: list[str], lane_positions_m: np.ndarray) -> TrafficState:
+    return TrafficState(
         ids=of.ids,
         types=of.types,
         lanes=lanes,

@@ -10,7 +10,7 @@ from protocol.config import Section
 from protocol.plugins import Catalogue, PluginSettings
 
 POLICIES = Catalogue("cpnet.signal_policies", "signal policy", ("max_pressure", "fixed"))
-"""Every policy by its name; what an installed one must be, `signal_controller.registry` says."""
+"""Every policy by its name; what an installed one must be, `signal_controller.policies` says."""
 
 
 class SignalConfig(Section):

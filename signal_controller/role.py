@@ -11,8 +11,7 @@ from protocol.inbox import Envelope, Presence
 from protocol.messages import LaneCounts, Metrics, SignalRequest, SignalState, Span
 from protocol.process import Context
 from signal_controller.config import SignalConfig
-from signal_controller.policies import Decision
-from signal_controller.registry import policy_of
+from signal_controller.policies import Decision, policy_of
 
 MAX_KEPT = 8  # counts and states
 Kept = TypeVar("Kept", LaneCounts, SignalState)

@@ -1,19 +1,43 @@
-"""The signal cabinet at the kerb: it takes wishes and shows only what is safe.
+"""The signal cabinet at the kerb: it takes requests and shows only what is safe.
 
 A change from one green to another runs through yellow and all-red, which nothing cuts short.
 Links that are green before and after it keep their green through it, as in real cabinets; so
-"all-red" holds for the links that lost their green. While a change runs its goal stands: a wish
+"all-red" holds for the links that lost their green. While a change runs its goal stands: a request
 that comes meanwhile waits until the new green has lasted its minimum.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_right, insort
 from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
 
 from protocol.errors import ConfigError
+from protocol.inbox import Envelope
 from protocol.messages import SignalRequest, SignalState
 from protocol.roadmap import Signal
 from sim_host.config import CabinetConfig
+
+
+class Cabinet(Protocol):
+    """What decides in the end; see `SignalCabinet`."""
+
+    refusals: Counter[str]
+
+    def request(self, request: SignalRequest, now_ns: int) -> str | None:
+        """Takes a wish; returns None, or why it was refused."""
+
+    def refuse(self, request: SignalRequest, now_ns: int) -> str | None:
+        """Returns why a wish could not be taken now, and counts that."""
+
+    def advance(self, now_ns: int) -> str:
+        """Returns the state to show from now until the next call."""
+
+    def spat(self, frame: int, now_ns: int) -> SignalState:
+        """Returns phase and timing."""
+
 
 PLAN = "plan"
 
@@ -154,3 +178,140 @@ def _shown_together(signal: Signal) -> set[tuple[int, int, str, str]]:
 
 def _ns(seconds: float) -> int:
     return round(seconds * 1e9)
+
+
+SOURCE = "actuated"
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """One interval of the programme: a state, and how long it lasts at least and at most."""
+
+    state: str
+    least_s: float
+    most_s: float
+
+
+def programme(signal: Signal, config: CabinetConfig) -> list[Interval]:
+    """Returns the greens of the plan in its order, with the cabinet's times between them.
+
+    A green goes on while its loops see vehicles, as the actuated programs of SUMO do.
+
+    Raises:
+        ConfigError: there is only one green, and nothing to decide.
+    """
+    greens = signal.greens
+    if len(greens) < 2:
+        raise ConfigError(
+            f"cabinet.control is actuated, but signal {signal.tls} has one green only"
+        )
+    intervals = []
+    for green, after in zip(greens, greens[1:] + greens[:1], strict=True):
+        losing = "".join(
+            "y" if a in "Gg" and b not in "Gg" else a for a, b in zip(green, after, strict=True)
+        )
+        intervals.append(Interval(green, config.min_green_s, config.max_green_s))
+        intervals.append(Interval(losing, config.yellow_s, config.yellow_s))
+        if config.all_red_s:
+            red = losing.replace("y", "r")
+            intervals.append(Interval(red, config.all_red_s, config.all_red_s))
+    return intervals
+
+
+class ActuatedCabinet:
+    """In the place of `SignalCabinet`: it shows what SUMO shows, and heeds no request."""
+
+    def __init__(self, signal: Signal, shown: Callable[[], str]) -> None:
+        self._signal = signal
+        self._shown = shown
+        self._green = signal.greens[0]
+        self.refusals: Counter[str] = Counter()
+
+    def request(self, request: SignalRequest, now_ns: int) -> str | None:  # noqa: ARG002 - see `SignalCabinet.request`
+        """Takes note of a wish, which changes nothing."""
+        return None
+
+    def refuse(self, request: SignalRequest, now_ns: int) -> str | None:  # noqa: ARG002 - see `SignalCabinet.refuse`
+        """Finds nothing wrong with a wish that changes nothing."""
+        return None
+
+    def advance(self, now_ns: int) -> str:  # noqa: ARG002 - see `SignalCabinet.advance`
+        """Returns what is shown anyway."""
+        state = self._shown()
+        if state in self._signal.greens:
+            self._green = state
+        return state
+
+    def spat(self, frame: int, now_ns: int) -> SignalState:
+        """Returns phase and timing; when the next change comes, nobody knows beforehand."""
+        state, greens = self.advance(now_ns), self._signal.greens
+        stage = "yellow" if "y" in state else "green" if state in greens else "all_red"
+        after = greens[(greens.index(self._green) + 1) % len(greens)]
+        return SignalState(
+            frame=frame,
+            sim_time_ns=now_ns,
+            tls=self._signal.tls,
+            state=state,
+            stage=stage,
+            green=self._green if stage == "green" else after,
+            source=SOURCE,
+            earliest_change_ns=now_ns,
+        )
+
+
+MAX_PENDING_REQUESTS = 512  # the longest deadline, 10 s, at 0.1 s a frame, has 100
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PendingRequest:
+    """A request, and the simulated time from which on it may act."""
+
+    due_ns: int
+    request: SignalRequest
+    envelope: Envelope
+
+
+class PendingRequests:
+    """Keeps requests until their simulated time has come; of those due, the newest frame's acts.
+
+    `overtaken` counts those that came behind a newer one that acted, `crowded_out` those that were
+    let go because too many waited: the farthest from being due went first.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: list[PendingRequest] = []  # by due time, then as they came
+        self.overtaken = 0
+        self.crowded_out = 0
+
+    def add(self, envelope: Envelope, request: SignalRequest) -> None:
+        """Takes a request; it is due `delay_sim_ns` after its frame's time."""
+        due_ns = request.sim_time_ns + (request.delay_sim_ns or 0)
+        insort(self._waiting, PendingRequest(due_ns, request, envelope), key=_due_ns)
+        if len(self._waiting) > MAX_PENDING_REQUESTS:
+            self._waiting.pop()
+            self.crowded_out += 1
+
+    def take(self, now_ns: int, accepts: Callable[[SignalRequest], bool]) -> PendingRequest | None:
+        """Returns the newest of what is due that is accepted, if any; what is due is let go.
+
+        One that is refused stands in nobody's way: the next newest is asked about.
+        """
+        split = bisect_right(self._waiting, now_ns, key=_due_ns)
+        due, self._waiting = self._waiting[:split], self._waiting[split:]
+        due.sort(key=lambda one: one.request.sim_time_ns, reverse=True)
+        for place, one in enumerate(due):
+            if accepts(one.request):
+                self.overtaken += len(due) - place - 1
+                self._pass(one.request.sim_time_ns)
+                return one
+        return None
+
+    def _pass(self, sim_time_ns: int) -> None:
+        """Lets go what is not due yet and already overtaken."""
+        newer = [one for one in self._waiting if one.request.sim_time_ns > sim_time_ns]
+        self.overtaken += len(self._waiting) - len(newer)
+        self._waiting = newer
+
+
+def _due_ns(one: PendingRequest) -> int:
+    return one.due_ns

@@ -1,4 +1,4 @@
-"""Who is under way: names, types and equipment of vehicles, and how their journeys end."""
+"""Journeys of vehicles: names, types, equipment, and how they end."""
 
 from __future__ import annotations
 
@@ -7,10 +7,24 @@ import zlib
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from protocol.messages import Equipment, Setup, Trip, VehicleType
-from sim_host.equipment import draw_equipment
+from sim_host.demand import sized
 from sim_host.setup import traffic_config
-from sim_host.vehicles import sized
+
+
+def draw_equipment(seed: int, vehicle: str, cav_rate: float, cv_rate: float) -> Equipment:
+    """Returns what a vehicle carries.
+
+    One uniform number decides, so a higher rate keeps every CAV that a lower rate had.
+    """
+    sequence = np.random.SeedSequence([seed, zlib.crc32(vehicle.encode())])
+    uniform = int(sequence.generate_state(1)[0]) / 2**32
+    if uniform < cav_rate:
+        return Equipment.CAV
+    return Equipment.CV if uniform < cav_rate + cv_rate else Equipment.NONE
+
 
 _UNSAFE = re.compile(r"[/*$?#\s]")
 

@@ -1,18 +1,141 @@
-"""Random signalised junctions: their description, and the net that netconvert makes of it."""
+"""Nets made with netconvert: the built-in T junction, and random signalised junctions."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import Literal
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from pydantic import Field
 
 from protocol.config import Section
 from protocol.geometry import Floats
-from sim_host.plain import Row, write_plain_net
-from sim_host.t_junction import TLS
+from sim_host.sumo import netconvert
+
+Row = dict[str, str | int | float]
+
+_SUFFIXES = {"node": "nod", "edge": "edg", "connection": "con"}
+_HEADER = re.compile(r"<!-- generated on .*?-->\s*", re.DOTALL)
+
+
+def write_plain_net(
+    folder: Path, name: str, parts: Mapping[str, Sequence[Row]], signal: str | None = None
+) -> Path:
+    """Writes `NAME.net.xml` into the folder, by way of netconvert.
+
+    The same parts give the same bytes: netconvert's header, which tells the hour, is cut off.
+
+    Args:
+        folder: holds the plain files as well.
+        name: of the net.
+        parts: rows by their tag: node, edge, connection. Without connections netconvert guesses.
+        signal: the text of a file of signal plans; without one, netconvert makes a plan.
+
+    Raises:
+        ConfigError: netconvert is missing or fails.
+    """
+    arguments = []
+    for tag, rows in parts.items():
+        path = folder / f"{name}.{_SUFFIXES[tag]}.xml"
+        path.write_text(xml(f"{tag}s", [(tag, row) for row in rows]), encoding="utf-8")
+        arguments += [f"--{tag}-files", str(path)]
+    if signal is not None:
+        path = folder / f"{name}.tll.xml"
+        path.write_text(signal, encoding="utf-8")
+        arguments += ["--tllogic-files", str(path)]
+    net = folder / f"{name}.net.xml"
+    netconvert([*arguments, "--output-file", str(net)])
+    net.write_text(_HEADER.sub("", net.read_text("utf-8"), count=1), encoding="utf-8")
+    return net
+
+
+def xml(root: str, rows: Sequence[tuple[str, Row]], before: str = "") -> str:
+    """Returns rows of (tag, attributes) under a root; `before` stands first."""
+    lines = [
+        f"  <{tag} " + " ".join(f"{k}={quoteattr(str(v))}" for k, v in row.items()) + "/>"
+        for tag, row in rows
+    ]
+    return "\n".join([f"<{root}>", before, *lines, f"</{root}>", ""])
+
+
+TLS = "J"
+SPEED_MPS = 13.89
+LANE_WIDTH_M = 3.5
+DEMAND_VPH_PER_LANE = {"north_in": 360.0}  # the paper's side road; 500 elsewhere
+_CORNER_RADIUS_M = 12.0
+_STOP_M = {"west": 19.0, "east": 12.0, "north": 26.0}  # where netconvert then puts the stop bars
+_LENGTH_M = {"west": 193.0, "east": 237.0, "north": 431.0}  # of the approaches
+_CLIMB_FROM_M, _CLIMB_M = 80.0, 2.0
+
+
+def write_net(folder: Path) -> Path:
+    """Writes `t_junction.net.xml` into the folder, by way of netconvert.
+
+    Raises:
+        ConfigError: netconvert is missing or fails.
+    """
+    parts = {"node": _nodes(), "edge": _edges(), "connection": _connections()}
+    return write_plain_net(folder, "t_junction", parts, _signal_xml())
+
+
+def _end_m(arm: str) -> float:
+    return _STOP_M[arm] + _LENGTH_M[arm]
+
+
+def _nodes() -> list[Row]:
+    junction: Row = {"id": TLS, "x": 0, "y": 0, "z": 0, "type": "traffic_light", "tl": TLS}
+    return [
+        {**junction, "radius": _CORNER_RADIUS_M},
+        {"id": "west", "x": -_end_m("west"), "y": 0, "z": 0},
+        {"id": "east", "x": _end_m("east"), "y": 0, "z": _CLIMB_M},
+        {"id": "north", "x": 0, "y": _end_m("north"), "z": 0},
+    ]
+
+
+def _edges() -> list[Row]:
+    slope = [f"{_end_m('east')},0,{_CLIMB_M}", f"{_CLIMB_FROM_M},0,0", "0,0,0"]
+    main: Row = {"numLanes": 4, "speed": SPEED_MPS, "width": LANE_WIDTH_M}
+    east: Row = {**main, "id": "east_in", "from": "east", "to": TLS, "shape": " ".join(slope)}
+    slope.reverse()
+    return [
+        {**main, "id": "west_in", "from": "west", "to": TLS},
+        {**main, "id": "west_out", "from": TLS, "to": "west"},
+        east,
+        {**main, "id": "east_out", "from": TLS, "to": "east", "shape": " ".join(slope)},
+        {**main, "id": "north_in", "from": "north", "to": TLS, "numLanes": 2},
+    ]
+
+
+def _connections() -> list[Row]:
+    pairs = [("north_in", 0, "west_out", 0)]
+    pairs += [("north_in", 1, "east_out", lane) for lane in range(4)]
+    pairs += [("east_in", lane, "west_out", lane) for lane in range(4)]
+    pairs += [("west_in", lane, "east_out", lane) for lane in range(4)]
+    return [{"from": a, "fromLane": b, "to": c, "toLane": d} for a, b, c, d in pairs]
+
+
+def _signal_xml() -> str:
+    """The side road's five links come first, then the main road's eight."""
+    phases = [
+        (41, "rrrrrGGGGGGGG"),
+        (4, "rrrrryyyyyyyy"),
+        (1, "rrrrrrrrrrrrr"),
+        (39, "GGGGGrrrrrrrr"),
+        (4, "yyyyyrrrrrrrr"),
+        (1, "rrrrrrrrrrrrr"),
+    ]
+    body = "".join(f'<phase duration="{s}" state="{state}"/>' for s, state in phases)
+    links = [
+        ("connection", {**row, "tl": TLS, "linkIndex": link})
+        for link, row in enumerate(_connections())
+    ]
+    logic = f'<tlLogic id="{TLS}" type="static" programID="0" offset="0">{body}</tlLogic>'
+    return xml("tlLogics", links, logic)
+
 
 Kind = Literal["tee", "cross", "fork", "skewed tee", "skewed cross"]
 

@@ -1,21 +1,29 @@
-"""A SUMO .net.xml as plain records.
-
-Parsed here and not by sumolib, whose `readNet(withPrograms=True)` fails on the `<param>` inside
-`<tlLogic>` that nets made from OpenDRIVE have.
-"""
+"""Files that SUMO reads, gzipped or not."""
 
 from __future__ import annotations
 
+import gzip
 import math
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from io import BufferedReader
 from pathlib import Path
 from xml.etree import ElementTree
 
 from protocol.errors import ConfigError
 from protocol.files import is_file
 from protocol.roadmap import PlanPhase
-from sim_host.files import UNREADABLE, Stream, open_file
+
+_Stream = BufferedReader | gzip.GzipFile
+UNREADABLE = (ElementTree.ParseError, OSError, EOFError, zlib.error)
+"""What reading such a file as XML raises if it is damaged."""
+
+
+def open_file(path: Path) -> _Stream:
+    """Opens a file; one that is gzipped, by its name, is unpacked as it is read."""
+    return gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb")
+
 
 Point = tuple[float, float, float]
 MAX_ID_CHARS = 512
@@ -98,7 +106,7 @@ def read_net(path: Path) -> Net:
     return net
 
 
-def _children(stream: Stream, path: Path) -> Iterator[ElementTree.Element]:
+def _children(stream: _Stream, path: Path) -> Iterator[ElementTree.Element]:
     """Yields the root's children as they are complete, and frees them: city nets are large."""
     depth = 0
     root: ElementTree.Element | None = None

@@ -15,19 +15,33 @@ from protocol.topics import BusName
 from sensing.config import SceneConfig
 from sensing.recorded_scans import Recording
 from sensing.terrain import Terrain
-from sim_host.actuated import ActuatedCabinet, programme
-from sim_host.broadcast import tick_of, truth_of
-from sim_host.cabinet import SignalCabinet
-from sim_host.clock import Beat
+from sim_host.cabinet import ActuatedCabinet, Cabinet, PendingRequests, SignalCabinet, programme
 from sim_host.config import CabinetConfig
-from sim_host.control import Cabinet
-from sim_host.fleet import Fleet
-from sim_host.pending import Pending
-from sim_host.recorded import RecordedWorld
-from sim_host.roll_call import RollCall, expected_processes
+from sim_host.presence import Fleet, Readiness, expected_processes
 from sim_host.setup import traffic_config
-from sim_host.traffic import Traffic
-from sim_host.world import World
+from sim_host.world import RecordedWorld, Traffic, World, tick_of, truth_of
+
+
+class FrameClock:
+    """When the next frame is due, in monotonic ns. A world that falls behind slips."""
+
+    def __init__(self, period_ns: int) -> None:
+        self._period_ns = period_ns
+        self._due_ns: int | None = None
+        self.late = 0
+
+    def wait_ns(self, now_ns: int) -> int:
+        """Returns how long to wait for the next frame, 0 if it is due."""
+        return 0 if self._due_ns is None else max(0, self._due_ns - now_ns)
+
+    def strike(self, now_ns: int) -> None:
+        """Notes that a frame begins now; one that is a whole period late shifts all that follow."""
+        due_ns = now_ns if self._due_ns is None else self._due_ns
+        if now_ns - due_ns >= self._period_ns:
+            self.late += 1
+            due_ns = now_ns
+        self._due_ns = due_ns + self._period_ns
+
 
 _SLICE_NS = 50_000_000  # how long warm-up may keep the loop from hearing a stop
 _NAP_NS = 30_000_000  # more than the loop's own pause, so that no tick waits for that
@@ -75,12 +89,12 @@ class SimRole:
         self._cabinet_config = CabinetConfig.model_validate(scenario["cabinet"])
         self._cabinet = cabinet or SignalCabinet(self._signal, self._cabinet_config)
         self._fleet = Fleet()
-        self._roll_call = RollCall(expected_processes(scenario), self._traffic.start_timeout_s)
+        self._roll_call = Readiness(expected_processes(scenario), self._traffic.start_timeout_s)
         self._lockstep = scenario["mode"] == "lockstep"
         frames = max(1, round(scenario["duration_s"] / scenario["frame_period_s"]))
         self._end_frame = first_frame + frames
         self._steps = max(1, round(scenario["frame_period_s"] / self._traffic.step_s))
-        self._beat = Beat(round(scenario["frame_period_s"] * 1e9 / speed))
+        self._beat = FrameClock(round(scenario["frame_period_s"] * 1e9 / speed))
         self._stage = Stage.ROLL_CALL
         self._since_ns = 0
         self._warm_ns = world.time_ns + round(self._traffic.warmup_s * 1e9)
@@ -88,7 +102,7 @@ class SimRole:
         self._tick_ns = 0
         self._ticks = 0
         self._request: Envelope | None = None
-        self._pending = Pending()
+        self._pending = PendingRequests()
         self._out_of_turn = 0
 
     @classmethod

@@ -1,30 +1,164 @@
-"""From a scenario to what every process is given before the first frame."""
+"""The setup of a run: scenario, road map, vehicle meshes and buildings, for every process."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import ValidationError
 
 from protocol.errors import ConfigError
 from protocol.files import is_file
-from protocol.messages import Setup, VehicleType
+from protocol.messages import MeshPart, Setup, VehicleType
 from protocol.roadmap import RoadMap
 from protocol.version import own_version
-from sim_host import t_junction
+from sim_host import junctions
 from sim_host.config import TrafficConfig
-from sim_host.demand import write_demand
-from sim_host.files import UNREADABLE, open_file
-from sim_host.meshes import load_meshes, pack
-from sim_host.net import road_map
-from sim_host.netfile import Net, read_net
-from sim_host.polygons import read_polygons
+from sim_host.demand import types_of_demand, types_of_files, write_demand
+from sim_host.netfile import UNREADABLE, Net, open_file, read_net
+from sim_host.road_map import road_map
 from sim_host.sumo import sumo_home
-from sim_host.vehicles import types_of_demand, types_of_files
+
+FILES = {
+    "car": "car-normal-citrus.obj",
+    "microcargo": "car-microcargo-citrus.obj",
+    "minibus": "car-minibus-citrus.obj",
+}
+BOX = "box"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """Vertices (V, 3) float32 within x, y ±0.5 and z 0..1; triangles (T, 3) int32."""
+
+    vertices: npt.NDArray[np.float32]
+    triangles: npt.NDArray[np.int32]
+
+
+def load_meshes(folder: Path) -> dict[str, Mesh]:
+    """Reads the shapes for sensors from the wheel's folder `data/3D`, plus a plain box.
+
+    The wheel's tram is left out: its 30 000 triangles would cost more than a street of cars.
+
+    Raises:
+        ConfigError: a file is missing.
+    """
+    meshes = {name: _unit(*_read_obj(folder / file)) for name, file in FILES.items()}
+    meshes[BOX] = _box()
+    return meshes
+
+
+def pack(
+    meshes: dict[str, Mesh],
+) -> tuple[list[MeshPart], npt.NDArray[np.float32], npt.NDArray[np.int32]]:
+    """Returns the parts, all vertices (V, 3) and all triangles (T, 3) in the order of names."""
+    names = sorted(meshes)
+    parts = [
+        MeshPart(
+            name=name, vertices=len(meshes[name].vertices), triangles=len(meshes[name].triangles)
+        )
+        for name in names
+    ]
+    vertices = np.concatenate([meshes[name].vertices for name in names])
+    triangles = np.concatenate([meshes[name].triangles for name in names])
+    return parts, vertices, triangles
+
+
+def _read_obj(path: Path) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int32]]:
+    if not path.is_file():
+        raise ConfigError(f"vehicle mesh {path} is missing: reinstall the package eclipse-sumo")
+    vertices: list[list[float]] = []
+    triangles: list[tuple[int, int, int]] = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        words = line.split()
+        if words[:1] == ["v"]:
+            vertices.append([float(word) for word in words[1:4]])
+        elif words[:1] == ["f"]:
+            corners = [int(word.split("/")[0]) - 1 for word in words[1:]]
+            triangles += [(corners[0], b, c) for b, c in pairwise(corners[1:])]
+    return np.array(vertices), np.array(triangles, np.int32)
+
+
+def _unit(vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> Mesh:
+    # In the files z is forward (the headlights lie at its end), x is left and y is up.
+    turned = vertices[:, [2, 0, 1]]
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    scaled = (turned - low) / (high - low) - [0.5, 0.5, 0.0]
+    return Mesh(scaled.astype(np.float32), triangles)
+
+
+def _box() -> Mesh:
+    corners = [(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)]
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    triangles = [t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))]
+    return Mesh(np.array(corners, np.float32), np.array(triangles, np.int32))
+
+
+DEFAULT_HEIGHT_M = 10.0
+MAX_HEIGHT_M = 1000.0
+POLYGON_RADIUS_M = 400.0
+
+Ring = list[tuple[float, float]]
+
+
+def read_polygons(path: Path, centre: tuple[float, float, float]) -> tuple[list[Ring], list[float]]:
+    """Returns outlines (map frame) and heights in m of the buildings around a centre.
+
+    A building is a `<poly>` whose type holds "building"; if the file has none, every polygon with
+    a `height` counts. Heights come from a `<param key="height">`, 10 m otherwise.
+
+    Raises:
+        ConfigError: the file is missing, is not XML, or has degrees instead of metres.
+    """
+    if not is_file(path):
+        raise ConfigError(f"scene.polygons: file {path} does not exist")
+    try:
+        rows = list(ElementTree.parse(path).getroot().iter("poly"))
+        found = [(_ring(row), _height(row), "building" in row.get("type", "")) for row in rows]
+    except (ElementTree.ParseError, OSError, ValueError) as error:
+        raise ConfigError(f"scene.polygons: {path} is no SUMO polygon file: {error}") from None
+    if any(row.get("geo") in ("1", "true") for row in rows):
+        raise ConfigError(f"scene.polygons: {path} is in degrees; convert it with polyconvert")
+    named = any(building for _, _, building in found)
+    kept = [
+        (ring, height or DEFAULT_HEIGHT_M)
+        for ring, height, building in found
+        if (building if named else height > 0) and len(ring) >= 3 and _is_near(ring, centre)
+    ]
+    return [ring for ring, _ in kept], [height for _, height in kept]
+
+
+def _ring(row: ElementTree.Element) -> Ring:
+    ring = []
+    for word in row.get("shape", "").split():
+        x, y, *_ = (float(number) for number in word.split(","))
+        ring.append((x, y))
+    return ring[:-1] if len(ring) > 1 and ring[0] == ring[-1] else ring
+
+
+def _height(row: ElementTree.Element) -> float:
+    for param in row.iter("param"):
+        if param.get("key") == "height":
+            return _checked_height(float(param.get("value", "")))
+    return 0.0
+
+
+def _checked_height(height_m: float) -> float:
+    if not 0 <= height_m <= MAX_HEIGHT_M:
+        raise ValueError(f"a height is {height_m:g} m, allowed: 0 to {MAX_HEIGHT_M:g}")
+    return height_m
+
+
+def _is_near(ring: Ring, centre: tuple[float, float, float]) -> bool:
+    away = np.array(ring) - np.array(centre[:2])
+    return bool(np.isfinite(away).all() and np.linalg.norm(away, axis=1).min() <= POLYGON_RADIUS_M)
+
 
 SUMO_FOLDER = "sumo"
 OWN_CONFIG = "world.sumocfg"
@@ -91,8 +225,8 @@ def _own_world(traffic: TrafficConfig, folder: Path) -> tuple[RoadMap, list[Vehi
     if traffic.net:
         path = Path(traffic.net)
     else:
-        path = t_junction.write_net(folder)
-        demand = {**t_junction.DEMAND_VPH_PER_LANE, **traffic.demand_vph_per_lane}
+        path = junctions.write_net(folder)
+        demand = {**junctions.DEMAND_VPH_PER_LANE, **traffic.demand_vph_per_lane}
         traffic = traffic.model_copy(update={"demand_vph_per_lane": demand})
     net = read_net(path)
     roads = road_map(net, traffic.tls)

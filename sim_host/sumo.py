@@ -1,10 +1,12 @@
-"""Where SUMO's programs and data lie, and how its tools are run."""
+"""SUMO's programs and libraries. `python -m sim_host.sumo` tries them and prints the version."""
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
 import subprocess
+import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
@@ -61,3 +63,42 @@ def netconvert(arguments: Sequence[str]) -> None:
         raise ConfigError(f"netconvert does not run: {error}") from None
     if done.returncode != 0:
         raise ConfigError(f"netconvert failed: {done.stderr.strip()[-500:]}")
+
+
+_NODES = '<nodes><node id="a" x="0" y="0"/><node id="b" x="50" y="0"/></nodes>'
+_EDGES = '<edges><edge id="ab" from="a" to="b"/></edges>'
+
+
+def main() -> None:
+    """Exits with status 1 and one line if SUMO does not run here."""
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            sys.stdout.write(f"{simulate_a_step(Path(folder))}\n")
+    except ConfigError as error:
+        sys.exit(str(error))
+
+
+def simulate_a_step(folder: Path) -> str:
+    """Returns SUMO's name and version.
+
+    Raises:
+        ConfigError: a program or library of it is missing or fails.
+    """
+    nodes, edges, net = (folder / f"{name}.xml" for name in ("nodes", "edges", "net"))
+    nodes.write_text(_NODES)
+    edges.write_text(_EDGES)
+    netconvert(["-n", str(nodes), "-e", str(edges), "-o", str(net)])
+    sumo = load_libsumo()
+    try:
+        quiet = ["--no-step-log", "true", "--xml-validation", "never"]
+        sumo.start(["sumo", "--net-file", str(net), *quiet])
+        sumo.simulationStep()
+        version = str(sumo.getVersion()[1])
+        sumo.close()
+    except (sumo.TraCIException, sumo.FatalTraCIError) as error:
+        raise ConfigError(f"SUMO does not simulate: {error}") from None
+    return version
+
+
+if __name__ == "__main__":
+    main()

@@ -1,8 +1,11 @@
-"""SUMO behind a clean face: one world per process, for libsumo keeps its state globally."""
+"""Traffic: the world that SUMO simulates, or recorded traffic, and its messages.
+
+One SUMO world per process, for libsumo keeps its state globally.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
@@ -13,9 +16,11 @@ import numpy.typing as npt
 
 from protocol.errors import ConfigError
 from protocol.geometry import Floats
-from protocol.messages import Setup, Trip
-from sim_host.actuated import Interval
+from protocol.messages import Equipment, Setup, Tick, Trip, Truth
+from sensing.recorded_scans import Recording
+from sim_host.cabinet import Interval
 from sim_host.journeys import Journeys
+from sim_host.presence import Fleet
 from sim_host.setup import config_file, traffic_config
 from sim_host.sumo import load_libsumo
 
@@ -31,7 +36,7 @@ class Ground(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bodies:
+class TrafficState:
     """The vehicles around the signal, sorted by id. Poses are of footprint centres."""
 
     ids: list[str]
@@ -44,7 +49,7 @@ class Bodies:
 
 
 @dataclass(frozen=True, slots=True)
-class Counts:
+class TrafficCounts:
     """Vehicles since SUMO's start, those of the warm-up and beyond the reach included."""
 
     inserted: int = 0
@@ -64,7 +69,7 @@ class World:
         self._setup = setup
         self._shown = ""
         self._sumo: Any = None
-        self.counts = Counts()
+        self.counts = TrafficCounts()
         self.time_ns = 0
 
     def start(self, seed: int) -> None:
@@ -124,7 +129,7 @@ class World:
             self._journeys.end(name, self.time_ns / 1e9)
         self._journeys.note_losses()
 
-    def bodies(self) -> Bodies:
+    def bodies(self) -> TrafficState:
         """Returns where every vehicle within reach is now."""
         vehicle = self._sumo.vehicle
         names = sorted(vehicle.getIDList())
@@ -135,7 +140,7 @@ class World:
         yaw = np.radians(90.0 - np.array([vehicle.getAngle(name) for name in names]))
         half = np.array([journey.type.length_m / 2 for journey in journeys])
         x, y = fronts[near].T - half * np.array([np.cos(yaw), np.sin(yaw)])
-        return Bodies(
+        return TrafficState(
             ids=[journey.name for journey in journeys],
             types=[journey.type.name for journey in journeys],
             lanes=[vehicle.getLaneID(name) for name in names],
@@ -189,3 +194,145 @@ class World:
     def _errors(self) -> tuple[type[Exception], ...]:
         module: ModuleType = self._sumo
         return module.TraCIException, module.FatalTraCIError
+
+
+def connected(bodies: TrafficState) -> dict[str, Equipment]:
+    """Returns the vehicles that carry something, and what."""
+    return {
+        name: Equipment(int(kind))
+        for name, kind in zip(bodies.ids, bodies.equipment, strict=True)
+        if kind != Equipment.NONE
+    }
+
+
+def tick_of(frame: int, sim_time_ns: int, bodies: TrafficState, fleet: Fleet) -> Tick:
+    """Returns the tick of a frame; vehicles without radio have no host."""
+    processes = fleet.processes
+    hosts: Mapping[str, str] = fleet.assign(connected(bodies))
+    number = {name: index for index, name in enumerate(processes)}
+    return Tick(
+        frame=frame,
+        sim_time_ns=sim_time_ns,
+        processes=processes,
+        ids=bodies.ids,
+        types=bodies.types,
+        poses=bodies.poses,
+        speeds_mps=bodies.speeds_mps,
+        equipment=bodies.equipment,
+        hosts=np.array([number[hosts[n]] if n in hosts else -1 for n in bodies.ids], np.int32),
+    )
+
+
+def truth_of(frame: int, sim_time_ns: int, bodies: TrafficState) -> Truth:
+    """Returns the truth of a frame: the tick's poses, with lanes and places along them."""
+    return Truth(
+        frame=frame,
+        sim_time_ns=sim_time_ns,
+        ids=bodies.ids,
+        types=bodies.types,
+        lanes=bodies.lanes,
+        poses=bodies.poses,
+        speeds_mps=bodies.speeds_mps,
+        lane_positions_m=bodies.lane_positions_m,
+        equipment=bodies.equipment,
+    )
+
+
+class Traffic(Protocol):
+    """Moves in steps; see `sim_host.world.World`."""
+
+    time_ns: int
+    counts: TrafficCounts
+
+    def step(self) -> None:
+        """Goes on by one step."""
+
+    def bodies(self) -> TrafficState:
+        """Returns where every vehicle within reach is."""
+
+    def set_signal(self, state: str) -> None:
+        """Shows a state at the signal."""
+
+    def take_trips(self) -> list[Trip]:
+        """Returns the journeys that ended since the last call."""
+
+    def unfinished_trips(self) -> list[Trip]:
+        """Returns the journeys still under way."""
+
+    def waiting(self) -> int:
+        """Returns how many find no room to enter."""
+
+    def close(self) -> None:
+        """Ends the world."""
+
+
+class RecordedWorld:
+    """Plays a frame of the recording a step; `sim_host.world.Traffic` says what of a world."""
+
+    def __init__(self, recording: Recording, step_ns: int) -> None:
+        self._recording = recording
+        self._step_ns = step_ns
+        self._frame = 0
+        self.time_ns = 0
+        self.counts = TrafficCounts(inserted=len(recording.truths[0].ids))
+
+    def step(self) -> None:
+        """Goes on to the next frame."""
+        self._frame += 1
+        self.time_ns += self._step_ns
+
+    def bodies(self) -> TrafficState:
+        """Returns where every vehicle was."""
+        truth = self._recording.truths[self._recording.place(self._frame)]
+        return TrafficState(
+            ids=truth.ids,
+            types=truth.types,
+            lanes=truth.lanes,
+            poses=truth.poses,
+            speeds_mps=truth.speeds_mps,
+            lane_positions_m=truth.lane_positions_m,
+            equipment=truth.equipment,
+        )
+
+    def set_signal(self, state: str) -> None:
+        """Does nothing: what is recorded goes its way."""
+
+    def take_trips(self) -> list[Trip]:
+        """Returns nothing: nobody arrives."""
+        return []
+
+    def unfinished_trips(self) -> list[Trip]:
+        """Returns nothing: journeys were not recorded."""
+        return []
+
+    def waiting(self) -> int:
+        """Returns 0: nobody wants to enter."""
+        return 0
+
+    def close(self) -> None:
+        """Holds nothing of its own."""
+
+
+def sample_traffic(
+    setup: Setup, run_dir: Path, ground: Ground, seed: int, steps: Sequence[int]
+) -> list[TrafficState]:
+    """Returns the bodies after each of these numbers of SUMO steps, which must ascend.
+
+    One such world at a time and process: libsumo keeps its state globally.
+
+    Raises:
+        ConfigError: SUMO refuses its files or gives up.
+    """
+    world = World(setup, run_dir, ground)
+    moments = []
+    done = 0
+    try:
+        world.start(seed)
+        for wanted in steps:
+            for _ in range(wanted - done):
+                world.step()
+            done = wanted
+            moments.append(world.bodies())
+    finally:
+        world.close()
+    return moments

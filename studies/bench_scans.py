@@ -16,8 +16,8 @@ from sensing.mesh import VehicleShapes
 from sensing.noise import stream
 from sensing.pose import above
 from sensing.scene import scene_of
-from sim_host.filming import film
 from sim_host.setup import build_setup
+from sim_host.world import sample_traffic
 
 SEED = 1
 _WARM_UP_STEPS = 600
@@ -43,7 +43,7 @@ def cast_scans() -> list[BenchScan]:
     with tempfile.TemporaryDirectory() as folder:
         setup = build_setup({}, Path(folder))
         scene = scene_of(setup, SceneConfig(), SEED)
-        bodies = film(setup, Path(folder), scene.terrain, SEED, [_WARM_UP_STEPS])[0]
+        bodies = sample_traffic(setup, Path(folder), scene.terrain, SEED, [_WARM_UP_STEPS])[0]
     config = LidarConfig()
     lidar = Lidar(config, scene, VehicleShapes.from_setup(setup))
     centre = np.array(setup.road_map.centre[:2])

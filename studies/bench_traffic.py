@@ -26,10 +26,8 @@ from sensing.pose import above, believed_pose
 from sensing.recorded_scans import write_recording
 from sensing.scene import scene_of
 from sensing.terrain import Terrain
-from sim_host.broadcast import truth_of
-from sim_host.filming import film
 from sim_host.setup import build_setup
-from sim_host.world import Bodies
+from sim_host.world import TrafficState, sample_traffic, truth_of
 from studies.bench_choices import FRAME_PERIOD_S
 from studies.ecvpr import VISIBLE_POINTS
 
@@ -52,7 +50,7 @@ def record_traffic(folder: Path, agents: int, frames: int, seed: int = SEED) -> 
         setup = build_setup({}, Path(scratch))
         scene = scene_of(setup, SceneConfig(), seed)
         steps = range(_WARM_UP_STEPS, _WARM_UP_STEPS + frames)
-        moments = film(setup, Path(scratch), scene.terrain, seed, steps)
+        moments = sample_traffic(setup, Path(scratch), scene.terrain, seed, steps)
     centre = np.array(setup.road_map.centre[:2])
     cavs = _choose(moments, centre, agents - 1)
     config = LidarConfig()
@@ -101,7 +99,7 @@ def visible_vehicles(folder: Path) -> list[set[str]]:
     return [set(names) for names in json.loads((folder / VISIBLE_NAME).read_text("utf-8"))]
 
 
-def _choose(moments: Sequence[Bodies], centre: np.ndarray, count: int) -> list[str]:
+def _choose(moments: Sequence[TrafficState], centre: np.ndarray, count: int) -> list[str]:
     """Returns vehicles that stay near the junction all the while, evenly by their distance."""
     always = set(moments[0].ids)
     for bodies in moments:
@@ -119,6 +117,6 @@ def _choose(moments: Sequence[Bodies], centre: np.ndarray, count: int) -> list[s
     return [order[i] for i in picks]
 
 
-def _equipped(bodies: Bodies, cavs: Sequence[str]) -> Bodies:
+def _equipped(bodies: TrafficState, cavs: Sequence[str]) -> TrafficState:
     kinds = [Equipment.CAV if name in cavs else Equipment.NONE for name in bodies.ids]
     return replace(bodies, equipment=np.array(kinds, np.uint8))

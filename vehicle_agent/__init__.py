@@ -1,1 +1,1 @@
-"""CAVs sense, encode and upload; CVs report where they are."""
+"""Vehicle agents: CAVs sense, encode and upload; CVs report their pose. All in `role`."""

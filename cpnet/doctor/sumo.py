@@ -16,7 +16,7 @@ def starts() -> list[Finding]:
     """Has SUMO simulate a step; nothing to say where it is not installed."""
     if not all(map(importlib.util.find_spec, ("sumo", "libsumo"))):
         return []
-    command = [sys.executable, "-m", "sim_host.trial"]
+    command = [sys.executable, "-m", "sim_host.sumo"]
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, timeout=TRIAL_TIMEOUT_S, check=False

@@ -43,9 +43,8 @@ from recorder.ledger import MAX_ENTRIES, MAX_WIRED
 from recorder.pulse import OPEN_FRAMES
 from recorder.role import RecordRole
 from sensing.uplink import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES, Plans
-from sim_host.fleet import MAX_PROCESSES as MAX_HOSTS
-from sim_host.fleet import Fleet
-from sim_host.roll_call import RollCall
+from sim_host.presence import MAX_PROCESSES as MAX_HOSTS
+from sim_host.presence import Fleet, Readiness
 
 LONG = "x" * 120  # of an agent's id
 KEY = "cpnet/v1/r0/roster/p"
@@ -275,7 +274,7 @@ def test_an_agent_keeps_the_plans_of_a_few_frames():
 
 
 def test_the_world_counts_the_processes_it_expects_and_a_few_more():
-    roll_call, fleet = RollCall(["edge", "record"], 60), Fleet()
+    roll_call, fleet = Readiness(["edge", "record"], 60), Fleet()
     for n in range(5000):
         roll_call.hear(Presence("vehicle", f"{n}", alive=True, bus=BusName.WORLD))
         fleet.join(f"{n}")

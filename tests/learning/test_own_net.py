@@ -11,7 +11,7 @@ import pytest
 from cpnet.scenario import load
 from learning.own_net import moments_on, observatory_of, seen_by
 from protocol.errors import ConfigError
-from sim_host.t_junction import write_net
+from sim_host.junctions import write_net
 
 
 def scenario(**keys: Any) -> dict[str, Any]:

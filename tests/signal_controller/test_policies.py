@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from protocol.messages import LaneCounts, SignalState
 from protocol.roadmap import Link, PlanPhase, Signal
 from signal_controller.policies import fixed, max_pressure, pressure
-from signal_controller.reckoning import LEAST_SEEN, completed
+from signal_controller.queue_estimator import LEAST_SEEN, completed
 
 MAIN, SIDE = "GGr", "rrG"
 SIGNAL = Signal(

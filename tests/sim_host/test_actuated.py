@@ -7,7 +7,7 @@ import pytest
 from protocol.errors import ConfigError
 from protocol.messages import SignalRequest
 from protocol.roadmap import Link, PlanPhase, Signal
-from sim_host.actuated import ActuatedCabinet, programme
+from sim_host.cabinet import ActuatedCabinet, programme
 from sim_host.config import CabinetConfig
 
 

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.messages import Equipment
-from sim_host.equipment import draw_equipment
-from sim_host.fleet import Fleet
+from sim_host.journeys import draw_equipment
+from sim_host.presence import Fleet
 
 CAV, CV = Equipment.CAV, Equipment.CV
 

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from protocol.inbox import Envelope
 from protocol.messages import SignalRequest
 from protocol.roadmap import PlanPhase, Signal
-from sim_host.cabinet import SignalCabinet
+from sim_host.cabinet import PendingRequests, SignalCabinet
 from sim_host.config import CabinetConfig
-from sim_host.pending import Pending
 from studies.safety import Watch
 from tests.hostile import KINDS, Hostile, S
 from tests.sim_host.test_cabinet import signals
@@ -41,7 +40,7 @@ class Kerb:
     ) -> None:
         self.signal = signal
         self.cabinet = SignalCabinet(signal, config)
-        self.pending = Pending()
+        self.pending = PendingRequests()
         self.watch = Watch(signal, promised or config, STEP_S)
         self.now_ns = 0
         self.heard = 0

@@ -5,11 +5,11 @@ import pytest
 
 from protocol.messages import Setup
 from sensing.noise import stream
-from sim_host.filming import film
 from sim_host.junctions import Junction, draw_junction, write_junction
-from sim_host.net import road_map
 from sim_host.netfile import read_net
+from sim_host.road_map import road_map
 from sim_host.setup import build_setup
+from sim_host.world import sample_traffic
 
 SEEDS = range(40)
 
@@ -68,8 +68,8 @@ def test_a_slope_is_in_the_net(tmp_path):
 def test_traffic_is_filmed_at_the_steps_asked_for(tmp_path, flat):
     net = write_junction(tmp_path, "net", drawn(3))
     setup: Setup = build_setup({"traffic": {"net": str(net), "step_s": 0.5}}, tmp_path)
-    first, second = film(setup, tmp_path, flat, 1, [80, 84])
-    (again,) = film(setup, tmp_path, flat, 1, [84])
+    first, second = sample_traffic(setup, tmp_path, flat, 1, [80, 84])
+    (again,) = sample_traffic(setup, tmp_path, flat, 1, [84])
     assert first.ids
     assert second.ids == again.ids
     np.testing.assert_array_equal(second.poses, again.poses)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import ConfigError
-from sim_host.meshes import BOX, FILES, load_meshes, pack
+from sim_host.setup import BOX, FILES, load_meshes, pack
 from sim_host.sumo import sumo_home
 
 FOLDER = sumo_home() / "data" / "3D"

@@ -8,8 +8,8 @@ import pytest
 from protocol.errors import ConfigError
 from sim_host.config import TrafficConfig
 from sim_host.demand import movements, write_demand
-from sim_host.net import road_map
 from sim_host.netfile import read_net
+from sim_host.road_map import road_map
 
 
 def lane(edge: str, shape: str, **more: str) -> str:

@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 
 from protocol.inbox import Envelope
 from protocol.messages import SignalRequest
-from sim_host.pending import MOST_WAITING, Pending
+from sim_host.cabinet import MAX_PENDING_REQUESTS, PendingRequests
 
 
-def add(pending: Pending, sim_time_ns: int, delay_ns: int | None = None, state: str = "G") -> None:
+def add(
+    pending: PendingRequests, sim_time_ns: int, delay_ns: int | None = None, state: str = "G"
+) -> None:
     request = SignalRequest(
         frame=0,
         sim_time_ns=sim_time_ns,
@@ -25,7 +27,7 @@ def add(pending: Pending, sim_time_ns: int, delay_ns: int | None = None, state: 
 
 
 def take(
-    pending: Pending, now_ns: int, accepts: Callable[[SignalRequest], bool] = lambda _: True
+    pending: PendingRequests, now_ns: int, accepts: Callable[[SignalRequest], bool] = lambda _: True
 ) -> int | None:
     taken = pending.take(now_ns, accepts)
     return taken and taken.request.sim_time_ns
@@ -36,7 +38,7 @@ def is_good(request: SignalRequest) -> bool:
 
 
 def test_the_newest_that_is_due_acts_and_older_ones_are_overtaken():
-    pending = Pending()
+    pending = PendingRequests()
     for now_ns in (10, 30, 20):
         add(pending, now_ns, 5)
     assert take(pending, 14) is None
@@ -46,7 +48,7 @@ def test_the_newest_that_is_due_acts_and_older_ones_are_overtaken():
 
 
 def test_what_waits_is_overtaken_by_a_newer_one_that_acts():
-    pending = Pending()
+    pending = PendingRequests()
     add(pending, 10, 500)
     add(pending, 20)
     assert take(pending, 20) == 20
@@ -55,7 +57,7 @@ def test_what_waits_is_overtaken_by_a_newer_one_that_acts():
 
 
 def test_one_that_is_refused_neither_acts_nor_overtakes():
-    pending = Pending()
+    pending = PendingRequests()
     add(pending, 10)
     add(pending, 20, state="bad")
     assert take(pending, 20, is_good) == 10
@@ -64,18 +66,18 @@ def test_one_that_is_refused_neither_acts_nor_overtakes():
 
 def test_of_two_of_one_time_the_good_one_acts_in_any_order():
     for states in ("G", "bad"), ("bad", "G"):
-        pending = Pending()
+        pending = PendingRequests()
         for state in states:
             add(pending, 20, state=state)
         assert take(pending, 20, is_good) == 20
 
 
 def test_a_flood_of_what_is_due_late_drives_out_itself_alone():
-    pending = Pending()
+    pending = PendingRequests()
     add(pending, 1, 10)
-    for number in range(2 * MOST_WAITING):
+    for number in range(2 * MAX_PENDING_REQUESTS):
         add(pending, 1, 1000 + number)
-    assert pending.crowded_out == MOST_WAITING + 1
+    assert pending.crowded_out == MAX_PENDING_REQUESTS + 1
     assert take(pending, 11) == 1
 
 
@@ -86,7 +88,7 @@ requests = st.tuples(st.integers(0, 50), st.integers(0, 50), st.sampled_from(["G
 def test_who_is_good_and_newest_of_those_due_always_acts(
     before: list[tuple[int, int, str]], later: list[tuple[int, int, str]]
 ) -> None:
-    pending = Pending()
+    pending = PendingRequests()
     acted: list[int] = []
     for now_ns, batch in ((60, before), (120, [(a + 60, b, c) for a, b, c in later])):
         for sim_time_ns, delay_ns, state in batch:

@@ -8,8 +8,8 @@ from protocol.errors import ConfigError
 from protocol.roadmap import RoadMap
 from sim_host.config import TrafficConfig
 from sim_host.demand import movements
-from sim_host.net import road_map
 from sim_host.netfile import Net, read_net
+from sim_host.road_map import road_map
 
 NET = Path(__file__).parents[3] / "shared" / "data" / "town04" / "Town04.net.xml"
 pytestmark = pytest.mark.skipif(not NET.is_file(), reason=f"no Town04 net at {NET}")

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import ConfigError
-from sim_host.polygons import read_polygons
-from sim_host.vehicles import mesh_for, types_of_files
+from sim_host.demand import mesh_for, types_of_files
+from sim_host.setup import read_polygons
 
 
 def test_types_are_read_with_sumos_defaults_for_what_is_not_said(tmp_path: Path) -> None:

@@ -9,12 +9,12 @@ import pytest
 from protocol.errors import ConfigError
 from protocol.messages import Equipment, Setup
 from sim_host.setup import build_setup
-from sim_host.world import Bodies, Ground, World
+from sim_host.world import Ground, TrafficState, World
 
 MAIN, SIDE = "rrrrrGGGGGGGG", "GGGGGrrrrrrrr"
 
 
-def play(setup: Setup, run_dir: Path, ground: Ground, seed: int, steps: int) -> Bodies:
+def play(setup: Setup, run_dir: Path, ground: Ground, seed: int, steps: int) -> TrafficState:
     world = World(setup, run_dir, ground)
     world.start(seed)
     try:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import ConfigError
-from sim_host.t_junction import write_net
+from sim_host.junctions import write_net
 from studies.accuracy.measure import junction_of, measure_accuracy
 from studies.evaluate import EvalRow
 from tests.studies.accuracy.small import small

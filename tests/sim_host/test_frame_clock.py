@@ -1,10 +1,10 @@
 """The beat of realtime frames."""
 
-from sim_host.clock import Beat
+from sim_host.role import FrameClock
 
 
 def test_frames_keep_time_whatever_they_take() -> None:
-    beat = Beat(100)
+    beat = FrameClock(100)
     assert beat.wait_ns(1000) == 0
     beat.strike(1000)
     assert beat.wait_ns(1030) == 70
@@ -14,7 +14,7 @@ def test_frames_keep_time_whatever_they_take() -> None:
 
 
 def test_a_world_that_falls_behind_slips_and_counts() -> None:
-    beat = Beat(100)
+    beat = FrameClock(100)
     beat.strike(1000)
     beat.strike(1250)
     assert beat.late == 1

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from protocol.messages import LaneCounts, SignalState
 from signal_controller.config import SignalConfig
 from signal_controller.policies import blind, max_pressure
-from signal_controller.reckoning import LEAST_SEEN, SPACING_M, Estimate, Reckoning
+from signal_controller.queue_estimator import LEAST_SEEN, SPACING_M, QueueEstimate, QueueEstimator
 from tests.signal_controller.test_policies import MAIN, SIDE, SIGNAL
 
 S = 1_000_000_000
@@ -43,14 +43,14 @@ def shown(second: float, state: str = MAIN) -> SignalState:
     )
 
 
-def reckoning(**keys: float) -> Reckoning:
-    return Reckoning(SIGNAL, CONFIG.model_copy(update=keys), REACH_M)
+def reckoning(**keys: float) -> QueueEstimator:
+    return QueueEstimator(SIGNAL, CONFIG.model_copy(update=keys), REACH_M)
 
 
 def test_what_is_seen_is_not_reckoned():
     known = reckoning()
-    assert known.take(counts(3, 4, main=1.0, side=LEAST_SEEN), shown(0)) == Estimate({}, False)
-    assert known.take(counts(3, 4), shown(99)) == Estimate({}, False)
+    assert known.take(counts(3, 4, main=1.0, side=LEAST_SEEN), shown(0)) == QueueEstimate({}, False)
+    assert known.take(counts(3, 4), shown(99)) == QueueEstimate({}, False)
 
 
 def test_a_lane_grows_while_red_and_shrinks_while_green_from_what_was_last_seen():
@@ -66,7 +66,7 @@ def test_a_lane_grows_while_red_and_shrinks_while_green_from_what_was_last_seen(
 def test_a_lane_that_was_never_seen_starts_empty_and_never_overflows():
     known = reckoning(reckon_inflow_vph=3600)
     first = known.take(counts(0, 0, main=0.0, side=0.0), shown(500))
-    assert first == Estimate({"main": 0.0, "side": 0.0}, False)
+    assert first == QueueEstimate({"main": 0.0, "side": 0.0}, False)
     for second in range(501, 600):
         known.take(counts(0, 0, main=0.0, side=1.0), shown(second, SIDE))
     last = known.take(counts(0, 0, main=0.0, side=1.0), shown(600, SIDE))

@@ -1,4 +1,4 @@
-"""What is reckoned of lanes before the stop bar that nobody sees: unknown is not empty."""
+"""Queue estimator for lanes before the stop bar that no sensor covers: unknown is not empty."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def completed(counts: Lanes, seen: Mapping[str, float]) -> Lanes:
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class QueueEstimate:
     """Vehicles by lane, of the lanes that nobody sees; `is_blind` once no number is worth much."""
 
     vehicles: dict[str, float]
@@ -51,14 +51,14 @@ class Estimate:
 
 
 @dataclass(slots=True)
-class _Lane:
+class _LaneEstimate:
     """What was last believed of a lane, and for how long nobody has seen it."""
 
     vehicles: float = 0.0
     unseen_ns: int = 0
 
 
-class Reckoning:
+class QueueEstimator:
     """Keeps for each lane the last known number of vehicles and reckons on from it.
 
     In simulated time the number grows by the inflow and, while a link of the lane is green, shrinks
@@ -75,10 +75,10 @@ class Reckoning:
         self._outflow_per_s = config.reckon_saturation_vph / 3600
         self._worth_ns = round(config.reckon_s * 1e9)
         self._most = reach_m / SPACING_M
-        self._lanes = {link.from_lane: _Lane() for link in signal.links}
+        self._lanes = {link.from_lane: _LaneEstimate() for link in signal.links}
         self._time_ns: int | None = None
 
-    def take(self, counts: LaneCounts, shown: SignalState | None) -> Estimate:
+    def take(self, counts: LaneCounts, shown: SignalState | None) -> QueueEstimate:
         """Takes a frame's counts, and the signal's state of then as the clock; once a frame."""
         passed_ns = self._passed_ns(shown)
         before, _ = weighed(counts, self._config.weight)
@@ -92,9 +92,9 @@ class Reckoning:
                 lane.vehicles, lane.unseen_ns = count, 0
         vehicles = {name: lane.vehicles for name, lane in self._lanes.items() if name in hidden}
         is_blind = all(lane.unseen_ns >= self._worth_ns for lane in self._lanes.values())
-        return Estimate(vehicles, is_blind)
+        return QueueEstimate(vehicles, is_blind)
 
-    def _reckon(self, lane: _Lane, count: float, passed_ns: int, *, is_green: bool) -> None:
+    def _reckon(self, lane: _LaneEstimate, count: float, passed_ns: int, *, is_green: bool) -> None:
         rate_per_s = self._inflow_per_s - (self._outflow_per_s if is_green else 0.0)
         most = max(self._most, lane.vehicles)
         lane.vehicles = max(count, min(most, lane.vehicles + rate_per_s * passed_ns / 1e9))
