@@ -18,7 +18,7 @@ from cpnet.cli_options import AsJson, Override, assigned, console, errors
 from edge_server.config import EdgeConfig
 from perception.registry import check
 from protocol.errors import ConfigError
-from studies.page.save import check_target
+from studies.page.write import check_target
 from studies.sweep.cells import Cell, Store, cells_of
 from studies.sweep.study_file import Study, read_study
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cpnet.again import command_of
 from recorder.run import Run
-from studies.page.save import check_target, save_html
+from studies.page.write import check_target, save_html
 from studies.run_page import run_page
 
 

@@ -15,7 +15,7 @@ from studies.accuracy.kept import accuracy_of
 from studies.accuracy.scenes import scenes_section
 from studies.accuracy.table import accuracy_section
 from studies.page.model import Section
-from studies.page.save import save_html, save_markdown
+from studies.page.write import save_html, save_markdown
 from studies.paper_page import paper_page
 from studies.study_page import bandwidth_page, plain_page
 from studies.study_tables import StudyResults

@@ -10,8 +10,7 @@ import numpy as np
 from recorder.run import Run
 from studies import palette
 from studies.over_time import FrameClock, over_time, thinned_series
-from studies.page.charts import Chart, Series
-from studies.page.model import Block, Cell, Column, Section, Table, Text
+from studies.page.model import Block, Cell, Chart, Column, Section, Series, Table, Text
 from studies.uplink import MOST_ROWS, left_out, most_active
 
 STAGES = (

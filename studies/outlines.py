@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from perception.arrays import Floats
 from protocol.roadmap import Lane, RoadMap
-from studies.page.charts import Ring
+from studies.page.model import Ring
 
 _CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) / 2
 GROUND_BAND_M = 0.35

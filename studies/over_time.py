@@ -11,7 +11,7 @@ import numpy as np
 
 from perception.arrays import Floats
 from recorder.run import Run
-from studies.page.charts import Chart, ChartKind, Numbers, Series
+from studies.page.model import Chart, ChartKind, Numbers, Series
 
 MAX_POINTS = 1500
 STRETCHES = 300

@@ -9,8 +9,7 @@ from itertools import pairwise
 import numpy as np
 import polars as pl
 
-from studies.page.charts import Chart, Series
-from studies.page.model import Block, Cell, Column, Fact, Page, Section, Table, Text
+from studies.page.model import Block, Cell, Chart, Column, Fact, Page, Section, Series, Table, Text
 from studies.study_tables import (
     DELAY,
     E_CVPR,

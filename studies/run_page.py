@@ -12,8 +12,19 @@ from recorder.run import Run
 from studies.ecvpr import FrameScore, score
 from studies.latency import latency_section, latency_table
 from studies.over_time import FrameClock
-from studies.page.cells import DASH
-from studies.page.model import Beside, Block, Cell, Code, Column, Fact, Page, Section, Table, Text
+from studies.page.model import (
+    DASH,
+    Beside,
+    Block,
+    Cell,
+    Code,
+    Column,
+    Fact,
+    Page,
+    Section,
+    Table,
+    Text,
+)
 from studies.run_sections import map_section, phases_section, vehicles_section
 from studies.summary import Summary, summarise
 from studies.uplink import uplink_section
@@ -159,7 +170,7 @@ def run_page(run_dir: Path, command: str = "") -> Page:
             phases_section(run, clock),
             uplink_section(run, clock),
             latency_section(run, clock, summary["latency_ms"]),
-            map_section(run, clock),
+            map_section(run),
             origin_section(run, command),
         )
         name = str(summary["scenario"] or run_dir.name)

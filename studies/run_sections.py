@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import groupby
 from math import ceil
 
@@ -20,8 +20,20 @@ from studies.count_error import counts_with_truth
 from studies.ecvpr import EvaluationArea, FrameScore, matches
 from studies.outlines import road_rings
 from studies.over_time import TIME, FrameClock, over_time, thinned_series
-from studies.page.charts import Chart, MapChart, Mark, Points, Span, Timeline
-from studies.page.model import Beside, Block, Column, Section, Table, Text
+from studies.page.model import (
+    Beside,
+    Block,
+    Chart,
+    Column,
+    MapChart,
+    Mark,
+    Points,
+    Section,
+    Span,
+    Table,
+    Text,
+    Timeline,
+)
 
 Counted = list[tuple[CountRow, int | None]]
 _COLUMNS = (
@@ -214,28 +226,19 @@ def _parsed(text: str) -> list[float]:
 
 MOST_POINTS = 4000
 _MARGIN_M = 8.0
+_CLASSES: tuple[tuple[str, float, Mark, str], ...] = (
+    ("detected", 4.5, "disc", palette.GOOD),
+    ("reports itself", 4.5, "disc", palette.PLAIN),
+    ("missed", 4.5, "disc", palette.BAD),
+    ("false detection", 6.0, "cross", palette.INK),
+)
 _FRAMES = """
     SELECT frame FROM frames WHERE detections IS NOT NULL
     INTERSECT SELECT frame FROM truth ORDER BY frame
 """
 
 
-@dataclass(slots=True)
-class _Class:
-    """Points of one class while they are gathered."""
-
-    name: str
-    colour: str
-    mark: Mark = "disc"
-    size: float = 4.5
-    rows: list[tuple[float, float, str]] = field(default_factory=list)
-
-    def points(self) -> Points:
-        x_m, y_m, hover = zip(*self.rows, strict=True) if self.rows else ((), (), ())
-        return Points(self.name, x_m, y_m, hover, self.size, self.mark, self.colour)
-
-
-def map_section(run: Run, clock: FrameClock) -> Section:
+def map_section(run: Run) -> Section:
     """Returns the map of a run, or why there is none."""
     title = "Where vehicles were seen and missed"
     try:
@@ -248,8 +251,7 @@ def map_section(run: Run, clock: FrameClock) -> Section:
         return Section(title, (Text(missing), _map(setup.road_map, _sensors(run), "")))
     kept = _thinned(run, frames)
     types = {kind.name: kind for kind in setup.vehicle_types}
-    classes = _gathered(run, kept, clock, types, EvaluationArea(setup.road_map))
-    points = [one.points() for one in classes if one.rows]
+    points = _vehicle_points(run, kept, types, EvaluationArea(setup.road_map))
     notes = f"Vehicles within reach of the signal in {len(kept)} of {len(frames)} frames."
     return Section(title, (_map(setup.road_map, [*points, *_sensors(run)], notes),))
 
@@ -260,41 +262,35 @@ def _thinned(run: Run, frames: list[int]) -> list[int]:
     return frames[:: max(1, ceil(vehicles / MOST_POINTS))]
 
 
-def _gathered(
-    run: Run,
-    frames: list[int],
-    clock: FrameClock,
-    types: dict[str, VehicleType],
-    reach: EvaluationArea,
-) -> list[_Class]:
-    seen, own = _Class("detected", palette.GOOD), _Class("reports itself", palette.PLAIN)
-    missed = _Class("missed", palette.BAD)
-    nothing = _Class("detection of nothing", palette.INK, "cross", 6.0)
+def _vehicle_points(
+    run: Run, frames: list[int], types: dict[str, VehicleType], area: EvaluationArea
+) -> list[Points]:
+    """Returns where vehicles were detected, reported themselves or were missed, by class."""
+    classes: dict[str, list[tuple[float, float]]] = defaultdict(list)
     for frame in frames:
-        detections, when = run.of_frame(DetectionRow, frame), f"{clock[frame]:.1f} s"
-        vehicles = run.of_frame(TruthRow, frame)
+        detections, vehicles = run.of_frame(DetectionRow, frame), run.of_frame(TruthRow, frame)
         found, false = matches(detections, vehicles, types)
         reporting = {one.source for one in detections}
         for one in vehicles:
-            if reach.contains(one.lane, one.lane_position_m):
-                kind = own if one.vehicle in reporting else seen if one.vehicle in found else missed
-                kind.rows.append((one.x_m, one.y_m, f"{one.vehicle}, {when}"))
-        nothing.rows += [(one.x_m, one.y_m, f"{one.source}, {when}") for one in false]
-    return [seen, own, missed, nothing]
+            if area.contains(one.lane, one.lane_position_m):
+                detected = "detected" if one.vehicle in found else "missed"
+                name = "reports itself" if one.vehicle in reporting else detected
+                classes[name].append((one.x_m, one.y_m))
+        classes["false detection"] += [(one.x_m, one.y_m) for one in false]
+    points: list[Points] = []
+    for name, size, mark, colour in _CLASSES:
+        x_m, y_m = tuple(x for x, _ in classes[name]), tuple(y for _, y in classes[name])
+        points += [Points(name, x_m, y_m, size, mark, colour)] if x_m else []
+    return points
 
 
 def _sensors(run: Run) -> list[Points]:
     """Returns where the roadside sensors stand."""
     centre = run.setup.road_map.centre
     mounts = run.scenario.get("roadside_mounts", [])
-    places = [
-        (centre[0] + float(one.get("x_m", 0)), centre[1] + float(one.get("y_m", 0)), str(one["id"]))
-        for one in mounts
-    ]
-    if not places:
-        return []
-    x_m, y_m, names = zip(*places, strict=True)
-    return [Points("roadside LiDAR", x_m, y_m, names, 13.0, "star", "#e69f00")]
+    x_m = tuple(centre[0] + float(one.get("x_m", 0)) for one in mounts)
+    y_m = tuple(centre[1] + float(one.get("y_m", 0)) for one in mounts)
+    return [Points("roadside LiDAR", x_m, y_m, 13.0, "star", "#e69f00")] if mounts else []
 
 
 def _map(road_map: RoadMap, points: list[Points], notes: str) -> MapChart:

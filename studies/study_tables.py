@@ -9,8 +9,7 @@ from typing import Any
 import polars as pl
 import yaml
 
-from studies.page.charts import Chart, Number, Series
-from studies.page.model import Block, Cell, Code, Column, Section, Table
+from studies.page.model import Block, Cell, Chart, Code, Column, Number, Section, Series, Table
 from studies.sweep.results import over_seeds
 from studies.sweep.study_file import Study
 

@@ -7,8 +7,7 @@ from collections import defaultdict
 from recorder.run import Run
 from studies import palette
 from studies.over_time import FrameClock, over_time, thinned_series
-from studies.page.charts import Chart, Series
-from studies.page.model import Cell, Column, Section, Table, Text
+from studies.page.model import Cell, Chart, Column, Section, Series, Table, Text
 
 Figures = dict[str, float | None]
 

@@ -8,7 +8,7 @@ from perception.arrays import Bools, Floats, Floats32
 from studies import palette
 from studies.accuracy.view import View
 from studies.outlines import footprints, ring, road_rings, stands_out
-from studies.page.charts import MapChart, Outlines, Points
+from studies.page.model import MapChart, Outlines, Points
 
 SHOWN_POINTS = 3000
 _POINT_SIZE = 3.0
@@ -115,12 +115,12 @@ def _thinned(points: Floats, share: float) -> Floats:
 
 def _cloud(name: str, points: Floats, colour: str) -> Points:
     x_m, y_m = (tuple(column.tolist()) for column in points[:, :2].round(2).T)
-    return Points(name, x_m, y_m, (), _POINT_SIZE, "disc", colour)
+    return Points(name, x_m, y_m, _POINT_SIZE, "disc", colour)
 
 
 def _crosses(name: str, boxes: Floats, colour: str) -> Points:
     x_m, y_m = (tuple(column.tolist()) for column in boxes[:, :2].round(2).T)
-    return Points(name, x_m, y_m, (), 7.0, "cross", colour)
+    return Points(name, x_m, y_m, 7.0, "cross", colour)
 
 
 def _outlines(name: str, boxes: Floats, colour: str) -> Outlines:

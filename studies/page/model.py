@@ -1,12 +1,135 @@
-"""What a page says: text, tables, pictures and charts. How it is drawn is another's matter."""
+"""What a page holds: text, tables, pictures and charts, as data.
+
+No plotting library is known here.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
-from studies.page.charts import Chart, MapChart, Timeline
+from studies import palette
+
+ChartKind: TypeAlias = Literal["line", "bar", "histogram", "steps"]
+Style: TypeAlias = Literal["line", "dashed", "points", "line+points"]
+Mark: TypeAlias = Literal["disc", "cross", "diamond", "star"]
+Number: TypeAlias = float | int
+Numbers: TypeAlias = tuple[Number | None, ...]
+Ring: TypeAlias = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """One line or set of bars; where y is None there is a gap.
+
+    `low` and `high` bound it: a band around a line, whiskers on a bar. Of a histogram, x are the
+    edges, one more than the counts y. Without a colour it gets the one of its name on the page.
+    """
+
+    name: str
+    x: tuple[Number, ...]
+    y: Numbers
+    low: Numbers | None = None
+    high: Numbers | None = None
+    style: Style = "line"
+    colour: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuses lengths that do not fit together."""
+        if len(self.x) - len(self.y) not in (0, 1):
+            raise ValueError(f"{self.name}: {len(self.x)} x for {len(self.y)} y")
+        if (self.low is None) != (self.high is None):
+            raise ValueError(f"{self.name}: low and high come together")
+        for bound in (self.low, self.high):
+            if bound is not None and len(bound) != len(self.y):
+                raise ValueError(f"{self.name}: {len(bound)} bounds for {len(self.y)} y")
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """Series over one x axis. With `x_categories`, x are places in them, from 0.
+
+    Bars of several series stand side by side, or on each other if they are `stacked`.
+    """
+
+    title: str
+    x_label: str
+    y_label: str
+    series: tuple[Series, ...]
+    kind: ChartKind = "line"
+    x_log: bool = False
+    y_log: bool = False
+    x_categories: tuple[str, ...] | None = None
+    stacked: bool = False
+    notes: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """Points of one class on a map, in m."""
+
+    name: str
+    x_m: tuple[float, ...]
+    y_m: tuple[float, ...]
+    size: float = 5.0
+    mark: Mark = "disc"
+    colour: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Outlines:
+    """Closed shapes of one class, such as boxes; each is a ring of x, y in m."""
+
+    name: str
+    rings: tuple[Ring, ...]
+    colour: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MapChart:
+    """A plan with equal axes, in m: surfaces and lines of the road, outlines, points on top.
+
+    `window` is what is shown at first: the lowest x and y, then the highest.
+    """
+
+    title: str
+    surfaces: tuple[Ring, ...] = ()
+    lines: tuple[Ring, ...] = ()
+    points: tuple[Points, ...] = ()
+    outlines: tuple[Outlines, ...] = ()
+    window: tuple[float, float, float, float] | None = None
+    notes: str = ""
+
+    @property
+    def aspect(self) -> float:
+        """How high the window is, over its width."""
+        left, low, right, high = self.window or (0.0, 0.0, 1.0, 0.6)
+        return (high - low) / max(right - left, 1e-9)
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A bar of a timeline: on which row, from when to when, what it means."""
+
+    row: str
+    start: float
+    end: float
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Timeline:
+    """What held when: bars on rows, coloured by what they mean."""
+
+    title: str
+    x_label: str
+    rows: tuple[str, ...]
+    spans: tuple[Span, ...]
+    colours: tuple[tuple[str, str], ...] = ()
+    notes: str = ""
+
 
 Cell: TypeAlias = str | float | int | None
 
@@ -121,3 +244,83 @@ def flat(blocks: tuple[Block, ...]) -> list[Block]:
     for block in blocks:
         found += flat(block.blocks) if isinstance(block, Beside) else [block]
     return found
+
+
+DASH = "–"
+
+
+def written(cell: Cell, form: str) -> str:
+    """Returns a cell as text; a form that does not fit leaves it as it is."""
+    if cell is None or cell != cell:  # noqa: PLR0124 - NaN, which is no figure either
+        return DASH
+    if isinstance(cell, str):
+        return cell
+    try:
+        return format(cell, form or ("" if isinstance(cell, int) else ".6g"))
+    except ValueError:
+        return str(cell)
+
+
+def rows_of(table: Table) -> list[list[str]]:
+    """Returns a table's rows as text."""
+    forms = [column.form for column in table.columns]
+    return [
+        [written(cell, form) for cell, form in zip(row, forms, strict=True)] for row in table.rows
+    ]
+
+
+def numeric(table: Table) -> list[bool]:
+    """Tells of each column whether it holds figures: then they stand on the right."""
+    return [
+        any(row[i] is not None for row in table.rows)
+        and not any(isinstance(row[i], str) for row in table.rows)
+        for i in range(len(table.columns))
+    ]
+
+
+DASHES = ("solid", "dash", "dot", "dashdot")
+
+
+@dataclass(frozen=True, slots=True)
+class Colours:
+    """Colours by name; after eight in one chart they repeat, and lines are dashed differently."""
+
+    numbers: dict[str, int]
+
+    @classmethod
+    def of(cls, page: Page) -> Colours:
+        """Gives each name, in reading order, the first colour that no neighbour has.
+
+        Neighbours stand in a chart together. Who has a colour of its own takes part in nothing.
+        """
+        neighbours: dict[str, set[str]] = {}
+        for figure in page.figures():
+            names = _names(figure)
+            for name in names:
+                neighbours.setdefault(name, set()).update(names)
+        numbers: dict[str, int] = {}
+        for name, others in neighbours.items():
+            taken = {numbers[other] for other in others if other in numbers}
+            numbers[name] = next(number for number in count() if number not in taken)
+        return cls(numbers)
+
+    def __getitem__(self, name: str) -> str:
+        """Returns the colour as "#rrggbb"."""
+        return palette.SERIES[self.numbers.get(name, 0) % len(palette.SERIES)]
+
+    def dash(self, name: str) -> str:
+        """Returns one of `DASHES`."""
+        return DASHES[self.numbers.get(name, 0) // len(palette.SERIES) % len(DASHES)]
+
+
+def _names(figure: Figure) -> list[str]:
+    if isinstance(figure, Chart):
+        return [one.name for one in figure.series if one.colour is None]
+    if isinstance(figure, MapChart):
+        found = [(one.name, one.colour) for one in figure.outlines]
+        found += [(one.name, one.colour) for one in figure.points]
+        return [name for name, colour in found if colour is None]
+    if isinstance(figure, Timeline):
+        known = dict(figure.colours)
+        return [span.name for span in figure.spans if span.name not in known]
+    return []

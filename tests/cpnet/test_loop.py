@@ -215,7 +215,7 @@ def test_emulated_links_delay_scans_and_nothing_else(shell):
 
 
 def test_the_page_of_a_run_names_the_command_that_makes_it(shell, first_run):
-    pytest.importorskip("plotly", reason="extra study")
+    pytest.importorskip("jinja2", reason="extra study")
     status, output = shell.run("report", str(first_run), "--html", "run.html")
     page = (shell.folder / "run.html").read_text("utf-8")
     assert (status, output) == (0, "wrote run.html\n")

@@ -11,9 +11,8 @@ from studies.accuracy.maps import SHOWN_POINTS, cloud_maps, fusion_maps, truth_m
 from studies.accuracy.scenes import scenes_section
 from studies.accuracy.view import best_of, view_of
 from studies.evaluate import Site
-from studies.page.charts import MapChart
-from studies.page.markdown import to_markdown
-from studies.page.model import Page, Section, flat
+from studies.page.model import MapChart, Page, Section, flat
+from studies.page.write import to_markdown
 from tests.edge_server.conftest import make_road
 from tests.studies.accuracy.small import small
 from tests.studies.test_evaluate import Told, a_moment, car

@@ -8,23 +8,13 @@ import pytest
 
 pl = pytest.importorskip("polars", reason="needs the extra `study`")
 
-from studies.page.charts import Chart  # noqa: E402
-from studies.page.html import to_html  # noqa: E402
-from studies.page.markdown import to_markdown  # noqa: E402
-from studies.page.model import Page, Table  # noqa: E402
-from studies.paper_page import (  # noqa: E402
-    PERFECT,
-    claims,
-    paper_page,
-)
-from studies.study_page import (  # noqa: E402
-    RATE,
-    bandwidth_page,
-    plain_page,
-)
+from studies.page.model import Chart, Page, Table  # noqa: E402
+from studies.page.write import to_html, to_markdown  # noqa: E402
+from studies.paper_page import PERFECT, claims, paper_page  # noqa: E402
+from studies.study_page import RATE, bandwidth_page, plain_page  # noqa: E402
 from studies.study_tables import StudyResults  # noqa: E402
 from studies.sweep.study_file import Study, read_study  # noqa: E402
-from studies.sweep.worker import HISTOGRAM_BINS  # noqa: E402 - needs polars
+from studies.sweep.worker import HISTOGRAM_BINS  # noqa: E402
 
 ROW = {
     "frames": 10, "e_cvpr": 0.6, "e_cvpr_std": 0.1, "e_cvpr_hist": [1] * HISTOGRAM_BINS,

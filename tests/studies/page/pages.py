@@ -1,24 +1,22 @@
 """A page with one of everything, some of it hostile."""
 
-from studies.page.charts import (
-    Chart,
-    MapChart,
-    Outlines,
-    Points,
-    Series,
-    Span,
-    Timeline,
-)  # fmt: skip
 from studies.page.model import (
     Beside,
+    Chart,
     Code,
     Column,
     Fact,
+    MapChart,
+    Outlines,
     Page,
     Picture,
+    Points,
     Section,
+    Series,
+    Span,
     Table,
     Text,
+    Timeline,
 )  # fmt: skip
 
 HOSTILE = '</script><script>alert("$x^$")</script>'
@@ -54,7 +52,7 @@ def whole_page() -> Page:
         "Map",
         surfaces=(SQUARE, SQUARE[::-1]),
         lines=(SQUARE[:2],),
-        points=(Points(HOSTILE, (1.0, 2.0), (1.0, 1.0), (HOSTILE, "b"), mark="cross"),),
+        points=(Points(HOSTILE, (1.0, 2.0), (1.0, 1.0), mark="cross"),),
         outlines=(Outlines("box", (SQUARE,)),),
         window=(-1, -1, 5, 3),
     )

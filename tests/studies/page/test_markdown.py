@@ -9,7 +9,7 @@ from tests.studies.page.pages import HOSTILE, PNG, whole_page
 
 pytest.importorskip("matplotlib", reason="extra plot")
 
-from studies.page.markdown import plain, to_markdown
+from studies.page.write import plain, to_markdown
 
 
 def test_every_chart_and_picture_is_a_file_that_the_text_shows(tmp_path: Path) -> None:

@@ -3,9 +3,7 @@
 import pytest
 
 from studies import palette
-from studies.page.charts import Chart, Series
-from studies.page.colours import Colours
-from studies.page.model import Column, Page, Section, Table
+from studies.page.model import Chart, Colours, Column, Page, Section, Series, Table
 
 
 def page_of(*groups: tuple[str, ...]) -> Page:

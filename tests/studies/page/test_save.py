@@ -9,30 +9,30 @@ import pytest
 
 from protocol.errors import ConfigError
 from studies.page.model import Page
-from studies.page.save import check_target, save_html
+from studies.page.write import check_target, save_html
 
 PAGE = Page("t", "", ())
 
 
-def test_missing_plotly_names_what_to_install(
+def test_a_missing_library_names_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real_import = builtins.__import__
 
     def refuse(name: str, *rest: Any) -> object:
-        if name.startswith("plotly"):
-            raise ModuleNotFoundError(f"No module named {name!r}", name="plotly")
+        if name.startswith("jinja2"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name="jinja2")
         return real_import(name, *rest)
 
-    monkeypatch.delitem(sys.modules, "studies.page.html", raising=False)
+    monkeypatch.delitem(sys.modules, "jinja2", raising=False)
     monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(ConfigError, match=r"needs plotly \(extra `study`\).*'cpnet-edge\[study\]'"):
+    with pytest.raises(ConfigError, match=r"needs jinja2 \(extra `study`\).*'cpnet-edge\[study\]'"):
         save_html(PAGE, tmp_path / "page.html")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_is_replaced_and_a_folder_is_not(tmp_path: Path) -> None:
-    pytest.importorskip("plotly", reason="extra study")
+    pytest.importorskip("jinja2", reason="extra study")
     path = tmp_path / "page.html"
     path.write_text("old")
     save_html(PAGE, path)
