@@ -18,18 +18,11 @@ _CELL_M = 1.5
 
 def footprints(boxes: Floats) -> Floats:
     """Returns the corners (N, 4, 2) of boxes (N, 7); the first and the last are the front."""
-    return corners(boxes)[:, :4, :2]
-
-
-def corners(boxes: Floats) -> Floats:
-    """Returns the corners (N, 8, 3) of boxes (N, 7): four below, then four above them."""
     cos, sin = np.cos(boxes[:, 6, None]), np.sin(boxes[:, 6, None])
     along, across = _CORNERS[:, 0] * boxes[:, 3, None], _CORNERS[:, 1] * boxes[:, 4, None]
     x = boxes[:, 0, None] + along * cos - across * sin
     y = boxes[:, 1, None] + along * sin + across * cos
-    low = np.broadcast_to(boxes[:, 2, None] - boxes[:, 5, None] / 2, x.shape)
-    high = np.broadcast_to(boxes[:, 2, None] + boxes[:, 5, None] / 2, x.shape)
-    return np.concatenate([np.stack([x, y, low], -1), np.stack([x, y, high], -1)], axis=1)
+    return np.stack([x, y], -1)
 
 
 def borders(lane: Lane) -> tuple[Floats, Floats]:

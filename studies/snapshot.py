@@ -153,7 +153,7 @@ def draw_frame(run_dir: Path, frame: int | None, png_path: Path | None) -> Path:
     if png_path is not None and png_path.suffix.lower() != ".png":
         raise ConfigError(f"--png {png_path}: needs a name that ends in .png")
     try:
-        from studies.figure import save_picture
+        from studies.frame_picture import save_picture
     except ModuleNotFoundError as error:
         raise ConfigError(
             f"drawing needs {error.name} (extra `plot`): {sys.executable} -m pip install matplotlib"
