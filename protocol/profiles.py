@@ -11,14 +11,12 @@ class Profile(StrEnum):
     """How much time a scan may take to become small. Every profile keeps the same bound.
 
     FAST: differences and zstd, the least time. DEFAULT: a model of the scene and an entropy coder,
-    a third to a half of those bytes. COMPACT: for scans a better model, some percent fewer bytes in
-    two to seven times the time; for clouds the same as DEFAULT. DRACO: for comparison; unordered,
-    and only where DracoPy is installed.
+    a third to a half of those bytes. DRACO: for comparison; unordered, and only where DracoPy is
+    installed.
     """
 
     FAST = "fast"
     DEFAULT = "default"
-    COMPACT = "compact"
     DRACO = "draco"
 
 

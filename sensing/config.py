@@ -165,14 +165,8 @@ class UploadConfig(Section):
     profile: Profile = Field(
         Profile.DEFAULT,
         description="How much time a scan may take to become small; the bound holds in every "
-        "profile. fast: zstd; default; compact: fewest bytes; draco: for comparison, needs the "
-        "extra `reference`.",
-    )
-    fill_lost: bool = Field(
-        True,
-        description="Whether a beam lost between two returns may be sent as if it had returned, "
-        "within max_error_m of a measured point: fewer bytes where the bound is coarse. Only of "
-        "whole scans; what a policy or a filter leaves out stays out.",
+        "profile. fast: zstd; default: fewest bytes; draco: for comparison, needs the extra "
+        "`reference`.",
     )
     intensity: bool = Field(False, description="Whether intensities are sent, a byte a ray.")
     policy: PolicyName = Field(

@@ -142,7 +142,6 @@ class LidarUplink(Uplink):
             config.max_error_m,
             profile=config.profile,
             intensity=config.intensity,
-            fill=config.fill_lost and part is shipment.scan,
         )
         message = Scan(
             frame=tick.frame,

@@ -1,9 +1,7 @@
 """Codecs beside each other at equal maximum error: this project's profiles, Draco, float32 + zstd.
 
 Draco's error is what it is: for each of its bit depths it is measured, and becomes the bound of all
-others. Lost beams of a scan may be filled there (`encode_scan`), so that the error is measured both
-ways: from each measured point to its decoded self, and from each decoded point to a measured one.
-Rows named `exact` are of the default profile and fill nothing; nor do those beside the noise floor.
+others.
 Times are medians of one thread; codecs take turns, so that a busy machine is so for all.
 """
 
@@ -28,12 +26,10 @@ from protocol.profiles import Profile
 from protocol.scans import Floats32, PointCloud, RangeScan
 from sensing.point_files import read_points
 from studies.bench_scans import BenchScan
-from studies.scan_error import ScanError
 
 DRACO_BITS = (10, 11, 12, 14)
 FLOOR_BOUND_M = 0.01
-EXACT = "exact"
-OWN = (Profile.FAST, Profile.DEFAULT, Profile.COMPACT)
+OWN = (Profile.FAST, Profile.DEFAULT)
 _RUNS = 9
 _NORMAL_BITS = math.sqrt(2 * math.pi * math.e)  # 2^entropy of a normal of standard deviation 1
 _ZSTD_LEVEL = 3
@@ -81,9 +77,9 @@ class BenchCloud:
 class BenchRow:
     """One codec on one cloud. `bound_m` is the error it was allowed.
 
-    `points` counts what was measured, `filled` what came back besides; `max_error_m` is the larger
-    of both ways. `noise_floor_bits` is what range noise costs per point in steps of twice that
-    bound, `loss_floor_bits` what it costs to tell which beams were lost; None where not known.
+    `max_error_m` is the farthest that a point lies from its decoded self. `noise_floor_bits` is
+    what range noise costs per point in steps of twice that bound, `loss_floor_bits` what it costs
+    to tell which beams were lost; None where not known.
     """
 
     cloud: str
@@ -97,7 +93,6 @@ class BenchRow:
     bound_m: float
     noise_floor_bits: float | None
     loss_floor_bits: float | None
-    filled: int = 0
 
     def as_json(self) -> dict[str, Any]:
         """Returns the row with stable keys."""
@@ -106,13 +101,13 @@ class BenchRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Trial:
-    """`encode` makes bytes, `decode` points of them; `error` measures what came back."""
+    """`encode` makes bytes, `decode` points of them; `error_m` measures what came back."""
 
     codec: str
     bound_m: float
     encode: Callable[[], bytes]
     decode: Callable[[bytes], Any]
-    error: Callable[[], ScanError]
+    error_m: Callable[[], float]
 
 
 def bench(cloud: BenchCloud, runs: int = _RUNS) -> list[BenchRow]:
@@ -126,9 +121,7 @@ def bench(cloud: BenchCloud, runs: int = _RUNS) -> list[BenchRow]:
     for bits in DRACO_BITS:
         bound_m = bound_beside(cloud.points, bits)
         trials.append(_draco(draco, cloud, bits, bound_m))
-        trials += [_own(cloud, profile, bound_m, fill=True) for profile in OWN]
-        if cloud.scan is not None:
-            trials.append(_own(cloud, Profile.DEFAULT, bound_m, name=EXACT))
+        trials += [_own(cloud, profile, bound_m) for profile in OWN]
     if cloud.scan is not None:
         trials += [_own(cloud, profile, FLOOR_BOUND_M) for profile in OWN]
     times = np.array([[_timed(trial) for trial in trials] for _ in range(runs)])
@@ -171,7 +164,7 @@ def noise_floor_bits(noise_std_m: float, bound_m: float) -> float | None:
 
 
 def _row(cloud: BenchCloud, trial: _Trial, encode_ms: float, decode_ms: float) -> BenchRow:
-    points, size, error = len(cloud.points), len(trial.encode()), trial.error()
+    points, size = len(cloud.points), len(trial.encode())
     return BenchRow(
         cloud=cloud.name,
         codec=trial.codec,
@@ -180,13 +173,12 @@ def _row(cloud: BenchCloud, trial: _Trial, encode_ms: float, decode_ms: float) -
         bits_per_point=8 * size / max(points, 1),
         encode_ms=float(encode_ms),
         decode_ms=float(decode_ms),
-        max_error_m=error.worst_m,
+        max_error_m=trial.error_m(),
         bound_m=trial.bound_m,
         noise_floor_bits=noise_floor_bits(cloud.noise_std_m, trial.bound_m)
         if trial.bound_m > 0
         else None,
         loss_floor_bits=cloud.loss_bits / points if cloud.loss_bits and points else None,
-        filled=error.filled,
     )
 
 
@@ -207,7 +199,7 @@ def _plain(cloud: BenchCloud) -> _Trial:
         raw = zstandard.ZstdDecompressor().decompress(packed, max_output_size=cloud.points.nbytes)
         return np.frombuffer(raw, np.float32).reshape(-1, 3)
 
-    return _Trial("float32+zstd", 0.0, encode, unpack, lambda: ScanError(0.0, 0.0, 0))
+    return _Trial("float32+zstd", 0.0, encode, unpack, lambda: 0.0)
 
 
 def _draco(draco: Any, cloud: BenchCloud, bits: int, bound_m: float) -> _Trial:  # noqa: ANN401 - DracoPy is untyped
@@ -218,32 +210,29 @@ def _draco(draco: Any, cloud: BenchCloud, bits: int, bound_m: float) -> _Trial: 
     def unpack(packed: bytes) -> npt.NDArray[Any]:
         return np.asarray(draco.decode(packed).points)
 
-    def error() -> ScanError:
-        return ScanError(draco_error_m(cloud.points, bits), 0.0, 0)
+    return _Trial(
+        f"draco-{bits}", bound_m, encode, unpack, lambda: draco_error_m(cloud.points, bits)
+    )
 
-    return _Trial(f"draco-{bits}", bound_m, encode, unpack, error)
 
-
-def _own(
-    cloud: BenchCloud, profile: Profile, bound_m: float, *, fill: bool = False, name: str = ""
-) -> _Trial:
+def _own(cloud: BenchCloud, profile: Profile, bound_m: float) -> _Trial:
     scan = cloud.scan
     if scan is not None:
 
         def encode() -> bytes:
-            return encode_scan(scan, bound_m, profile=profile, fill=fill)
+            return encode_scan(scan, bound_m, profile=profile)
 
-        def error() -> ScanError:
-            return ScanError.of(scan, decode(encode()).points)
+        def error_m() -> float:
+            return _farthest(decode(encode()).points, scan.cloud().points)
 
-        return _Trial(name or profile.value, bound_m, encode, decode, error)
+        return _Trial(profile.value, bound_m, encode, decode, error_m)
     bare = PointCloud(cloud.points, np.zeros(len(cloud.points), np.float32))
     return _Trial(
         profile.value,
         bound_m,
         lambda: encode_cloud(bare, bound_m, profile=profile),
         decode,
-        lambda: ScanError(cloud_error_m(cloud.points, profile, bound_m), 0.0, 0),
+        lambda: cloud_error_m(cloud.points, profile, bound_m),
     )
 
 

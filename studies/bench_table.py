@@ -46,7 +46,7 @@ def _table(title: str, *heads: str, left: int = 1) -> Table:
 def _cloud_table(name: str, rows: list[BenchRow]) -> Table:
     table = _table(
         f"{_short(name)}, {rows[0].points} points (of, x: beside Draco at this error)",
-        "codec", "bound\ncm", "error\ncm", "bytes", "filled", "bits/\npoint", "enc.\nms",
+        "codec", "bound\ncm", "error\ncm", "bytes", "bits/\npoint", "enc.\nms",
         "dec.\nms", "of\nDraco", "enc.\nx", "dec.\nx",
     )  # fmt: skip
     bound_m = rows[0].bound_m
@@ -63,7 +63,6 @@ def _cloud_table(name: str, rows: list[BenchRow]) -> Table:
             f"{100 * row.bound_m:.2f}",
             f"{100 * row.max_error_m:.2f}",
             str(row.bytes),
-            str(row.filled or _BLANK),
             f"{row.bits_per_point:.2f}",
             f"{row.encode_ms:.2f}",
             f"{row.decode_ms:.2f}",

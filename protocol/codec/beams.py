@@ -17,24 +17,18 @@ from protocol.codec.expect import (
     landmarks,
     symbol_room,
 )
-from protocol.codec.fill import Filling
-from protocol.codec.filters import BANDS, SIZE_CLASSES, WEIGHT_BITS, WEIGHTS
-from protocol.codec.filters import CONTEXTS as FINE_CONTEXTS
-from protocol.codec.fine import describe_fine, restore_fine
 from protocol.codec.image import describe, restore
-from protocol.codec.payload import Form, Head, Reader
+from protocol.codec.payload import Head, Reader
 from protocol.codec.symbols import open_symbols, pack_symbols, read_raw
-from protocol.codec.tokens import I4, I8, U2, U4, i64
+from protocol.codec.tokens import I8, U2, U4, i64
 from protocol.codec.walk import STRIDE, UNITS
 from protocol.errors import CodecError
 from protocol.scans import Floats, Floats32
 
 _QUANTISED = 1.0 - 1.0 / UNITS  # half a unit is lost on each side before steps are taken
 _CONTEXTS = CONTEXT_OF.tobytes()
-_LESSONS = (True, False)  # the first pass over the image finds the filter's weights
-_COARSE = 0.3  # noise in steps below which the filter does harm
 _SIGMAS_OF_JUMP = 4.0
-_FLOOR, _FLOOR_FINE = 0.25, 0.125  # of the gain, which the filter makes up for
+_FLOOR = 0.25  # of the gain
 _SAMPLED_ROWS = 5
 _NOISE_OF_BIN = 1 / 2000.0 / (0.6745 * math.sqrt(2.0))  # median of differences, half a millimetre
 
@@ -44,9 +38,7 @@ def image_step_m(room_m: float) -> float:
     return 2.0 * room_m * _QUANTISED
 
 
-def pack_image(
-    range_m: Floats32, step_m: float, filling: Filling, fine: bool = False
-) -> tuple[list[bytes], int]:
+def pack_image(range_m: Floats32, step_m: float) -> tuple[list[bytes], int]:
     """Returns the sections of an image (channels, columns) and the number of its points.
 
     Raises:
@@ -56,39 +48,15 @@ def pack_image(
     units_per_m = UNITS / step_m
     if float(range_m.max()) * units_per_m > MAX_UNITS:
         raise CodecError(f"range {range_m.max():.1f} m takes too many steps of {step_m} m")
-    noise_steps = _noise_m(range_m) / step_m
-    tuning = _tune(noise_steps, _FLOOR_FINE if fine else _FLOOR)
+    tuning = _tune(_noise_m(range_m) / step_m)
     symbols, raw = _scratch(channels, columns)
     counts, sizes = np.zeros((2, COUNTS), np.int32), np.zeros(3, np.int64)
     given = (range_m, units_per_m, tuning, landmarks(units_per_m))
-    weights = np.zeros((BANDS if fine else 0, WEIGHTS), np.int32)
-    if fine:
-        for learns in _LESSONS if noise_steps >= _COARSE else (False,):
-            counts[:] = 0
-            gram = np.zeros((BANDS if learns else 0, WEIGHTS + 1, WEIGHTS + 1))
-            filling.filled[:] = 0
-            found = (symbols, raw, counts, sizes)
-            describe_fine(*given, SIZE_CLASSES, weights, gram, *found, *filling.parts)
-            if learns:
-                weights = np.array([_solve(of_band) for of_band in gram], np.int32)
-    else:
-        describe(*given, CONTEXT_OF, NEXT_KIND, symbols, raw, counts, sizes, *filling.parts)
-    contexts = FINE_CONTEXTS if fine else CONTEXTS
-    per_context = counts[:, : contexts * STRIDE].sum(axis=0, dtype=np.int64)
-    sections = pack_symbols(symbols, int(sizes[0]), per_context.reshape(contexts, STRIDE))
+    describe(*given, CONTEXT_OF, NEXT_KIND, symbols, raw, counts, sizes)
+    per_context = counts[:, : CONTEXTS * STRIDE].sum(axis=0, dtype=np.int64)
+    sections = pack_symbols(symbols, int(sizes[0]), per_context.reshape(CONTEXTS, STRIDE))
     settings = tuning.astype(np.uint8).tobytes()
-    if weights.any():
-        settings += weights.astype(np.int8).tobytes()
     return [settings, *sections, raw[: sizes[1]].astype("<u4", copy=False).tobytes()], int(sizes[2])
-
-
-def _solve(gram: Floats) -> I4:
-    """Returns the weights that solve normal equations, as whole numbers."""
-    inputs, wanted = gram[:-1, :-1], gram[:-1, -1]
-    ridge = np.eye(WEIGHTS) * (1e-12 + 1e-4 * float(np.trace(inputs)))
-    weights = np.linalg.solve(inputs + ridge, wanted) * (1 << WEIGHT_BITS)
-    result: I4 = np.clip(np.round(weights), -128, 127).astype(np.int32)
-    return result
 
 
 _kept = threading.local()
@@ -120,42 +88,31 @@ def open_image(
         CodecError: the sections are damaged.
     """
     settings = reader.section()
-    fine = head.form is Form.FINE
-    needed = 4 + BANDS * WEIGHTS * fine
-    if len(settings) not in (4, needed):
-        raise CodecError(f"an image has {len(settings)} bytes of settings, needs 4 or {needed}")
+    if len(settings) != 4:
+        raise CodecError(f"an image has {len(settings)} bytes of settings, needs 4")
     tuning = np.frombuffer(settings, np.uint8, 4).astype(np.int64)
     if tuning[2] > 15 or tuning[3] > tuning[2]:
         raise CodecError(f"an image has settings {tuning.tolist()}")
-    contexts = FINE_CONTEXTS if fine else CONTEXTS
-    stream = open_symbols(reader, contexts, symbol_room(1, head.columns))
+    stream = open_symbols(reader, CONTEXTS, symbol_room(1, head.columns))
     raw = read_raw(reader.section())
     xyz = np.empty((points + 1, 3), np.float32)
     tables = stream.table_of.tobytes()
-    if not fine:
-        tables = _CONTEXTS.translate(tables.ljust(256)) + tables[-4:]
+    tables = _CONTEXTS.translate(tables.ljust(256)) + tables[-4:]
     coded = (stream.words, stream.end, raw, np.frombuffer(tables, np.uint8), stream.slots)
     model = (stream.place, tuning, landmarks(UNITS / head.step_m))
     placing = (head.step_m / UNITS, turns, azimuths, xyz)
-    if fine:
-        weights = np.zeros((BANDS, WEIGHTS), np.int32)
-        if len(settings) > 4:
-            weights[:] = np.frombuffer(settings, np.int8, offset=4).reshape(BANDS, WEIGHTS)
-        status = restore_fine(*coded, *model, SIZE_CLASSES, weights, *placing)
-    else:
-        status = restore(*coded, *model, NEXT_KIND, *placing)
-    if status < 0:
+    if restore(*coded, *model, NEXT_KIND, *placing) < 0:
         raise CodecError("an image is damaged, or holds other than the points it claims")
     return xyz[:points]
 
 
-def _tune(noise_steps: float, floor: float) -> I8:
+def _tune(noise_steps: float) -> I8:
     """Returns the settings of the model for range noise of this standard deviation in steps.
 
     Floor of the gain in 1/256: the coarser the steps, the more each of them says. Steps that make
     a jump. Shift of activities, so that noise alone is one or two. Lowest bits that are noise.
     """
-    gain = min(0.68, max(floor, 0.84 - 3.2 * noise_steps))
+    gain = min(0.68, max(_FLOOR, 0.84 - 3.2 * noise_steps))
     jump = min(255, max(2, math.ceil(_SIGMAS_OF_JUMP * noise_steps)))
     shift = min(15, max(0, round(math.log2(max(noise_steps, 1e-3)))))
     return np.array([round(gain * UNITS), jump, shift, max(0, shift - 1)], np.int64)

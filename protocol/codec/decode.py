@@ -80,7 +80,6 @@ def _pattern(head: Head) -> ScanPattern:
 _POINTS = {
     Form.PLANES: _open_planes,
     Form.IMAGE: _open_pattern,
-    Form.FINE: _open_pattern,
     Form.DELTAS: _open_deltas,
     Form.RINGS: _open_rings,
     Form.TREE: _open_tree,

@@ -7,10 +7,9 @@ import numpy as np
 from protocol.codec import planes
 from protocol.codec.beams import image_step_m, pack_image
 from protocol.codec.draco import bits_for, pack_draco
-from protocol.codec.fill import Filling
 from protocol.codec.payload import Form, Head, seal_intensity, squeeze
 from protocol.codec.rings import RingImage, find_rings
-from protocol.codec.step import check_bound, reach_m, room_m
+from protocol.codec.step import check_bound, room_m
 from protocol.codec.tree import cell_edge_m, pack_tree
 from protocol.codec.window import Window
 from protocol.errors import CodecError
@@ -24,21 +23,14 @@ def encode_scan(
     *,
     profile: str = Profile.DEFAULT,
     intensity: bool = False,
-    fill: bool = False,
 ) -> bytes:
     """Encodes a structured scan; every point moves by at most `max_error_m` along its beam.
-
-    With `fill`, beams that were lost between returns may come back as points that nobody measured,
-    each within `max_error_m` of a point that somebody did: fewer bytes where the bound is coarse.
-    That is right for a whole scan only. Where beams were left out on purpose, their holes would be
-    filled too, so that by default exactly the beams that returned come back.
 
     Args:
         scan: one revolution.
         max_error_m: the bound, 0.1 mm to 10 m.
-        profile: name of a `Profile`; `draco` fills nothing.
-        intensity: whether intensities are sent, a byte each; those of filled points are 0.
-        fill: whether lost beams may be filled, as in `protocol.codec.fill`.
+        profile: name of a `Profile`.
+        intensity: whether intensities are sent, a byte each.
 
     Raises:
         CodecError: a range is negative, not finite, or too far for the bound.
@@ -52,23 +44,16 @@ def encode_scan(
     if chosen is Profile.DRACO:
         return _draco(scan.cloud(), room, intensity)
     range_m = np.ascontiguousarray(scan.range_m, np.float32)
-    window = None if chosen is Profile.FAST else Window.around(range_m)
-    filling = Filling.nothing(scan.pattern.channels)
-    if fill:
-        window = window and window.of_all_columns()
-        turns = scan.pattern.spin[0] if window is None else scan.pattern.spin[0][window.rings]
-        reach = reach_m(max_error_m, room)
-        filling = Filling.of(scan.pattern, turns, reach, known=intensity)
     if chosen is Profile.FAST:
         form, step_m = Form.PLANES, 2.0 * room
-        sections, points = _planes(range_m, max_error_m, step_m, filling)
+        sections, points = _planes(range_m, max_error_m, step_m)
     else:
-        form = Form.FINE if chosen is Profile.COMPACT else Form.IMAGE
-        step_m = image_step_m(room)
+        form, step_m = Form.IMAGE, image_step_m(room)
+        window = Window.around(range_m)
         image = range_m if window is None else window.cut(range_m)
-        sections, points = pack_image(image, step_m, filling, fine=form is Form.FINE)
+        sections, points = pack_image(image, step_m)
         sections = [b"" if window is None else window.to_bytes(), *sections]
-    shades = _shades(scan, window, filling if fill else None) if intensity else []
+    shades = seal_intensity(scan.intensity[scan.range_m > 0], True) if intensity else []
     pattern = scan.pattern
     fov_deg = (pattern.upper_fov_deg, pattern.lower_fov_deg)
     beams = (pattern.channels, pattern.columns)
@@ -85,8 +70,7 @@ def encode_cloud(
     """Encodes an unordered cloud; every point moves by at most `max_error_m`.
 
     Profile `fast` keeps the order of the points; the others do not. A cloud of one spinning LiDAR
-    becomes a range image of the rings that are found in it, any other an octree; `compact` does the
-    same as `default`.
+    becomes a range image of the rings that are found in it, any other an octree.
 
     Args:
         cloud: in the sensor frame.
@@ -120,9 +104,7 @@ def encode_cloud(
     return head.seal(*sections, *shades)
 
 
-def _planes(
-    range_m: Floats32, max_error_m: float, step_m: float, filling: Filling
-) -> tuple[list[bytes], int]:
+def _planes(range_m: Floats32, max_error_m: float, step_m: float) -> tuple[list[bytes], int]:
     farthest_m = float(range_m.max())
     if farthest_m >= planes.MAX_STEPS * step_m:
         raise CodecError(
@@ -130,18 +112,8 @@ def _planes(
             f"{planes.MAX_STEPS * step_m:.1f} m"
         )
     raw = np.empty(2 * range_m.size, np.uint8)
-    points = planes.pack_ranges(range_m, 1.0 / step_m, raw, *filling.parts)
+    points = planes.pack_ranges(range_m, 1.0 / step_m, raw)
     return [squeeze(raw)], points
-
-
-def _shades(scan: RangeScan, window: Window | None, filling: Filling | None) -> list[bytes]:
-    """Returns the section of intensities, 0 for filled beams."""
-    measured = scan.range_m > 0
-    if filling is None:
-        return seal_intensity(scan.intensity[measured], True)
-    sent = measured.copy()
-    sent[slice(None) if window is None else window.rings] |= filling.filled > 0
-    return seal_intensity(np.where(measured, scan.intensity, np.float32(0))[sent], True)
 
 
 def _deltas(cloud: PointCloud, points: Floats, room: float, intensity: bool) -> bytes:
@@ -158,7 +130,7 @@ def _rings(
 ) -> bytes:
     step_m = image_step_m(float(np.sqrt(room**2 - image.beside_m**2)))
     rings = image.rings
-    sections, _ = pack_image(image.range_m, step_m, Filling.nothing(len(image.range_m)))
+    sections, _ = pack_image(image.range_m, step_m)
     rest, order = pack_tree(points[image.misfits], cell_edge_m(room))
     shades = []
     if intensity:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from protocol.codec.fill import LOST, SIDES
 from protocol.codec.tokens import ESCAPE, I2, I4, I8, U1, U2
 from protocol.codec.walk import GONE
 
 SECTORS = 8
+LOST = -1  # the range of a lost beam
 MAX_UNITS = 1 << 30
 CONTEXTS = 84
 COUNTS = 1 << 13  # of symbols
@@ -120,25 +120,3 @@ def expect(last: int, under: int, slope: int) -> int:
     """Returns what a beam is expected to return, by its neighbours to the left and below."""
     expected: int = max(min(last, under), min(max(last, under), last + slope))
     return expected
-
-
-@njit("void(int32[::1], int64, int64)", cache=True)
-def look_around(around: I4, wide: int, columns: int) -> None:
-    """Fills what sectors see of each other beyond their ends, `SIDES` beams of each.
-
-    Args:
-        around: ((wide + 2 * SIDES) * SECTORS,), ranges as in `find_holes`.
-        wide: beams of a sector.
-        columns: of a ring. The last beams of sectors may be no beams: what lies behind them is
-            `LOST`, so that they are never filled.
-    """
-    first, end = SIDES * SECTORS, (wide + SIDES) * SECTORS
-    whole = wide * SECTORS == columns and wide >= SIDES
-    for n in range(SIDES * SECTORS):
-        place, sector = n // SECTORS, n % SECTORS
-        before, behind = np.int32(LOST), np.int32(LOST)
-        if sector > 0 or whole:
-            before = around[end - first + place * SECTORS + (sector + 7) % 8]
-        if sector < SECTORS - 1 or whole:
-            behind = around[first + place * SECTORS + (sector + 1) % 8]
-        around[n], around[end + n] = before, behind

@@ -19,16 +19,15 @@ import numpy as np
 from numba import njit
 
 from protocol.codec.expect import (
+    LOST,
     LOST_TOKEN,
     SECTORS,
     TAIL,
     TOKENS,
     classify,
     expect,
-    look_around,
     look_below,
 )
-from protocol.codec.fill import LOST, SIDES, find_holes
 from protocol.codec.rans import SHARES, STATES, TURN_SHIFT, advance, is_short, refill
 from protocol.codec.tokens import (
     ESCAPE,
@@ -51,7 +50,7 @@ from protocol.scans import Floats, Floats32
 
 @njit(
     "void(float32[:,::1], float64, int64[::1], int64[::1], uint8[::1], uint8[::1], uint16[::1], "
-    "uint32[::1], int32[:,::1], int64[::1], float64, float64[::1], uint8[:,::1])",
+    "uint32[::1], int32[:,::1], int64[::1])",
     cache=True,
     nogil=True,
 )
@@ -66,9 +65,6 @@ def describe(
     raw: U4,
     counts: I4,
     sizes: I8,
-    reach_m: float,
-    chords: Floats,
-    filled: U1,
 ) -> None:
     """Turns an image into symbols and raw bits.
 
@@ -83,9 +79,6 @@ def describe(
         raw: filled with raw bits.
         counts: zeros (2, COUNTS); filled with how often each symbol occurs, in two parts.
         sizes: filled with the number of symbols, of raw words and of points.
-        reach_m: of `Filling`, as are the next two.
-        chords: (channels,).
-        filled: zeros (channels, columns) to be set to 1 where a lost beam is sent, or (0, 0).
     """
     channels, columns = range_m.shape
     floor, jump, shift, low = tuning[0], tuning[1], tuning[2], tuning[3]
@@ -95,12 +88,8 @@ def describe(
     lines = np.full((2, room), np.int32(marks[3]), np.int32)
     kinds = np.zeros((2, room), np.uint8)
     slopes, bases = np.zeros(room, np.int32), np.zeros(room, np.int16)
-    around = np.full(room + 2 * SECTORS, np.int32(LOST), np.int32)
-    beams, steps = around[SECTORS : SECTORS + room], np.zeros(room, np.int32)
+    beams, steps = np.full(room, np.int32(LOST), np.int32), np.zeros(room, np.int32)
     units = np.full(wide * SECTORS, np.int32(LOST), np.int32)
-    least, most = np.zeros(room, np.int32), np.full(room, np.int32(-1), np.int32)
-    reach = reach_m * units_per_m - 1.0
-    fills = reach > 0 and wide >= SIDES
     seen, classes = np.zeros(SECTORS, np.int64), np.empty(STRIDE, np.uint16)
     classify(shift, low, classes)
     gains = np.empty(16, np.int64)
@@ -120,9 +109,6 @@ def describe(
             start = u64((column + 1) * SECTORS)
             for n in range(SECTORS):
                 beams[start + u64(n)] = units[u64(n * wide + column)]
-        if fills:
-            look_around(around, wide, columns)
-            find_holes(around, SECTORS, reach, chords[row], least[SECTORS:end], most[SECTORS:end])
         change = rise
         for at in range(SECTORS, 2 * SECTORS):
             under = i64(below[at])
@@ -130,7 +116,6 @@ def describe(
             expected = expect(i64(here[at - SECTORS]), under, i64(slopes[at]))
             there = i64(beams[at] >= 0)
             k = ((i64(beams[at]) - expected + UNITS // 2) >> 8) * there
-            there |= i64(expected >= i64(least[at])) & i64(expected <= i64(most[at]))
             jumps = abs(k) >= jump
             steps[at] = (fold(k) + 1) * there
             here[at] = expected + (UNITS if jumps else gains[0]) * k
@@ -146,15 +131,10 @@ def describe(
                 expected = expect(last, under, i64(slopes[at]))
                 there, calm = i64(beams[at] >= 0), seen[sector]
                 k = ((i64(beams[at]) - expected + UNITS // 2) >> 8) * there
-                there |= i64(expected >= i64(least[at])) & i64(expected <= i64(most[at]))
                 jumps = abs(k) >= jump
                 steps[at] = (fold(k) + 1) * there
                 here[at] = expected + (UNITS if jumps else gains[u64(calm)]) * k
                 seen[sector] = 0 if jumps else min(calm + there, 15)
-        if fills and len(filled) > 0:
-            for column in range(columns):
-                at = (column % wide + 1) * SECTORS + column // wide
-                filled[row, column] = i64(steps[at] > 0) & i64(beams[at] < 0)
         for sector in range(SECTORS):
             kind[sector] = kind_below[SECTORS + sector]
         for at in range(SECTORS, end):

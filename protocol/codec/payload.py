@@ -25,18 +25,17 @@ _LEVEL = 1  # zstd: higher levels gain under 2 % here and cost several times as 
 
 
 class Form(IntEnum):
-    """How a payload is laid out; the first four hold images, the others clouds."""
+    """How a payload is laid out: the first two hold scans, the others clouds."""
 
     PLANES = 0
     IMAGE = 1
-    FINE = 2
     DELTAS = 3
     RINGS = 4
     TREE = 5
     DRACO = 6
 
 
-_IMAGES = (Form.PLANES, Form.IMAGE, Form.FINE)
+_IMAGES = (Form.PLANES, Form.IMAGE)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,48 +10,26 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from protocol.codec.fill import SIDES, find_holes, ring_units
 from protocol.codec.tokens import i64, unfold
-from protocol.codec.walk import UNITS
-from protocol.scans import Floats, Floats32
+from protocol.scans import Floats32
 
 U1 = npt.NDArray[np.uint8]
 MAX_STEPS = 65_533
 
 
-@njit(
-    "int64(float32[:,::1], float64, uint8[::1], float64, float64[::1], uint8[:,::1])",
-    cache=True,
-    nogil=True,
-)
-def pack_ranges(
-    range_m: Floats32,
-    per_step: float,
-    raw: U1,
-    reach_m: float,
-    chords: Floats,
-    filled: U1,
-) -> int:
+@njit("int64(float32[:,::1], float64, uint8[::1])", cache=True, nogil=True)
+def pack_ranges(range_m: Floats32, per_step: float, raw: U1) -> int:
     """Writes differences along each ring as byte planes; returns the number of points.
 
     Args:
         range_m: (channels, columns), 0 where nothing came back.
         per_step: steps in a metre.
         raw: (2 * beams,), filled.
-        reach_m: of `Filling`, as are the next two.
-        chords: (channels,).
-        filled: zeros (channels, columns) to be set to 1 where a lost beam is sent, or (0, 0).
     """
     rows, columns = range_m.shape
     beams = rows * columns
     points = 0
-    around = np.zeros(columns + 2 * SIDES, np.int32)
-    least, most = np.zeros(columns, np.int32), np.full(columns, np.int32(-1), np.int32)
-    reach = reach_m * per_step * UNITS - 1.0
     for row in range(rows):
-        if reach > 0:
-            ring_units(range_m[row], per_step * UNITS, around)
-            find_holes(around, 1, reach, chords[row], least, most)
         before = 0
         for column in range(columns):
             metres = range_m[row, column]
@@ -59,11 +37,6 @@ def pack_ranges(
             if metres > 0:
                 steps = int(np.floor(metres * per_step + 0.5)) + 1
                 points += 1
-            elif least[column] <= (before - 1) * UNITS <= most[column]:
-                steps = before
-                points += 1
-                if len(filled) > 0:
-                    filled[row, column] = 1
             change = (steps - before) & 0xFFFF
             before = steps
             change = ((change << 1) ^ (0xFFFF if change & 0x8000 else 0)) & 0xFFFF

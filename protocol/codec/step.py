@@ -38,15 +38,3 @@ def room_m(max_error_m: float, farthest_m: float, kind: str) -> float:
             f"{max_error_m / 2 / _ROUNDING:.1f} m"
         )
     return room
-
-
-def reach_m(max_error_m: float, room: float) -> float:
-    """Returns how far a point that was not measured may be put from one that was.
-
-    Their beams differ, so that float32 takes twice as much of the bound as in `room_m`.
-
-    Args:
-        max_error_m: the bound.
-        room: what `room_m` left of it.
-    """
-    return 2.0 * room - max_error_m

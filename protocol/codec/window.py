@@ -41,10 +41,6 @@ class Window:
             return None
         return cls(rings.astype(bool), np.repeat(blocks, BLOCK)[:columns].astype(bool))
 
-    def of_all_columns(self) -> Window | None:
-        """Returns the window of the same rings and all columns; None if that is the image."""
-        return None if self.rings.all() else Window(self.rings, np.ones_like(self.columns))
-
     def cut(self, range_m: Floats32) -> Floats32:
         """Returns the window of an image."""
         return np.ascontiguousarray(range_m[self.rings][:, self.columns])

@@ -115,8 +115,6 @@ LARGEST = {
     "planes": lambda: scan_of("fast", 1, 10.0),
     "image": lambda: scan_of("default", 64, 10.0),
     "image of one ring": lambda: scan_of("default", 1, 10.0),
-    "fine": lambda: scan_of("compact", 64, 10.0),
-    "fine of one ring": lambda: scan_of("compact", 1, 10.0),
 }
 
 

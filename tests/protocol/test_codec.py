@@ -12,7 +12,7 @@ from protocol.scans import PointCloud, RangeScan, ScanPattern
 
 PATTERN = ScanPattern(4, 16, 2.0, -24.9)
 BOUNDS_M = st.sampled_from([0.001, 0.01, 0.02, 0.1, 1.0])
-OWN = ["fast", "default", "compact"]
+OWN = ["fast", "default"]
 PROFILES = st.sampled_from(OWN)
 ranges = hnp.arrays(
     np.float32, (4, 16), elements=st.floats(0, 120, width=32), fill=st.just(np.float32(0))
@@ -62,6 +62,7 @@ def test_every_point_of_a_noisy_street_comes_back_within_the_bound(profile, boun
     want = scan.cloud()
     error_m = np.linalg.norm(back.points.astype(float) - want.points, axis=1)
     assert error_m.max() <= bound_m
+    assert error_m.max() > 0.95 * bound_m  # no shorter steps than the bound asks for
     assert np.allclose(back.intensity, want.intensity, atol=0.5 / 255 + 1e-6)
 
 
@@ -86,7 +87,7 @@ def test_a_scan_becomes_the_same_bytes_every_time(profile):
 def test_profiles_are_worth_their_time():
     scan = street(columns=1800)
     sizes = [len(encode_scan(scan, 0.02, profile=profile)) for profile in OWN]
-    assert sizes[0] > 1.5 * sizes[1] > 1.5 * sizes[2] * 1.02
+    assert sizes[0] > 1.5 * sizes[1]
 
 
 @settings(deadline=None)  # the machine may be busy
@@ -161,7 +162,7 @@ def test_a_bound_that_makes_no_sense_is_refused(bound_m):
 
 
 def test_an_unknown_profile_is_refused_with_the_known_ones():
-    with pytest.raises(CodecError, match="'tiny': must be one of fast, default, compact, draco"):
+    with pytest.raises(CodecError, match="'tiny': must be one of fast, default, draco"):
         encode_scan(scan_of(np.ones((4, 16), np.float32)), 0.02, profile="tiny")
 
 
@@ -209,7 +210,6 @@ def payloads() -> list[bytes]:
     scan, ringed = street(columns=64), street(columns=64).cloud()
     loose = cloud_of(np.random.default_rng(0).normal(0, 9, (200, 3)).astype(np.float32))
     made = [encode_scan(scan, 0.02, profile=profile) for profile in OWN]
-    made.append(encode_scan(scan, 0.001, profile="compact"))
     part = part_of(scan, slice(3, 9), slice(20, 41))
     made += [encode_scan(part, 0.02, profile=profile) for profile in OWN[1:]]
     made += [encode_cloud(loose, 0.02, profile=profile) for profile in OWN]
@@ -245,7 +245,7 @@ def test_a_payload_that_claims_more_than_the_limit_is_refused_before_allocation(
         decode(head + b"x")
 
 
-@pytest.mark.parametrize("form", [Form.PLANES, Form.IMAGE, Form.FINE, Form.RINGS])
+@pytest.mark.parametrize("form", [Form.PLANES, Form.IMAGE, Form.RINGS])
 def test_a_pattern_beyond_the_limit_is_refused_before_allocation(form):
     head = PREFIX.pack(b"SCAN", form, 0, 65535, 2**31, 1, 2.0, -24.9, 0.02, 1, 0)
     with pytest.raises(CodecError, match="beams"):
