@@ -116,7 +116,7 @@ def in_replay(row: RoleEntry) -> RoleEntry:
 def relays_of(choice: Choice, scenario: Scenario) -> list[ProcessEntry]:
     """Returns the relays that the agents of this machine need on it."""
     link = scenario.link
-    if link.way(scenario.mode) != "emulated":
+    if link.channel(scenario.mode) != "emulated":
         return []
     profiles = {"vehicle": link.profile, "roadside": link.roadside_profile}
     kinds = [AGENTS[name] for name in choice.names if name in AGENTS]

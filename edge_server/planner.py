@@ -171,7 +171,7 @@ class Planner:
         self._config = config
         self._lockstep = scenario["mode"] == "lockstep"
         link = LinkConfig.of(scenario)
-        self._is_virtual = link.way(scenario["mode"]) == "virtual"
+        self._is_virtual = link.channel(scenario["mode"]) == "virtual"
         self._lead_ns = round(link.agent_compute_ms * 1e6)
         self._box = _box(road_map)
         self._borders: dict[int, CellBorders] = {}

@@ -286,7 +286,7 @@ def mounts_of(scenario: dict[str, Any], road_map: RoadMap) -> dict[str, Floats]:
 def punctuality(scenario: dict[str, Any], config: EdgeConfig) -> VirtualDeadline | None:
     """Returns the rule by which virtual links drop what is late; None where links are real."""
     link = LinkConfig.of(scenario)
-    if link.way(scenario["mode"]) != "virtual":
+    if link.channel(scenario["mode"]) != "virtual":
         return None
     return VirtualDeadline(round(config.deadline_ms * 1e6), round(link.edge_compute_ms * 1e6))
 

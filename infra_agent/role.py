@@ -7,7 +7,7 @@ from protocol.messages import Tick
 from protocol.process import Context
 from sensing.config import Mount
 from sensing.lidar_uplink import LidarUplinks
-from sensing.pose import mounted
+from sensing.pose import mount_pose
 from sensing.station import Station
 
 
@@ -19,7 +19,7 @@ class InfraRole:
         mount = Mount.model_validate(context.setup.scenario["roadside_mounts"][number])
         self._station = Station(context, "roadside")
         self._sensors = LidarUplinks(context, "roadside")
-        self._map_SE3_sensor = mounted(mount, context.setup.road_map, self._sensors.terrain)
+        self._map_SE3_sensor = mount_pose(mount, context.setup.road_map, self._sensors.terrain)
         self._bus = context.open_v2x()
         radio = self._station.radio(mount.id, self._bus)
         self._uplink = self._station.add(self._sensors.uplink(mount.id, self._bus, radio))
@@ -49,6 +49,6 @@ class InfraRole:
         self._station.publish_roster(tick, [agent], [agent] if scans else [])
         if scans:
             sensed = self._uplink.sense_and_send(
-                tick, map_SE3_sensor=pose, believed_SE3_sensor=pose, own=None
+                tick, map_SE3_sensor=pose, estimated_SE3_sensor=pose, own=None
             )
-            self._station.publish_sighting(tick, agent, sensed)
+            self._station.publish_points_on(tick, agent, sensed)

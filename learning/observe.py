@@ -21,7 +21,7 @@ from sensing.config import Mount
 from sensing.lidar import Lidar
 from sensing.mesh import VehicleShapes
 from sensing.noise import stream
-from sensing.pose import above, believed_pose, mounted
+from sensing.pose import estimated_pose, mount_pose, pose_above
 from sensing.scene import scene_of
 from sim_host.config import TrafficConfig
 from sim_host.junctions import write_junction
@@ -79,7 +79,7 @@ class Observatory:
         for frame, bodies in enumerate(self._filmed):
             sizes_m = self._shapes.bodies(bodies.types).size_m
             for mount in self.mounts:
-                pose = mounted(mount, self.road_map, self._terrain)
+                pose = mount_pose(mount, self.road_map, self._terrain)
                 yield self._scan((frame, mount.id, "roadside"), (pose, pose), bodies, sizes_m)
             for own in self._cavs(frame, bodies):
                 name = bodies.ids[own]
@@ -113,8 +113,8 @@ class Observatory:
         height_m = stream(self.site.seed, "roof", name).uniform(*self._sensors.roof_m)
         height_m = max(height_m, roof_m + _OVER_ROOF_M)
         rng = stream(self.site.seed, "pose", name, frame)
-        believed = believed_pose(pose, self._sensors.pose, Equipment.CAV, rng)
-        return above(pose, height_m), above(believed, height_m)
+        believed = estimated_pose(pose, self._sensors.pose, Equipment.CAV, rng)
+        return pose_above(pose, height_m), pose_above(believed, height_m)
 
     def _scan(
         self,
@@ -160,7 +160,7 @@ class Observatory:
 def _boxes(poses: Floats, sizes_m: Floats) -> Floats:
     """Returns boxes (N, 7) of bodies; their middles are those of the tilted bodies."""
     middles = [
-        above(pose, height_m / 2).translation
+        pose_above(pose, height_m / 2).translation
         for pose, height_m in zip(poses, sizes_m[:, 2], strict=True)
     ]
     return np.column_stack([np.array(middles).reshape(-1, 3), sizes_m, poses[:, 5]])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 from player.config import ReplayConfig
@@ -16,7 +15,7 @@ from protocol.messages import Tick
 from protocol.process import Context
 from sensing.radio import ENVELOPE_BYTES, AgentKind, Radio
 from sensing.station import Station
-from sensing.uplink import Uplink
+from sensing.uplink import Uplink, UplinkContext
 from tape.reader import Tape
 from vehicle_agent.role import Connections
 
@@ -40,11 +39,11 @@ class PlayerRole:
         self._speed = ReplayConfig.model_validate(scenario["replay"]).speed
         self._period_ns = round(scenario["frame_period_s"] * 1e9)
         self._station = Station(context, self._kind)
-        self._terms = _Terms(
+        self._terms = UplinkContext(
             self._station.region, context.id, lockstep=self._lockstep, period_ns=self._period_ns
         )
         self._connections = Connections(context.open_v2x, wait=self._lockstep)
-        self._shapes_poses = self._station.link.way(scenario["mode"]) == "emulated"
+        self._shapes_poses = self._station.link.channel(scenario["mode"]) == "emulated"
         self._seen: dict[str, int] = {}
         self._buses: dict[str, Bus] = {}
         self._radios: dict[str, Radio] = {}
@@ -98,14 +97,14 @@ class PlayerRole:
 
     def _say(self, tick: Tick, agent: str, words: Words, pace: Pace | None) -> None:
         if words.pose is not None:
-            passage = self._radios[agent].carry(tick.sim_time_ns, ENVELOPE_BYTES, is_chunk=False)
+            passage = self._radios[agent].transmit(tick.sim_time_ns, ENVELOPE_BYTES, is_chunk=False)
             arrival = {"arrival_sim_ns": passage and passage.arrival_ns}
             where = {"region": self._station.region, "process": self._context.id, "agent": agent}
             self._buses[agent].publish("pose", words.pose.model_copy(update=arrival), **where)
         if words.parts:
-            self._ways[agent].ship(Played(tick, self._ways[agent], words, pace))
+            self._ways[agent].submit(Played(tick, self._ways[agent], words, pace))
         if words.sighting is not None:
-            self._station.tell_sighting(words.sighting)
+            self._station.publish_sighting(words.sighting)
 
     def _pace(self, said: dict[str, Words], begun_ns: int) -> Pace | None:
         starts = [w.sense_start_ns for w in said.values() if w.sense_start_ns is not None]
@@ -135,13 +134,3 @@ class PlayerRole:
             for agent in sorted(known.keys() - present):
                 del known[agent]
         self._connections.close_all_but(present)
-
-
-@dataclass(frozen=True, slots=True)
-class _Terms:
-    """See `sensing.uplink.UplinkContext`."""
-
-    region: str
-    process: str
-    lockstep: bool
-    period_ns: int

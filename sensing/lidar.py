@@ -39,7 +39,7 @@ def returns(
         config: the sensor's parameters.
         rng: two draws per ray.
     """
-    lot = rng.random(distance_m.shape, np.float32)
+    draw = rng.random(distance_m.shape, np.float32)
     noise = rng.standard_normal(distance_m.shape, np.float32)
     intensity = distance_m * np.float32(-config.atmosphere_attenuation_rate)
     np.exp(intensity, out=intensity)
@@ -53,12 +53,12 @@ def returns(
             config.noise_stddev,
         ]
     )
-    flat = [a.reshape(-1) for a in (distance_m, lot, noise, range_m, intensity)]
-    _lose(*flat, rates)
+    flat = [a.reshape(-1) for a in (distance_m, draw, noise, range_m, intensity)]
+    _apply_losses(*flat, rates)
     return range_m, intensity
 
 
-def share_kept(distance_m: Floats, config: LidarConfig) -> Floats:
+def return_probability(distance_m: Floats, config: LidarConfig) -> Floats:
     """Returns the probability that a ray which hits something at this distance returns."""
     intensity = np.exp(-config.atmosphere_attenuation_rate * distance_m)
     zero, limit = config.dropoff_zero_intensity, config.dropoff_intensity_limit
@@ -71,9 +71,9 @@ def share_kept(distance_m: Floats, config: LidarConfig) -> Floats:
     "void(float32[::1], float32[::1], float32[::1], float32[::1], float32[::1], float64[::1])",
     cache=True,
 )
-def _lose(
+def _apply_losses(
     distance_m: Floats32,
-    lot: Floats32,
+    draw: Floats32,
     noise: Floats32,
     range_m: Floats32,
     intensity: Floats32,
@@ -85,7 +85,7 @@ def _lose(
         chance = keep
         if value <= limit:
             chance *= 1.0 - zero + value * zero / limit
-        if MIN_RANGE_M <= distance_m[n] < farthest and lot[n] < chance:
+        if MIN_RANGE_M <= distance_m[n] < farthest and draw[n] < chance:
             range_m[n] = max(distance_m[n] + noise[n] * stddev, MIN_RANGE_M)
         else:
             range_m[n] = 0.0

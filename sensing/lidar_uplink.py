@@ -25,14 +25,14 @@ from sensing.noise import stream
 from sensing.radio import AgentKind, Radio
 from sensing.source import ScanSource, source_of
 from sensing.terrain import Terrain
-from sensing.uplink import FrameUpload, Uplink
+from sensing.uplink import FrameUpload, Uplink, UplinkContext
 from sensing.upload_policies import policy_of
 from sensing.upload_selection import Selection, Selector, chooser_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnboardDetector:
-    """The edge's detector, with its parameters, on one agent's scan alone."""
+    """Detection on the agent: the edge's detector and parameters, on one agent's scan."""
 
     roadway: Roadway
     geofence: GeofenceConfig
@@ -40,7 +40,7 @@ class OnboardDetector:
 
     @classmethod
     def of(cls, road_map: RoadMap, edge: dict[str, Any]) -> OnboardDetector:
-        """Builds it from the scenario's section of the edge."""
+        """Builds the detector from the scenario's section of the edge."""
         chosen = {name: edge[name] for name in DetectionConfig.model_fields}
         config = DetectionConfig.model_validate(chosen)
         roadway = Roadway.of(road_map, margin_m=config.geofence.margin_m)
@@ -61,27 +61,23 @@ class OnboardDetector:
 
 
 @dataclass(frozen=True, slots=True)
-class LidarContext:
-    """What all uplinks of a process share."""
+class LidarContext(UplinkContext):
+    """What all uplinks of a process with LiDARs share; a detector only if agents send objects."""
 
-    region: str
-    process: str
     seed: int
     source: ScanSource
     config: UploadConfig
-    detector: OnboardDetector | None  # of agents that send objects
-    lockstep: bool
-    period_ns: int  # of a frame
+    detector: OnboardDetector | None
 
 
 @dataclass(slots=True, eq=False)
 class _ScanUpload(FrameUpload):
-    """A frame that was sensed: chunks are encoded as they are sent."""
+    """The upload of a scan: chunks are encoded as they are sent."""
 
     uplink: LidarUplink
     scan: RangeScan
     selection: Selection
-    believed_SE3_sensor: SE3
+    estimated_SE3_sensor: SE3
     sense_start_ns: int
     sense_end_ns: int
 
@@ -96,47 +92,47 @@ class _ScanUpload(FrameUpload):
 
 
 class LidarUplink(Uplink):
-    """The way of an agent that has a sensor."""
+    """The uplink of an agent that has a LiDAR."""
 
     def __init__(
-        self, agent: str, bus: Bus, radio: Radio, kit: LidarContext, selector: Selector
+        self, agent: str, bus: Bus, radio: Radio, context: LidarContext, selector: Selector
     ) -> None:
-        super().__init__(agent, bus, radio, kit)
-        self._kit = kit
+        super().__init__(agent, bus, radio, context)
+        self._shared = context
         self._selector = selector
 
     def sense_and_send(
         self,
         tick: Tick,
         map_SE3_sensor: SE3,
-        believed_SE3_sensor: SE3,
+        estimated_SE3_sensor: SE3,
         own: int | None,
     ) -> Sensed:
-        """Senses once from the true pose and sends it, or its part, with the believed one."""
+        """Scans once from the true pose and sends the scan, or its part, with the estimated one."""
         sense_start_ns = time.monotonic_ns()
-        sensed = self._kit.source.scan(self.agent, tick, map_SE3_sensor, own)
+        sensed = self._shared.source.scan(self.agent, tick, map_SE3_sensor, own)
         sense_end_ns = time.monotonic_ns()
         plan = self._plans.of(tick.frame, tick.sim_time_ns)
-        selection = self._selector.select(sensed.scan, believed_SE3_sensor, self.agent, plan)
-        shipment = _ScanUpload(
-            tick, self, sensed.scan, selection, believed_SE3_sensor, sense_start_ns, sense_end_ns
+        selection = self._selector.select(sensed.scan, estimated_SE3_sensor, self.agent, plan)
+        upload = _ScanUpload(
+            tick, self, sensed.scan, selection, estimated_SE3_sensor, sense_start_ns, sense_end_ns
         )
-        shipment.spans = [
+        upload.spans = [
             self.span("sense", sense_start_ns, sense_end_ns),
             self.span("select", sense_end_ns, time.monotonic_ns()),
         ]
-        if self._kit.detector is not None:
-            self._send_objects(shipment, self._kit.detector)
-            self.keep(shipment)
+        if self._shared.detector is not None:
+            self._send_objects(upload, self._shared.detector)
+            self.keep(upload)
         else:
-            self.ship(shipment)
+            self.submit(upload)
         return sensed
 
-    def send_chunk(self, shipment: _ScanUpload, chunk: int) -> int:
-        """Encodes a chunk and sends it; returns the message's size in bytes."""
+    def send_chunk(self, upload: _ScanUpload, chunk: int) -> int:
+        """Encodes and sends a chunk; returns the size of the message in bytes."""
         start_ns = time.monotonic_ns()
-        part = shipment.selection.part(shipment.scan, chunk)
-        config, tick = self._kit.config, shipment.tick
+        part = upload.selection.part(upload.scan, chunk)
+        config, tick = self._shared.config, upload.tick
         payload = encode_scan(
             part,
             config.max_error_m,
@@ -148,25 +144,25 @@ class LidarUplink(Uplink):
             sim_time_ns=tick.sim_time_ns,
             agent=self.agent,
             chunk=chunk,
-            chunks=shipment.chunks,
+            chunks=upload.chunks,
             points=int(np.count_nonzero(part.range_m)),
-            plan_frame=shipment.selection.plan_frame,
+            plan_frame=upload.selection.plan_frame,
             ground_free=self._selector.is_ground_free,
-            sensor_pose=shipment.believed_SE3_sensor.as_pose(),
-            sense_start_ns=shipment.sense_start_ns,
-            sense_end_ns=shipment.sense_end_ns,
+            sensor_pose=upload.estimated_SE3_sensor.as_pose(),
+            sense_start_ns=upload.sense_start_ns,
+            sense_end_ns=upload.sense_end_ns,
             encode_end_ns=time.monotonic_ns(),
             payload=np.frombuffer(payload, np.uint8),
         )
-        return self.send(shipment, message, start_ns)
+        return self.send(upload, message, start_ns)
 
-    def _send_objects(self, shipment: _ScanUpload, detector: OnboardDetector) -> None:
-        """Sends boxes; finding them takes the place of encoding."""
-        start_ns, tick = time.monotonic_ns(), shipment.tick
-        rng = stream(self._kit.seed, "detect", self.agent, tick.frame)
+    def _send_objects(self, upload: _ScanUpload, detector: OnboardDetector) -> None:
+        """Sends detected boxes; detection replaces encoding."""
+        start_ns, tick = time.monotonic_ns(), upload.tick
+        rng = stream(self._shared.seed, "detect", self.agent, tick.frame)
         found = detector.detect(
-            shipment.selection.part(shipment.scan, 0),
-            shipment.believed_SE3_sensor,
+            upload.selection.part(upload.scan, 0),
+            upload.estimated_SE3_sensor,
             rng,
             ground_free=self._selector.is_ground_free,
         )
@@ -176,15 +172,15 @@ class LidarUplink(Uplink):
             agent=self.agent,
             boxes=found.boxes.astype(np.float32),
             scores=found.scores.astype(np.float32),
-            sense_start_ns=shipment.sense_start_ns,
-            sense_end_ns=shipment.sense_end_ns,
+            sense_start_ns=upload.sense_start_ns,
+            sense_end_ns=upload.sense_end_ns,
             detect_end_ns=time.monotonic_ns(),
         )
-        self.send(shipment, message, start_ns)
+        self.send(upload, message, start_ns)
 
 
 class LidarUplinks:
-    """Makes the uplink of each agent of one kind that has a LiDAR."""
+    """Makes the uplinks of a process's agents of one kind, and what these share."""
 
     def __init__(self, context: Context, kind: AgentKind) -> None:
         scenario, road_map = context.setup.scenario, context.setup.road_map
@@ -193,12 +189,12 @@ class LidarUplinks:
         upload = UploadConfig.model_validate(scenario["upload"])
         self.terrain = Terrain(road_map, scene, scenario["seed"])
         self._pattern = config.pattern
-        self._standing = kind == "roadside"
+        self._stationary = kind == "roadside"
         self._chosen = upload.of(kind)
         self._policy = policy_of(self._chosen.policy)
         self._roadway = Roadway.of(road_map, margin_m=upload.roi_margin_m)
         detects = self._policy.sends == "objects"
-        self._kit = LidarContext(
+        self._shared = LidarContext(
             region=scenario["region"],
             process=context.id,
             seed=scenario["seed"],
@@ -210,18 +206,18 @@ class LidarUplinks:
         )
 
     def uplink(self, agent: str, bus: Bus, radio: Radio) -> LidarUplink:
-        """Returns the way to the edge of an agent that has this bus for itself."""
+        """Returns the uplink of an agent with this connection."""
         selector = Selector(
             self._policy,
             self._chosen.filters,
             self._roadway,
             self._pattern,
-            chooser_of(self._chosen.policy, self._kit.config, self._roadway, self._pattern),
-            thin_m=self._kit.config.thin_m,
-            standing=self._standing,
+            chooser_of(self._chosen.policy, self._shared.config, self._roadway, self._pattern),
+            thin_m=self._shared.config.thin_m,
+            stationary=self._stationary,
         )
-        return LidarUplink(agent, bus, radio, self._kit, selector)
+        return LidarUplink(agent, bus, radio, self._shared, selector)
 
     def close(self) -> None:
-        """Lets go of them, once every agent has hung up."""
-        self._kit.source.close()
+        """Closes the scan source, after all uplinks are closed."""
+        self._shared.source.close()

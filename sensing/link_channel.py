@@ -264,8 +264,8 @@ class Transmission:
     """
 
     sent_ns: int
-    left_ns: int
-    gone_ns: int
+    first_bit_ns: int
+    last_bit_ns: int
     arrival_ns: int
     on_air_bytes: int
 
@@ -290,16 +290,18 @@ class VirtualLink:
 
         Messages keep their order, also where a later one would have the shorter delay.
         """
-        left_ns = now_ns if self._last is None else max(now_ns, self._last.gone_ns)
-        gone_ns = self._path.departure_ns(left_ns, size_bytes)
-        arrival_ns = self._path.arrival_ns(left_ns, gone_ns)
+        first_bit_ns = now_ns if self._last is None else max(now_ns, self._last.last_bit_ns)
+        last_bit_ns = self._path.departure_ns(first_bit_ns, size_bytes)
+        arrival_ns = self._path.arrival_ns(first_bit_ns, last_bit_ns)
         if self._last is not None:
             arrival_ns = max(arrival_ns, self._last.arrival_ns)
         if recallable:
             self._before.append(self._last)
         else:
             self._before.clear()
-        self._last = Transmission(now_ns, left_ns, gone_ns, arrival_ns, on_air_bytes(size_bytes))
+        self._last = Transmission(
+            now_ns, first_bit_ns, last_bit_ns, arrival_ns, on_air_bytes(size_bytes)
+        )
         return self._last
 
     def recall(self, time_ns: int) -> list[Transmission]:
@@ -308,7 +310,7 @@ class VirtualLink:
         What is left counts as sent for good.
         """
         recalled = []
-        while self._before and self._last is not None and self._last.left_ns >= time_ns:
+        while self._before and self._last is not None and self._last.first_bit_ns >= time_ns:
             recalled.append(self._last)
             self._last = self._before.pop()
         self._before.clear()
@@ -316,7 +318,7 @@ class VirtualLink:
 
     def backlog_ns(self, now_ns: int) -> int:
         """Returns how long what is queued now will take to leave."""
-        return 0 if self._last is None else max(0, self._last.gone_ns - now_ns)
+        return 0 if self._last is None else max(0, self._last.last_bit_ns - now_ns)
 
     def delay_ns(self, time_ns: int) -> int:
         """Returns how long a small message takes that goes the other way then."""

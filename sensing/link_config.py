@@ -264,8 +264,8 @@ class LinkConfig(Section):
     def _by_name(cls, value: object) -> object:
         return profile_named(value) if isinstance(value, str) else value
 
-    def way(self, mode: str) -> Literal["virtual", "emulated", "none"]:
-        """Returns how links are applied in a mode."""
+    def channel(self, mode: str) -> Literal["virtual", "emulated", "none"]:
+        """Returns how links are emulated in a mode: in simulated time, by relays, or not at all."""
         if self.apply == "none" or (self.profile is None and self.roadside_profile is None):
             return "none"
         return "virtual" if mode == "lockstep" else "emulated"

@@ -12,7 +12,7 @@ from sensing.config import Mount, PoseErrorConfig
 from sensing.terrain import Terrain
 
 
-def mounted(mount: Mount, road_map: RoadMap, terrain: Terrain) -> SE3:
+def mount_pose(mount: Mount, road_map: RoadMap, terrain: Terrain) -> SE3:
     """Returns `map_SE3_sensor` of a mount: upright, its height above the ground at its place."""
     x_m, y_m = road_map.centre[0] + mount.x_m, road_map.centre[1] + mount.y_m
     ground_m = float(terrain.height_m(np.array([[x_m, y_m]]))[0])
@@ -20,12 +20,12 @@ def mounted(mount: Mount, road_map: RoadMap, terrain: Terrain) -> SE3:
     return SE3.from_pose([x_m, y_m, ground_m + mount.height_m, 0, 0, yaw_rad])
 
 
-def above(pose: Floats, height_m: float) -> SE3:
+def pose_above(pose: Floats, height_m: float) -> SE3:
     """Returns `map_SE3_sensor` of a sensor over what stands at a pose (6,), tilted with it."""
     return SE3.from_pose(pose) @ SE3(np.eye(3), np.array([0.0, 0.0, height_m]))
 
 
-def believed_pose(
+def estimated_pose(
     true_pose: npt.ArrayLike,
     config: PoseErrorConfig,
     equipment: Equipment,

@@ -1,4 +1,4 @@
-"""One agent's radio: whether its link takes more, and when what it sends arrives."""
+"""An agent's radio: congestion of its link, and arrival times of what it sends."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ AgentKind = Literal["vehicle", "roadside"]
 
 
 class Radio(Protocol):
-    """What an agent asks before it senses, and tells when it sends."""
+    """An agent's side of a link, real or virtual."""
 
     is_virtual: bool
 
     def begin(self, sim_time_ns: int, enough_sim_ns: int | None) -> int:
-        """Begins a frame; returns how many of the last frame's chunks never left.
+        """Begins a frame; returns how many chunks of the last frame were recalled.
 
-        A chunk that has not begun to leave is given up when the new frame is there, or when the
-        agent hears that the edge has had enough since `enough_sim_ns`.
+        A chunk that has not begun to leave is recalled when the new frame begins, or when the
+        agent receives that the edge completed the frame at `enough_sim_ns`.
         """
 
     def is_congested(self, sim_time_ns: int) -> bool:
-        """Whether what is queued takes longer to leave than a frame lasts: leave a frame out."""
+        """Whether the queue takes longer to leave than a frame lasts: skip a frame."""
 
     def reception_ns(self, published_sim_ns: int) -> int:
-        """Returns when the agent hears what the edge said then, in simulated time."""
+        """Returns when the agent receives what the edge published then, in simulated time."""
 
-    def carry(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> Transmission | None:
-        """Takes note of a message of a frame; None where the link is real."""
+    def transmit(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> Transmission | None:
+        """Sends a message over a virtual link; None where the link is real."""
 
     def wire_bytes(self) -> int:
-        """Returns what the link has taken so far."""
+        """Returns the bytes that the link has taken so far."""
 
 
 class RealRadio:
-    """The transport itself is the link. TCP tells what it could not send yet."""
+    """The transport itself is the link; TCP knows what it could not send yet."""
 
     is_virtual = False
 
@@ -50,36 +50,36 @@ class RealRadio:
         self._sent_bytes = bus.wire_bytes()
 
     def begin(self, sim_time_ns: int, enough_sim_ns: int | None) -> int:  # noqa: ARG002 - asked of virtual links
-        """Does nothing: an outbox gives up chunks in real time."""
+        """Does nothing: in realtime the outbox drops chunks."""
         return 0
 
     def is_congested(self, sim_time_ns: int) -> bool:  # noqa: ARG002 - a real link has its own time
-        """Compares what waits with what left since the last frame."""
+        """Compares what is queued with what left since the last frame."""
         before, self._sent_bytes = self._sent_bytes, self._bus.wire_bytes()
         return self._bus.unsent_bytes() > max(0, self._sent_bytes - before)
 
     def reception_ns(self, published_sim_ns: int) -> int:
-        """See `Radio.hears_ns`."""
+        """See `Radio.reception_ns`."""
         return published_sim_ns
 
-    def carry(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> None:
-        """See `Radio.carry`."""
+    def transmit(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> None:
+        """See `Radio.transmit`."""
 
     def wire_bytes(self) -> int:
-        """Returns what TCP has sent."""
+        """Returns the bytes that TCP has sent."""
         return self._bus.wire_bytes()
 
 
 class IdealRadio(RealRadio):
-    """Takes everything; used in lockstep where no link is modelled."""
+    """A link without limits; used in lockstep where no link is modelled."""
 
     def is_congested(self, sim_time_ns: int) -> bool:  # noqa: ARG002 - it takes everything at any time
-        """See `Radio.is_clogged`."""
+        """See `Radio.is_congested`."""
         return False
 
 
 class VirtualRadio:
-    """A virtual link, or none for an agent that is wired; sends `lead_ns` after a frame's time."""
+    """A link in simulated time, none for a wired agent; sends `lead_ns` after a frame's time."""
 
     is_virtual = True
 
@@ -97,34 +97,36 @@ class VirtualRadio:
         if enough_sim_ns is not None:
             until_ns = min(until_ns, self.reception_ns(enough_sim_ns))
         recalled = self._link.recall(until_ns)
-        self._taken_bytes -= sum(passage.on_air_bytes for passage in recalled)
+        self._taken_bytes -= sum(transmission.on_air_bytes for transmission in recalled)
         return len(recalled)
 
     def is_congested(self, sim_time_ns: int) -> bool:
-        """See `Radio.is_clogged`."""
+        """See `Radio.is_congested`."""
         if self._link is None:
             return False
         return self._link.backlog_ns(sim_time_ns + self._lead_ns) >= self._period_ns
 
     def reception_ns(self, published_sim_ns: int) -> int:
-        """See `Radio.hears_ns`; the way back has the same delay and no queue."""
+        """See `Radio.reception_ns`; the downlink has the same delay and no queue."""
         return published_sim_ns + (
             0 if self._link is None else self._link.delay_ns(published_sim_ns)
         )
 
-    def carry(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> Transmission:
-        """See `Radio.carry`; a chunk that the next frame will overtake never arrives."""
+    def transmit(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> Transmission:
+        """See `Radio.transmit`; a chunk that will be recalled for the next frame never arrives."""
         sent_ns = sim_time_ns + self._lead_ns
         if self._link is None:
-            passage = Transmission(sent_ns, sent_ns, sent_ns, sent_ns, on_air_bytes(size_bytes))
+            transmission = Transmission(
+                sent_ns, sent_ns, sent_ns, sent_ns, on_air_bytes(size_bytes)
+            )
         else:
-            passage = self._link.send(sent_ns, size_bytes, recallable=is_chunk)
-        self._taken_bytes += passage.on_air_bytes
-        overtaken = is_chunk and passage.left_ns >= sent_ns + self._period_ns
-        return replace(passage, arrival_ns=NEVER_NS) if overtaken else passage
+            transmission = self._link.send(sent_ns, size_bytes, recallable=is_chunk)
+        self._taken_bytes += transmission.on_air_bytes
+        overtaken = is_chunk and transmission.first_bit_ns >= sent_ns + self._period_ns
+        return replace(transmission, arrival_ns=NEVER_NS) if overtaken else transmission
 
     def wire_bytes(self) -> int:
-        """Returns what the link has taken so far, with the headers of TCP and IP."""
+        """Returns the bytes that the link has taken so far, headers of TCP and IP included."""
         return self._taken_bytes
 
 
@@ -134,7 +136,7 @@ def radio_of(
     """Returns the radio that a scenario gives to an agent with this connection."""
     if scenario["mode"] == "realtime":
         return RealRadio(bus)
-    if config.way(scenario["mode"]) == "none":
+    if config.channel(scenario["mode"]) == "none":
         return IdealRadio(bus)
     profile = config.profile if kind == "vehicle" else config.roadside_profile
     link = None if profile is None else VirtualLink(Channel.draw(profile, scenario["seed"], agent))

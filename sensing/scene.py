@@ -124,13 +124,13 @@ def from_polygons(
 def _along(edge: Edge, config: SceneConfig, rng: np.random.Generator) -> Iterator[Floats]:
     """Walks along an edge and yields outlines (4, 2), with gaps according to the density."""
     step = np.hypot(*np.diff(edge.points, axis=0).T)
-    way = np.concatenate([[0.0], np.cumsum(step)])
+    along_m = np.concatenate([[0.0], np.cumsum(step)])
     at_m = float(rng.uniform(0, _FRONT_M[0]))
-    while at_m < way[-1]:
+    while at_m < along_m[-1]:
         front_m, depth_m = float(rng.uniform(*_FRONT_M)), float(rng.uniform(*_DEPTH_M))
         back_m = config.building_setback_m + float(rng.uniform(0, _JITTER_M))
         built = rng.random() < config.building_density
-        k = int(np.searchsorted(way, min(at_m + front_m / 2, way[-1])))
+        k = int(np.searchsorted(along_m, min(at_m + front_m / 2, along_m[-1])))
         if built:
             yield _box(edge.points[k], edge.outward[k], front_m, (back_m, back_m + depth_m))
         at_m += front_m + float(rng.uniform(2.0, 8.0))
@@ -217,9 +217,9 @@ def trees(
 
 
 def _feet(edge: Edge, spacing_m: float, first_m: float, offset_m: float) -> Iterator[Floats]:
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(edge.points, axis=0).T))])
-    for at_m in np.arange(first_m, way[-1], spacing_m):
-        k = int(np.searchsorted(way, at_m))
+    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(edge.points, axis=0).T))])
+    for at_m in np.arange(first_m, along_m[-1], spacing_m):
+        k = int(np.searchsorted(along_m, at_m))
         yield edge.points[k] + edge.outward[k] * offset_m
 
 

@@ -1,4 +1,4 @@
-"""What every agent process shares: the clock it hears, its ways to the edge, what it reports."""
+"""An agent process's station: it follows ticks and plans, and reports on its agents' uplinks."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from sensing.radio import AgentKind, Radio, radio_of
 from sensing.uplink import FrameUpload, Uplink
 from sensing.upload_policies import policy_of
 
-W = TypeVar("W", bound=Uplink)
+U = TypeVar("U", bound=Uplink)
 
 PLAN_WAIT_NS = 2_000_000_000  # in lockstep; a plan that has not come by then is lost
 
 
 class Station:
-    """Keeps the newest tick: an agent that is late goes on with the present, not with the past.
+    """Keeps the newest tick, so that an agent that is late continues with the present.
 
     In lockstep, an agent that scanned in one frame waits in the next for the plan that the edge
-    made of it, so that the same plan is followed however long it was on its way.
+    made of it: the same plan is followed however long its message took.
     """
 
     def __init__(self, context: Context, kind: AgentKind) -> None:
@@ -51,11 +51,11 @@ class Station:
 
     @property
     def uploads(self) -> bool:
-        """Whether the policy sends more than poses."""
+        """Whether the upload policy sends more than poses."""
         return self._policy.sends != "nothing"
 
     def open(self, role: str) -> None:
-        """Listens to the world and shows that the process is ready."""
+        """Subscribes to ticks and the end, and announces that the process is ready."""
         self.context.world.subscribe("tick")
         self.context.world.subscribe("end")
         self.context.announce(role)
@@ -64,62 +64,62 @@ class Station:
         """Returns the radio of an agent with this connection."""
         return radio_of(self.context.setup.scenario, self.link, self._kind, agent, bus)
 
-    def add(self, way: W) -> W:
-        """Takes the way to the edge of an agent that has its bus for itself, and opens it."""
+    def add(self, uplink: U) -> U:
+        """Takes an uplink, whose connection is its own, and subscribes to the edge's plans."""
         if self._policy.cells or not self._lockstep:
-            way.bus.subscribe("plan", region=self.region, agent=way.agent)
-        self._uplinks[way.agent] = way
-        return way
+            uplink.bus.subscribe("plan", region=self.region, agent=uplink.agent)
+        self._uplinks[uplink.agent] = uplink
+        return uplink
 
     def close_uplink(self, agent: str) -> None:
-        """Ends an agent's way to the edge; its connection is the caller's to close."""
-        way = self._uplinks.pop(agent)
-        way.finish()
-        self._left += way.take_done()
-        self._settled += way.take_wire_counts()
-        self._drops["overtaken_chunks"] += way.unsent_chunks
+        """Ends an agent's uplink; the caller closes its connection."""
+        uplink = self._uplinks.pop(agent)
+        uplink.finish()
+        self._left += uplink.take_done()
+        self._settled += uplink.take_wire_counts()
+        self._drops["overtaken_chunks"] += uplink.unsent_chunks
 
     def begin(self, tick: Tick) -> None:
-        """Begins a frame on all ways to the edge."""
-        for _, way in sorted(self._uplinks.items()):
-            way.begin(tick.frame, tick.sim_time_ns)
-            self._settled += way.take_wire_counts(tick.frame)
+        """Begins a frame on all uplinks."""
+        for _, uplink in sorted(self._uplinks.items()):
+            uplink.begin(tick.frame, tick.sim_time_ns)
+            self._settled += uplink.take_wire_counts(tick.frame)
 
     def admits(self, radio: Radio, tick: Tick) -> bool:
-        """Whether an agent takes part in a frame; if not, its link has not taken the last one."""
+        """Whether an agent takes part in a frame; not while its link is congested."""
         congested = radio.is_congested(tick.sim_time_ns)
         self._drops["skipped_frames"] += congested
         return not congested
 
     def take(self, item: Envelope | Presence) -> None:
-        """Looks at what arrived; all but ticks, plans and the end are let pass."""
+        """Takes ticks, plans and the end; ignores everything else."""
         if not isinstance(item, Envelope):
             return
         if isinstance(item.message, Tick):
             self._drops["skipped_ticks"] += self._tick is not None
             self._tick, self._ticked_ns = item.message, item.received_ns
         elif isinstance(item.message, Plan):
-            if way := self._uplinks.get(item.message.agent):
-                way.receive(item.message)
+            if uplink := self._uplinks.get(item.message.agent):
+                uplink.receive(item.message)
         elif isinstance(item.message, End):
             self.context.stop.set()
 
     def pop(self) -> Tick | None:
-        """Returns the tick to work on, once, as soon as the plans for it are there."""
+        """Returns a tick once, as soon as the plans for it have arrived."""
         if self._tick is None or self._awaits_plan(self._tick):
             return None
         tick, self._tick = self._tick, None
         return tick
 
     def publish_roster(self, tick: Tick, agents: list[str], scanning: list[str]) -> None:
-        """Says, before anything is sent, whose poses and scans the edge may expect."""
+        """Publishes, before anything is sent, whose poses and scans the edge may expect."""
         process = self.context.id
         roster = Roster(frame=tick.frame, process=process, agents=agents, scanning=scanning)
         self.context.v2x.publish("roster", roster, region=self.region, process=process)
         self._scanned = (tick.frame, scanning)
 
-    def publish_sighting(self, tick: Tick, agent: str, sensed: Sensed) -> None:
-        """Says what the model of the sensor knows of its scan, for the recorder alone."""
+    def publish_points_on(self, tick: Tick, agent: str, sensed: Sensed) -> None:
+        """Publishes on which vehicles a scan's points lie, for the recorder alone."""
         hit = np.flatnonzero(sensed.points_on)
         if len(hit):
             sighting = Sighting(
@@ -128,25 +128,25 @@ class Station:
                 vehicles=[tick.ids[n] for n in hit],
                 points=sensed.points_on[hit].astype(np.int32),
             )
-            self.tell_sighting(sighting)
+            self.publish_sighting(sighting)
 
-    def tell_sighting(self, sighting: Sighting) -> None:
-        """Says that, if the truth is kept."""
+    def publish_sighting(self, sighting: Sighting) -> None:
+        """Publishes a sighting if the truth is recorded."""
         if self._keeps_truth:
             self.context.world.publish("sighting", sighting, agent=sighting.agent)
 
     def report(self, tick: Tick | None = None) -> None:
-        """Accounts for the frames that are done with, and for that of a tick in any case."""
+        """Publishes metrics of the frames that are done, and of a tick's frame in any case."""
         frames: dict[int, tuple[Tick, list[Upload], list[Span]]] = {}
         if tick is not None:
             frames[tick.frame] = (tick, [], [])
         done, self._left = self._left, []
-        for _, way in sorted(self._uplinks.items()):
-            done += way.take_done()
-        for shipment in done:
-            _, uploads, spans = frames.setdefault(shipment.frame, (shipment.tick, [], []))
-            uploads += shipment.uploads
-            spans += shipment.spans
+        for _, uplink in sorted(self._uplinks.items()):
+            done += uplink.take_done()
+        for upload in done:
+            _, uploads, spans = frames.setdefault(upload.frame, (upload.tick, [], []))
+            uploads += upload.uploads
+            spans += upload.spans
         for _, (of, uploads, spans) in sorted(frames.items()):
             wire, self._settled = self._settled, []
             self._publish_metrics(of, uploads, spans, wire)
@@ -155,8 +155,8 @@ class Station:
         if not (self._lockstep and self._policy.cells):
             return False
         frame, scanned = self._scanned
-        ways = [self._uplinks[agent] for agent in scanned if agent in self._uplinks]
-        if frame != tick.frame - 1 or all(way.told >= frame for way in ways):
+        uplinks = [self._uplinks[agent] for agent in scanned if agent in self._uplinks]
+        if frame != tick.frame - 1 or all(uplink.completed_frame >= frame for uplink in uplinks):
             return False
         if time.monotonic_ns() - self._ticked_ns < PLAN_WAIT_NS:
             return True
@@ -167,7 +167,7 @@ class Station:
     def _publish_metrics(
         self, tick: Tick, uploads: list[Upload], spans: list[Span], wire: list[WireCount]
     ) -> None:
-        overtaken = sum(way.unsent_chunks for way in self._uplinks.values())
+        overtaken = sum(uplink.unsent_chunks for uplink in self._uplinks.values())
         drops = Counter(self.context.inbox.drops) + self._drops
         drops["overtaken_chunks"] += overtaken
         metrics = Metrics(

@@ -60,9 +60,9 @@ def undulation(
 
 def _height_along(flat: Floats, line: Floats) -> Floats:
     """Returns the heights at points (N, 2) that were resampled from a polyline (K, 3)."""
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line[:, :2], axis=0).T))])
+    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line[:, :2], axis=0).T))])
     here = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(flat, axis=0).T))])
-    return np.asarray(np.interp(here, way, line[:, 2]))
+    return np.asarray(np.interp(here, along_m, line[:, 2]))
 
 
 def _blend(lattice: Floats, at: Floats) -> Floats:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from protocol.bus import Bus
 from protocol.errors import CpnetError
@@ -24,19 +23,19 @@ class _ReceivedPlan:
     arrival_sim_ns: int
 
 
-class Plans:
-    """Keeps the plans of the last frames. A plan holds from its frame on."""
+class PlanHistory:
+    """The edge's plans of the last frames. A plan holds from its frame on."""
 
     def __init__(self) -> None:
         self._received: list[_ReceivedPlan] = []
 
     @property
     def newest(self) -> Plan | None:
-        """The newest plan, be its frame still to come."""
+        """The newest plan; its frame may still be to come."""
         return self._received[-1].plan if self._received else None
 
     def receive(self, plan: Plan, *, frame: int, arrival_sim_ns: int) -> bool:
-        """Takes a plan while a frame is played; one that is older, or absurd, is left."""
+        """Takes a plan during a frame; returns False for one that is older or too far ahead."""
         newest = self.newest
         is_news = newest is None or plan.frame > newest.frame
         if not is_news or plan.frame > frame + MAX_AHEAD_FRAMES:
@@ -47,76 +46,101 @@ class Plans:
 
     def of(self, frame: int, sim_time_ns: int) -> Plan | None:
         """Returns the plan to follow in a frame that begins then."""
-        for heard in reversed(self._received):
-            age_frames = frame - heard.plan.frame
-            if 0 <= age_frames <= MAX_AGE_FRAMES and heard.arrival_sim_ns <= sim_time_ns:
-                return heard.plan
+        for received in reversed(self._received):
+            age_frames = frame - received.plan.frame
+            if 0 <= age_frames <= MAX_AGE_FRAMES and received.arrival_sim_ns <= sim_time_ns:
+                return received.plan
         return None
 
 
-EARLY_NS = 4_000_000  # a chunk may queue so long, lest the uplink runs dry
-LONGEST_NS = 1_000_000_000  # a rate that was wrong is tried again after this
+EARLY_NS = 4_000_000  # a chunk may queue for this long, so that the uplink does not run dry
+LONGEST_NS = 1_000_000_000  # a rate estimate that was wrong is tried again after this
 
 
-class _Shipment(Protocol):
-    """A frame's chunks."""
+@dataclass(frozen=True, slots=True)
+class UplinkContext:
+    """What all uplinks of a process share: region of the edge, process id, mode, frame period."""
+
+    region: str
+    process: str
+    lockstep: bool
+    period_ns: int
+
+
+@dataclass(slots=True, eq=False)
+class FrameUpload:
+    """One frame of one agent: the chunks to be sent, and the record of those that were."""
+
+    tick: Tick
+    uploads: list[Upload] = field(default_factory=list, kw_only=True)
+    spans: list[Span] = field(default_factory=list, kw_only=True)
 
     @property
     def frame(self) -> int:
-        """The frame's number."""
+        """Number of the frame."""
+        return self.tick.frame
 
     @property
     def chunks(self) -> int:
-        """How many chunks there are to be sent."""
+        """Number of chunks to be sent."""
+        raise NotImplementedError
 
     def send(self, chunk: int) -> int:
         """Sends a chunk; returns its size in bytes."""
+        raise NotImplementedError
 
 
 class Outbox:
-    """Belongs to one agent. `unsent` counts the chunks that a newer frame made useless."""
+    """Send queue of one agent: sends the newest frame's chunks as fast as its uplink takes them.
+
+    A thread per agent, so that a slow uplink delays no other agent. The next chunk goes out when,
+    by the edge's estimate of the uplink's rate, those before it have left, so that no more than
+    about one chunk ever queues below. It does not go out at all once a newer frame is there or the
+    edge has completed the frame. A slow uplink thus sends fewer chunks of each frame, then fewer
+    frames, each of them recent. `unsent` counts the chunks that a newer frame replaced.
+    """
 
     def __init__(self, agent: str) -> None:
         self._turn = threading.Condition()
-        self._next: _Shipment | None = None
+        self._next: FrameUpload | None = None
         self._enough = -1
         self._mbps = 0.0
         self._free_ns = 0
         self._closed = False
         self._error: CpnetError | None = None
-        self._done: list[_Shipment] = []
+        self._done: list[FrameUpload] = []
         self.unsent = 0
         self._thread = threading.Thread(target=self._run, name=f"outbox {agent}", daemon=True)
         self._thread.start()
 
-    def put(self, shipment: _Shipment) -> None:
-        """Takes the newest frame, in the place of what was not sent of the frame before.
+    def put(self, upload: FrameUpload) -> None:
+        """Takes the newest frame; it replaces what was not sent of the frame before.
 
         Raises:
-            CpnetError: what the last frame failed with.
+            CpnetError: the error that sending the last frame failed with.
         """
         with self._turn:
             if self._error is not None:
                 raise self._error
             if self._next is not None:
                 self.unsent += self._next.chunks
-            self._next = shipment
+            self._next = upload
             self._turn.notify()
 
     def receive(self, *, enough: int, mbps: float) -> None:
-        """Takes note of which frames need no more chunks, and of the rate, 0 if it is unknown."""
+        """Takes the last frame that needs no more chunks, and the rate, 0 if it is unknown."""
         with self._turn:
             self._enough, self._mbps = max(enough, self._enough), mbps
             self._turn.notify()
 
-    def take_done(self) -> list[_Shipment]:
+    def take_done(self) -> list[FrameUpload]:
         """Returns the frames of which nothing more will be sent, once."""
         with self._turn:
             done, self._done = self._done, []
         return done
 
     def close(self) -> None:
-        """Sends nothing more; waits a second for a chunk that is on its way."""
+        """Stops sending; waits a second for a chunk that is being sent."""
         with self._turn:
             self._closed = True
             self._turn.notify()
@@ -124,28 +148,28 @@ class Outbox:
 
     def _run(self) -> None:
         try:
-            while (shipment := self._take()) is not None:
-                self._ship(shipment)
+            while (upload := self._take()) is not None:
+                self._send_chunks(upload)
                 with self._turn:
-                    self._done.append(shipment)
+                    self._done.append(upload)
         except CpnetError as error:
             with self._turn:
                 self._error = error
 
-    def _take(self) -> _Shipment | None:
+    def _take(self) -> FrameUpload | None:
         with self._turn:
             self._turn.wait_for(lambda: self._closed or self._next is not None)
-            shipment, self._next = self._next, None
-            return None if self._closed else shipment
+            upload, self._next = self._next, None
+            return None if self._closed else upload
 
-    def _ship(self, shipment: _Shipment) -> None:
-        for chunk in range(shipment.chunks):
-            if not self._wait_for_turn(shipment.frame):
+    def _send_chunks(self, upload: FrameUpload) -> None:
+        for chunk in range(upload.chunks):
+            if not self._wait_for_turn(upload.frame):
                 with self._turn:
-                    left_behind = self._next is not None and self._enough < shipment.frame
-                    self.unsent += (shipment.chunks - chunk) * left_behind
+                    left_behind = self._next is not None and self._enough < upload.frame
+                    self.unsent += (upload.chunks - chunk) * left_behind
                 return
-            size_bytes = shipment.send(chunk)
+            size_bytes = upload.send(chunk)
             with self._turn:
                 latency_ns = round(size_bytes * 8e3 / self._mbps) if self._mbps else 0
                 begun_ns = max(self._free_ns, time.monotonic_ns())
@@ -162,82 +186,39 @@ class Outbox:
         return False
 
 
-class UplinkContext(Protocol):
-    """What all ways of a process share; `period_ns` is that of a frame."""
-
-    @property
-    def region(self) -> str:
-        """Part of the city that the edge serves."""
-
-    @property
-    def process(self) -> str:
-        """The process's id."""
-
-    @property
-    def lockstep(self) -> bool:
-        """Whether the world waits for all that is sent."""
-
-    @property
-    def period_ns(self) -> int:
-        """From one frame to the next."""
-
-
-@dataclass(slots=True, eq=False)
-class FrameUpload:
-    """One frame of one agent on its way: what is to be sent, and what was."""
-
-    tick: Tick
-    uploads: list[Upload] = field(default_factory=list, kw_only=True)
-    spans: list[Span] = field(default_factory=list, kw_only=True)
-
-    @property
-    def frame(self) -> int:
-        """The frame's number."""
-        return self.tick.frame
-
-    @property
-    def chunks(self) -> int:
-        """How many chunks there are to be sent."""
-        raise NotImplementedError
-
-    def send(self, chunk: int) -> int:
-        """See `sensing.uplink._Shipment.send`."""
-        raise NotImplementedError
-
-
 class Uplink:
-    """Belongs to one agent and has a connection of its own, so that its bytes can be told apart.
+    """An agent's channel to the edge, with a connection of its own, so that its bytes are counted.
 
-    In lockstep all chunks of a frame go out at once, and over a virtual link it shows when the next
-    frame begins which of them left; in realtime an outbox sends them one by one.
+    In lockstep all chunks of a frame are sent at once; over a virtual link, those that have not
+    left when the next frame begins are recalled. In realtime an outbox sends them one by one.
     """
 
-    def __init__(self, agent: str, bus: Bus, radio: Radio, terms: UplinkContext) -> None:
+    def __init__(self, agent: str, bus: Bus, radio: Radio, context: UplinkContext) -> None:
         self.agent = agent
         self.bus = bus
         self.radio = radio
-        self._terms = terms
-        self._plans = Plans()
+        self._context = context
+        self._plans = PlanHistory()
         self._frame = -1
-        self._outbox = None if terms.lockstep else Outbox(agent)
-        self._under_way: FrameUpload | None = None
+        self._outbox = None if context.lockstep else Outbox(agent)
+        self._in_flight: FrameUpload | None = None
         self._done: list[FrameUpload] = []
         self._recalled = 0
         self._counted_bytes = radio.wire_bytes()
         self._counted_frame: int | None = None
 
     @property
-    def told(self) -> int:
-        """The frame of which the edge said last that it has had enough; -1 before."""
+    def completed_frame(self) -> int:
+        """The last frame that the edge has completed, by its plans; -1 before the first."""
         return -1 if self._plans.newest is None else self._plans.newest.enough
 
     @property
     def unsent_chunks(self) -> int:
-        """Chunks that a newer frame has overtaken."""
+        """Number of chunks that were not sent because a newer frame began."""
         return self._recalled + (0 if self._outbox is None else self._outbox.unsent)
 
     def receive(self, plan: Plan) -> None:
-        """Takes the edge's plan; an older one than the newest is left."""
+        """Takes a plan of the edge; one that is older than the newest is ignored."""
         published_ns = plan.enough_sim_ns
         arrival_ns = 0 if published_ns is None else self.radio.reception_ns(published_ns)
         is_taken = self._plans.receive(plan, frame=self._frame, arrival_sim_ns=arrival_ns)
@@ -245,53 +226,56 @@ class Uplink:
             self._outbox.receive(enough=plan.enough, mbps=plan.mbps)
 
     def begin(self, frame: int, sim_time_ns: int) -> None:
-        """Begins a frame: what of the last one has not begun to leave is not sent any more."""
+        """Begins a frame: chunks of the last one that have not begun to leave are recalled."""
         self._frame = frame
-        last, self._under_way = self._under_way, None
+        last, self._in_flight = self._in_flight, None
         newest = self._plans.newest
-        is_told = last is not None and newest is not None and newest.enough >= last.frame
-        enough_sim_ns = newest.enough_sim_ns if newest is not None and is_told else None
+        is_complete = last is not None and newest is not None and newest.enough >= last.frame
+        enough_sim_ns = newest.enough_sim_ns if newest is not None and is_complete else None
         recalled = self.radio.begin(sim_time_ns, enough_sim_ns)
-        self._recalled += 0 if is_told else recalled
+        self._recalled += 0 if is_complete else recalled
         if last is not None:
             del last.uploads[len(last.uploads) - recalled :]
             self._done.append(last)
 
-    def ship(self, shipment: FrameUpload) -> None:
-        """Sends a frame's chunks, or has the outbox do so."""
+    def submit(self, upload: FrameUpload) -> None:
+        """Sends the chunks of a frame, or hands them to the outbox."""
         if self._outbox is not None:
-            self._outbox.put(shipment)
+            self._outbox.put(upload)
             return
-        for chunk in range(shipment.chunks):
-            shipment.send(chunk)
-        self.keep(shipment)
+        for chunk in range(upload.chunks):
+            upload.send(chunk)
+        self.keep(upload)
 
-    def keep(self, shipment: FrameUpload) -> None:
-        """Keeps a frame that was sent at once, until it shows what became of it."""
+    def keep(self, upload: FrameUpload) -> None:
+        """Keeps a frame that was sent at once until it is known which chunks left."""
         if self.radio.is_virtual:
-            self._under_way = shipment
+            self._in_flight = upload
         else:
-            self._done.append(shipment)
+            self._done.append(upload)
 
-    def send(self, shipment: FrameUpload, message: Scan | Objects, begun_ns: int) -> int:
-        """Sends a part of a shipment that was being made since then; returns its size in bytes.
+    def send(self, upload: FrameUpload, message: Scan | Objects, begun_ns: int) -> int:
+        """Sends a chunk, or boxes, of a frame; returns the size in bytes.
 
-        Over a virtual link, its arrival is added to the message.
+        Making them began at `begun_ns`. Over a virtual link, the arrival is added to the message.
         """
         part = _Sent.of(message)
         size_bytes = part.payload_bytes + ENVELOPE_BYTES
-        passage = self.radio.carry(shipment.tick.sim_time_ns, size_bytes, is_chunk=True)
-        if passage is not None:
-            message = message.model_copy(update={"arrival_sim_ns": passage.arrival_ns})
-        terms, chunk = self._terms, {"chunk": str(part.chunk)} if isinstance(message, Scan) else {}
-        where = {"region": terms.region, "process": terms.process, "agent": self.agent, **chunk}
+        transmission = self.radio.transmit(upload.tick.sim_time_ns, size_bytes, is_chunk=True)
+        if transmission is not None:
+            message = message.model_copy(update={"arrival_sim_ns": transmission.arrival_ns})
+        shared, chunk = (
+            self._context,
+            {"chunk": str(part.chunk)} if isinstance(message, Scan) else {},
+        )
+        where = {"region": shared.region, "process": shared.process, "agent": self.agent, **chunk}
         sent_bytes = self.bus.publish(part.topic, message, **where)
         sent_ns = time.monotonic_ns()
-        shipment.spans += [
+        upload.spans += [
             self.span("encode", begun_ns, part.made_ns),
             self.span("send", part.made_ns, sent_ns),
         ]
-        shipment.uploads.append(
+        upload.uploads.append(
             Upload(
                 agent=self.agent,
                 chunk=part.chunk,
@@ -301,7 +285,7 @@ class Uplink:
                 sense_end_ns=message.sense_end_ns,
                 encode_end_ns=part.made_ns,
                 sent_ns=sent_ns,
-                link_sim_ns=passage and passage.latency_ns,
+                link_sim_ns=transmission and transmission.latency_ns,
             )
         )
         return sent_bytes
@@ -310,11 +294,11 @@ class Uplink:
         """Returns the frames of which nothing more will be sent, once."""
         done, self._done = self._done, []
         if self._outbox is not None:
-            done += [s for s in self._outbox.take_done() if isinstance(s, FrameUpload)]
+            done += self._outbox.take_done()
         return done
 
     def take_wire_counts(self, frame: int | None = None) -> list[WireCount]:
-        """Returns what TCP sent for the last frame, if any; `frame` is the one that now begins."""
+        """Returns the bytes that TCP sent for the last frame, if any; `frame` begins now."""
         before, self._counted_bytes = self._counted_bytes, self.radio.wire_bytes()
         last, self._counted_frame = self._counted_frame, frame
         sent_bytes = self._counted_bytes - before
@@ -323,21 +307,21 @@ class Uplink:
         return [WireCount(agent=self.agent, frame=last, sent_bytes=sent_bytes)]
 
     def finish(self) -> None:
-        """Sends nothing more; what leaves a virtual link within the last frame still does."""
+        """Stops sending; what leaves a virtual link within the last frame still does."""
         if self._outbox is not None:
             self._outbox.close()
-        if self._under_way is not None:
-            tick = self._under_way.tick
-            self.begin(tick.frame + 1, tick.sim_time_ns + self._terms.period_ns)
+        if self._in_flight is not None:
+            tick = self._in_flight.tick
+            self.begin(tick.frame + 1, tick.sim_time_ns + self._context.period_ns)
 
     def span(self, stage: str, start_ns: int, end_ns: int) -> Span:
-        """Returns a stage of this agent's work."""
+        """Returns a span of this agent."""
         return Span(stage=stage, agent=self.agent, start_ns=start_ns, end_ns=end_ns)
 
 
 @dataclass(frozen=True, slots=True)
 class _Sent:
-    """What is booked of a message; it was made at `made_ns`."""
+    """What is recorded of a message; `made_ns` is when encoding or detection ended."""
 
     topic: str
     chunk: int

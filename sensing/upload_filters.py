@@ -188,23 +188,23 @@ def _raised(xy: Floats32, above_m: Floats32, keep: Bytes) -> None:
 
 @njit("void(float32[::1], float32[::1], float32[::1], uint8[::1], uint8[::1])", cache=True)
 def _learn(
-    range_m: Floats32, above_m: Floats32, usual_m: Floats32, frames: Bytes, keep: Bytes
+    range_m: Floats32, above_m: Floats32, background_m: Floats32, frames: Bytes, keep: Bytes
 ) -> None:
     for beam in range(range_m.size):
         metres = range_m[beam]
         if metres <= 0:
             continue
-        off_m = metres - usual_m[beam]
+        off_m = metres - background_m[beam]
         on_road = not np.isnan(above_m[beam])
         raised = on_road and above_m[beam] > RAISED_M
         if frames[beam] > 0 and abs(off_m) <= SAME_M:
             frames[beam] = min(frames[beam] + 1, _MEMORY)
-            usual_m[beam] += off_m / frames[beam]
+            background_m[beam] += off_m / frames[beam]
             if frames[beam] > LEARNT_FRAMES and not raised:
                 keep[beam] = 0
                 continue
         elif off_m > 0 and not raised:
-            usual_m[beam], frames[beam] = metres, 1
+            background_m[beam], frames[beam] = metres, 1
         elif frames[beam] > LEARNT_FRAMES:
             keep[beam] = 1  # in front of the background
             continue

@@ -143,8 +143,8 @@ class _CheckedChooser:
         chunk = self.chooser.choose(scan, map_SE3_sensor)
         shape = scan.range_m.shape
         if not isinstance(chunk, np.ndarray) or chunk.dtype != np.uint8 or chunk.shape != shape:
-            told = f"{getattr(chunk, 'dtype', type(chunk).__name__)} {np.shape(chunk)}"
-            raise self.plugin.wrong(f"chose {told}, must be uint8 {shape}")
+            given = f"{getattr(chunk, 'dtype', type(chunk).__name__)} {np.shape(chunk)}"
+            raise self.plugin.wrong(f"chose {given}, must be uint8 {shape}")
         if (beyond := chunk[(chunk >= self.chunks) & (chunk != NOT_SENT)]).size:
             raise self.plugin.wrong(
                 f"chose chunk {beyond[0]}: it has 0 to {self.chunks - 1}, {NOT_SENT} is not sent"
@@ -192,7 +192,7 @@ class Selector:
         chooser: Chooser | None = None,
         *,
         thin_m: float,
-        standing: bool,
+        stationary: bool,
     ) -> None:
         self._policy = policy
         self._roadway = roadway
@@ -201,7 +201,7 @@ class Selector:
         self._chooser = chooser
         self._spacing_m = thin_m
         beams = pattern.channels * pattern.columns
-        self._background = Background(beams) if standing and self._foreground else None
+        self._background = Background(beams) if stationary and self._foreground else None
 
     @property
     def is_ground_free(self) -> bool:

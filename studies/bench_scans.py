@@ -11,10 +11,10 @@ import numpy as np
 from protocol.geometry import SE3
 from protocol.scans import Floats32, RangeScan
 from sensing.config import LidarConfig, SceneConfig
-from sensing.lidar import MIN_RANGE_M, Lidar, share_kept
+from sensing.lidar import MIN_RANGE_M, Lidar, return_probability
 from sensing.mesh import VehicleShapes
 from sensing.noise import stream
-from sensing.pose import above
+from sensing.pose import pose_above
 from sensing.scene import scene_of
 from sim_host.setup import build_setup
 from sim_host.world import sample_traffic
@@ -49,12 +49,12 @@ def cast_scans() -> list[BenchScan]:
     centre = np.array(setup.road_map.centre[:2])
     ground = scene.terrain.body_poses(centre[:1], centre[1:], np.zeros(1))[0]
     sensors: list[tuple[str, SE3, int | None]] = [
-        ("roadside", above(ground, _ROADSIDE_HEIGHT_M), None)
+        ("roadside", pose_above(ground, _ROADSIDE_HEIGHT_M), None)
     ]
     away_m = np.linalg.norm(bodies.poses[:, :2] - centre, axis=1)
     for n, wanted_m in enumerate(_CAV_DISTANCES_M):
         car = int(np.argmin(np.abs(away_m - wanted_m)))
-        sensors.append((f"cav {n}", above(bodies.poses[car], _ROOF_HEIGHT_M), car))
+        sensors.append((f"cav {n}", pose_above(bodies.poses[car], _ROOF_HEIGHT_M), car))
     result = []
     for name, map_SE3_sensor, own in sensors:
         view = (map_SE3_sensor, bodies.poses, bodies.types, own)
@@ -67,7 +67,7 @@ def cast_scans() -> list[BenchScan]:
 def loss_entropy_bits(distance_m: Floats32, config: LidarConfig) -> float:
     """Returns the entropy of which beams are lost, their true distances being known."""
     seen = distance_m[(distance_m >= MIN_RANGE_M) & (distance_m < config.range)].astype(np.float64)
-    kept = share_kept(seen, config)
+    kept = return_probability(seen, config)
     lost = 1.0 - kept
     terms = [share * np.log2(np.maximum(share, 1e-12)) for share in (kept, lost)]
     return float(-(terms[0] + terms[1]).sum())

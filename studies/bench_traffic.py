@@ -22,7 +22,7 @@ from sensing.config import LidarConfig, PoseErrorConfig, SceneConfig
 from sensing.lidar import Lidar
 from sensing.mesh import VehicleShapes
 from sensing.noise import stream
-from sensing.pose import above, believed_pose
+from sensing.pose import estimated_pose, pose_above
 from sensing.recorded_scans import write_recording
 from sensing.scene import scene_of
 from sensing.terrain import Terrain
@@ -63,7 +63,7 @@ def record_traffic(folder: Path, agents: int, frames: int, seed: int = SEED) -> 
         hits = np.zeros(len(bodies.ids), np.int64)
         for name in scans:
             own = bodies.ids.index(name) if name in bodies.ids else None
-            sensor = post if own is None else above(bodies.poses[own], ROOF_HEIGHT_M)
+            sensor = post if own is None else pose_above(bodies.poses[own], ROOF_HEIGHT_M)
             rng = stream(seed, "scan", name, frame)
             seen = lidar.scan(sensor, bodies.poses, bodies.types, own, rng)
             hits += seen.points_on
@@ -82,7 +82,7 @@ def post_pose(road_map: RoadMap, terrain: Terrain) -> SE3:
     """Returns where the roadside LiDAR stands: at the junction's centre."""
     centre = np.array(road_map.centre[:2])
     base = terrain.body_poses(centre[:1], centre[1:], np.zeros(1))[0]
-    return above(base, _POST_HEIGHT_M)
+    return pose_above(base, _POST_HEIGHT_M)
 
 
 def believed_sensor(agent: str, truth: Truth, post: SE3) -> SE3:
@@ -91,7 +91,7 @@ def believed_sensor(agent: str, truth: Truth, post: SE3) -> SE3:
         return post
     rng = stream(SEED, "pose", agent, truth.frame)
     pose = truth.poses[truth.ids.index(agent)]
-    return above(believed_pose(pose, PoseErrorConfig(), Equipment.CAV, rng), ROOF_HEIGHT_M)
+    return pose_above(estimated_pose(pose, PoseErrorConfig(), Equipment.CAV, rng), ROOF_HEIGHT_M)
 
 
 def visible_vehicles(folder: Path) -> list[set[str]]:

@@ -15,7 +15,7 @@ from recorder.run import Run
 from recorder.tables import CloudRow, TruthRow
 from sensing.config import PoseErrorConfig, UploadConfig
 from sensing.noise import stream
-from sensing.pose import believed_pose, position_std_m
+from sensing.pose import estimated_pose, position_std_m
 
 
 def frames_of(run_dir: Path) -> Iterator[Frame]:
@@ -56,7 +56,7 @@ def _pose(scenario: dict[str, Any], row: TruthRow, types: dict[str, VehicleType]
         sim_time_ns=_time_ns(scenario, row.frame),
         agent=row.vehicle,
         equipment=equipment,
-        pose=believed_pose(true_pose, errors, equipment, rng),
+        pose=estimated_pose(true_pose, errors, equipment, rng),
         length_m=kind.length_m,
         width_m=kind.width_m,
         height_m=kind.height_m,

@@ -16,7 +16,7 @@ from protocol.process import Context
 from sensing.config import PoseErrorConfig
 from sensing.lidar_uplink import LidarUplink, LidarUplinks
 from sensing.noise import stream
-from sensing.pose import believed_pose, position_std_m
+from sensing.pose import estimated_pose, position_std_m
 from sensing.radio import ENVELOPE_BYTES, Radio
 from sensing.station import Station
 
@@ -72,7 +72,7 @@ class VehicleRole:
         self._pose_error = PoseErrorConfig.model_validate(scenario["pose"])
         self._body_SE3_sensor = SE3.from_pose([0, 0, scenario["sensor_height_m"], 0, 0, 0])
         self._connections = Connections(context.open_v2x, wait=scenario["mode"] == "lockstep")
-        self._shapes_poses = self._station.link.way(scenario["mode"]) == "emulated"
+        self._shapes_poses = self._station.link.channel(scenario["mode"]) == "emulated"
         self._buses: dict[str, Bus] = {}
         self._radios: dict[str, Radio] = {}
         self._uplinks: dict[str, LidarUplink] = {}
@@ -114,9 +114,9 @@ class VehicleRole:
         names = ([tick.ids[i] for i in indices] for indices in (mine, scanning))
         self._station.publish_roster(tick, *names)
         for index in mine:
-            believed = self._publish_pose(tick, index)
+            estimated = self._publish_pose(tick, index)
             if index in scanning:
-                self._publish_scan(tick, index, believed)
+                self._publish_scan(tick, index, estimated)
 
     def _hosted(self, tick: Tick) -> list[int]:
         if self._context.id not in tick.processes:
@@ -127,9 +127,11 @@ class VehicleRole:
     def _publish_pose(self, tick: Tick, index: int) -> Floats:
         agent, equipment = tick.ids[index], Equipment(int(tick.equipment[index]))
         rng = stream(self._station.seed, "pose", agent, tick.frame)
-        pose = believed_pose(tick.poses[index], self._pose_error, equipment, rng)
+        pose = estimated_pose(tick.poses[index], self._pose_error, equipment, rng)
         kind = self._types[tick.types[index]]
-        passage = self._radios[agent].carry(tick.sim_time_ns, ENVELOPE_BYTES, is_chunk=False)
+        transmission = self._radios[agent].transmit(
+            tick.sim_time_ns, ENVELOPE_BYTES, is_chunk=False
+        )
         message = AgentPose(
             frame=tick.frame,
             sim_time_ns=tick.sim_time_ns,
@@ -140,7 +142,7 @@ class VehicleRole:
             width_m=kind.width_m,
             height_m=kind.height_m,
             position_std_m=position_std_m(self._pose_error, equipment),
-            arrival_sim_ns=passage and passage.arrival_ns,
+            arrival_sim_ns=transmission and transmission.arrival_ns,
         )
         self._buses[agent].publish(
             "pose", message, region=self._station.region, process=self._context.id, agent=agent
@@ -165,15 +167,15 @@ class VehicleRole:
             self._uplinks[agent] = self._station.add(self._sensors.uplink(agent, bus, radio))
         return True
 
-    def _publish_scan(self, tick: Tick, index: int, believed: Floats) -> None:
+    def _publish_scan(self, tick: Tick, index: int, estimated: Floats) -> None:
         agent = tick.ids[index]
         sensed = self._uplinks[agent].sense_and_send(
             tick,
             map_SE3_sensor=SE3.from_pose(tick.poses[index]) @ self._body_SE3_sensor,
-            believed_SE3_sensor=SE3.from_pose(believed) @ self._body_SE3_sensor,
+            estimated_SE3_sensor=SE3.from_pose(estimated) @ self._body_SE3_sensor,
             own=index,
         )
-        self._station.publish_sighting(tick, agent, sensed)
+        self._station.publish_points_on(tick, agent, sensed)
 
     def _forget_all_but(self, present: set[str]) -> None:
         for agent in sorted(self._uplinks.keys() - present):

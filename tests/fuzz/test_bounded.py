@@ -42,7 +42,7 @@ from recorder.glance import MAX_AGENTS as MAX_GLANCED
 from recorder.ledger import MAX_ENTRIES, MAX_WIRED
 from recorder.pulse import OPEN_FRAMES
 from recorder.role import RecordRole
-from sensing.uplink import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES, Plans
+from sensing.uplink import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES, PlanHistory
 from sim_host.presence import MAX_PROCESSES as MAX_HOSTS
 from sim_host.presence import Fleet, Readiness
 
@@ -255,7 +255,7 @@ def test_an_edge_remembers_no_more_agents_than_it_serves():
 
 
 def test_an_agent_keeps_the_plans_of_a_few_frames():
-    plans = Plans()
+    plans = PlanHistory()
     for frame in range(500):
         plans.hear(
             m.Plan(

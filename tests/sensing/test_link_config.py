@@ -147,7 +147,7 @@ def test_a_scenario_keeps_the_whole_profile():
 
 
 @pytest.mark.parametrize(
-    ("data", "mode", "way"),
+    ("data", "mode", "channel"),
     [
         ({}, "lockstep", "none"),
         ({"profile": "lte"}, "lockstep", "virtual"),
@@ -156,8 +156,8 @@ def test_a_scenario_keeps_the_whole_profile():
         ({"profile": "lte", "apply": "none"}, "realtime", "none"),
     ],
 )
-def test_the_mode_decides_how_a_link_is_applied(data, mode, way):
-    assert LinkConfig.model_validate(data).way(mode) == way
+def test_the_mode_decides_how_a_link_is_applied(data, mode, channel):
+    assert LinkConfig.model_validate(data).channel(mode) == channel
 
 
 def test_a_rate_needs_no_kind_to_be_a_varying_one():

@@ -36,7 +36,7 @@ def passes(_: int) -> None:
 
 def done(outbox: Outbox) -> list[int]:
     """Waits until the outbox is done with something; returns the frames."""
-    return wait_until(lambda: [shipment.frame for shipment in outbox.take_done()])
+    return wait_until(lambda: [upload.frame for upload in outbox.take_done()])
 
 
 @pytest.fixture

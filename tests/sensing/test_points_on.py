@@ -5,7 +5,7 @@ import pytest
 
 from sensing.config import LidarConfig
 from sensing.lidar import Lidar, RayHits
-from sensing.pose import above
+from sensing.pose import pose_above
 
 CONFIG = LidarConfig(channels=48, points_per_second=48 * 900 * 10)
 
@@ -23,7 +23,7 @@ def apart(poses: np.ndarray, types: list[str]) -> tuple[np.ndarray, list[str]]:
 def test_beams_end_on_the_vehicle_without_which_they_go_farther(scene, shapes, traffic, own):
     poses, types = apart(*traffic)
     lidar = Lidar(CONFIG, scene, shapes)
-    sensor = above(poses[own], 2.4)
+    sensor = pose_above(poses[own], 2.4)
     seen = [index for index in range(len(types)) if index != own]
     view = lidar.view(sensor, poses, types, own)
     bare_m = lidar.view(sensor, poses[:0], [], None).distance_m

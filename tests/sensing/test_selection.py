@@ -52,7 +52,7 @@ def plan(frame: int = 3) -> Plan:
     )
 
 
-def selector(policy: PolicyName, roadway: Roadway, *, standing: bool = False) -> Selector:
+def selector(policy: PolicyName, roadway: Roadway, *, stationary: bool = False) -> Selector:
     chosen = UploadConfig(policy=policy).of("vehicle")
     return Selector(
         POLICIES[policy],
@@ -60,7 +60,7 @@ def selector(policy: PolicyName, roadway: Roadway, *, standing: bool = False) ->
         roadway,
         CONFIG.pattern,
         thin_m=0.1,
-        standing=standing,
+        stationary=stationary,
     )
 
 
@@ -80,12 +80,12 @@ def test_full_sends_the_scan_as_it_is(lidar, post, roadway, traffic) -> None:
 
 
 @pytest.mark.parametrize("policy", ["roi", "foreground", "voronoi", "power", "reap"])
-@pytest.mark.parametrize("standing", [True, False])
+@pytest.mark.parametrize("stationary", [True, False])
 def test_a_beam_goes_into_one_chunk_at_most_and_chunks_hold_what_came_back(
-    policy, standing, lidar, post, roadway, traffic
+    policy, stationary, lidar, post, roadway, traffic
 ) -> None:
     one = scan(lidar, post, traffic, 0)
-    selection = selector(policy, roadway, standing=standing).select(one, post, "a", plan())
+    selection = selector(policy, roadway, stationary=stationary).select(one, post, "a", plan())
     parts = [selection.part(one, chunk) for chunk in range(selection.chunks)]
     held = np.array([part.range_m > 0 for part in parts])
     assert (held.sum(axis=0) <= 1).all()
@@ -119,23 +119,25 @@ def on_cars(
     return met, met & on_road
 
 
-@pytest.mark.parametrize("standing", [True, False])
-def test_foreground_keeps_the_cars_and_little_else(standing, lidar, post, roadway, traffic) -> None:
-    chooses = selector("foreground", roadway, standing=standing)
+@pytest.mark.parametrize("stationary", [True, False])
+def test_foreground_keeps_the_cars_and_little_else(
+    stationary, lidar, post, roadway, traffic
+) -> None:
+    chooses = selector("foreground", roadway, stationary=stationary)
     nobody: tuple[np.ndarray, list[str]] = (np.zeros((0, 6)), [])
     for frame in range(3 * LEARNT_FRAMES):
         chooses.select(scan(lidar, post, nobody, frame), post, "a", None)
     one = scan(lidar, post, traffic, 99)
     kept = sent(chooses.select(one, post, "a", None), one)
     met, car = on_cars(lidar, post, traffic, roadway, one)
-    assert (kept & car).sum() > (0.98 if standing else 0.9) * car.sum()
+    assert (kept & car).sum() > (0.98 if stationary else 0.9) * car.sum()
     assert (kept & ~met).sum() < 0.01 * (one.range_m > 0).sum()
 
 
 def test_a_car_that_waits_from_the_first_frame_on_does_not_become_background(
     lidar, post, roadway, traffic
 ) -> None:
-    chooses = selector("foreground", roadway, standing=True)
+    chooses = selector("foreground", roadway, stationary=True)
     for frame in range(5 * LEARNT_FRAMES):
         one = scan(lidar, post, traffic, frame)
         kept = sent(chooses.select(one, post, "a", None), one)
@@ -144,7 +146,7 @@ def test_a_car_that_waits_from_the_first_frame_on_does_not_become_background(
 
 
 def test_what_a_sensor_learns_depends_on_its_scans_alone(lidar, post, roadway, traffic) -> None:
-    first, second = (selector("foreground", roadway, standing=True) for _ in range(2))
+    first, second = (selector("foreground", roadway, stationary=True) for _ in range(2))
     for frame in range(8):
         one = scan(lidar, post, traffic, frame)
         a, b = (s.select(one, post, "a", None).chunk for s in (first, second))

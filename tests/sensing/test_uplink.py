@@ -63,7 +63,7 @@ def sent(road_map: RoadMap, **config: Any) -> Scan:
         Roadway.of(road_map, margin_m=1.0),
         PATTERN,
         thin_m=0.0,
-        standing=False,
+        stationary=False,
     )
     wire = Wire()
     kit = LidarContext("r", "vehicle-0", 1, Tunnel(), upload, None, lockstep=True, period_ns=10**8)

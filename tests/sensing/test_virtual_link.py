@@ -59,7 +59,7 @@ def test_no_time_is_wasted_while_something_is_queued(path, sends):
 
 
 def recalling(link: VirtualLink, time_ns: int) -> list[int]:
-    return [passage.left_ns for passage in link.recall(time_ns)]
+    return [transmission.first_bit_ns for transmission in link.recall(time_ns)]
 
 
 def test_what_has_not_begun_to_leave_can_be_taken_back() -> None:
@@ -69,7 +69,7 @@ def test_what_has_not_begun_to_leave_can_be_taken_back() -> None:
     assert recalling(link, 1 * MS + 1) == [3 * MS, 2 * MS]
     assert link.backlog_ns(0) == 2 * MS
     assert recalling(link, 0) == []  # what is left counts as sent
-    assert link.send(0, 948).left_ns == 2 * MS
+    assert link.send(0, 948).first_bit_ns == 2 * MS
 
 
 def test_what_stands_before_a_message_that_stays_is_not_taken_back() -> None:
