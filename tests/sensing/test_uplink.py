@@ -66,8 +66,17 @@ def sent(road_map: RoadMap, **config: Any) -> Scan:
         stationary=False,
     )
     wire = Wire()
-    kit = LidarContext("r", "vehicle-0", 1, Tunnel(), upload, None, lockstep=True, period_ns=10**8)
-    uplink = LidarUplink("a", wire, RealRadio(wire), kit, selector)
+    context = LidarContext(
+        "r",
+        "vehicle-0",
+        lockstep=True,
+        period_ns=10**8,
+        seed=1,
+        source=Tunnel(),
+        config=upload,
+        detector=None,
+    )
+    uplink = LidarUplink("a", wire, RealRadio(wire), context, selector)
     tick = Tick(
         frame=0,
         sim_time_ns=0,
