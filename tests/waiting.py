@@ -1,18 +1,38 @@
-"""How tests wait: for what must come true, with a deadline, and never for a guessed time."""
+"""How tests wait: for what must come true, never for a guessed time."""
 
 import time
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 T = TypeVar("T")
-PATIENCE_S = 15.0
+PATIENCE_S = 120.0
+"""Far more than a loaded machine needs: only what never comes true waits that long."""
+
 _POLL_S = 0.002
 
 
-def wait_until(holds: Callable[[], T], patience_s: float = PATIENCE_S, *, what: str = "") -> T:
-    """Returns the first answer that is true; an assertion fails if none comes in time."""
+class Running(Protocol):
+    """A process on which it depends whether something still can come true."""
+
+    def poll(self) -> int | None: ...
+
+
+def wait_until(
+    holds: Callable[[], T],
+    patience_s: float = PATIENCE_S,
+    *,
+    what: str = "",
+    needs: Running | None = None,
+) -> T:
+    """Returns the first answer that is true; an assertion fails if none can come any more.
+
+    That is so after `patience_s`, and at once when the process `needs` has ended.
+    """
     give_up_ns = time.monotonic_ns() + round(patience_s * 1e9)
-    while not (answer := holds()):
+    while True:
+        ended = needs is not None and needs.poll() is not None
+        if answer := holds():
+            return answer
+        assert not ended, f"the process that it depends on has ended: {what}"
         assert time.monotonic_ns() < give_up_ns, what or f"waited {patience_s:g} s in vain"
         time.sleep(_POLL_S)
-    return answer

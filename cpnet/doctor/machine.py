@@ -49,8 +49,9 @@ _CGROUP = Path("/sys/fs/cgroup")
 
 
 def missing_packages() -> list[str]:
-    """Returns the system packages that must be installed before SUMO can run here."""
-    return _missing(SUMO_LIBRARIES)
+    """Returns the system packages that SUMO, and Open3D if it is installed, lack here."""
+    has_open3d = importlib.util.find_spec("open3d") is not None
+    return _missing(SUMO_LIBRARIES | (OPEN3D_LIBRARIES if has_open3d else {}))
 
 
 def python() -> list[Finding]:

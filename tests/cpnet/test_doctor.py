@@ -19,7 +19,7 @@ from protocol.clock import time_reply
 from protocol.inbox import Inbox
 from protocol.topics import BusName
 from tests.certificates import make_keys
-from tests.cpnet.conftest import Shell
+from tests.cpnet.commands import Shell
 
 Host = Callable[[BusName], tuple[str, ZenohBus]]
 

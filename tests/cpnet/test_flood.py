@@ -18,8 +18,7 @@ from protocol.messages import AgentPose, Equipment, Message, Roster, Scan
 from protocol.scans import PointCloud
 from protocol.topics import ALIVE, TOPICS
 from protocol.wire import encode
-from tests.cpnet.conftest import Shell, children_of
-from tests.cpnet.test_loop import free_ports, wait_for_frames
+from tests.cpnet.commands import Shell, children_of, free_ports, wait_for_frames
 
 FLOODER, AGENTS, PER_S = "flood-0", 300, 10_000
 FLOOD_S = 4.0
@@ -113,7 +112,7 @@ def flooded(shell: Shell) -> tuple[Path, int, float]:
     pace = (f"--set=frame_period_s={1 / FRAMES_PER_S}", "--set=edge.deadline_ms=160")
     command = shell.up(*realtime, *pace, "--cav-rate=0.1", f"--listen=127.0.0.1:{port}")
     command.read_until("vehicles")
-    wait_for_frames(run_dir)
+    wait_for_frames(command, run_dir)
     newest = number(run_dir, "SELECT max(frame) FROM frames")
     edge = children_of(run_dir)["edge"]
     before_mb = memory_mb(edge)

@@ -20,12 +20,11 @@ from protocol.keys import Keys
 from protocol.messages import Setup
 from protocol.topics import BusName
 from tests.certificates import make_keys
-from tests.cpnet.conftest import Shell
-from tests.cpnet.test_loop import free_ports
+from tests.cpnet.commands import Shell, free_ports
 from tests.protocol.test_wire import EXAMPLES
-from tests.waiting import wait_until
+from tests.waiting import PATIENCE_S, wait_until
 
-WAIT_S = 60.0
+WAIT_S = PATIENCE_S
 ENDS_WITHIN_S = 10.0
 
 

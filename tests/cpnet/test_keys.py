@@ -22,7 +22,7 @@ from protocol.keys import Keys
 from protocol.messages import Roster
 from protocol.topics import BusName
 from tests.certificates import make_keys
-from tests.cpnet.conftest import Shell
+from tests.cpnet.commands import Shell
 
 BUSES = set(BusName)
 NOBODY_ELSE = "without keys anybody on that network could read and forge"

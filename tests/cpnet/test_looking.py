@@ -36,6 +36,6 @@ def test_a_viewer_that_cannot_go_on_says_why_and_the_run_does(tmp_path):
     (tmp_path / "logs").mkdir()
     said = io.StringIO()
     with viewed(tmp_path, Viewing.WEB, Console(file=said, width=400)):  # a run of which none knows
-        wait_until(lambda: "the run goes on without it" in said.getvalue(), 60)
+        wait_until(lambda: "the run goes on without it" in said.getvalue())
     assert "the viewer ended with status 2" in said.getvalue()
     assert f"{tmp_path}: no run goes on there" in said.getvalue()

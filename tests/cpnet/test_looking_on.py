@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cpnet.conftest import Shell
-from tests.waiting import wait_until
+from tests.cpnet.commands import Shell
+from tests.waiting import PATIENCE_S, wait_until
 
 LEFT_SCREEN = "\x1b[?1049l"  # what makes a terminal show again what was there before
 
@@ -46,7 +46,7 @@ class Terminal:
                 seen += os.read(self._own, 1 << 16).decode(errors="replace")
             return text in seen
 
-        wait_until(is_there, 60)
+        wait_until(is_there, needs=self.process)
         return seen
 
 
@@ -63,7 +63,7 @@ def test_top_shows_a_run_once_and_for_good(shell: Shell) -> None:
     screen.read_until("end to end")
     screen.process.send_signal(signal.SIGINT)
     rest = screen.read_until(LEFT_SCREEN)
-    assert screen.process.wait(30) == 0, rest
+    assert screen.process.wait(PATIENCE_S) == 0, rest
     assert "Traceback" not in rest
 
 
@@ -74,7 +74,7 @@ def test_a_run_is_kept_as_a_drawing(shell: Shell) -> None:
     view = shell.start("view", "run", "--save", "run.rrd")
     view.read_until("writing")
     kept = shell.folder / "run.rrd"
-    wait_until(lambda: kept.stat().st_size > ENOUGH_BYTES, 60)
+    view.wait_until(lambda: kept.stat().st_size > ENOUGH_BYTES)
     view.process.send_signal(signal.SIGINT)
     status, output = view.finish()
     assert status == 0, output

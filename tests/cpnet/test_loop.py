@@ -3,10 +3,8 @@
 import json
 import os
 import signal
-import socket
 import sqlite3
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,58 +13,16 @@ import zenoh
 from protocol.messages import Roster, SignalState
 from protocol.topics import PREFIX
 from protocol.wire import decode, encode
-from recorder.account import stage_sum_ns
 from recorder.compare import differences
 from recorder.run import Run
-from recorder.tables import AccountRow, FrameRow, PhaseRow
+from recorder.tables import PhaseRow
 from studies.in_process import run_in_process
 from studies.safety import violations_of
-from tests.cpnet.conftest import children_of
+from tests.cpnet.commands import check_account, children_of, free_ports, rows, wait_for_frames
 from tests.hostile import Hostile
 from tests.waiting import wait_until
 
 ROLES = ["edge", "sim", "record", "signal", "infra-0", "vehicle-0", "vehicle-1"]
-
-
-def free_ports() -> int:
-    """Returns a port that is free together with the next one."""
-    while True:
-        with socket.socket() as first, socket.socket() as second:
-            first.bind(("127.0.0.1", 0))
-            port = first.getsockname()[1]
-            try:
-                second.bind(("127.0.0.1", port + 1))
-            except OSError:
-                continue
-            return port
-
-
-def rows(run_dir: Path, table: str) -> int:
-    with sqlite3.connect(f"file:{run_dir}/run.sqlite?mode=ro", uri=True) as database:
-        count: int = database.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
-    return count
-
-
-def check_account(run_dir: Path, *, exactly: bool) -> None:
-    """Checks that the stages of every frame and agent sum to its end-to-end time."""
-    with Run(run_dir) as run:
-        accounts = list(run.rows(AccountRow))
-        whole = {row.frame: row.end_to_end_ns for row in run.rows(FrameRow)}
-    assert accounts
-    for row in accounts:
-        assert stage_sum_ns(row) == row.end_to_end_ns
-        assert row.clock_error_ns == 0
-        assert row.link_ns >= 0
-        assert row.wait_ns >= 0
-        assert (row.other_ns == 0) if exactly else (row.other_ns >= 0)
-    for frame in {row.frame for row in accounts}:
-        mine = [row.end_to_end_ns for row in accounts if row.frame == frame]
-        assert max(mine) == whole[frame]
-
-
-def wait_for_frames(run_dir: Path) -> None:
-    """Waits until the recorder has committed something."""
-    wait_until(lambda: rows(run_dir, "frames"), 30, what="no frame was ever recorded")
 
 
 def test_two_lockstep_runs_of_one_seed_are_the_same_row_for_row(shell, first_run):
@@ -247,7 +203,7 @@ def test_a_killed_process_ends_the_run_within_5_s_by_name(shell, victim):
     command = shell.up("--duration", "600", "--out", "run")
     command.read_until("vehicles")
     run_dir = shell.folder / "run"
-    wait_for_frames(run_dir)
+    wait_for_frames(command, run_dir)
     os.kill(children_of(run_dir)[victim], signal.SIGKILL)
     before_ns = time.monotonic_ns()
     status, output = command.finish()
@@ -338,7 +294,7 @@ def test_a_flood_of_hostile_requests_shows_nothing_unsafe_and_stops_no_control(s
         newest_ns[0] = decode(bytes(sample.payload), SignalState).sim_time_ns
 
     listening = rogue.declare_subscriber(f"{PREFIX}/signal/{road_signal.tls}/state", hear)
-    wait_until(lambda: newest_ns[0] > 0, 30, what="no signal state was ever heard")
+    command.wait_until(lambda: newest_ns[0] > 0, what="no signal state was ever heard")
     begun_ns, sent = time.monotonic_ns(), 0
     while (passed_ns := time.monotonic_ns() - begun_ns) < 10e9:
         while sent < passed_ns / 1e6:  # 1000 a second

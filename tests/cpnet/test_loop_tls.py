@@ -6,8 +6,7 @@ from pathlib import Path
 
 from recorder.compare import differences
 from tests.certificates import make_keys
-from tests.cpnet.conftest import Shell
-from tests.cpnet.test_loop import check_account, free_ports
+from tests.cpnet.commands import Shell, check_account, free_ports
 
 
 def test_each_machine_needs_its_own_keys_alone(shell, first_run):

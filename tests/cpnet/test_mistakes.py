@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cpnet.conftest import Shell
+from tests.cpnet.commands import Shell
 
 
 def refused(shell: Shell, *arguments: str) -> str:

@@ -8,16 +8,9 @@ from contextlib import suppress
 
 from prometheus_client.parser import text_string_to_metric_families
 
-from cpnet.endpoints import free_locator
-from tests.cpnet.conftest import Shell, children_of
-from tests.cpnet.test_loop import free_ports
-from tests.waiting import wait_until
+from tests.cpnet.commands import Command, Shell, children_of, free_port, free_ports
 
 Samples = dict[tuple[str, ...], float]
-
-
-def free_port() -> str:
-    return free_locator().rpartition(":")[2]
 
 
 def scrape(port: str) -> Samples:
@@ -34,14 +27,14 @@ def scrape(port: str) -> Samples:
     }
 
 
-def scrape_until(port: str, *wanted: tuple[str, ...]) -> Samples:
+def scrape_until(command: Command, port: str, *wanted: tuple[str, ...]) -> Samples:
     """Scrapes until these samples are there and not 0."""
 
     def look() -> Samples | None:
         samples = scrape(port)
         return samples if all(samples.get(key) for key in wanted) else None
 
-    return wait_until(look, 30, what=f"no {wanted} was ever exported")
+    return command.wait_until(look, what=f"no {wanted} was ever exported")
 
 
 def test_a_run_is_scraped_while_it_goes_on_and_its_logs_are_json(shell: Shell):
@@ -49,7 +42,7 @@ def test_a_run_is_scraped_while_it_goes_on_and_its_logs_are_json(shell: Shell):
     options = ("--duration=600", "--out=run", "--metrics", port, "--log=json")
     command = shell.up(*options, "--mode=realtime", "--restart")
     command.read_until("vehicles")
-    samples = scrape_until(port, ("cpnet_frame",), ("cpnet_sent_bytes_total", "infra-0"))
+    samples = scrape_until(command, port, ("cpnet_frame",), ("cpnet_sent_bytes_total", "infra-0"))
     assert samples[("cpnet_frames_total",)] > 0
     assert samples[("cpnet_vehicles",)] > samples[("cpnet_cavs",)] > 0
     assert 0 < samples[("cpnet_end_to_end_seconds",)] < 10
@@ -59,7 +52,7 @@ def test_a_run_is_scraped_while_it_goes_on_and_its_logs_are_json(shell: Shell):
         assert samples[("cpnet_uploaded_bytes_total", process)] > 0
     for role in ("edge", "sim", "record", "signal"):
         assert samples[("cpnet_process_up", role, role)] == 1
-    later = wait_until(
+    later = command.wait_until(
         lambda: (
             (now := scrape(port))[("cpnet_frames_total",)] > samples[("cpnet_frames_total",)]
             and now
@@ -68,9 +61,9 @@ def test_a_run_is_scraped_while_it_goes_on_and_its_logs_are_json(shell: Shell):
     assert all(later[key] >= n for key, n in samples.items() if key[0].endswith("_total"))
     assert later[("cpnet_process_restarts_total", "vehicle-0")] == 0
     os.kill(children_of(shell.folder / "run")["vehicle-0"], signal.SIGKILL)
-    restarted = scrape_until(port, ("cpnet_process_restarts_total", "vehicle-0"))
+    restarted = scrape_until(command, port, ("cpnet_process_restarts_total", "vehicle-0"))
     uploaded = ("cpnet_uploaded_bytes_total", "vehicle-0")
-    wait_until(lambda: scrape(port)[uploaded] > restarted[uploaded], 60)
+    command.wait_until(lambda: scrape(port)[uploaded] > restarted[uploaded])
     os.kill(children_of(shell.folder / "run")["sim"], signal.SIGKILL)
     status, output = command.finish()
     assert status == 1
@@ -95,7 +88,7 @@ def test_a_machine_of_some_roles_exports_the_run_and_the_doctor_sees_the_other(s
         "up", "--only=vehicle,infra", f"--connect={place}", "--out=there", f"--metrics={metrics}"
     )
     there.read_until("vehicles")
-    samples = scrape_until(metrics, ("cpnet_frame",), ("cpnet_frames_total",))
+    samples = scrape_until(there, metrics, ("cpnet_frame",), ("cpnet_frames_total",))
     assert samples[("cpnet_process_up", "edge", "edge")] == 1
     assert samples[("cpnet_process_up", "vehicle-0", "vehicle")] == 1
     _, output = shell.run("doctor", "--json", "--connect", place)

@@ -16,7 +16,7 @@ from recorder.run import Run
 from recorder.tables import DetectionRow, RequestRow, UploadRow
 from studies.in_process import run_in_process
 from studies.sweep.worker import measure
-from tests.cpnet.conftest import Shell
+from tests.cpnet.commands import Shell
 from tests.example_plugins import install, pretend
 
 SMALL = {
@@ -159,7 +159,7 @@ def test_every_process_finds_plugins(packages: Path, shell: Shell, monkeypatch) 
     path = os.pathsep.join(filter(None, [str(packages), os.environ.get("PYTHONPATH")]))
     monkeypatch.setenv("PYTHONPATH", path)
     names = [f"--set={key}={name}" for key, name in BY_NAME.items()]
-    status, output = shell.up("--duration", "3", "--out", "run", *names).finish()
+    status, output = shell.up("--duration", "3", "--out", "run", *names, fresh=True).finish()
     assert status == 0, output
     with Run(shell.folder / "run") as run:
         assert {row.policy for row in run.rows(RequestRow)} == {"longest-queue"}

@@ -28,8 +28,7 @@ from recorder.tables import (
 )
 from tape.names import CLOSING
 from tape.reader import Tape
-from tests.cpnet.conftest import children_of
-from tests.waiting import wait_until
+from tests.cpnet.commands import children_of
 
 
 def test_a_tape_holds_what_the_database_was_made_of(shell):
@@ -80,7 +79,7 @@ def test_a_dead_tape_stops_no_city(shell):
     command = shell.up("--mode=realtime", "--duration=20", "--record", "--out=run")
     command.read_until("vehicles")
     run_dir = shell.folder / "run"
-    wait_until(lambda: len(frames_on(run_dir)) > 5)  # in realtime, for no run that is over
+    command.wait_until(lambda: len(frames_on(run_dir)) > 5)  # in realtime, for no run that is over
     os.kill(children_of(run_dir)["tape"], signal.SIGKILL)
     command.read_until("tape was killed by SIGKILL; the run goes on without it")
     status, output = command.finish()
@@ -109,7 +108,7 @@ def test_a_tape_is_started_again_and_others_come_and_go(shell):
     status, output = shell.run("record", "--duration=1", "--no-foxglove")
     assert status == 0, output
     until_told.process.send_signal(signal.SIGINT)
-    wait_until(lambda: size_bytes(run_dir / "run-2.mcap") > 300_000)
+    to_the_end.wait_until(lambda: size_bytes(run_dir / "run-2.mcap") > 300_000)
     command.process.send_signal(signal.SIGINT)
     assert command.finish()[0] == 130
     for taping, name in ((to_the_end, run_dir / "record.mcap"), (until_told, "mine.mcap")):

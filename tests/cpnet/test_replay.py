@@ -27,8 +27,7 @@ from recorder.tables import (
 )
 from studies.in_process import run_setup_in_process
 from studies.summary import summarise
-from tests.cpnet.conftest import Shell
-from tests.cpnet.test_loop import free_ports
+from tests.cpnet.commands import Shell, free_ports
 
 REAP = ["upload.policy=reap", "link.profile=300kbit,20ms", "link.roadside_profile=lte"]
 

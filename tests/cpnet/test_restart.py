@@ -17,10 +17,9 @@ from cpnet.soak.observer import Observer
 from cpnet.soak.soak import hurt_once
 from cpnet.supervisor import LIST_NAME
 from protocol.bus import Endpoint
-from tests.cpnet.conftest import Command, Shell, children_of
-from tests.waiting import wait_until
+from tests.cpnet.commands import Command, Shell, children_of
+from tests.waiting import PATIENCE_S, wait_until
 
-PATIENCE_S = 30.0
 REALTIME = ("--mode=realtime", "--restart", "--set=edge.deadline_ms=300")
 
 
@@ -31,11 +30,11 @@ def observed(shell: Shell, *more: str) -> Iterator[tuple[Command, Observer, Path
     listen = [f"--listen={bus}={place.removeprefix('tcp/')}" for bus, place in places.items()]
     command = shell.up(*REALTIME, *listen, "--duration=600", "--out=run", *more)
     run_dir = shell.folder / "run"
-    wait_until(lambda: (run_dir / LIST_NAME).is_file(), 2 * PATIENCE_S)
+    command.wait_until(lambda: (run_dir / LIST_NAME).is_file())
     health = Health(set(processes_of(run_dir)), {"rsu-0"})
     buses = [Endpoint(place, listen=False) for place in places.values()]
     with Observer(*buses, health) as observer:
-        assert observer.listen(2 * PATIENCE_S, observer.is_right), health.wrong
+        assert observer.listen(PATIENCE_S, observer.is_right), health.wrong
         yield command, observer, run_dir
 
 
@@ -103,7 +102,7 @@ def test_without_restart_the_fork_servers_death_ends_the_run(shell):
 
 def test_a_lost_agents_cavs_move_to_the_others_and_newcomers_join(shell):
     with observed(shell) as (command, observer, _):
-        place = command.process.args
+        place = command.arguments
         buses = [word.removeprefix("--listen=") for word in place if "--listen=" in word]
         connect = [f"--connect={bus}" for bus in buses]
         joined = shell.start("up", "--only=vehicle-7", *connect, "--out=joined")
@@ -127,8 +126,7 @@ def test_a_process_that_dies_all_the_time_ends_the_run(shell):
             wait_until(
                 lambda number=number: (
                     processes_of(run_dir)["signal"] != number or command.process.poll() is not None
-                ),
-                PATIENCE_S,
+                )
             )
     status, output = command.finish()
     assert status == 1
@@ -150,7 +148,7 @@ def test_a_recorder_that_dies_at_the_end_still_hears_of_it(shell):
     run_dir = shell.folder / "run"
     command.read_until("vehicles")
     with_rows = run_dir / "run.sqlite"
-    wait_until(lambda: newest_frame(with_rows) > 50, 60)
+    command.wait_until(lambda: newest_frame(with_rows) > 50)
     os.kill(processes_of(run_dir)["record"], signal.SIGKILL)
     status, output = command.finish()
     assert status == 0, output

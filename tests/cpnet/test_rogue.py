@@ -21,8 +21,7 @@ from protocol.keys import Keys
 from protocol.messages import Setup
 from protocol.topics import ALIVE, PREFIX, TOPICS, BusName
 from tests.certificates import make_keys
-from tests.cpnet.conftest import Command, Shell
-from tests.cpnet.test_loop import free_ports
+from tests.cpnet.commands import Command, Shell, free_ports
 from tests.waiting import PATIENCE_S, wait_until
 
 FORGED = b"forged"

@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -16,13 +16,11 @@ from recorder.compare import differences
 from recorder.run import Run
 from sensing.link_channel import on_air_bytes
 from tests.cpnet.city import City, Host
-from tests.cpnet.conftest import SMALL, Command, Shell
-from tests.waiting import wait_until
+from tests.cpnet.commands import SMALL, Command, Shell
 
 pytestmark = pytest.mark.root
 
 UPLINK_MBPS = 5
-PATIENCE_S = 60.0
 STEADY_FRAMES = 5
 PLACES = {
     "world": "sim,record",
@@ -89,19 +87,19 @@ class Machines:
         """Kills all that runs on a host."""
         command = self._commands.pop(place)
         command.process.kill()
-        command.process.communicate()
+        command.finish()
 
     def finish(self) -> None:
         """Waits until all have come to their end well."""
         for place, command in self._commands.items():
-            status, output = command.finish(2 * PATIENCE_S)
+            status, output = command.finish()
             assert status == 0, f"{place}: {output}"
 
     def stop(self) -> None:
         """Ends the world, and with it all others."""
         self._commands["world"].process.send_signal(signal.SIGINT)
         for place, command in self._commands.items():
-            status, output = command.finish(PATIENCE_S)
+            status, output = command.finish()
             said = "the world ended before its time: stopped" in output
             assert (status, said) == ((130, False) if place == "world" else (1, True)), output
 
@@ -111,13 +109,16 @@ class Machines:
     def await_right(self) -> None:
         """Waits for frames from now on that have all agents and led to a request."""
         since_ns = time.monotonic_ns()
-        wait_until(lambda: self._right_frames(since_ns) >= STEADY_FRAMES, PATIENCE_S)
+        self._wait_until(lambda: self._right_frames(since_ns) >= STEADY_FRAMES)
 
     def await_measured(self, process: str) -> None:
         """Waits for frames from now on in which a process plays agents."""
         sql = "SELECT count(*) FROM stages WHERE start_ns > ? AND process = ?"
         since_ns = time.monotonic_ns()
-        wait_until(lambda: self._count(sql, since_ns, process) >= STEADY_FRAMES, PATIENCE_S)
+        self._wait_until(lambda: self._count(sql, since_ns, process) >= STEADY_FRAMES)
+
+    def _wait_until(self, holds: Callable[[], bool]) -> None:
+        self._commands["world"].wait_until(holds)
 
     def _right_frames(self, since_ns: int) -> int:
         sql = (

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cpnet.conftest import Shell
-from tests.waiting import wait_until
+from tests.cpnet.commands import Shell
+from tests.waiting import PATIENCE_S, wait_until
 
 pl = pytest.importorskip("polars", reason="needs the extra `study`")
 pytest.importorskip("distributed", reason="needs the extra `study`")
@@ -62,7 +62,7 @@ def finish(shell: Shell, *arguments: str) -> str:
 @pytest.mark.slow
 def test_after_a_kill_finished_cells_are_not_run_again_and_the_table_is_the_same(shell, folder):
     killed = shell.start("study", "small.yaml", "--out", "killed", "--jobs", "2")
-    wait_until(lambda: kept(folder / "killed"), 60, what="no cell was ever done")
+    killed.wait_until(lambda: kept(folder / "killed"), what="no cell was ever done")
     killed.process.kill()
     killed.finish()
     first = kept(folder / "killed")
@@ -82,11 +82,11 @@ def test_after_a_kill_finished_cells_are_not_run_again_and_the_table_is_the_same
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_a_stop_ends_at_once_without_a_traceback_and_says_how_to_go_on(shell, folder, how):
     command = shell.start("study", "small.yaml", "--out", "out", "--jobs", "2")
-    wait_until(lambda: kept(folder / "out"), 60, what="no cell was ever done")
+    command.wait_until(lambda: kept(folder / "out"), what="no cell was ever done")
     workers = children(command.process.pid)
     assert workers
     command.process.send_signal(how)
-    status, output = command.finish(20)
+    status, output = command.finish()
     assert status == 128 + how
     assert "the same command goes on from there" in output
     assert "Traceback" not in output
@@ -138,7 +138,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     for process in reversed(started):
         process.terminate()
     for process in started:
-        process.wait(20)
+        process.wait(PATIENCE_S)
     log.close()
 
 
@@ -156,7 +156,7 @@ def test_a_scheduler_with_two_workers_gives_the_table_of_this_machine(shell, fol
 def test_a_scheduler_that_is_lost_ends_the_study_and_what_is_done_is_kept(shell, folder, cluster):
     address, scheduler = cluster
     command = shell.start("study", "small.yaml", "--out", "out", "--scheduler", address)
-    wait_until(lambda: kept(folder / "out"), 120, what="no cell was ever done")
+    command.wait_until(lambda: kept(folder / "out"), what="no cell was ever done")
     scheduler.kill()
     status, output = command.finish()
     assert status == 2

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 from studies import palette
-from tests.cpnet.conftest import Shell
-from tests.cpnet.test_operations import free_port
-from tests.waiting import wait_until
+from tests.cpnet.commands import Shell, free_port
 from viewer.colours import Rgb, rgb
 
 pytest.importorskip("rerun", reason="the extra `view` is not installed")
@@ -28,7 +26,6 @@ FLAGS = [
 WIDTH, HEIGHT = 1600, 900
 SCENE = np.s_[65:870, :1140]
 UPLINK, LATENCY, SCORE = np.s_[60:240, 1400:], np.s_[280:500, 1300:], np.s_[715:860, 1150:]
-PATIENCE_S = 240.0
 SHOT_MS = 120_000
 pytestmark = [
     pytest.mark.slow,
@@ -84,4 +81,4 @@ def test_a_browser_draws_cloud_boxes_and_plots_of_a_live_run(
         seen.update(drawn(shot))
         return all(seen[what] >= least for what, least in ENOUGH.items())
 
-    wait_until(all_is_drawn, PATIENCE_S, what=f"of {ENOUGH} there is {seen}, see {kept}")
+    run.wait_until(all_is_drawn, what=f"of {ENOUGH} there is {seen}, see {kept}")

@@ -16,8 +16,9 @@ from protocol.messages import End, Roster
 from protocol.topics import ALIVE, BusName
 from protocol.wire import encode
 from tests.protocol.test_wire import SCAN
+from tests.waiting import PATIENCE_S
 
-WAIT_S = 5.0
+WAIT_S = PATIENCE_S
 
 
 @pytest.fixture

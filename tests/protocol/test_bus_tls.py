@@ -17,8 +17,9 @@ from protocol.tcpinfo import _socket_at
 from protocol.topics import BusName
 from tests.certificates import make_keys
 from tests.protocol.test_wire import SCAN
+from tests.waiting import PATIENCE_S
 
-WAIT_S = 5.0
+WAIT_S = PATIENCE_S
 TIMEOUT_MS = 1500
 MEMBERS = members_of({"processes": {"vehicle": 2}, "roadside_mounts": [0], "region": "r0"})
 
