@@ -26,15 +26,20 @@ from perception.config import DetectionConfig, DetectorName
 from perception.detector import Detector
 from perception.registry import detector_of
 from perception.roadway import Roadway
-from protocol.codec import encode_scan
 from protocol.errors import ConfigError
-from protocol.geometry import SE3
-from protocol.messages import Scan, Truth
-from sensing.config import SceneConfig, UploadConfig
+from protocol.messages import AgentPose, Scan, Truth
+from sensing.config import SceneConfig
 from sensing.recorded_scans import Recording
 from sensing.terrain import Terrain
 from sim_host.setup import build_setup
-from studies.bench_traffic import POST, SEED, believed_sensor, post_pose, record_traffic
+from studies.bench_traffic import (
+    POST,
+    SEED,
+    agent_poses,
+    post_pose,
+    record_traffic,
+    uploaded_scan,
+)
 
 TOTAL = "total"
 MOST_AGENTS = 16
@@ -114,7 +119,8 @@ def _measure(traffic: Path, detector: str, agents: int) -> list[EdgeRow]:
     """Measures one cell; runs in a process of its own."""
     keep_freed_memory()
     with tempfile.TemporaryDirectory() as scratch:
-        road_map = build_setup({}, Path(scratch)).road_map
+        setup = build_setup({}, Path(scratch))
+    road_map = setup.road_map
     config = EdgeConfig.model_validate({"detector": detector})
     pipeline = Pipeline(road_map, config, seed=SEED, detector=_detector_of)
     pool = DecoderPool(pipeline.open)
@@ -124,8 +130,9 @@ def _measure(traffic: Path, detector: str, agents: int) -> list[EdgeRow]:
     times_ms: dict[str, list[float]] = {stage: [] for stage in STAGES}
     points = []
     for frame, truth in enumerate(recording.truths):
-        scans = [_scan(recording, agent, truth, post) for agent in chosen]
-        spent, seen = _run(pipeline, pool, scans, truth)
+        scans = [uploaded_scan(recording, agent, truth, post) for agent in chosen]
+        poses = agent_poses(chosen, truth, setup)
+        spent, seen = _run(pipeline, pool, scans, poses, truth)
         if frame >= WARM_UP:
             points.append(seen)
             for stage in STAGES:
@@ -158,26 +165,12 @@ def _detector_of(config: DetectionConfig, roadway: Roadway) -> Detector:
     return paper_detector(config.pillars, roadway)
 
 
-def _scan(recording: Recording, agent: str, truth: Truth, post: SE3) -> Scan:
-    """Returns what an agent would have sent."""
-    payload = encode_scan(recording.scan(agent, truth.frame), UploadConfig().max_error_m)
-    return Scan(
-        frame=truth.frame,
-        sim_time_ns=truth.sim_time_ns,
-        agent=agent,
-        chunk=0,
-        chunks=1,
-        points=0,
-        sensor_pose=believed_sensor(agent, truth, post).as_pose(),
-        sense_start_ns=0,
-        sense_end_ns=0,
-        encode_end_ns=0,
-        payload=np.frombuffer(payload, np.uint8),
-    )
-
-
 def _run(
-    pipeline: Pipeline, pool: DecoderPool, scans: list[Scan], truth: Truth
+    pipeline: Pipeline,
+    pool: DecoderPool,
+    scans: list[Scan],
+    poses: list[AgentPose],
+    truth: Truth,
 ) -> tuple[dict[str, float], int]:
     """Returns the ms of each stage, those of threads summed, and how many points came."""
     begin_ns = time.monotonic_ns()
@@ -187,7 +180,7 @@ def _run(
         truth.frame,
         truth.sim_time_ns,
         sorted(scan.agent for scan in scans),
-        [],
+        poses,
         chunks,
         complete=True,
         first_ns=0,

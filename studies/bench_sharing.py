@@ -10,18 +10,16 @@ from __future__ import annotations
 
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from edge_server.config import EdgeConfig
-from edge_server.frame import Chunk, Frame
+from edge_server.frame import Frame
 from edge_server.pipeline import Pipeline
-from protocol.codec import decode, encode_scan
-from protocol.messages import NEVER_NS, Setup, Truth
+from protocol.messages import NEVER_NS, Scan, Setup, Truth
 from recorder.rows import count_rows, detection_rows, truth_rows
-from sensing.config import SceneConfig, UploadConfig
+from sensing.config import SceneConfig
 from sensing.link_channel import Channel as LinkPath
 from sensing.link_channel import VirtualLink
 from sensing.link_config import profile_named
@@ -30,7 +28,14 @@ from sensing.recorded_scans import Recording
 from sensing.terrain import Terrain
 from sim_host.setup import build_setup
 from studies.bench_choices import LEARNING_FRAMES, SHARING
-from studies.bench_traffic import POST, SEED, believed_sensor, post_pose, visible_vehicles
+from studies.bench_traffic import (
+    POST,
+    SEED,
+    agent_poses,
+    post_pose,
+    uploaded_scan,
+    visible_vehicles,
+)
 from studies.bench_uplink import UplinkRow
 from studies.count_error import PerceptionTally
 from studies.latency import distribution_ms
@@ -52,7 +57,12 @@ class _Sharing:
         self._recording = Recording(traffic)
         self._visible = visible_vehicles(traffic)
         self._post = post_pose(setup.road_map, Terrain(setup.road_map, SceneConfig(), SEED))
-        self._pipeline = Pipeline(setup.road_map, EdgeConfig(), seed=SEED)
+        self._setup = setup
+        self._pipelines = {  # each vehicle's own: it remembers whom it trusts
+            agent: Pipeline(setup.road_map, EdgeConfig(), seed=SEED)
+            for agent in self._recording.agents
+            if agent != POST
+        }
         self._tally = PerceptionTally(setup)
         self._link = link
         self._period_ns = round(self._recording.frame_period_s * 1e9)
@@ -89,49 +99,42 @@ class _Sharing:
 
     def _play(self, frame: int) -> None:
         place = self._recording.place(frame)
-        truth = self._recording.truths[place].model_copy(update={"frame": frame})
         now_ns = frame * self._period_ns
-        sent: dict[str, tuple[Chunk, bytes, int]] = {}
+        now = {"frame": frame, "sim_time_ns": now_ns}
+        truth = self._recording.truths[place].model_copy(update=now)
+        sent: dict[str, tuple[Scan, int]] = {}
         for agent in self._recording.agents:
             begin_ns = time.perf_counter_ns()
-            scan = self._recording.scan(agent, frame)
-            payload = encode_scan(scan, UploadConfig().max_error_m)
+            scan = uploaded_scan(self._recording, agent, truth, self._post)
             ready_ns = now_ns + time.perf_counter_ns() - begin_ns
             at_ns = NEVER_NS
             if not self._is_clogged(self._up[agent], now_ns):
-                at_ns = _carry(self._up[agent], ready_ns, len(payload))
-            sent[agent] = (self._piece(agent, truth), payload, at_ns)
-            self._bytes.append(len(payload) if at_ns < NEVER_NS else 0)
+                at_ns = _carry(self._up[agent], ready_ns, scan.payload.size)
+            sent[agent] = (scan, at_ns)
+            self._bytes.append(scan.payload.size if at_ns < NEVER_NS else 0)
         for agent in self._recording.agents:
             if agent != POST and not self._is_clogged(self._down[agent], now_ns):
-                heard = {a: s for a, s in sent.items() if a == agent or s[2] < NEVER_NS}
+                heard = {a: s for a, s in sent.items() if a == agent or s[1] < NEVER_NS}
                 self._receive(agent, truth, now_ns, heard)
 
     def _is_clogged(self, link: VirtualLink | None, now_ns: int) -> bool:
         return link is not None and link.backlog_ns(now_ns) >= self._period_ns
 
-    def _piece(self, agent: str, truth: Truth) -> Chunk:
-        nothing = np.zeros((0, 3), np.float32)
-        pose = believed_sensor(agent, truth, self._post).as_pose()
-        return Chunk(truth.frame, truth.sim_time_ns, agent, 0, 1, pose, nothing, 0, 0, 0)
-
     def _receive(
-        self, agent: str, truth: Truth, now_ns: int, sent: dict[str, tuple[Chunk, bytes, int]]
+        self, agent: str, truth: Truth, now_ns: int, sent: dict[str, tuple[Scan, int]]
     ) -> None:
-        others = sorted((at_ns, name) for name, (_, _, at_ns) in sent.items() if name != agent)
+        others = sorted((at_ns, name) for name, (_, at_ns) in sent.items() if name != agent)
         last_ns = now_ns
         for at_ns, name in others:
-            last_ns = _carry(self._down[agent], at_ns, len(sent[name][1]))
+            last_ns = _carry(self._down[agent], at_ns, sent[name][0].payload.size)
         begin_ns = time.perf_counter_ns()
-        chunks = []
-        for name in sorted(sent):
-            chunk, payload, _ = sent[name]
-            points = np.ascontiguousarray(decode(payload).points, np.float32)
-            chunks.append(self._pipeline.place_early(replace(chunk, points=points)))
+        pipeline = self._pipelines[agent]
+        chunks = [pipeline.open(sent[name][0], 0) for name in sorted(sent)]
+        poses = agent_poses(sent, truth, self._setup)
         whole = Frame(
-            truth.frame, now_ns, sorted(sent), [], chunks, complete=True, first_ns=0, ready_ns=0
+            truth.frame, now_ns, sorted(sent), poses, chunks, complete=True, first_ns=0, ready_ns=0
         )
-        result = self._pipeline.run(whole)
+        result = pipeline.run(whole)
         if truth.frame >= LEARNING_FRAMES:
             took_ns = time.perf_counter_ns() - begin_ns
             self._latencies_ns.append(last_ns - now_ns + took_ns)

@@ -7,23 +7,24 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from protocol.codec import encode_scan
 from protocol.errors import ConfigError
-from protocol.geometry import SE3
-from protocol.messages import Equipment, Truth
+from protocol.geometry import SE3, Floats
+from protocol.messages import AgentPose, Equipment, Scan, Setup, Truth
 from protocol.roadmap import RoadMap
 from protocol.scans import RangeScan
-from sensing.config import LidarConfig, PoseErrorConfig, SceneConfig
+from sensing.config import LidarConfig, PoseErrorConfig, SceneConfig, UploadConfig
 from sensing.lidar import Lidar
 from sensing.mesh import VehicleShapes
 from sensing.noise import stream
 from sensing.pose import estimated_pose, pose_above
-from sensing.recorded_scans import write_recording
+from sensing.recorded_scans import Recording, write_recording
 from sensing.scene import scene_of
 from sensing.terrain import Terrain
 from sim_host.setup import build_setup
@@ -87,11 +88,53 @@ def post_pose(road_map: RoadMap, terrain: Terrain) -> SE3:
 
 def believed_sensor(agent: str, truth: Truth, post: SE3) -> SE3:
     """Returns `map_SE3_sensor` of a recorded agent as it believes; the post knows its own."""
-    if agent == POST:
-        return post
+    return post if agent == POST else pose_above(_believed(agent, truth), ROOF_HEIGHT_M)
+
+
+def uploaded_scan(recording: Recording, agent: str, truth: Truth, post: SE3) -> Scan:
+    """Returns the message by which an agent would have uploaded its whole scan of a frame."""
+    payload = encode_scan(recording.scan(agent, truth.frame), UploadConfig().max_error_m)
+    return Scan(
+        frame=truth.frame,
+        sim_time_ns=truth.sim_time_ns,
+        agent=agent,
+        chunk=0,
+        chunks=1,
+        points=0,
+        sensor_pose=believed_sensor(agent, truth, post).as_pose(),
+        sense_start_ns=0,
+        sense_end_ns=0,
+        encode_end_ns=0,
+        payload=np.frombuffer(payload, np.uint8),
+    )
+
+
+def agent_poses(agents: Iterable[str], truth: Truth, setup: Setup) -> list[AgentPose]:
+    """Returns what the CAVs among these agents report of themselves in a frame, sorted by agent."""
+    types = {kind.name: kind for kind in setup.vehicle_types}
+    poses = []
+    for agent in sorted(set(agents) - {POST}):
+        kind = types[truth.types[truth.ids.index(agent)]]
+        poses.append(
+            AgentPose(
+                frame=truth.frame,
+                sim_time_ns=truth.sim_time_ns,
+                agent=agent,
+                equipment=Equipment.CAV,
+                pose=_believed(agent, truth),
+                length_m=kind.length_m,
+                width_m=kind.width_m,
+                height_m=kind.height_m,
+                position_std_m=PoseErrorConfig().position_std_m,
+            )
+        )
+    return poses
+
+
+def _believed(agent: str, truth: Truth) -> Floats:
     rng = stream(SEED, "pose", agent, truth.frame)
     pose = truth.poses[truth.ids.index(agent)]
-    return pose_above(estimated_pose(pose, PoseErrorConfig(), Equipment.CAV, rng), ROOF_HEIGHT_M)
+    return estimated_pose(pose, PoseErrorConfig(), Equipment.CAV, rng)
 
 
 def visible_vehicles(folder: Path) -> list[set[str]]:
