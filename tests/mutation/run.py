@@ -1,9 +1,9 @@
 """Mutation testing: which changes of the code the tests of its package do not notice.
 
-`scripts/mutate [PART ...]` mutates the sources of each part by mutmut, in a copy of the tree, runs the
-tests of that part against every mutant, and writes the scores to docs/figures/mutation.json. A
-surviving mutant needs a reason in survivors.yaml beside this file; new ones are added without one.
-Functions under a decorator, compiled ones among them, are not mutated: mutmut leaves them alone.
+`scripts/mutate [PART ...]` mutates the sources of each part by mutmut, in a copy of the tree, runs
+the tests of that part against every mutant, and writes the scores to docs/figures/mutation.json.
+A surviving mutant needs a reason in survivors.yaml beside this file; new ones are added without
+one. mutmut leaves functions under a decorator alone, compiled ones among them.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ PARTS = {
         [
             "signal_controller/policies.py",
             "signal_controller/registry.py",
-            "signal_controller/reckoning.py",
+            "signal_controller/queue_estimator.py",
         ],
         ["tests/signal_controller"],
     ),
@@ -77,9 +77,7 @@ def mutmut(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Runs mutmut in the copy, so that the copy's code is what is imported."""
     env = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     command = [sys.executable, "-m", "mutmut", *arguments]
-    return subprocess.run(
-        command, cwd=folder, env=env, capture_output=True, text=True, check=False
-    )
+    return subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
 
 
 def outcomes(folder: Path, source: str) -> dict[str, int | None]:
@@ -126,7 +124,7 @@ def measure(part: Part) -> tuple[dict[str, Any], list[dict[str, str]]]:
 
 
 def with_reasons(found: list[dict[str, str]], modules: set[str]) -> list[dict[str, str]]:
-    """Returns all survivors: those of other modules as listed, the found ones with their reasons."""
+    """Returns all survivors: other modules' as listed, the found ones with their reasons."""
     listed = yaml.safe_load(SURVIVORS.read_text()) if SURVIVORS.is_file() else None
     known = {(s["function"], s["change"]): s["reason"] for s in listed or []}
     others = [s for s in listed or [] if not any(s["function"].startswith(m) for m in modules)]
@@ -136,13 +134,13 @@ def with_reasons(found: list[dict[str, str]], modules: set[str]) -> list[dict[st
 
 def main() -> None:
     """Measures the parts named, or all; fails below the required score or without a reason."""
-    names = sys.argv[1:] or list(PARTS)
-    unknown = sorted(set(names) - set(PARTS))
+    parts = sys.argv[1:] or list(PARTS)
+    unknown = sorted(set(parts) - set(PARTS))
     if unknown:
         sys.exit(f"no part {unknown[0]!r}: must be one of {', '.join(PARTS)}")
     table = json.loads(SCORES.read_text()) if SCORES.is_file() else {}
     weak, silent = [], []
-    for name in names:
+    for name in parts:
         scores, survivors = measure(PARTS[name])
         modules = {source.removesuffix(".py").replace("/", ".") + "." for source in scores}
         every = with_reasons(survivors, modules)
@@ -151,15 +149,18 @@ def main() -> None:
         for source, score in scores.items():
             table[source] = score
             share = score["killed"] / max(score["mutants"], 1)
-            print(f"{source:45} {score['killed']:5} of {score['mutants']:5}  {share:6.1%}", flush=True)
+            print(
+                f"{source:45} {score['killed']:5} of {score['mutants']:5} {share:6.1%}", flush=True
+            )
         killed, mutants = (sum(s[key] for s in scores.values()) for key in ("killed", "mutants"))
         weak += [name] if killed < REQUIRED_SCORE * mutants else []
         SCORES.parent.mkdir(exist_ok=True)
         SCORES.write_text(json.dumps(dict(sorted(table.items())), indent=1) + "\n")
     if weak:
-        sys.exit(f"fewer than {REQUIRED_SCORE:.0%} of the mutants are killed in: {', '.join(weak)}")
+        sys.exit(f"fewer than {REQUIRED_SCORE:.0%} of the mutants are killed: {', '.join(weak)}")
     if silent:
-        sys.exit(f"survivors without a reason in {SURVIVORS.name}: {', '.join(sorted(set(silent)))}")
+        names = ", ".join(sorted(set(silent)))
+        sys.exit(f"survivors without a reason in {SURVIVORS.name}: {names}")
 
 
 if __name__ == "__main__":
