@@ -30,14 +30,14 @@ def dataset_command(
     out: Annotated[Path, typer.Argument(help="a new or empty folder")],
     *,
     networks: Annotated[int, typer.Option(help="generated junctions")] = 60,
-    moments: Annotated[int, typer.Option(help="of each network, some seconds apart")] = 12,
+    samples: Annotated[int, typer.Option(help="of each network, some seconds apart")] = 12,
     seed: Annotated[int, typer.Option(help="the same bytes for the same seed")] = 1,
     jobs: Annotated[int | None, typer.Option(help="processes; default one a core")] = None,
 ) -> None:
     """Write labelled scans of many generated junctions, for training."""
-    from learning.generate import Asked, generate
+    from learning.generate import DatasetSpec, generate
 
-    asked = Asked(networks=networks, moments=moments, seed=seed)
+    spec = DatasetSpec(networks=networks, samples=samples, seed=seed)
     columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()]
     with Progress(*columns, TimeElapsedColumn(), console=errors, transient=True) as progress:
         task = progress.add_task("networks", total=networks)
@@ -45,7 +45,7 @@ def dataset_command(
         def report(done: int, scans: int) -> None:
             progress.update(task, completed=done, description=f"networks, {scans} scans")
 
-        generate(out, asked, (os.cpu_count() or 1) if jobs is None else jobs, report)
+        generate(out, spec, (os.cpu_count() or 1) if jobs is None else jobs, report)
     console.print(f"wrote {out}", highlight=False, soft_wrap=True)
 
 
@@ -66,8 +66,7 @@ def train_command(
     from cpnet.evaluation import detectors_of, figures_of
 
     try:
-        from learning.train import Training, train
-        from learning.training import Recipe
+        from learning.training import Recipe, Training, train
         from perception.pillars.weights import describe
     except ImportError as error:
         raise ConfigError(f"training needs PyTorch (extra `learn`): {error}") from None
@@ -91,7 +90,7 @@ def eval_command(
         str, typer.Option(metavar="NAME,...", help=f"of {', '.join(DETECTORS.builtin)}")
     ] = "fast",
     split: Annotated[str, typer.Option(help="of the dataset: train, val or test")] = "test",
-    moments: Annotated[int, typer.Option(min=1, max=500, help="of your own net")] = 12,
+    samples: Annotated[int, typer.Option(min=1, max=500, help="of your own net")] = 12,
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="a key of `edge`")
     ] = None,
@@ -106,7 +105,7 @@ def eval_command(
     config = scenarios.load("t_junction", assigned(set_)).edge
     for name in names:
         check(config.model_copy(update={"detector": name}))
-    count, listed = Source(dataset, net, tls, split, moments).open(config)
+    count, listed = Source(dataset, net, tls, split, samples).open(config)
     shown = track(listed, "measuring", count, console=errors, transient=True)
     rows = evaluate(shown, names)
     show(rows, print_evaluation, as_json=as_json)

@@ -1,4 +1,4 @@
-"""`cpnet eval`: moments of a dataset, or of the user's net, for the study to measure on."""
+"""`cpnet eval`: samples of a dataset, or of the user's net, for the study to measure on."""
 
 from __future__ import annotations
 
@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from edge_server.config import EdgeConfig
-from learning.dataset import Dataset
-from learning.layout import SPLITS, Split
-from learning.moments import Moment
-from learning.own_net import moments_on
+from learning.dataset import SPLITS, Dataset, SceneSample, Split
+from learning.scanner import samples_on
 from perception.config import DETECTORS, DetectorName
 from protocol.errors import ConfigError
 from studies.evaluate import EVERYTHING, Site, evaluate
@@ -20,16 +18,16 @@ SEED = 1
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Where moments come from: a dataset's split, or a net with a signal."""
+    """Where samples come from: a dataset's split, or a net with a signal."""
 
     dataset: Path | None
     net: Path | None
     tls: str | None
     split: str
-    moments: int
+    samples: int
 
-    def open(self, config: EdgeConfig) -> tuple[int, Iterator[tuple[Site, Moment]]]:
-        """Returns how many moments there are, and the moments with their sites.
+    def open(self, config: EdgeConfig) -> tuple[int, Iterator[tuple[Site, SceneSample]]]:
+        """Returns how many samples there are, and the samples with their sites.
 
         Raises:
             ConfigError: here or on the way: there is no such source, or it cannot be read.
@@ -37,13 +35,13 @@ class Source:
         if self.net is not None:
             if self.dataset is not None:
                 raise ConfigError("give a dataset or --net, not both")
-            road_map, made = moments_on(self.net, self.tls, self.moments, SEED)
+            road_map, made = samples_on(self.net, self.tls, self.samples, SEED)
             site = Site(road_map, config)
-            return len(made), ((site, moment) for moment in made)
+            return len(made), ((site, sample) for sample in made)
         if self.dataset is None:
             raise ConfigError("give the folder of a dataset (cpnet dataset OUT), or --net FILE")
         dataset = Dataset(self.dataset)
-        listed = dataset.moments(_split(self.split))
+        listed = dataset.samples(_split(self.split))
         if not listed:
             raise ConfigError(f"{self.dataset}: its split {self.split} is empty")
         return len(listed), _read(dataset, listed, config)
@@ -90,8 +88,8 @@ def _split(name: str) -> Split:
 
 def _read(
     dataset: Dataset, listed: list[tuple[str, int]], config: EdgeConfig
-) -> Iterator[tuple[Site, Moment]]:
-    """Yields moments one at a time; a network's site is made once, its moments follow."""
+) -> Iterator[tuple[Site, SceneSample]]:
+    """Yields samples one at a time; a network's site is made once, its samples follow."""
     name, site = "", None
     for network, frame in listed:
         if site is None or network != name:

@@ -57,11 +57,9 @@ def write_reports(
         yield markdown
 
 
-def _accuracy(
-    asked: Accuracy | None, scenario: dict[str, Any], folder: Path
-) -> tuple[Section, ...]:
-    if asked is None:
+def _accuracy(spec: Accuracy | None, scenario: dict[str, Any], folder: Path) -> tuple[Section, ...]:
+    if spec is None:
         return ()
-    rows = accuracy_of(scenario, asked.detectors, asked.moments, folder)
-    best = asked.detectors[-1]
+    rows = accuracy_of(scenario, spec.detectors, spec.samples, folder)
+    best = spec.detectors[-1]
     return accuracy_section(rows), scenes_section(scenario, best)

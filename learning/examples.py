@@ -1,6 +1,7 @@
-"""Windows to learn from, drawn from moments: turned, mirrored, thinned, with the road or all of it.
+"""Training examples: windows drawn from scene samples, and the targets of their anchors.
 
-Which window is drawn at a step follows from the seed and the step alone.
+Windows are turned, mirrored and thinned, with the road alone or all around it. Which window is
+drawn at a step follows from the seed and the step alone.
 """
 
 from __future__ import annotations
@@ -10,13 +11,108 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from learning.moments import Moment
-from learning.targets import Targets, targets_of
-from perception.arrays import Bools, Floats, Floats32, Ints
-from perception.pillars.config import PillarsConfig
+from learning.dataset import SceneSample
+from perception.arrays import Bools, Floats, Floats32, Ints, Ints32
+from perception.pillars.config import ANCHOR_YAWS, STRIDE, PillarsConfig
+from perception.pillars.network import middle_of, terms_of
 from perception.pillars.windows import Pillars, Window, pillars_of
 from perception.roadway import Roadway
 from protocol.roadmap import RoadMap
+
+VEHICLE_IOU, NOTHING_IOU = 0.6, 0.45  # of Lang et al. 2019; in between an anchor does not count
+FAINT_IOU = 0.1  # of a vehicle too faint to be asked for
+NO_OWNER = -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets:
+    """By anchor, directions first: `owner` (A,) is -1 for none; `counts` (A,) if it is judged.
+
+    `place` (V,) are the anchors that are vehicles, and `terms` (V, 7) theirs.
+    """
+
+    is_vehicle: Bools
+    counts: Bools
+    place: Ints32
+    terms: Floats32
+
+
+def targets_of(boxes: Floats, sure: Bools, window: Window, config: PillarsConfig) -> Targets:
+    """Assigns anchors to boxes (K, 7), z over the road; those not `sure` (K,) are not judged."""
+    rows, columns = (side // STRIDE for side in window.size)
+    overlap = np.zeros(ANCHOR_YAWS * rows * columns, np.float32)
+    owner = np.full(len(overlap), NO_OWNER, np.int32)
+    step_m = STRIDE * config.cell_m
+    grid = np.array([*window.low, step_m, *config.anchor_m[:2]], np.float64)
+    _assign(np.ascontiguousarray(boxes, np.float64), grid, rows, columns, overlap, owner)
+    sure_owner = (owner >= 0) & np.append(sure, False)[owner]
+    is_vehicle = sure_owner & (overlap >= VEHICLE_IOU)
+    _claim_best(overlap, owner, len(boxes), is_vehicle, sure)
+    faint = (owner >= 0) & ~sure_owner & (overlap >= FAINT_IOU)
+    counts = is_vehicle | ~((overlap >= NOTHING_IOU) | faint)
+    place = np.flatnonzero(is_vehicle).astype(np.int32)
+    kind, cell = np.divmod(place, rows * columns)
+    middle = middle_of(cell, window, config)
+    terms = terms_of(boxes[owner[place]], middle, kind, config)
+    return Targets(is_vehicle, counts, place, terms)
+
+
+@njit(
+    "void(float64[:,::1], float64[::1], int64, int64, float32[::1], int32[::1])",
+    cache=True,
+    nogil=True,
+)
+def _assign(
+    boxes: Floats, grid: Floats, rows: int, columns: int, overlap: Floats32, owner: Ints32
+) -> None:
+    """Gives each anchor the box it overlaps most, both laid along the axes."""
+    low_x, low_y, step_m, length_m, width_m = grid
+    for index in range(boxes.shape[0]):
+        x, y, long_m, wide_m = boxes[index, 0], boxes[index, 1], boxes[index, 3], boxes[index, 4]
+        if abs(np.sin(boxes[index, 6])) > abs(np.cos(boxes[index, 6])):
+            long_m, wide_m = wide_m, long_m
+        reach_m = (max(long_m, wide_m) + length_m) / 2
+        first_row = max(int((y - reach_m - low_y) / step_m), 0)
+        last_row = min(int((y + reach_m - low_y) / step_m), rows - 1)
+        first_column = max(int((x - reach_m - low_x) / step_m), 0)
+        last_column = min(int((x + reach_m - low_x) / step_m), columns - 1)
+        for row in range(first_row, last_row + 1):
+            off_y = abs(low_y + (row + 0.5) * step_m - y)
+            for column in range(first_column, last_column + 1):
+                off_x = abs(low_x + (column + 0.5) * step_m - x)
+                for kind in range(2):
+                    along = length_m if kind == 0 else width_m
+                    across = width_m if kind == 0 else length_m
+                    common_x = min(min(long_m, along), (long_m + along) / 2 - off_x)
+                    common_y = min(min(wide_m, across), (wide_m + across) / 2 - off_y)
+                    if common_x <= 0 or common_y <= 0:
+                        continue
+                    area = common_x * common_y
+                    iou = area / (long_m * wide_m + length_m * width_m - area)
+                    place = (kind * rows + row) * columns + column
+                    if iou > overlap[place]:
+                        overlap[place] = iou
+                        owner[place] = index
+
+
+@njit("void(float32[::1], int32[::1], int64, boolean[::1], boolean[::1])", cache=True, nogil=True)
+def _claim_best(
+    overlap: Floats32, owner: Ints32, boxes: int, is_vehicle: Bools, sure: Bools
+) -> None:
+    """Makes each sure box's best anchor a vehicle, so that none is without."""
+    best = np.full(boxes, -1, np.int64)
+    for place in range(owner.size):
+        index = owner[place]
+        if (
+            index >= 0
+            and sure[index]
+            and (best[index] < 0 or overlap[place] > overlap[best[index]])
+        ):
+            best[index] = place
+    for index in range(boxes):
+        if best[index] >= 0:
+            is_vehicle[best[index]] = True
+
 
 SURE_POINTS = 3  # fewer on a vehicle tell too little to ask for it
 WIDE_M = 60.0  # how far beyond the lanes the road's height is known
@@ -27,8 +123,8 @@ _BELOW_M, _ABOVE_M = 2.0, 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
-    """A moment made ready, by shot: points (N, 3), map frame, on the road and around it.
+class PlacedSample:
+    """A sample made ready, by scan: points (N, 3), map frame, on the road and around it.
 
     `height_m` (N,) is over the road. The boxes (M, 7) have z over the road; `points_on` (S, M).
     """
@@ -48,44 +144,44 @@ class Example:
     targets: Targets
 
 
-class Roads:
-    """The rasters of one network, for moments on it."""
+class RoadRasters:
+    """The rasters of one network, for samples on it."""
 
     def __init__(self, road_map: RoadMap) -> None:
         self._wide = Roadway.of(road_map, margin_m=WIDE_M)
         self._fence = Roadway.of(road_map, margin_m=FENCE_M)
 
-    def sight(self, moment: Moment) -> Sight:
-        """Places a moment's shots on the road."""
+    def placed(self, sample: SceneSample) -> PlacedSample:
+        """Places a sample's scans on the road."""
         placed = [
-            self._wide.place(shot.points, shot.map_SE3_sensor, below_m=_BELOW_M, above_m=_ABOVE_M)
-            for shot in moment.shots
+            self._wide.place(scan.points, scan.map_SE3_sensor, below_m=_BELOW_M, above_m=_ABOVE_M)
+            for scan in sample.scans
         ]
-        boxes = moment.boxes.copy()
+        boxes = sample.boxes.copy()
         boxes[:, 2] -= self._wide.height_at(boxes)
-        return Sight(
+        return PlacedSample(
             [part.points for part in placed],
             [part.points[:, 2] - part.road_m for part in placed],
             [self._fence.contains(part.points) for part in placed],
             boxes,
-            moment.points_on,
+            sample.points_on,
         )
 
 
 def example_of(
-    sight: Sight, cells: int, config: PillarsConfig, rng: np.random.Generator
+    sample: PlacedSample, cells: int, config: PillarsConfig, rng: np.random.Generator
 ) -> Example:
-    """Draws a window of so many cells from a moment."""
-    shots = _some_shots(len(sight.points), rng)
-    seen = sight.points_on[shots].sum(axis=0)
-    middle = _middle(sight, shots, sight.boxes[seen >= SURE_POINTS], rng)
+    """Draws a window of so many cells from a sample."""
+    scans = _some_scans(len(sample.points), rng)
+    seen = sample.points_on[scans].sum(axis=0)
+    middle = _middle(sample, scans, sample.boxes[seen >= SURE_POINTS], rng)
     half_m = cells * config.cell_m / 2
     thinning, turn = _Thinning.draw(rng), _Turn(rng)
-    points, height_m = _gather(sight, shots, thinning, turn, middle, half_m * np.sqrt(2))
+    points, height_m = _gather(sample, scans, thinning, turn, middle, half_m * np.sqrt(2))
     lift_m = rng.normal(0, LIFT_STD_M)
     window = Window(np.array([-half_m, -half_m]), cells, cells)
     pillars = pillars_of(points, height_m + np.float32(lift_m), window, config)
-    boxes = turn.boxes(sight.boxes - np.array([*middle, 0, 0, 0, 0, 0]))
+    boxes = turn.boxes(sample.boxes - np.array([*middle, 0, 0, 0, 0, 0]))
     boxes[:, 2] += lift_m
     inside = (np.abs(boxes[:, :2]) < half_m).all(axis=1) & (seen > 0)
     targets = targets_of(boxes[inside], seen[inside] >= SURE_POINTS, window, config)
@@ -129,15 +225,17 @@ class _Turn:
         return moved
 
 
-def _some_shots(count: int, rng: np.random.Generator) -> list[int]:
-    """Returns one shot, or several to be merged, as likely."""
+def _some_scans(count: int, rng: np.random.Generator) -> list[int]:
+    """Returns one scan, or several to be merged, as likely."""
     size = 1 if rng.random() < 0.5 else int(rng.integers(1, count + 1))
     return [int(i) for i in rng.permutation(count)[:size]]
 
 
-def _middle(sight: Sight, shots: list[int], seen: Floats, rng: np.random.Generator) -> Floats:
+def _middle(
+    sample: PlacedSample, scans: list[int], seen: Floats, rng: np.random.Generator
+) -> Floats:
     """Returns where the window lies: around a vehicle that is seen, else around any point."""
-    points = sight.points[shots[0]]
+    points = sample.points[scans[0]]
     place = np.zeros(2)
     if len(seen) and rng.random() < 0.85:
         place = seen[rng.integers(len(seen)), :2]
@@ -147,22 +245,22 @@ def _middle(sight: Sight, shots: list[int], seen: Floats, rng: np.random.Generat
 
 
 def _gather(
-    sight: Sight,
-    shots: list[int],
+    sample: PlacedSample,
+    scans: list[int],
     thinning: _Thinning,
     turn: _Turn,
     middle: Floats,
     reach_m: float,
 ) -> tuple[Floats32, Floats32]:
     """Returns what is left near the middle, turned about it: points (N, 3) and heights (N,)."""
-    room = sum(len(sight.points[shot]) for shot in shots)
+    room = sum(len(sample.points[scan]) for scan in scans)
     points, height_m = np.empty((room, 3), np.float32), np.empty(room, np.float32)
     frame = np.array([*middle, reach_m, *turn.matrix.reshape(-1), turn.scale])
     rule = np.array([thinning.fenced, thinning.least_m, thinning.share])
     count = 0
-    for shot in shots:
-        part = (sight.points[shot], sight.height_m[shot], sight.on_road[shot])
-        seed = thinning.seed + shot
+    for scan in scans:
+        part = (sample.points[scan], sample.height_m[scan], sample.on_road[scan])
+        seed = thinning.seed + scan
         count += _take(*part, frame, rule, seed, points[count:], height_m[count:])
     return points[:count], height_m[:count]
 

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from learning.kitti import CALIB
-from learning.layout import (
+from learning.dataset import (
     DESCRIPTION,
     INFO,
     NET,
@@ -31,25 +30,26 @@ from learning.layout import (
     split_path,
     splits,
 )
-from learning.observe import Observatory
+from learning.kitti import CALIB
+from learning.scanner import JunctionScanner
 from learning.sites import draw_site
 from protocol.errors import ConfigError
 
-MAX_NETWORKS, MAX_MOMENTS = 1000, 500
+MAX_NETWORKS, MAX_SAMPLES = 1000, 500
 _PARTS = ".parts"
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class DatasetSpec:
     """What a dataset is made from; the same gives the same bytes."""
 
     networks: int
-    moments: int
+    samples: int
     seed: int
 
 
 def generate(
-    folder: Path, asked: Asked, jobs: int, report: Callable[[int, int], None] = lambda *_: None
+    folder: Path, spec: DatasetSpec, jobs: int, report: Callable[[int, int], None] = lambda *_: None
 ) -> None:
     """Writes the dataset into a folder that must be new or empty.
 
@@ -59,17 +59,17 @@ def generate(
     Raises:
         ConfigError: a number is out of bounds, the folder holds something, or SUMO fails.
     """
-    _check(asked, jobs)
+    _check(spec, jobs)
     try:
         _prepare(folder)
-        with _nothing_half_done(folder):
-            _write(folder, asked, jobs, report)
+        with _emptied_on_failure(folder):
+            _write(folder, spec, jobs, report)
     except OSError as error:
         raise ConfigError(f"{error.filename or folder}: {error.strerror or error}") from None
 
 
 @contextmanager
-def _nothing_half_done(folder: Path) -> Iterator[None]:
+def _emptied_on_failure(folder: Path) -> Iterator[None]:
     """Empties a folder again should what happens inside not come to its end."""
     try:
         yield
@@ -79,26 +79,26 @@ def _nothing_half_done(folder: Path) -> Iterator[None]:
         raise
 
 
-def _write(folder: Path, asked: Asked, jobs: int, report: Callable[[int, int], None]) -> None:
-    by_split = _collect(folder, asked, jobs, report)
+def _write(folder: Path, spec: DatasetSpec, jobs: int, report: Callable[[int, int], None]) -> None:
+    by_split = _collect(folder, spec, jobs, report)
     for split, indices in by_split.items():
         text = "".join(f"{index:06d}\n" for index in indices)
         split_path(folder, split).write_text(text, "utf-8")
     (folder / _PARTS).rmdir()
-    info = Info(version=VERSION, networks=asked.networks, moments=asked.moments, seed=asked.seed)
+    info = Info(version=VERSION, networks=spec.networks, samples=spec.samples, seed=spec.seed)
     (folder / INFO).write_text(info.model_dump_json(indent=2) + "\n", "utf-8")
 
 
 def _collect(
-    folder: Path, asked: Asked, jobs: int, report: Callable[[int, int], None]
+    folder: Path, spec: DatasetSpec, jobs: int, report: Callable[[int, int], None]
 ) -> dict[Split, list[int]]:
     """Numbers the scans of all networks as they come; returns the indices of each split."""
     scans = 0
     by_split: dict[Split, list[int]] = {split: [] for split in SPLITS}
-    made = _made(folder / _PARTS, asked, jobs)
+    made = _generated(folder / _PARTS, spec, jobs)
     with (folder / POSES).open("w", encoding="utf-8") as poses:
         for done, (split, (part, rows)) in enumerate(
-            zip(splits(asked.networks), made, strict=True), 1
+            zip(splits(spec.networks), made, strict=True), 1
         ):
             for local, row in enumerate(rows):
                 here = scan_paths(part, local), scan_paths(folder, scans)
@@ -113,11 +113,11 @@ def _collect(
     return by_split
 
 
-def _check(asked: Asked, jobs: int) -> None:
+def _check(spec: DatasetSpec, jobs: int) -> None:
     limits = {
-        "--networks": (asked.networks, 1, MAX_NETWORKS),
-        "--moments": (asked.moments, 1, MAX_MOMENTS),
-        "--seed": (asked.seed, 0, 2**31 - 1),
+        "--networks": (spec.networks, 1, MAX_NETWORKS),
+        "--samples": (spec.samples, 1, MAX_SAMPLES),
+        "--seed": (spec.seed, 0, 2**31 - 1),
         "--jobs": (jobs, 1, 256),
     }
     for name, (value, low, high) in limits.items():
@@ -137,15 +137,15 @@ def _prepare(folder: Path) -> None:
         path.mkdir(parents=True)
 
 
-def _made(parts: Path, asked: Asked, jobs: int) -> Iterator[tuple[Path, list[ScanRow]]]:
+def _generated(parts: Path, spec: DatasetSpec, jobs: int) -> Iterator[tuple[Path, list[ScanRow]]]:
     """Yields each network's folder and its lines of `poses.jsonl`, in the order of numbers."""
     context = multiprocessing.get_context("spawn")
-    workers = min(jobs, asked.networks)
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_undisturbed)
+    workers = min(jobs, spec.networks)
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_ignore_interrupt)
     try:
         futures = [
-            pool.submit(_make, parts, asked.seed, number, asked.moments)
-            for number in range(asked.networks)
+            pool.submit(_make, parts, spec.seed, number, spec.samples)
+            for number in range(spec.networks)
         ]
         for future in futures:
             yield future.result()
@@ -158,30 +158,30 @@ def _made(parts: Path, asked: Asked, jobs: int) -> Iterator[tuple[Path, list[Sca
         pool.shutdown(cancel_futures=True)
 
 
-def _undisturbed() -> None:
+def _ignore_interrupt() -> None:
     """Leaves Ctrl-C to the process that collects."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _make(parts: Path, seed: int, number: int, moments: int) -> tuple[Path, list[ScanRow]]:
+def _make(parts: Path, seed: int, number: int, samples: int) -> tuple[Path, list[ScanRow]]:
     site = draw_site(seed, number)
     try:
-        observatory = Observatory(site, moments)
+        scanner = JunctionScanner(site, samples)
     except ConfigError as error:
         raise ConfigError(f"{site.name}: {error}") from None
     part = parts / site.name
     for path in (*(target.parent for target in scan_paths(part, 0)), part / NETWORKS):
         path.mkdir(parents=True)
     rows = []
-    for local, observed in enumerate(observatory.scans()):
+    for local, observed in enumerate(scanner.scans()):
         cloud, labels, calib = scan_paths(part, local)
         cloud.write_bytes(observed.points.astype("<f4").tobytes())
         labels.write_text("".join(f"{label.line}\n" for label in observed.labels), "utf-8")
         calib.write_text(CALIB, "utf-8")
         rows.append(observed.row)
     description: dict[str, Any] = site.model_dump(mode="json")
-    description["mounts"] = [mount.model_dump(mode="json") for mount in observatory.mounts]
-    (part / NETWORKS / NET).write_text(observatory.net, "utf-8")
-    (part / NETWORKS / ROAD_MAP).write_text(observatory.road_map.model_dump_json() + "\n", "utf-8")
+    description["mounts"] = [mount.model_dump(mode="json") for mount in scanner.mounts]
+    (part / NETWORKS / NET).write_text(scanner.net, "utf-8")
+    (part / NETWORKS / ROAD_MAP).write_text(scanner.road_map.model_dump_json() + "\n", "utf-8")
     (part / NETWORKS / DESCRIPTION).write_text(json.dumps(description, indent=1) + "\n", "utf-8")
     return part, rows

@@ -1,15 +1,17 @@
-"""What is drawn for each network: junction, traffic, scene, weather, LiDAR and where they stand."""
+"""Random draws for each network: junction, traffic, scene, weather, LiDARs and their mounts."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
 from pydantic import Field
 
+from learning.dataset import Kind
 from protocol.config import Section
 from protocol.roadmap import RoadMap
-from sensing.config import LidarConfig, Mount, SceneConfig
+from sensing.config import LidarConfig, Mount, PoseErrorConfig, SceneConfig
 from sensing.noise import stream
 from sensing.road import RoadArea
 from sim_host.config import MeshName, TrafficConfig, VehicleSpec
@@ -143,3 +145,27 @@ def _lidar(rng: np.random.Generator) -> LidarConfig:
         dropoff_general_rate=round(rng.uniform(0.15, 0.4) if bad else rng.uniform(0.05, 0.15), 3),
         noise_stddev=round(rng.uniform(0.02, 0.04) if bad else rng.uniform(0.01, 0.025), 4),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Sensors:
+    """LiDARs of posts and of CAVs: what they are, where they stand, how well CAVs know that.
+
+    Without `mounts`, posts are drawn beside the road. `roof_m` is the range of the CAVs' sensor
+    heights.
+    """
+
+    roadside: LidarConfig
+    vehicle: LidarConfig
+    mounts: tuple[Mount, ...] | None
+    roof_m: tuple[float, float]
+    pose: PoseErrorConfig
+
+    @classmethod
+    def drawn(cls, site: Site) -> Sensors:
+        """Returns those of a generated network."""
+        return cls(site.lidar, site.lidar, None, site.roof_m, PoseErrorConfig())
+
+    def lidar(self, kind: Kind) -> LidarConfig:
+        """Returns the LiDAR of posts or of CAVs."""
+        return self.roadside if kind == "roadside" else self.vehicle

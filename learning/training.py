@@ -1,38 +1,128 @@
-"""Training: steps of AdamW over windows drawn by seed and step, so that it can be resumed."""
+"""Training of PointPillars: samples in memory, the loss, steps of AdamW that can be resumed.
+
+Windows are drawn by seed and step; `train` is what `cpnet train` calls.
+"""
 
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 import torch
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 
-from learning.examples import Example, Sight, example_of
-from learning.loss import losses_of
-from perception.pillars.config import PillarsConfig
-from perception.pillars.network import Batch, PointPillars, lay_channels_last
+from learning.dataset import Dataset, Split
+from learning.examples import Example, PlacedSample, RoadRasters, Targets, example_of
+from perception.pillars.config import ANCHOR_YAWS, NETWORKS, PillarsConfig
+from perception.pillars.network import BOX_TERMS, Batch, PointPillars, lay_channels_last
+from perception.pillars.weights import save
 from protocol.errors import ConfigError
+from protocol.files import is_file
+
+KEPT_BYTES = 8 << 30
+
+
+class PlacedSamples:
+    """One split of a data set."""
+
+    def __init__(self, dataset: Dataset, split: Split) -> None:
+        self._dataset = dataset
+        self._samples = dataset.samples(split)
+        self._kept: dict[int, PlacedSample] = {}
+        self._kept_bytes = 0
+        self._roads = lru_cache(64)(lambda network: RoadRasters(dataset.road_map(network)))
+
+    def __len__(self) -> int:
+        return len(self._samples)
+
+    def __getitem__(self, index: int) -> PlacedSample:
+        """Returns a sample, read again if there was no room for it.
+
+        Raises:
+            ConfigError: its files cannot be read.
+        """
+        sample = self._kept.get(index)
+        if sample is None:
+            network, frame = self._samples[index]
+            sample = self._roads(network).placed(self._dataset.load(network, frame))
+            size_bytes = sum(points.nbytes * 2 for points in sample.points)
+            if self._kept_bytes + size_bytes <= KEPT_BYTES:
+                self._kept[index] = sample
+                self._kept_bytes += size_bytes
+        return sample
+
+
+ALPHA, GAMMA = 0.25, 2.0
+BOX_WEIGHT = 2.0
+_BETA = 1 / 9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Losses:
+    """Both parts, by vehicle anchor; their sum is what is lowered."""
+
+    score: Tensor
+    box: Tensor
+
+    @property
+    def total(self) -> Tensor:
+        """The weighted sum."""
+        return self.score + BOX_WEIGHT * self.box
+
+
+def losses_of(head: Tensor, targets: list[Targets], device: torch.device) -> Losses:
+    """Compares the head's output (B, 16, H, W) with the targets of each window."""
+    windows = len(head)
+    logits = head[:, :ANCHOR_YAWS].reshape(windows, -1).float()
+    wanted = torch.from_numpy(np.stack([t.is_vehicle for t in targets])).to(device).float()
+    counts = torch.from_numpy(np.stack([t.counts for t in targets])).to(device).float()
+    vehicles = max(float(sum(len(t.place) for t in targets)), 1.0)
+    chance = torch.sigmoid(logits)
+    miss = wanted * (1 - chance) + (1 - wanted) * chance
+    weight = (wanted * ALPHA + (1 - wanted) * (1 - ALPHA)) * miss**GAMMA * counts
+    entropy = binary_cross_entropy_with_logits(logits, wanted, reduction="none")
+    return Losses((weight * entropy).sum() / vehicles, _box_loss(head, targets, device) / vehicles)
+
+
+def _box_loss(head: Tensor, targets: list[Targets], device: torch.device) -> Tensor:
+    windows, cells = len(head), head.shape[2] * head.shape[3]
+    terms = head[:, ANCHOR_YAWS:].reshape(windows, ANCHOR_YAWS, BOX_TERMS, cells)
+    by_anchor = terms.permute(0, 1, 3, 2).reshape(-1, BOX_TERMS)
+    anchors = ANCHOR_YAWS * cells
+    places = [number * anchors + t.place.astype(np.int64) for number, t in enumerate(targets)]
+    said = by_anchor[torch.from_numpy(np.concatenate(places)).to(device)].float()
+    wanted = torch.from_numpy(np.concatenate([t.terms for t in targets])).to(device)
+    off = said[:, :6] - wanted[:, :6]
+    turn = torch.sin(said[:, 6] - wanted[:, 6])
+    both = torch.cat([off, turn[:, None]], 1)
+    return smooth_l1_loss(both, torch.zeros_like(both), beta=_BETA, reduction="sum")
+
 
 _WARM_UP = 0.1  # share of the steps in which the rate rises
 _CLIP = 10.0
 _STATE = "training.safetensors"
-_MOMENTS = ("exp_avg", "exp_avg_sq", "step")
+_OPTIMISER_STATE = ("exp_avg", "exp_avg_sq", "step")
 
 
-class Sights(Protocol):
+class SampleSource(Protocol):
     """Moments ready to draw windows from."""
 
     def __len__(self) -> int:
         """How many there are."""
 
-    def __getitem__(self, index: int) -> Sight:
+    def __getitem__(self, index: int) -> PlacedSample:
         """Returns one."""
 
 
@@ -60,7 +150,7 @@ class Recipe:
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class StepLosses:
     """What a step gave."""
 
     step: int
@@ -84,22 +174,22 @@ class Trainer:
             self.network.parameters(), lr=recipe.rate, weight_decay=recipe.decay
         )
 
-    def run(self, sights: Sights) -> Iterator[Progress]:
+    def run(self, samples: SampleSource) -> Iterator[StepLosses]:
         """Yields after each step; windows of the next one are drawn meanwhile."""
         with ThreadPoolExecutor(1) as pool:
-            ahead = pool.submit(self._draw, sights, self.step)
+            ahead = pool.submit(self._draw, samples, self.step)
             while self.step < self.recipe.steps:
                 examples = ahead.result()
-                ahead = pool.submit(self._draw, sights, min(self.step + 1, self.recipe.steps - 1))
+                ahead = pool.submit(self._draw, samples, min(self.step + 1, self.recipe.steps - 1))
                 yield self._learn(examples)
 
-    def _draw(self, sights: Sights, step: int) -> list[Example]:
+    def _draw(self, samples: SampleSource, step: int) -> list[Example]:
         rng = np.random.default_rng([self.recipe.seed, step])
-        chosen = rng.integers(len(sights), size=self.recipe.windows)
+        chosen = rng.integers(len(samples), size=self.recipe.windows)
         config = self.network.config
-        return [example_of(sights[int(i)], self.recipe.cells, config, rng) for i in chosen]
+        return [example_of(samples[int(i)], self.recipe.cells, config, rng) for i in chosen]
 
-    def _learn(self, examples: list[Example]) -> Progress:
+    def _learn(self, examples: list[Example]) -> StepLosses:
         self.network.train()
         for group in self._optimiser.param_groups:
             group["lr"] = self.recipe.rate_at(self.step)
@@ -112,7 +202,7 @@ class Trainer:
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), _CLIP)
         self._optimiser.step()
         self.step += 1
-        return Progress(self.step, float(losses.score.detach()), float(losses.box.detach()))
+        return StepLosses(self.step, float(losses.score.detach()), float(losses.box.detach()))
 
     def save(self, folder: Path) -> None:
         """Writes what `resume` needs; an older state is replaced whole."""
@@ -121,7 +211,7 @@ class Trainer:
             state = self._optimiser.state[parameter]
             tensors |= {
                 f"optimiser.{number}.{key}": torch.as_tensor(state[key]).contiguous()
-                for key in _MOMENTS
+                for key in _OPTIMISER_STATE
                 if key in state
             }
         temporary = folder / f"{_STATE}.tmp"
@@ -159,7 +249,7 @@ class Trainer:
                 key: tensors[f"optimiser.{number}.{key}"].to(
                     self._device if key != "step" else "cpu"
                 )
-                for key in _MOMENTS
+                for key in _OPTIMISER_STATE
                 if f"optimiser.{number}.{key}" in tensors
             }
         self.step = step
@@ -167,3 +257,87 @@ class Trainer:
 
     def _recipe_text(self) -> str:
         return json.dumps([self.network.config.model_dump(), self.recipe.as_dict()])
+
+
+KEPT_LOSSES = 200  # steps whose mean loss is shown
+SAVE_EVERY_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Training:
+    """What is trained, on what, and where the weights and the state go."""
+
+    dataset: Path
+    out: Path
+    network: str
+    recipe: Recipe
+
+    def check(self) -> None:
+        """Raises ConfigError if it cannot be done."""
+        if self.network not in NETWORKS:
+            raise ConfigError(f"network {self.network!r}: allowed are {', '.join(NETWORKS)}")
+        least = {"steps": 1, "windows": 1, "cells": 64}
+        for name, low in least.items():
+            value = getattr(self.recipe, name)
+            if value < low or (name == "cells" and value % 8):
+                raise ConfigError(f"--{name} {value}: must be at least {low}, cells in steps of 8")
+        if is_file(self.out):
+            raise ConfigError(f"--out {self.out}: is a file, needs a folder")
+
+
+def train(training: Training, console: Console) -> Path:
+    """Trains, or goes on with what lies in the folder; returns the weights' file.
+
+    Raises:
+        ConfigError: the data set or the folder's state cannot be read, or the folder be made.
+    """
+    training.check()
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    samples = PlacedSamples(Dataset(training.dataset), "train")
+    if not len(samples):
+        raise ConfigError(f"dataset {training.dataset}: its training split is empty")
+    try:
+        training.out.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"--out {training.out}: {error}") from None
+    trainer = Trainer(NETWORKS[training.network], training.recipe, device)
+    if trainer.resume(training.out):
+        console.print(f"going on after step {trainer.step}")
+    _run(trainer, samples, training.out, console)
+    path = training.out / f"{training.network}.safetensors"
+    save(trainer.network, path, about_of(training, len(samples)))
+    return path
+
+
+def about_of(training: Training, samples: int) -> dict[str, object]:
+    """Returns what the weights' file says of its making."""
+    return {
+        "network": training.network,
+        "recipe": training.recipe.as_dict(),
+        "dataset": Dataset(training.dataset).info.model_dump(),
+        "samples": samples,
+    }
+
+
+def _run(trainer: Trainer, samples: PlacedSamples, out: Path, console: Console) -> None:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    losses: list[tuple[float, float]] = []
+    saved_s = time.monotonic()
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task("training", total=trainer.recipe.steps, completed=trainer.step)
+        for step in trainer.run(samples):
+            losses = [*losses, (step.score_loss, step.box_loss)][-KEPT_LOSSES:]
+            score, box = np.mean(losses, axis=0)
+            text = f"loss {score:.3f} score, {box:.3f} box"
+            bar.update(task, completed=step.step, description=text)
+            if step.step % KEPT_LOSSES == 0 and not console.is_terminal:
+                console.print(f"step {step.step}: {text}")
+            if time.monotonic() - saved_s > SAVE_EVERY_S:
+                trainer.save(out)
+                saved_s = time.monotonic()
+    trainer.save(out)

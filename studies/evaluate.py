@@ -18,7 +18,7 @@ import numpy as np
 from edge_server.config import EdgeConfig
 from edge_server.fusion import fuse
 from edge_server.lanes import LaneIndex
-from learning.moments import Moment
+from learning.dataset import SceneSample
 from perception.arrays import Bools, Floats, Ints
 from perception.config import LEARNED, DetectorName
 from perception.detector import Cloud, Detector, Vehicles
@@ -126,9 +126,9 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What a detector finds at a moment.
+    """What a detector finds at a sample.
 
-    In each scan alone, in the order of the shots; in all points together (early fusion); and in
+    In each scan alone, in the order of the scans; in all points together (early fusion); and in
     each scan alone, duplicates removed (late fusion). But for the last, boxes are listed whose
     score is too low to be taken for vehicles.
     """
@@ -174,9 +174,9 @@ class Site:
         """Returns the score from which the edge takes a box for a vehicle."""
         return self._config.pillars.min_score if name in LEARNED else 0.0
 
-    def place(self, moment: Moment, shot: int, *, geofence: bool) -> Placed:
+    def place(self, sample: SceneSample, number: int, *, geofence: bool) -> Placed:
         """Moves a scan into the map; without the geofence, whatever its height."""
-        fence, scan = self._config.geofence, moment.shots[shot]
+        fence, scan = self._config.geofence, sample.scans[number]
         below_m, above_m = (fence.below_m, fence.above_m) if geofence else (np.inf, np.inf)
         near = (np.abs(scan.points[:, :2]) < CUT_M).all(axis=1)
         return self.roadway(geofence=geofence).place(
@@ -194,7 +194,7 @@ class Site:
 
 
 def evaluate(
-    moments: Iterable[tuple[Site, Moment]], detectors: Sequence[DetectorName]
+    samples: Iterable[tuple[Site, SceneSample]], detectors: Sequence[DetectorName]
 ) -> list[EvalRow]:
     """Returns all rows of these detectors.
 
@@ -203,24 +203,24 @@ def evaluate(
     """
     judged: dict[tuple[str, bool, Kind], list[Judged]] = {}
     least: dict[str, float] = {}
-    for site, moment in moments:
+    for site, sample in samples:
         for name in detectors:
             least[name] = site.least_score(name)
             for geofence in (True, False):
-                for kind, one in judge(site, moment, name, geofence=geofence):
+                for kind, one in judge(site, sample, name, geofence=geofence):
                     judged.setdefault((name, geofence, kind), []).append(one)
     return [row for key, scenes in judged.items() for row in rows_of(*key, scenes, least[key[0]])]
 
 
-def find(site: Site, moment: Moment, name: DetectorName, *, geofence: bool) -> Found:
-    """Detects in a moment's scans, alone and together."""
+def find(site: Site, sample: SceneSample, name: DetectorName, *, geofence: bool) -> Found:
+    """Detects in a sample's scans, alone and together."""
     detector = site.detector(name, geofence=geofence)
-    placed = [site.place(moment, n, geofence=geofence) for n in range(len(moment.shots))]
-    sensors = np.array([shot.map_SE3_sensor.translation for shot in moment.shots])
+    placed = [site.place(sample, n, geofence=geofence) for n in range(len(sample.scans))]
+    sensors = np.array([scan.map_SE3_sensor.translation for scan in sample.scans])
     cut = [_cut(part, site.centre) for part in placed]
 
     def timed(near: Sequence[Placed], seen_from: Floats, number: int) -> Timed:
-        rng = np.random.default_rng([moment.frame, number])
+        rng = np.random.default_rng([sample.frame, number])
         start = time.perf_counter()
         found = detector.detect(Cloud(near, [], seen_from), rng)
         return found, 1e3 * (time.perf_counter() - start)
@@ -235,10 +235,10 @@ def find(site: Site, moment: Moment, name: DetectorName, *, geofence: bool) -> F
 
 
 def judge(
-    site: Site, moment: Moment, name: DetectorName, *, geofence: bool
+    site: Site, sample: SceneSample, name: DetectorName, *, geofence: bool
 ) -> list[tuple[Kind, Judged]]:
-    """Detects in a moment's scans, alone and together, and compares with the truth."""
-    on_road = site.on_road(moment.boxes) if geofence else np.ones(len(moment.boxes), np.bool_)
+    """Detects in a sample's scans, alone and together, and compares with the truth."""
+    on_road = site.on_road(sample.boxes) if geofence else np.ones(len(sample.boxes), np.bool_)
 
     def judged(result: Timed, map_SE3_scene: SE3, seen: tuple[Ints, Bools]) -> Judged:
         found, took_ms = result
@@ -246,20 +246,20 @@ def judge(
             found = found.take(site.on_road(found.boxes))
         points, counts = seen
         return Judged(
-            Scene.of(found.boxes, found.scores, moment.boxes),
+            Scene.of(found.boxes, found.scores, sample.boxes),
             _away_m(found.boxes, map_SE3_scene),
-            np.where(counts, _away_m(moment.boxes, map_SE3_scene), np.inf),
+            np.where(counts, _away_m(sample.boxes, map_SE3_scene), np.inf),
             points,
             took_ms,
         )
 
     result: list[tuple[Kind, Judged]] = []
-    found = find(site, moment, name, geofence=geofence)
-    for number, (shot, single) in enumerate(zip(moment.shots, found.singles, strict=True)):
-        others = on_road & (np.arange(len(moment.boxes)) != (-1 if shot.own is None else shot.own))
-        seen = moment.points_on[number], others
-        result.append((KINDS[0], judged(single, shot.map_SE3_sensor, seen)))
-    together = moment.points_on.sum(axis=0), on_road
+    found = find(site, sample, name, geofence=geofence)
+    for number, (scan, single) in enumerate(zip(sample.scans, found.singles, strict=True)):
+        others = on_road & (np.arange(len(sample.boxes)) != (-1 if scan.own is None else scan.own))
+        seen = sample.points_on[number], others
+        result.append((KINDS[0], judged(single, scan.map_SE3_sensor, seen)))
+    together = sample.points_on.sum(axis=0), on_road
     result.append((KINDS[1], judged(found.merged, site.centre, together)))
     result.append((KINDS[2], judged(found.late, site.centre, together)))
     return result

@@ -1,1 +1,1 @@
-"""How well vehicles are found at single moments: Table 1 of Chen et al. 2022, and its pictures."""
+"""How well vehicles are found at single samples: Table 1 of Chen et al. 2022, and its pictures."""

@@ -15,7 +15,7 @@ from studies.evaluate import EvalRow
 from studies.sweep.cells import Store, identify, write_whole
 
 SCHEMA = 1
-"""To be raised when the same moments would give other rows: all is measured anew."""
+"""To be raised when the same samples would give other rows: all is measured anew."""
 
 _DECIDE = (
     "seed", "traffic", "lidar", "sensor_height_m", "roadside_mounts", "scene", "pose", "edge",
@@ -23,27 +23,27 @@ _DECIDE = (
 
 
 def accuracy_of(
-    scenario: Scenario, detectors: Sequence[DetectorName], moments: int, store_folder: Path
+    scenario: Scenario, detectors: Sequence[DetectorName], samples: int, store_folder: Path
 ) -> list[EvalRow]:
     """Returns the rows of `measure_accuracy`: from the folder, else measured and kept there.
 
     Raises:
         ConfigError: they cannot be measured, or the folder cannot be written.
     """
-    name = identity(scenario, detectors, moments)
+    name = identity(scenario, detectors, samples)
     path = Store.at(store_folder).folder / f"accuracy-{name}.json"
     rows = _read(path, name)
     if rows is None:
-        rows = measure_accuracy(scenario, detectors, moments)
+        rows = measure_accuracy(scenario, detectors, samples)
         data = {"id": name, "rows": [row.as_json() for row in rows]}
         write_whole(path, json.dumps(data, indent=1).encode())
     return rows
 
 
-def identity(scenario: Scenario, detectors: Sequence[DetectorName], moments: int) -> str:
+def identity(scenario: Scenario, detectors: Sequence[DetectorName], samples: int) -> str:
     """Returns an id of all that decides the rows: keys, files, this version."""
     scene = identify({key: scenario[key] for key in _DECIDE})
-    decides = json.dumps([scene, list(detectors), moments, SCHEMA])
+    decides = json.dumps([scene, list(detectors), samples, SCHEMA])
     return hashlib.sha256(decides.encode()).hexdigest()[:16]
 
 

@@ -1,4 +1,4 @@
-"""AP40 at a scenario's junction, over moments some seconds apart."""
+"""AP40 at a scenario's junction, over samples some seconds apart."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from edge_server.config import EdgeConfig
-from learning.moments import Moment
-from learning.own_net import observatory_of, seen_by
+from learning.dataset import SceneSample
+from learning.scanner import samples_of, scanner_of
 from perception.config import DetectorName
 from protocol.errors import ConfigError
 from studies.evaluate import EvalRow, Site, evaluate
 
 Scenario = dict[str, Any]
-MOST_MOMENTS = 500
+MAX_SAMPLES = 500
 
 
 def measure_accuracy(
-    scenario: Scenario, detectors: Sequence[DetectorName], moments: int
+    scenario: Scenario, detectors: Sequence[DetectorName], samples: int
 ) -> list[EvalRow]:
     """Returns all rows of these detectors at the junction of a scenario with all its keys.
 
@@ -26,18 +26,18 @@ def measure_accuracy(
     Raises:
         ConfigError: the junction cannot be had, or a detector.
     """
-    site, listed = junction_of(scenario, moments)
-    return evaluate(((site, moment) for moment in listed), detectors)
+    site, listed = junction_of(scenario, samples)
+    return evaluate(((site, sample) for sample in listed), detectors)
 
 
-def junction_of(scenario: Scenario, moments: int) -> tuple[Site, Iterator[Moment]]:
-    """Returns a scenario's junction and its moments; fewer moments are the first of more.
+def junction_of(scenario: Scenario, samples: int) -> tuple[Site, Iterator[SceneSample]]:
+    """Returns a scenario's junction and its samples; fewer samples are the first of more.
 
     Raises:
         ConfigError: there are too few or too many, or the junction cannot be had.
     """
-    if not 1 <= moments <= MOST_MOMENTS:
-        raise ConfigError(f"moments {moments}: must be 1 to {MOST_MOMENTS}")
-    observatory = observatory_of(scenario, moments)
-    site = Site(observatory.road_map, EdgeConfig.model_validate(scenario["edge"]))
-    return site, seen_by(observatory)
+    if not 1 <= samples <= MAX_SAMPLES:
+        raise ConfigError(f"samples {samples}: must be 1 to {MAX_SAMPLES}")
+    scanner = scanner_of(scenario, samples)
+    site = Site(scanner.road_map, EdgeConfig.model_validate(scenario["edge"]))
+    return site, samples_of(scanner)

@@ -1,4 +1,4 @@
-"""Figures 3, 5 and 7 of Chen et al. 2022, all of one moment."""
+"""Figures 3, 5 and 7 of Chen et al. 2022, all of one sample."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from studies.accuracy.measure import Scenario, junction_of
 from studies.accuracy.view import best_of, view_of
 from studies.page.model import Beside, Section, Text
 
-LOOKED_AT = 12  # moments, of which one is shown
+LOOKED_AT = 12  # samples, of which one is shown
 
 
-def scenes_section(scenario: Scenario, detector: DetectorName, moments: int = LOOKED_AT) -> Section:
-    """Returns clouds, detections and truth at the moment that shows most.
+def scenes_section(scenario: Scenario, detector: DetectorName, samples: int = LOOKED_AT) -> Section:
+    """Returns clouds, detections and truth at the sample that shows most.
 
     Raises:
         ConfigError: the junction cannot be had, or the detector.
     """
     title = "Figures 3, 5 and 7: clouds, detections, truth"
-    site, listed = junction_of(scenario, moments)
-    moment = best_of(listed)
-    if moment is None:
-        return Section(title, (Text("No moment had a scan, so that there is nothing to show."),))
-    view = view_of(site, moment, detector)
+    site, listed = junction_of(scenario, samples)
+    sample = best_of(listed)
+    if sample is None:
+        return Section(title, (Text("No sample had a scan, so that there is nothing to show."),))
+    view = view_of(site, sample, detector)
     return Section(
         title,
         (
             Text(
-                f"One moment of {moments}, the one with the most scans, as the detector {detector} "
+                f"One sample of {samples}, the one with the most scans, as the detector {detector} "
                 f"sees it inside the geofence; all figures are of the part that is shown."
             ),
             Text("Figure 3: clouds before and after merging."),

@@ -25,7 +25,7 @@ def accuracy_section(rows: list[EvalRow]) -> Section:
     title = "Table 1: average precision"
     whole = [row for row in rows if row.part == EVERYTHING and row.iou in SHOWN_IOUS]
     if not whole:
-        return Section(title, (Text("No moment had a scan, so that there is nothing to rank."),))
+        return Section(title, (Text("No sample had a scan, so that there is nothing to rank."),))
     tables = (
         _table(whole, geofence=False, caption="Without geofence, as in the paper: AP40, %"),
         _table(whole, geofence=True, caption="With geofence, as the edge works: AP40, %"),
@@ -71,7 +71,7 @@ def _said(rows: list[EvalRow]) -> str:
     scenes = {row.fusion: row.scenes for row in rows}
     of = {row.truth: row.vehicles for row in rows if row.fusion == "early" and not row.geofence}
     return (
-        f"{scenes['early']} moments with {scenes['none']} scans, some seconds apart, each scan one "
+        f"{scenes['early']} samples with {scenes['none']} scans, some seconds apart, each scan one "
         "revolution of a tenth of a second, as at 10 Hz: those of the posts and of up to five CAVs "
         "near the junction, drawn anew each time. Of "
         f"{of['all']} vehicles within 80 m of the junction's centre {of['visible']} are visible: "

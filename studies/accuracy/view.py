@@ -1,4 +1,4 @@
-"""One moment as its pictures show it: what lies in a window around the junction."""
+"""One sample as its pictures show it: what lies in a window around the junction."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from learning.moments import Moment
+from learning.dataset import SceneSample
 from perception.arrays import Bools, Floats, Floats32
 from perception.config import DetectorName
 from perception.detector import Vehicles
@@ -53,30 +53,30 @@ class View:
         return true, found
 
 
-def best_of(moments: Iterable[Moment]) -> Moment | None:
-    """Returns the moment with the most scans, of those the one with the most visible vehicles.
+def best_of(samples: Iterable[SceneSample]) -> SceneSample | None:
+    """Returns the sample with the most scans, of those the one with the most visible vehicles.
 
     The first of equals; None if there is none.
     """
-    return max(moments, key=_worth, default=None)
+    return max(samples, key=_worth, default=None)
 
 
-def view_of(site: Site, moment: Moment, name: DetectorName) -> View:
-    """Detects at a moment, inside the geofence.
+def view_of(site: Site, sample: SceneSample, name: DetectorName) -> View:
+    """Detects at a sample, inside the geofence.
 
     Raises:
         ConfigError: the detector cannot be had here.
     """
     window = _window(site.road_map)
-    found, least = find(site, moment, name, geofence=True), site.least_score(name)
+    found, least = find(site, sample, name, geofence=True), site.least_score(name)
 
     def shown(vehicles: Vehicles) -> Floats:
         boxes = vehicles.take(vehicles.scores >= least).boxes
         return boxes[site.on_road(boxes) & _inside(boxes, window)]
 
-    agents = _names(moment)
-    placed = [site.place(moment, n, geofence=True).points for n in range(len(agents))]
-    here = site.on_road(moment.boxes) & _inside(moment.boxes, window)
+    agents = _names(sample)
+    placed = [site.place(sample, n, geofence=True).points for n in range(len(agents))]
+    here = site.on_road(sample.boxes) & _inside(sample.boxes, window)
     return View(
         road_map=site.road_map,
         window=window,
@@ -84,8 +84,8 @@ def view_of(site: Site, moment: Moment, name: DetectorName) -> View:
         singles={a: shown(one) for a, (one, _) in zip(agents, found.singles, strict=True)},
         fused=shown(found.late[0]),
         merged=shown(found.merged[0]),
-        vehicles=moment.boxes[here],
-        visible=_visible(moment)[here],
+        vehicles=sample.boxes[here],
+        visible=_visible(sample)[here],
     )
 
 
@@ -100,20 +100,20 @@ def _window(road_map: RoadMap) -> Window:
     return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
-def _worth(moment: Moment) -> tuple[int, int]:
-    return len(moment.shots), int(_visible(moment).sum())
+def _worth(sample: SceneSample) -> tuple[int, int]:
+    return len(sample.scans), int(_visible(sample).sum())
 
 
-def _visible(moment: Moment) -> Bools:
-    return np.asarray(moment.points_on.sum(axis=0) >= VISIBLE_POINTS)
+def _visible(sample: SceneSample) -> Bools:
+    return np.asarray(sample.points_on.sum(axis=0) >= VISIBLE_POINTS)
 
 
-def _names(moment: Moment) -> list[str]:
+def _names(sample: SceneSample) -> list[str]:
     """Returns posts by their ids and CAVs by number: a vehicle's id tells the reader nothing."""
     names, cavs = [], 0
-    for shot in moment.shots:
-        cavs += shot.own is not None
-        names.append(shot.agent if shot.own is None else f"CAV {cavs}")
+    for scan in sample.scans:
+        cavs += scan.own is not None
+        names.append(scan.agent if scan.own is None else f"CAV {cavs}")
     return names
 
 

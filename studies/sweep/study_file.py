@@ -200,10 +200,10 @@ _PAGES: dict[str, dict[str, tuple[str, ...]]] = {
 
 
 class Accuracy(Section):
-    """Detectors judged scan by scan, on moments of the study's junction."""
+    """Detectors judged scan by scan, on samples of the study's junction."""
 
     detectors: list[DetectorName] = Field(min_length=1, description="side by side")
-    moments: int = Field(40, ge=1, le=500, description="some seconds apart")
+    samples: int = Field(40, ge=1, le=500, description="some seconds apart")
 
 
 class Study(Section):
@@ -335,16 +335,21 @@ def _validated(data: dict[str, Any], source: str) -> Study:
         raise ConfigError(f"{source}: " + "\n".join(lines)) from None
 
 
+_RENAMED_KEYS = {"accuracy.moments": "accuracy.samples"}
+
+
 def _explain(item: dict[str, Any]) -> str:
     *path, key = item["loc"] or ("",)
     where = ".".join(str(part) for part in item["loc"])
     if item["type"] != "extra_forbidden":
         text = item["msg"].removeprefix("Value error, ")
         return f"{where}: {text} (got {item['input']!r:.80})" if where else text
-    model = Grid if path else Study
+    if where in _RENAMED_KEYS:
+        return f"{where} is called {_RENAMED_KEYS[where]} now"
+    model = Accuracy if path == ["accuracy"] else Grid if path else Study
     allowed = [field.alias or name for name, field in model.model_fields.items()]
     allowed += [] if path else ["axes"]
-    kind = "a grid" if path else "a study"
+    kind = {Accuracy: "accuracy", Grid: "a grid", Study: "a study"}[model]
     return f"unknown key {key} in {where}; {kind} allows: {', '.join(allowed)}"
 
 

@@ -195,7 +195,7 @@ def test_a_refused_start_leaves_no_folder_behind(shell, tmp_path):
         (["full"], "not an empty folder"),
         (["file/out"], "Not a directory"),
         (["out", "--networks=0"], "--networks 0: must be 1 to 1000"),
-        (["out", "--moments=501"], "--moments 501: must be 1 to 500"),
+        (["out", "--samples=501"], "--samples 501: must be 1 to 500"),
         (["out", "--seed=-1"], "--seed -1: must be 0 to"),
         (["out", "--jobs=0"], "--jobs 0: must be 1 to"),
     ],

@@ -5,15 +5,15 @@ from pathlib import Path
 import pytest
 
 from learning.dataset import Dataset
-from learning.generate import Asked, generate
+from learning.generate import DatasetSpec, generate
 
-ASKED = Asked(networks=3, moments=2, seed=7)
+SPEC = DatasetSpec(networks=3, samples=2, seed=7)
 
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("dataset") / "small"
-    generate(path, ASKED, jobs=2)
+    generate(path, SPEC, jobs=2)
     return path
 
 

@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from learning.dataset import Dataset
+from learning.dataset import SPLITS, Dataset, Info, ScanRow, splits
 from learning.generate import generate
-from learning.layout import SPLITS, ScanRow, splits
-from learning.observe import Observatory
+from learning.scanner import JunctionScanner
 from learning.sites import draw_site
 from protocol.errors import ConfigError
 from protocol.geometry import SE3, wrap_angle
-from tests.learning.conftest import ASKED
+from tests.learning.conftest import SPEC
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -27,7 +26,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_the_bytes_depend_on_the_arguments_alone(folder, tmp_path):
-    generate(tmp_path / "again", ASKED, jobs=1)
+    generate(tmp_path / "again", SPEC, jobs=1)
     one, other = contents(folder), contents(tmp_path / "again")
     assert one.keys() == other.keys()
     assert [name for name in one if one[name] != other[name]] == []
@@ -53,23 +52,23 @@ def test_splits_are_70_15_15_with_one_each(networks, sizes):
     assert tuple(splits(networks).count(split) for split in SPLITS) == sizes
 
 
-def test_a_moment_is_read_as_it_was_seen(dataset):
-    observatory = Observatory(draw_site(ASKED.seed, 0), ASKED.moments)
-    scans = [scan for scan in observatory.scans() if scan.row.frame == 1]
-    moment = dataset.load("network-000", 1)
-    assert [shot.agent for shot in moment.shots] == [scan.row.agent for scan in scans]
+def test_a_sample_is_read_as_it_was_seen(dataset):
+    scanner = JunctionScanner(draw_site(SPEC.seed, 0), SPEC.samples)
+    scans = [scan for scan in scanner.scans() if scan.row.frame == 1]
+    sample = dataset.load("network-000", 1)
+    assert [scan.agent for scan in sample.scans] == [scan.row.agent for scan in scans]
     vehicles = sorted({label.vehicle for scan in scans for label in scan.labels})
-    assert moment.boxes.shape == (len(vehicles), 7)
-    for shot, scan, points_on in zip(moment.shots, scans, moment.points_on, strict=True):
-        np.testing.assert_array_equal(shot.points, scan.points[:, :3])
-        assert (None if shot.own is None else vehicles[shot.own]) == scan.row.own
+    assert sample.boxes.shape == (len(vehicles), 7)
+    for read, scan, points_on in zip(sample.scans, scans, sample.points_on, strict=True):
+        np.testing.assert_array_equal(read.points, scan.points[:, :3])
+        assert (None if read.own is None else vehicles[read.own]) == scan.row.own
         told = {label.vehicle: label.points for label in scan.labels}
         assert points_on.tolist() == [told.get(vehicle, 0) for vehicle in vehicles]
         believed = SE3.from_pose(scan.row.map_SE3_sensor.believed)
-        np.testing.assert_array_equal(shot.map_SE3_sensor.rotation, believed.rotation)
+        np.testing.assert_array_equal(read.map_SE3_sensor.rotation, believed.rotation)
         map_SE3_sensor = SE3.from_pose(scan.row.map_SE3_sensor.true)
         for label in scan.labels:
-            box = moment.boxes[vehicles.index(label.vehicle)]
+            box = sample.boxes[vehicles.index(label.vehicle)]
             middle = map_SE3_sensor.apply(np.array(label.box[:3]))
             np.testing.assert_allclose(box[:3], middle, atol=0.005)
             np.testing.assert_allclose(box[3:6], label.box[3:6], atol=0.001)
@@ -78,12 +77,12 @@ def test_a_moment_is_read_as_it_was_seen(dataset):
 def test_points_on_a_vehicle_lie_in_its_box(folder, dataset):
     rows = rows_of(folder)
     counted = 0
-    for network, frame in dataset.moments("train"):
-        moment = dataset.load(network, frame)
+    for network, frame in dataset.samples("train"):
+        sample = dataset.load(network, frame)
         here = [row for row in rows if (row.network, row.frame) == (network, frame)]
-        for shot, row, points_on in zip(moment.shots, here, moment.points_on, strict=True):
-            points = SE3.from_pose(row.map_SE3_sensor.true).apply(shot.points)
-            for box, on in zip(moment.boxes, points_on, strict=True):
+        for scan, row, points_on in zip(sample.scans, here, sample.points_on, strict=True):
+            points = SE3.from_pose(row.map_SE3_sensor.true).apply(scan.points)
+            for box, on in zip(sample.boxes, points_on, strict=True):
                 away = points - box[:3]
                 c, s = np.cos(box[6]), np.sin(box[6])
                 local = away @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
@@ -96,13 +95,13 @@ def test_points_on_a_vehicle_lie_in_its_box(folder, dataset):
 def test_nobody_sees_the_vehicle_that_carries_the_sensor(dataset):
     carried = 0
     for split in SPLITS:
-        for network, frame in dataset.moments(split):
-            moment = dataset.load(network, frame)
-            for shot, points_on in zip(moment.shots, moment.points_on, strict=True):
-                if shot.own is not None:
-                    assert points_on[shot.own] == 0
-                    place = shot.map_SE3_sensor.translation[:2]
-                    assert np.hypot(*(moment.boxes[shot.own, :2] - place)) < 1.0
+        for network, frame in dataset.samples(split):
+            sample = dataset.load(network, frame)
+            for scan, points_on in zip(sample.scans, sample.points_on, strict=True):
+                if scan.own is not None:
+                    assert points_on[scan.own] == 0
+                    place = scan.map_SE3_sensor.translation[:2]
+                    assert np.hypot(*(sample.boxes[scan.own, :2] - place)) < 1.0
                     carried += 1
     assert carried
 
@@ -137,7 +136,7 @@ def broken(folder: Path, tmp_path: Path, name: str, text: str | None) -> Path:
 def read_all(folder: Path) -> None:
     dataset = Dataset(folder)
     for split in SPLITS:
-        for network, frame in dataset.moments(split):
+        for network, frame in dataset.samples(split):
             dataset.road_map(network)
             dataset.load(network, frame)
 
@@ -146,7 +145,7 @@ def read_all(folder: Path) -> None:
     ("name", "text", "message"),
     [
         ("dataset.json", None, "No such file"),
-        ("dataset.json", '{"version": 2, "networks": 1, "moments": 1, "seed": 1}', "version 2"),
+        ("dataset.json", '{"version": 2, "networks": 1, "samples": 1, "seed": 1}', "version 2"),
         ("poses.jsonl", "{}", "poses.jsonl:1: index"),
         ("poses.jsonl", "nonsense", "poses.jsonl:1: Invalid JSON"),
         ("ImageSets/val.txt", "000000\n999999\n", "val.txt:2: 999999 is no scan"),
@@ -165,9 +164,14 @@ def test_what_is_not_there_is_named(dataset):
     with pytest.raises(ConfigError, match="no scan of network-000, frame 9"):
         dataset.load("network-000", 9)
     with pytest.raises(ConfigError, match="allowed are train, val, test"):
-        dataset.moments("training")
+        dataset.samples("training")
 
 
 def test_the_arguments_stand_in_the_dataset(folder):
     info = json.loads((folder / "dataset.json").read_text())
-    assert info == {"version": 1, "networks": 3, "moments": 2, "seed": 7}
+    assert info == {"version": 1, "networks": 3, "samples": 2, "seed": 7}
+
+
+def test_a_dataset_that_counts_moments_is_read():
+    info = Info.model_validate_json('{"version": 1, "networks": 3, "moments": 2, "seed": 7}')
+    assert info.samples == 2

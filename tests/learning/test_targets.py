@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from learning.targets import targets_of
+from learning.examples import targets_of
 from perception.boxes import overlaps
 from perception.pillars.config import SMALL
 from perception.pillars.network import boxes_of, middle_of

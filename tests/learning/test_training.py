@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch", reason="needs the extra `learn`")
 
 from safetensors.torch import load_file, save_file  # noqa: E402 - after the check for torch
 
-from learning.examples import Sight  # noqa: E402
+from learning.examples import PlacedSample  # noqa: E402
 from learning.training import Recipe, Trainer  # noqa: E402
 from perception.pillars.config import PillarsConfig  # noqa: E402
 from protocol.errors import ConfigError  # noqa: E402
@@ -21,7 +21,7 @@ RECIPE = Recipe(steps=4, windows=2, cells=64)
 CPU = torch.device("cpu")
 
 
-def sight(seed: int) -> Sight:
+def sample(seed: int) -> PlacedSample:
     """A flat place with a few cars of a hundred points each."""
     rng = np.random.default_rng(seed)
     boxes = np.array([[x, y, 0.75, 4.4, 1.8, 1.5, 0.3] for x in (-8, 4) for y in (-6, 6)])
@@ -30,10 +30,10 @@ def sight(seed: int) -> Sight:
     points = np.concatenate([ground, *on_cars]).astype(np.float32)
     everywhere = np.ones(len(points), np.bool_)
     hits = np.full((1, len(boxes)), 100)
-    return Sight([points], [points[:, 2].copy()], [everywhere], boxes, hits)
+    return PlacedSample([points], [points[:, 2].copy()], [everywhere], boxes, hits)
 
 
-SIGHTS = [sight(1), sight(2)]
+SIGHTS = [sample(1), sample(2)]
 
 
 def weights(trainer: Trainer) -> dict[str, object]:

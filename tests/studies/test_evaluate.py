@@ -1,4 +1,4 @@
-"""What is counted in an evaluation, on made-up moments and with a made-up detector."""
+"""What is counted in an evaluation, on made-up samples and with a made-up detector."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rich.console import Console
 
 from cpnet.evaluation import Source, detectors_of
 from edge_server.config import EdgeConfig
-from learning.moments import Moment, Shot
+from learning.dataset import SceneSample, SensorScan
 from perception.detector import Cloud, Vehicles
 from protocol.errors import ConfigError
 from protocol.geometry import SE3
@@ -26,10 +26,12 @@ def car(x: float, y: float) -> list[float]:
     return [x, y, 0.75, 4.5, 1.8, 1.5, 0.0]
 
 
-def a_moment(boxes: list[list[float]], points_on: list[list[int]], own: int | None) -> Moment:
+def scene_sample(
+    boxes: list[list[float]], points_on: list[list[int]], own: int | None
+) -> SceneSample:
     """Two sensors: at the junction's centre, and one at x = 40 that a vehicle may carry."""
     rng = np.random.default_rng(2)
-    shots = []
+    scans = []
     for agent, x, carrier in (("rsu-0", 0.0, None), ("cav", 40.0, own)):
         sensor = SE3(np.eye(3), np.array([x, 0.0, 3.0]))
         cars = [
@@ -39,8 +41,8 @@ def a_moment(boxes: list[list[float]], points_on: list[list[int]], own: int | No
         ]
         points = np.concatenate([ground_points(rng, count=8000), *cars])
         local = sensor.inverse().apply(points).astype(np.float32)
-        shots.append(Shot(agent, local, sensor, carrier))
-    return Moment("made-up", 0, shots, np.array(boxes), np.array(points_on))
+        scans.append(SensorScan(agent, local, sensor, carrier))
+    return SceneSample("made-up", 0, scans, np.array(boxes), np.array(points_on))
 
 
 class Told:
@@ -53,9 +55,11 @@ class Told:
         return Vehicles.from_lidar(self.boxes, np.linspace(1, 0.5, len(self.boxes)))
 
 
-def rows_with(monkeypatch: pytest.MonkeyPatch, moment: Moment, boxes: list[list[float]]) -> Any:
+def rows_with(
+    monkeypatch: pytest.MonkeyPatch, sample: SceneSample, boxes: list[list[float]]
+) -> Any:
     monkeypatch.setattr(study, "detector_of", lambda *_: Told(boxes))
-    rows = evaluate([(Site(make_road(), EdgeConfig()), moment)], ["fast"])
+    rows = evaluate([(Site(make_road(), EdgeConfig()), sample)], ["fast"])
 
     def of(**wanted: Any) -> Any:
         wanted = {"part": "all", "view": "bev", "iou": 0.5, "geofence": False} | wanted
@@ -67,7 +71,7 @@ def rows_with(monkeypatch: pytest.MonkeyPatch, moment: Moment, boxes: list[list[
 
 def test_vehicles_with_few_points_are_counted_both_ways(monkeypatch: pytest.MonkeyPatch) -> None:
     boxes = [car(-30, 1.75), car(20, -1.75)]
-    of = rows_with(monkeypatch, a_moment(boxes, [[50, 2], [0, 2]], None), boxes[:1])
+    of = rows_with(monkeypatch, scene_sample(boxes, [[50, 2], [0, 2]], None), boxes[:1])
     assert of(fusion="early", truth="all").recall == 0.5
     assert of(fusion="early", truth="visible").recall == 1.0
     assert of(fusion="early", truth="all", part="1-4 points").vehicles == 1
@@ -77,37 +81,37 @@ def test_vehicles_with_few_points_are_counted_both_ways(monkeypatch: pytest.Monk
 
 def test_the_geofence_drops_detections_beside_the_road(monkeypatch: pytest.MonkeyPatch) -> None:
     boxes = [car(-30, 1.75)]
-    moment = a_moment(boxes, [[50], [50]], None)
-    of = rows_with(monkeypatch, moment, [*boxes, car(-30, 20)])
+    sample = scene_sample(boxes, [[50], [50]], None)
+    of = rows_with(monkeypatch, sample, [*boxes, car(-30, 20)])
     assert of(fusion="early", truth="all", geofence=False).precision == 0.5
     assert of(fusion="early", truth="all", geofence=True).precision == 1.0
 
 
 def test_nobody_misses_the_vehicle_it_stands_on(monkeypatch: pytest.MonkeyPatch) -> None:
     boxes = [car(-30, 1.75), car(40, 1.75)]
-    of = rows_with(monkeypatch, a_moment(boxes, [[50, 50], [50, 0]], 1), [])
+    of = rows_with(monkeypatch, scene_sample(boxes, [[50, 50], [50, 0]], 1), [])
     assert of(cloud="single", truth="all").vehicles == 3
     assert of(fusion="early", truth="all").vehicles == 2
 
 
 def test_what_is_out_of_range_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     boxes = [car(-30, 1.75), car(-100, 1.75)]
-    moment = a_moment(boxes, [[50, 50], [50, 50]], None)
-    of = rows_with(monkeypatch, moment, [car(-30, 1.75), car(-90, 1.75)])
+    sample = scene_sample(boxes, [[50, 50], [50, 50]], None)
+    of = rows_with(monkeypatch, sample, [car(-30, 1.75), car(-90, 1.75)])
     row = of(fusion="early", truth="all")
     assert (row.vehicles, row.recall, row.precision) == (1, 1.0, 1.0)
 
 
 def test_late_fusion_makes_one_of_what_two_sensors_found(monkeypatch: pytest.MonkeyPatch) -> None:
     boxes = [car(-30, 1.75)]
-    of = rows_with(monkeypatch, a_moment(boxes, [[50], [50]], None), boxes)
+    of = rows_with(monkeypatch, scene_sample(boxes, [[50], [50]], None), boxes)
     assert of(fusion="late", truth="all").precision == 1.0
 
 
 def test_the_fast_detector_finds_cars_with_and_without_geofence() -> None:
     boxes = [car(-30, 1.75), car(20, -1.75), car(-50, -1.75)]
-    moment = a_moment(boxes, [[300] * 3, [300] * 3], None)
-    rows = evaluate([(Site(make_road(), EdgeConfig()), moment)], ["fast"])
+    sample = scene_sample(boxes, [[300] * 3, [300] * 3], None)
+    rows = evaluate([(Site(make_road(), EdgeConfig()), sample)], ["fast"])
     for row in rows:
         if row.part == "all" and row.iou <= 0.3:
             assert row.recall == 1.0

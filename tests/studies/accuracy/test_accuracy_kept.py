@@ -15,14 +15,14 @@ from tests.studies.accuracy.small import small
 @pytest.fixture
 def measured(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """What was asked to be measured."""
-    asked: list[Any] = []
+    spec: list[Any] = []
 
     def measure(*what: Any) -> list[EvalRow]:
-        asked.append(what)
+        spec.append(what)
         return made_up_rows()
 
     monkeypatch.setattr(kept, "measure_accuracy", measure)
-    return asked
+    return spec
 
 
 def test_what_is_kept_is_not_measured_again(tmp_path: Path, measured: list[Any]) -> None:

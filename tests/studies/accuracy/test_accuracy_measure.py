@@ -40,13 +40,13 @@ def test_a_net_of_the_users_is_measured(tmp_path: Path) -> None:
     assert max(row.ap40 or 0.0 for row in rows) > 0.3
 
 
-def test_fewer_moments_are_the_first_of_more() -> None:
+def test_fewer_samples_are_the_first_of_more() -> None:
     (one,), (first, _) = (list(junction_of(small(), count)[1]) for count in (1, 2))
     assert one.boxes.tolist() == first.boxes.tolist()
-    assert [shot.agent for shot in one.shots] == [shot.agent for shot in first.shots]
+    assert [scan.agent for scan in one.scans] == [scan.agent for scan in first.scans]
 
 
-@pytest.mark.parametrize("moments", [0, 501])
-def test_a_number_of_moments_out_of_bounds_is_named(moments: int) -> None:
-    with pytest.raises(ConfigError, match=f"moments {moments}: must be 1 to 500"):
-        measure_accuracy(small(), ["fast"], moments)
+@pytest.mark.parametrize("samples", [0, 501])
+def test_a_number_of_samples_out_of_bounds_is_named(samples: int) -> None:
+    with pytest.raises(ConfigError, match=f"samples {samples}: must be 1 to 500"):
+        measure_accuracy(small(), ["fast"], samples)

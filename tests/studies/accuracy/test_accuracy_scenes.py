@@ -15,7 +15,7 @@ from studies.page.model import MapChart, Page, Section, flat
 from studies.page.write import to_markdown
 from tests.edge_server.conftest import make_road
 from tests.studies.accuracy.small import small
-from tests.studies.test_evaluate import Told, a_moment, car
+from tests.studies.test_evaluate import Told, car, scene_sample
 
 SEEN, MISSED, HIDDEN, AWAY = car(-30, 1.75), car(20, -1.75), car(30, 1.75), car(-80, 1.75)
 
@@ -25,8 +25,8 @@ def view(monkeypatch: pytest.MonkeyPatch):
     """Two scans in which one car is found twice and one never; a third has no points."""
     monkeypatch.setattr(evaluate, "detector_of", lambda *_: Told([SEEN, car(0, 1.75)]))
     points_on = [[50, 9, 1, 50], [50, 0, 0, 50]]
-    moment = a_moment([SEEN, MISSED, HIDDEN, AWAY], points_on, None)
-    return view_of(Site(make_road(), EdgeConfig()), moment, "fast")
+    sample = scene_sample([SEEN, MISSED, HIDDEN, AWAY], points_on, None)
+    return view_of(Site(make_road(), EdgeConfig()), sample, "fast")
 
 
 def rings(chart: MapChart) -> dict[str, int]:
@@ -66,8 +66,8 @@ def test_clouds_have_an_agents_colour_and_few_points(view) -> None:
         assert 0 < sum(marks(chart).values()) <= SHOWN_POINTS + 2
 
 
-def test_the_moment_with_the_most_scans_is_shown() -> None:
-    few, more = (a_moment([SEEN], [[n], [n]], None) for n in (2, 9))
+def test_the_sample_with_the_most_scans_is_shown() -> None:
+    few, more = (scene_sample([SEEN], [[n], [n]], None) for n in (2, 9))
     assert best_of([few, more, more]) is more
     assert best_of([]) is None
 

@@ -34,9 +34,9 @@ def test_where_nothing_could_be_found_there_is_no_figure() -> None:
 def test_the_text_says_of_what_the_figures_are() -> None:
     text = accuracy_section(made_up_rows()).blocks[0]
     assert isinstance(text, Text)
-    assert "2 moments with 7 scans" in text.text
+    assert "2 samples with 7 scans" in text.text
     assert "CARLA" in text.text
 
 
-def test_no_moment_makes_a_section_too() -> None:
+def test_no_sample_makes_a_section_too() -> None:
     assert len(accuracy_section([]).blocks) == 1

@@ -68,6 +68,8 @@ def test_an_unknown_key_of_a_grid_is_named_with_its_place(tmp_path):
         ({"seeds": []}, "at least 1 item"),
         ({"seeds": [-1]}, "seeds.0"),
         ({"name": "a/b"}, "name"),
+        ({"accuracy": {"detectors": ["fast"], "moments": 4}}, "is called accuracy.samples now"),
+        ({"accuracy": {"detectors": ["fast"], "n": 4}}, "accuracy allows: detectors, samples"),
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path, changed, message):

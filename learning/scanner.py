@@ -1,23 +1,25 @@
-"""One network's traffic, scanned: every moment's scans with the vehicles that each hit."""
+"""Simulated labelled scans of a junction: a generated one, a user's net, or a scenario's."""
 
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from learning.dataset import REACH_M, Kind, ScanRow, SceneSample, SensorPoses, sample_of
 from learning.kitti import Label, into_sensor
-from learning.layout import REACH_M, Kind, ScanRow, SensorPoses
-from learning.sensors import Sensors
-from learning.sites import Site, draw_mounts
+from learning.sites import Sensors, Site, draw_mounts, draw_site
 from perception.arrays import Floats, Floats32
+from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from protocol.messages import Equipment
 from protocol.roadmap import RoadMap
-from sensing.config import Mount
+from sensing.config import LidarConfig, Mount, PoseErrorConfig, SceneConfig
 from sensing.lidar import Lidar
 from sensing.mesh import VehicleShapes
 from sensing.noise import stream
@@ -25,17 +27,17 @@ from sensing.pose import estimated_pose, mount_pose, pose_above
 from sensing.scene import scene_of
 from sim_host.config import TrafficConfig
 from sim_host.junctions import write_junction
-from sim_host.setup import build_setup
+from sim_host.setup import build_setup, traffic_config
 from sim_host.world import TrafficState, sample_traffic
 
 _CAVS = (1, 5)
 _CAVS_NEAR_M = 100.0  # from the junction's centre
-_PAUSE_S = (4.0, 14.0)  # between moments
+_PAUSE_S = (4.0, 14.0)  # between samples
 _OVER_ROOF_M = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Observed:
+class LabelledScan:
     """A scan: points (N, 4) with intensity, its labels, and its line of `poses.jsonl`."""
 
     points: Floats32
@@ -43,13 +45,13 @@ class Observed:
     row: ScanRow
 
 
-class Observatory:
+class JunctionScanner:
     """A network with its scene and sensors; `net` is the text of a generated one's net file.
 
     A site without a junction has its traffic's own net, or the built-in one.
     """
 
-    def __init__(self, site: Site, moments: int, sensors: Sensors | None = None) -> None:
+    def __init__(self, site: Site, samples: int, sensors: Sensors | None = None) -> None:
         self.site = site
         self.net = ""
         with tempfile.TemporaryDirectory(prefix="cpnet-") as scratch:
@@ -60,8 +62,8 @@ class Observatory:
             }
             setup = build_setup(scenario, folder)
             scene = scene_of(setup, site.scene, site.seed)
-            self._filmed = sample_traffic(
-                setup, folder, scene.terrain, site.seed, self._steps(moments)
+            self._states = sample_traffic(
+                setup, folder, scene.terrain, site.seed, self._steps(samples)
             )
         self.road_map: RoadMap = setup.road_map
         self._sensors = sensors or Sensors.drawn(site)
@@ -74,9 +76,9 @@ class Observatory:
             for config in {self._sensors.roadside, self._sensors.vehicle}
         }
 
-    def scans(self) -> Iterator[Observed]:
-        """Yields every moment's scans: posts first, then CAVs."""
-        for frame, bodies in enumerate(self._filmed):
+    def scans(self) -> Iterator[LabelledScan]:
+        """Yields every sample's scans: posts first, then CAVs."""
+        for frame, bodies in enumerate(self._states):
             sizes_m = self._shapes.bodies(bodies.types).size_m
             for mount in self.mounts:
                 pose = mount_pose(mount, self.road_map, self._terrain)
@@ -94,8 +96,8 @@ class Observatory:
         self.net = path.read_text("utf-8")
         return self.site.traffic.model_copy(update={"net": str(path)})
 
-    def _steps(self, moments: int) -> list[int]:
-        pauses_s = stream(self.site.seed, "pauses").uniform(*_PAUSE_S, size=moments)
+    def _steps(self, samples: int) -> list[int]:
+        pauses_s = stream(self.site.seed, "pauses").uniform(*_PAUSE_S, size=samples)
         pauses_s[0] = self.site.warm_up_s
         at = np.cumsum(np.round(pauses_s / self.site.traffic.step_s)).astype(int)
         return [int(step) for step in at]
@@ -122,7 +124,7 @@ class Observatory:
         poses: tuple[SE3, SE3],
         bodies: TrafficState,
         sizes_m: Floats,
-    ) -> Observed:
+    ) -> LabelledScan:
         frame, agent, kind = who
         true, believed = poses
         own = bodies.ids.index(agent) if kind == "vehicle" else None
@@ -136,7 +138,7 @@ class Observatory:
             near[own] = False
         hit = range_m > 0
         points = lidar.pattern.directions[hit] * range_m[hit][:, None]
-        return Observed(
+        return LabelledScan(
             points=np.column_stack([points, intensity[hit]]).astype(np.float32),
             labels=[
                 Label(bodies.ids[n], tuple(boxes[n].tolist()), int(seen.points_on[n]))
@@ -168,3 +170,74 @@ def _boxes(poses: Floats, sizes_m: Floats) -> Floats:
 
 def _rounded(pose: SE3) -> list[float]:
     return [round(value, 7) for value in pose.as_pose().tolist()]
+
+
+_WARM_UP_S = 60.0  # at least; then vehicles have come from all sides
+
+
+def samples_on(
+    net: Path, tls: str | None, samples: int, seed: int
+) -> tuple[RoadMap, list[SceneSample]]:
+    """Returns the net's road map and its samples, some seconds apart, with generated demand.
+
+    Scene and LiDAR are the default ones.
+
+    Raises:
+        ConfigError: the net cannot be read or has no such signal.
+    """
+    if not net.is_file():
+        raise ConfigError(f"--net {net}: there is no such file")
+    traffic = TrafficConfig(
+        net=str(net.resolve()), tls=tls, step_s=0.5, cav_rate=0.0, reach_m=300.0
+    )
+    update = {
+        "junction": None,
+        "traffic": traffic,
+        "scene": SceneConfig(),
+        "lidar": LidarConfig(),
+    }
+    scanner = JunctionScanner(draw_site(seed, 0).model_copy(update=update), samples)
+    return scanner.road_map, list(samples_of(scanner))
+
+
+def scanner_of(scenario: dict[str, Any], samples: int) -> JunctionScanner:
+    """Returns the junction of a scenario whose every key has its value, with its sensors.
+
+    Traffic runs on the fixed plan. Posts, LiDARs, pose errors and seed are the scenario's; who
+    carries a LiDAR is drawn anew at every moment, up to five vehicles near the junction.
+
+    Raises:
+        ConfigError: its files cannot be read, or it plays a recording.
+    """
+    if scenario.get("recording") is not None:
+        raise ConfigError(
+            f"recording is {scenario['recording']}: samples are made of simulated traffic, must be "
+            "null"
+        )
+    traffic, lidar = traffic_config(scenario), scenario["lidar"]
+    vehicle, height_m = LidarConfig.model_validate(lidar["vehicle"]), scenario["sensor_height_m"]
+    sensors = Sensors(
+        roadside=LidarConfig.model_validate(lidar["roadside"]),
+        vehicle=vehicle,
+        mounts=tuple(Mount.model_validate(one) for one in scenario["roadside_mounts"]),
+        roof_m=(height_m, height_m),
+        pose=PoseErrorConfig.model_validate(scenario["pose"]),
+    )
+    update = {
+        "seed": scenario["seed"],
+        "junction": None,
+        "traffic": traffic,
+        "scene": SceneConfig.model_validate(scenario["scene"]),
+        "lidar": vehicle,
+        "warm_up_s": max(traffic.warmup_s, _WARM_UP_S),
+    }
+    site = draw_site(scenario["seed"], 0).model_copy(update=update)
+    return JunctionScanner(site, samples, sensors)
+
+
+def samples_of(scanner: JunctionScanner) -> Iterator[SceneSample]:
+    """Yields the samples in which at least one sensor scanned."""
+    for _, group in groupby(scanner.scans(), lambda scan: scan.row.frame):
+        scans = list(group)
+        clouds = [np.ascontiguousarray(scan.points[:, :3]) for scan in scans]
+        yield sample_of([s.row for s in scans], [s.labels for s in scans], clouds)
