@@ -20,7 +20,7 @@ import zstandard
 
 from protocol.codec import decode, encode_cloud, encode_scan
 from protocol.codec.draco import LEVEL, load_draco
-from protocol.codec.step import MIN_BOUND_M
+from protocol.codec.forms import MIN_BOUND_M
 from protocol.errors import CodecError, ConfigError
 from protocol.profiles import Profile
 from protocol.scans import Floats32, PointCloud, RangeScan

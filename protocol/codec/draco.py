@@ -67,7 +67,7 @@ def pack_draco(points: Floats32, bits: int) -> tuple[bytes, int]:
     return packed, int(_HEAD.unpack_from(packed)[-1])
 
 
-def open_draco(packed: bytes, points: int) -> Floats32:
+def unpack_draco(packed: bytes, points: int) -> Floats32:
     """Decodes Draco's bytes.
 
     Raises:

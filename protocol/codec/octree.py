@@ -1,29 +1,43 @@
 """Unordered points as an octree, breadth first: which eighths of a cell hold points.
 
-A cell with one point is not divided further; its remaining bits are as good as random and go raw
-(as in Draco's kd-tree). Which eighths are occupied takes two symbols of four bits each; the first
-is expected by how many eighths the parent had, the second by the first.
+Points become cells of a grid, their Morton keys are sorted. A cell with one point is not divided
+further; its remaining bits are as good as random and are raw (as in Draco's kd-tree). Which eighths
+are occupied takes two symbols of four bits each; the context of the first is how many eighths the
+parent had, that of the second is the first.
 """
 
 from __future__ import annotations
+
+import math
+import struct
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from protocol.codec.rans import SHARES, START, STATES, TURN_SHIFT, advance, is_short, refill
-from protocol.codec.tokens import (
+from protocol.codec.payload import Reader
+from protocol.codec.rans import (
     I8,
+    SHARES,
+    START,
+    STATES,
     TAIL_ALPHABET,
+    TURN_SHIFT,
     U1,
     U2,
     U4,
+    advance,
     i64,
+    is_short,
+    refill,
     tail_base,
     tail_bits,
     tail_token,
     u64,
 )
+from protocol.codec.symbols import pack_symbols, read_raw, unpack_symbols
+from protocol.errors import CodecError
+from protocol.scans import Floats, Floats32
 
 U8 = npt.NDArray[np.uint64]
 
@@ -51,7 +65,7 @@ def symbol_room(points: int, depth: int) -> int:
 
 
 @njit("void(int64[:,::1], uint64[::1])", cache=True, nogil=True)
-def weave(cells: I8, keys: U8) -> None:
+def morton_keys(cells: I8, keys: U8) -> None:
     """Fills the Morton keys (N,) of cells (N, 3), z highest."""
     for n in range(len(keys)):
         key = u64(0)
@@ -67,8 +81,8 @@ def weave(cells: I8, keys: U8) -> None:
 
 
 @njit("void(uint64[::1], int64[:,::1])", cache=True, nogil=True)
-def unweave(keys: U8, cells: I8) -> None:
-    """Reverses `weave`."""
+def morton_cells(keys: U8, cells: I8) -> None:
+    """Reverses `morton_keys`."""
     for n in range(len(keys)):
         for axis in range(3):
             v = (keys[n] >> u64(axis)) & u64(0x1249249249249249)
@@ -85,7 +99,7 @@ def unweave(keys: U8, cells: I8) -> None:
     cache=True,
     nogil=True,
 )
-def describe_tree(keys: U8, depth: int, symbols: U2, raw: U4, counts: I8, sizes: I8) -> None:
+def tree_to_symbols(keys: U8, depth: int, symbols: U2, raw: U4, counts: I8, sizes: I8) -> None:
     """Turns sorted keys into symbols and raw bits.
 
     Args:
@@ -171,10 +185,10 @@ def describe_tree(keys: U8, depth: int, symbols: U2, raw: U4, counts: I8, sizes:
     cache=True,
     nogil=True,
 )
-def restore_tree(
+def symbols_to_tree(
     words: U2, end: int, raw: U4, table_of: U1, slots: U1, place: U4, depth: int, keys: U8
 ) -> int:
-    """Reverses `describe_tree`, but for the order; returns 0, or -1 if the payload is damaged.
+    """Reverses `tree_to_symbols`, but for the order; returns 0, or -1 if the payload is damaged.
 
     Args:
         words: of the entropy coder, and 32 zeros behind them.
@@ -269,3 +283,73 @@ def restore_tree(
         if states[n] != u64(START):
             return -1
     return 0
+
+
+_HEAD = struct.Struct("<dddB")
+_MOST_SYMBOLS_OF_A_CELL = 32
+
+
+def cell_edge_m(room_m: float) -> float:
+    """Returns the edge of a cell whose corners are `room_m` from its middle."""
+    return 2.0 * room_m / math.sqrt(3.0)
+
+
+def pack_tree(points: Floats, edge_m: float) -> tuple[list[bytes], npt.NDArray[np.int64]]:
+    """Returns the sections of a cloud (N, 3), and the order (N,) in which its points come back.
+
+    Raises:
+        CodecError: the cloud is too wide for cells of this edge, or too regular.
+    """
+    if not len(points):
+        return [], np.zeros(0, np.int64)
+    low = points.min(axis=0)
+    cells = np.floor((points - low) / edge_m).astype(np.int64)
+    depth = int(cells.max()).bit_length()
+    if depth > MAX_DEPTH:
+        raise CodecError(
+            f"a coordinate lies {(points.max(axis=0) - low).max():.1f} m from another: at this "
+            f"bound the form ends at {edge_m * 2**MAX_DEPTH:.1f} m"
+        )
+    keys = np.empty(len(points), np.uint64)
+    morton_keys(cells, keys)
+    order = np.argsort(keys, kind="stable")
+    keys = keys[order]
+    depth = max(depth, 1)
+    symbols = np.empty(symbol_room(len(points), depth), np.uint16)
+    raw = np.empty(2 * len(points) + 2, np.uint32)
+    counts, sizes = np.zeros((CONTEXTS, STRIDE), np.int64), np.zeros(2, np.int64)
+    tree_to_symbols(keys, depth, symbols, raw, counts, sizes)
+    sections = pack_symbols(symbols, int(sizes[0]), counts)
+    if sizes[0] > most_symbols(len(sections[1]) // 2):
+        raise CodecError(f"{len(points)} points lie too regularly for a tree")
+    bits = raw[: sizes[1]].astype("<u4", copy=False).tobytes()
+    return [_HEAD.pack(*(low + edge_m / 2), depth), *sections, bits], order
+
+
+def unpack_tree(reader: Reader, points: int, edge_m: float) -> Floats32:
+    """Reads the sections of `pack_tree` and returns points (N, 3).
+
+    Raises:
+        CodecError: the sections are damaged.
+    """
+    if points == 0:
+        return np.zeros((0, 3), np.float32)
+    head = reader.section()
+    if len(head) != _HEAD.size:
+        raise CodecError(f"a tree has a head of {len(head)} bytes, needs {_HEAD.size}")
+    *middle, depth = _HEAD.unpack(head)
+    if not (np.isfinite(middle).all() and np.abs(middle).max() < 1e9 and 1 <= depth <= MAX_DEPTH):
+        raise CodecError(f"a tree claims depth {depth} at {middle}")
+    stream = unpack_symbols(reader, CONTEXTS, _MOST_SYMBOLS_OF_A_CELL)
+    raw = read_raw(reader.section())
+    keys = np.empty(points, np.uint64)
+    status = symbols_to_tree(
+        stream.words, stream.end, raw, stream.table_of, stream.slots, stream.place, depth, keys
+    )
+    if status < 0:
+        raise CodecError("a tree is damaged, or holds other than the points it claims")
+    keys.sort()
+    cells = np.empty((points, 3), np.int64)
+    morton_cells(keys, cells)
+    found: Floats32 = (cells * edge_m + np.array(middle)).astype(np.float32)
+    return found

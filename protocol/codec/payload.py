@@ -102,7 +102,7 @@ class Reader:
             raise CodecError(f"scan has {len(self._data) - self._at} bytes too many")
 
 
-def open_payload(data: bytes) -> tuple[Head, Reader]:
+def read_payload(data: bytes) -> tuple[Head, Reader]:
     """Reads the prefix and checks what it claims against the limits.
 
     Raises:
@@ -142,12 +142,12 @@ def claimed_points(payload: npt.NDArray[np.uint8]) -> int:
     return points if points <= MAX_POINTS else 0
 
 
-def squeeze(raw: npt.NDArray[np.uint8]) -> bytes:
+def compress(raw: npt.NDArray[np.uint8]) -> bytes:
     """Returns a zstd frame that states its size."""
     return zstandard.ZstdCompressor(level=_LEVEL).compress(np.ascontiguousarray(raw).data)
 
 
-def unsqueeze(frame: bytes, needed: int) -> npt.NDArray[np.uint8]:
+def decompress(frame: bytes, needed: int) -> npt.NDArray[np.uint8]:
     """Decompresses a frame that must hold this many bytes; never more are written.
 
     Raises:
@@ -167,14 +167,14 @@ def unsqueeze(frame: bytes, needed: int) -> npt.NDArray[np.uint8]:
     return np.frombuffer(raw, np.uint8)
 
 
-def seal_intensity(intensity: Floats32, wanted: bool) -> list[bytes]:
+def pack_intensity(intensity: Floats32, wanted: bool) -> list[bytes]:
     """Returns the section of intensities (N,), a byte each; none if they are not sent."""
     if not wanted:
         return []
-    return [squeeze(np.clip(np.round(intensity * 255.0), 0, 255).astype(np.uint8))]
+    return [compress(np.clip(np.round(intensity * 255.0), 0, 255).astype(np.uint8))]
 
 
-def open_intensity(head: Head, reader: Reader) -> Floats32:
+def unpack_intensity(head: Head, reader: Reader) -> Floats32:
     """Reads the section of intensities; zeros if they were not sent.
 
     Raises:
@@ -182,5 +182,5 @@ def open_intensity(head: Head, reader: Reader) -> Floats32:
     """
     if not head.with_intensity:
         return np.zeros(head.points, np.float32)
-    raw = unsqueeze(reader.section(), head.points)
+    raw = decompress(reader.section(), head.points)
     return raw.astype(np.float32) / np.float32(255)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from protocol.codec.tokens import i64, unfold
+from protocol.codec.rans import i64, unfold
 from protocol.scans import Floats32
 
 U1 = npt.NDArray[np.uint8]

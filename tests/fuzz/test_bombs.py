@@ -18,10 +18,10 @@ from fuzz_watch import forget_peak, peak_kib
 from protocol import messages as m
 from protocol import wire
 from protocol.codec import decode, encode_cloud, encode_scan
-from protocol.codec.octree import CONTEXTS, STRIDE, describe_tree, symbol_room, weave
-from protocol.codec.payload import Form, Head, squeeze
+from protocol.codec.octree import CONTEXTS, STRIDE, morton_keys, symbol_room, tree_to_symbols
+from protocol.codec.payload import Form, Head, compress
 from protocol.codec.rans import STATES, encode_symbols
-from protocol.codec.tables import LEVELS, spread, write_tables
+from protocol.codec.symbols import LEVELS, shares_of_levels, write_tables
 from protocol.errors import CodecError, ConfigError, MessageError
 from protocol.scans import MAX_BEAMS, MAX_POINTS, PointCloud, RangeScan, ScanPattern
 from sensing.point_files import read_points
@@ -110,7 +110,7 @@ def cloud_of_one_place() -> bytes:
 
 
 LARGEST = {
-    "deltas": lambda: deltas(MAX_POINTS, squeeze(np.zeros(12 * MAX_POINTS, np.uint8))),
+    "deltas": lambda: deltas(MAX_POINTS, compress(np.zeros(12 * MAX_POINTS, np.uint8))),
     "tree": cloud_of_one_place,
     "planes": lambda: scan_of("fast", 1, 10.0),
     "image": lambda: scan_of("default", 64, 10.0),
@@ -134,18 +134,18 @@ def certain_tree(side: int) -> bytes:
     grid = np.stack(np.meshgrid(places, places, places, indexing="ij"), -1).reshape(-1, 3)
     cells = np.repeat(grid, 2, axis=0)
     keys = np.empty(len(cells), np.uint64)
-    weave(cells, keys)
+    morton_keys(cells, keys)
     keys.sort()
     symbols = np.empty(symbol_room(len(keys), 20), np.uint16)
     raw, sizes = np.empty(2 * len(keys) + 2, np.uint32), np.zeros(2, np.int64)
     counts = np.zeros((CONTEXTS, STRIDE), np.int64)
-    describe_tree(keys, 20, symbols, raw, counts, sizes)
+    tree_to_symbols(keys, 20, symbols, raw, counts, sizes)
     levels = np.where(counts > 0, 1, 0).astype(np.uint8)
     levels[np.arange(CONTEXTS), counts.argmax(axis=1)] = LEVELS - 1
     table_of, shares = np.arange(CONTEXTS, dtype=np.uint8), np.zeros((CONTEXTS, STRIDE), np.uint16)
     written = np.zeros(1 << 14, np.uint8)
     length = write_tables(table_of, levels, CONTEXTS, written)
-    spread(levels, CONTEXTS, shares)
+    shares_of_levels(levels, CONTEXTS, shares)
     words = np.empty(int(sizes[0]) + 2 * STATES, np.uint16)
     first = encode_symbols(symbols, int(sizes[0]), shares, words)
     head = struct.pack("<dddB", 0.0, 0.0, 0.0, 20)

@@ -1,29 +1,107 @@
-"""Range images as sections of a payload, with the settings of their model."""
+"""Range images as sections of a payload: the window that holds returns, then its symbols."""
 
 from __future__ import annotations
 
 import math
 import threading
+from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
-from protocol.codec.expect import (
+from protocol.codec.payload import Head, Reader
+from protocol.codec.prediction import (
     CONTEXT_OF,
     CONTEXTS,
     COUNTS,
     MAX_UNITS,
     NEXT_KIND,
-    landmarks,
+    STRIDE,
+    UNITS,
+    distance_marks,
     symbol_room,
 )
-from protocol.codec.image import describe, restore
-from protocol.codec.payload import Head, Reader
-from protocol.codec.symbols import open_symbols, pack_symbols, read_raw
-from protocol.codec.tokens import I8, U2, U4, i64
-from protocol.codec.walk import STRIDE, UNITS
+from protocol.codec.range_image import image_to_symbols, symbols_to_points
+from protocol.codec.rans import I8, U1, U2, U4, i64
+from protocol.codec.symbols import pack_symbols, read_raw, unpack_symbols
 from protocol.errors import CodecError
 from protocol.scans import Floats, Floats32
+
+BLOCK = 4  # columns that stay together
+WORTH = 0.75  # of the image: a window that is larger is not worth the copy
+
+Bools = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """Which rings (channels,) and columns (columns,) of an image are in it."""
+
+    rings: Bools
+    columns: Bools
+
+    @classmethod
+    def around(cls, range_m: Floats32) -> Window | None:
+        """Returns the window of all returns of an image; None if it is hardly smaller."""
+        channels, columns = range_m.shape
+        rings = np.zeros(channels, np.uint8)
+        blocks = np.zeros(-(-columns // BLOCK), np.uint8)
+        _mark(range_m, rings, blocks)
+        rings[0] |= not rings.any()  # an image without returns keeps one ring and one block
+        blocks[0] |= not blocks.any()
+        if int(rings.sum()) * int(blocks.sum()) > WORTH * channels * len(blocks):
+            return None
+        return cls(rings.astype(bool), np.repeat(blocks, BLOCK)[:columns].astype(bool))
+
+    def cut(self, range_m: Floats32) -> Floats32:
+        """Returns the window of an image."""
+        return np.ascontiguousarray(range_m[self.rings][:, self.columns])
+
+    def cut_spin(self, spin: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
+        """Returns the window's rings and columns of a pattern's; see `ScanPattern.spin`."""
+        turns, azimuths = spin
+        return np.ascontiguousarray(turns[self.rings]), np.ascontiguousarray(azimuths[self.columns])
+
+    def to_bytes(self) -> bytes:
+        """Returns a bit for each ring, then one for each block of columns."""
+        return np.packbits(self.rings).tobytes() + np.packbits(self.columns[::BLOCK]).tobytes()
+
+    @classmethod
+    def from_bytes(cls, data: bytes, channels: int, columns: int) -> Window:
+        """Reverses `to_bytes`.
+
+        Raises:
+            CodecError: it is not a window of such an image, or an empty one.
+        """
+        blocks = -(-columns // BLOCK)
+        first = -(-channels // 8)
+        needed = first + -(-blocks // 8)
+        if len(data) != needed:
+            raise CodecError(f"a window has {len(data)} bytes, needs {needed}")
+        bits = np.frombuffer(data, np.uint8)
+        rings = np.unpackbits(bits[:first], count=channels).astype(bool)
+        columns_in = np.repeat(np.unpackbits(bits[first:], count=blocks), BLOCK)[:columns]
+        if not (rings.any() and columns_in.any()):
+            raise CodecError("a window is empty")
+        return cls(rings, columns_in.astype(bool))
+
+
+@njit("void(float32[:,::1], uint8[::1], uint8[::1])", cache=True, nogil=True)
+def _mark(range_m: Floats32, rings: U1, blocks: U1) -> None:
+    missing = blocks.size
+    for ring in range(range_m.shape[0] - 1, -1, -1):  # from below, where the returns are
+        for block in range(blocks.size):
+            if rings[ring] and missing == 0:
+                break
+            if rings[ring] and blocks[block]:
+                continue
+            for column in range(block * BLOCK, min((block + 1) * BLOCK, range_m.shape[1])):
+                if range_m[ring, column] > 0:
+                    missing -= 1 - blocks[block]
+                    rings[ring], blocks[block] = 1, 1
+                    break
+
 
 _QUANTISED = 1.0 - 1.0 / UNITS  # half a unit is lost on each side before steps are taken
 _CONTEXTS = CONTEXT_OF.tobytes()
@@ -51,8 +129,8 @@ def pack_image(range_m: Floats32, step_m: float) -> tuple[list[bytes], int]:
     tuning = _tune(_noise_m(range_m) / step_m)
     symbols, raw = _scratch(channels, columns)
     counts, sizes = np.zeros((2, COUNTS), np.int32), np.zeros(3, np.int64)
-    given = (range_m, units_per_m, tuning, landmarks(units_per_m))
-    describe(*given, CONTEXT_OF, NEXT_KIND, symbols, raw, counts, sizes)
+    given = (range_m, units_per_m, tuning, distance_marks(units_per_m))
+    image_to_symbols(*given, CONTEXT_OF, NEXT_KIND, symbols, raw, counts, sizes)
     per_context = counts[:, : CONTEXTS * STRIDE].sum(axis=0, dtype=np.int64)
     sections = pack_symbols(symbols, int(sizes[0]), per_context.reshape(CONTEXTS, STRIDE))
     settings = tuning.astype(np.uint8).tobytes()
@@ -72,7 +150,7 @@ def _scratch(channels: int, columns: int) -> tuple[U2, U4]:
     return symbols, _kept.raw
 
 
-def open_image(
+def unpack_image(
     head: Head, reader: Reader, turns: Floats, azimuths: Floats, points: int
 ) -> Floats32:
     """Reads the sections of `pack_image` and returns points (points, 3), ring by ring.
@@ -93,15 +171,15 @@ def open_image(
     tuning = np.frombuffer(settings, np.uint8, 4).astype(np.int64)
     if tuning[2] > 15 or tuning[3] > tuning[2]:
         raise CodecError(f"an image has settings {tuning.tolist()}")
-    stream = open_symbols(reader, CONTEXTS, symbol_room(1, head.columns))
+    stream = unpack_symbols(reader, CONTEXTS, symbol_room(1, head.columns))
     raw = read_raw(reader.section())
     xyz = np.empty((points + 1, 3), np.float32)
     tables = stream.table_of.tobytes()
     tables = _CONTEXTS.translate(tables.ljust(256)) + tables[-4:]
     coded = (stream.words, stream.end, raw, np.frombuffer(tables, np.uint8), stream.slots)
-    model = (stream.place, tuning, landmarks(UNITS / head.step_m))
+    model = (stream.place, tuning, distance_marks(UNITS / head.step_m))
     placing = (head.step_m / UNITS, turns, azimuths, xyz)
-    if restore(*coded, *model, NEXT_KIND, *placing) < 0:
+    if symbols_to_points(*coded, *model, NEXT_KIND, *placing) < 0:
         raise CodecError("an image is damaged, or holds other than the points it claims")
     return xyz[:points]
 

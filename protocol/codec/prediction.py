@@ -1,12 +1,90 @@
-"""What the model of a range image expects of a beam, and the context in which it is coded."""
+"""The model of a range image: the expected range of a beam, and the context of its token.
+
+Also what encoder and decoder do once a ring. Helpers that take arrays at each beam are not inlined
+by the compiler and can double the time, so that the loops over beams stand in `range_image`.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
-from protocol.codec.tokens import ESCAPE, I2, I4, I8, U1, U2
-from protocol.codec.walk import GONE
+from protocol.codec.rans import ESCAPE, I2, I4, I8, START, STATES, TAIL_ALPHABET, U1, U2, U8, u64
+from protocol.scans import Floats, Floats32
+
+STRIDE = TAIL_ALPHABET
+UNITS = 256  # in one step
+GONE = 4  # the smallest kind of a lost beam
+
+
+@njit("void(uint16[::1], uint64[::1])", cache=True, nogil=True)
+def read_states(words: U2, states: U8) -> None:
+    """Fills the states of the entropy coder."""
+    for n in range(STATES):
+        states[n] = (u64(words[2 * n]) << u64(16)) | u64(words[2 * n + 1])
+
+
+@njit("boolean(uint64[::1])", cache=True, nogil=True)
+def states_are_final(states: U8) -> bool:
+    """Returns whether all states are where they began: if not, the payload is damaged."""
+    done = True
+    for n in range(STATES):
+        done &= states[n] == u64(START)
+    return done
+
+
+@njit(
+    "void(int32[::1], uint8[::1], int64, float64, Array(float64, 2, 'C', readonly=True), int64, "
+    "Array(float64, 2, 'C', readonly=True), float32[:,::1], int64, int64)",
+    cache=True,
+    nogil=True,
+)
+def place_ring(
+    beams: I4,
+    kinds: U1,
+    sectors: int,
+    m_per_unit: float,
+    turns: Floats,
+    row: int,
+    azimuths: Floats,
+    xyz: Floats32,
+    first: int,
+    returns: int,
+) -> None:
+    """Places the points of a ring.
+
+    Args:
+        beams: ranges in units: the first beam of each sector, then the second, and so on, behind as
+            many that are no beams.
+        kinds: `GONE` or more for lost beams.
+        sectors: of a ring.
+        m_per_unit: the step by 256.
+        turns: (channels, 3), of each ring: how far out and how far round it points, and how far up.
+        row: of the ring.
+        azimuths: (columns, 2), cosine and sine.
+        xyz: filled from `first` on; has at least one row behind the ring's points.
+        first: row of the ring's first point.
+        returns: how many points.
+    """
+    # A beam without return writes too, and is overwritten by the next, but for the ring's last.
+    taken, columns = first + returns, len(azimuths)
+    wide = (columns + sectors - 1) // sectors
+    next_x, next_y, next_z = xyz[taken, 0], xyz[taken, 1], xyz[taken, 2]
+    out, side, up = turns[row, 0], turns[row, 1], np.float32(turns[row, 2])
+    point, column = u64(first), u64(0)
+    for sector in range(sectors):
+        at = u64(sectors + sector)
+        for _ in range(min(wide, columns - sector * wide)):
+            metres = np.float32(beams[at] * m_per_unit)
+            a, b = azimuths[column, 0], azimuths[column, 1]
+            xyz[point, 0] = np.float32(out * a - side * b) * metres
+            xyz[point, 1] = np.float32(side * a + out * b) * metres
+            xyz[point, 2] = up * metres
+            point += u64(kinds[at] < GONE)
+            at += u64(sectors)
+            column += u64(1)
+    xyz[taken, 0], xyz[taken, 1], xyz[taken, 2] = next_x, next_y, next_z
+
 
 SECTORS = 8
 LOST = -1  # the range of a lost beam
@@ -20,7 +98,7 @@ _FAR_M = (56.0, 75.0, 95.0)  # beyond these, returns are lost more and more ofte
 _START_M = 10.0
 
 
-def landmarks(units_per_m: float) -> I8:
+def distance_marks(units_per_m: float) -> I8:
     """Returns the distances in units that the model looks at, and last the one it starts at."""
     return np.array([min(int(m * units_per_m), MAX_UNITS) for m in (*_FAR_M, _START_M)], np.int64)
 
@@ -31,7 +109,7 @@ def symbol_room(channels: int, columns: int) -> int:
 
 
 def _contexts() -> U1:
-    """Returns the context of each base (as in `look_below`) and kind of the beam to the left."""
+    """Returns the context of each base (`describe_lower_ring`) and kind of the beam before."""
     result = np.zeros((384, 16), np.uint8)
     for base in range(384):
         level, beside, gone, far = base % 8, base // 8 % 4, base // 32 % 3, base // 96
@@ -75,7 +153,7 @@ def classify(shift: int, low: int, classes: U2) -> None:
     cache=True,
     nogil=True,
 )
-def look_below(
+def describe_lower_ring(
     below: I4, kinds: U1, slopes: I4, bases: I2, wide: int, shift: int, marks: I8
 ) -> None:
     """Fills how the ring below runs at each beam.
@@ -87,7 +165,7 @@ def look_below(
         bases: filled with `how uneven + 8 * size class + 32 * losses + 96 * distance`.
         wide: beams of a sector.
         shift: of activities.
-        marks: of `landmarks`.
+        marks: of `distance_marks`.
     """
     end = wide * SECTORS
     for sector in range(SECTORS):  # what sectors see beyond their ends

@@ -18,33 +18,43 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from protocol.codec.expect import (
+from protocol.codec.prediction import (
+    GONE,
     LOST,
     LOST_TOKEN,
     SECTORS,
+    STRIDE,
     TAIL,
     TOKENS,
+    UNITS,
     classify,
+    describe_lower_ring,
     expect,
-    look_below,
+    place_ring,
+    read_states,
+    states_are_final,
 )
-from protocol.codec.rans import SHARES, STATES, TURN_SHIFT, advance, is_short, refill
-from protocol.codec.tokens import (
+from protocol.codec.rans import (
     ESCAPE,
     I4,
     I8,
+    SHARES,
+    STATES,
+    TURN_SHIFT,
     U1,
     U2,
     U4,
+    advance,
     fold,
     i64,
+    is_short,
+    refill,
     tail_base,
     tail_bits,
     tail_token,
     u64,
     unfold,
 )
-from protocol.codec.walk import GONE, STRIDE, UNITS, are_done, open_states, place_ring
 from protocol.scans import Floats, Floats32
 
 
@@ -54,7 +64,7 @@ from protocol.scans import Floats, Floats32
     cache=True,
     nogil=True,
 )
-def describe(
+def image_to_symbols(
     range_m: Floats32,
     units_per_m: float,
     tuning: I8,
@@ -100,7 +110,7 @@ def describe(
     for row in range(channels - 1, -1, -1):
         here, below = lines[row & 1], lines[1 - (row & 1)]
         kind, kind_below = kinds[row & 1], kinds[1 - (row & 1)]
-        look_below(below, kind_below, slopes, bases, wide, shift, marks)
+        describe_lower_ring(below, kind_below, slopes, bases, wide, shift, marks)
         for column in range(columns):
             metres = range_m[row, column]
             units[column] = np.int32(metres * units_per_m + 0.5) if metres > 0 else np.int32(LOST)
@@ -123,7 +133,7 @@ def describe(
             change = i64(here[at]) - under
             if at == SECTORS:
                 rise = change
-        for column in range(1, wide):  # as above, with nothing to ask
+        for column in range(1, wide):  # as above, without the special cases
             start = u64((column + 1) * SECTORS)
             for n in range(SECTORS):
                 sector, at = u64(n), start + u64(n)
@@ -186,7 +196,7 @@ def describe(
     cache=True,
     nogil=True,
 )
-def restore(
+def symbols_to_points(
     words: U2,
     end_word: int,
     raw: U4,
@@ -201,7 +211,7 @@ def restore(
     azimuths: Floats,
     xyz: Floats32,
 ) -> int:
-    """Reverses `describe` and places the points; returns 0, or -1 if the payload is damaged.
+    """Reverses `image_to_symbols` and places the points; returns 0, -1 if the data is damaged.
 
     Args:
         words: of the entropy coder, and zeros behind them, enough for all symbols of a ring.
@@ -237,7 +247,7 @@ def restore(
         step_of[n + 1] = unfold(n)
     tails = len(table_of) - 4
     states = np.empty(STATES, np.uint64)
-    open_states(words, states)
+    read_states(words, states)
     at_word, at_raw, held, rise = u64(2 * STATES), 0, 0, 0
     bits = u64(0)
     first = i64(len(xyz)) - 1
@@ -246,7 +256,7 @@ def restore(
             return -1
         here, below = lines[row & 1], lines[1 - (row & 1)]
         kind, kind_below = kinds[row & 1], kinds[1 - (row & 1)]
-        look_below(below, kind_below, slopes, bases, wide, shift, marks)
+        describe_lower_ring(below, kind_below, slopes, bases, wide, shift, marks)
         for sector in range(SECTORS):
             seen[sector] = 0
             kind[sector] = kind_below[SECTORS + sector]
@@ -309,7 +319,7 @@ def restore(
             change = i64(here[at]) - under
             if n == 0:
                 rise = change
-        for column in range(1, wide):  # as above, with nothing to ask
+        for column in range(1, wide):  # as above, without the special cases
             start = u64((column + 1) * SECTORS)
             for n in range(SECTORS):
                 sector, at = u64(n), start + u64(n)
@@ -323,4 +333,4 @@ def restore(
         place_ring(beams, kind, SECTORS, m_per_unit, turns, row, azimuths, xyz, first, returns)
     if at_word != u64(end_word) or at_raw != len(raw) or first != 0:
         return -1
-    return 0 if are_done(states) else -1
+    return 0 if states_are_final(states) else -1

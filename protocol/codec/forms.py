@@ -1,0 +1,270 @@
+"""Encoding and decoding of scans and clouds, in each form of a payload."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from protocol.codec import planes
+from protocol.codec.draco import bits_for, pack_draco, unpack_draco
+from protocol.codec.image_sections import Window, image_step_m, pack_image, unpack_image
+from protocol.codec.octree import cell_edge_m, pack_tree, unpack_tree
+from protocol.codec.payload import (
+    Form,
+    Head,
+    Reader,
+    compress,
+    decompress,
+    pack_intensity,
+    read_payload,
+    unpack_intensity,
+)
+from protocol.codec.rings import RingImage, Rings, find_rings
+from protocol.errors import CodecError
+from protocol.profiles import Profile, profile_named
+from protocol.scans import MAX_POINTS, Floats, Floats32, PointCloud, RangeScan, ScanPattern
+
+MIN_BOUND_M, MAX_BOUND_M = 1e-4, 10.0
+_ROUNDING = 2.0**-22  # of a distance: what float32 may do to a point on both sides
+
+
+def check_bound(max_error_m: float) -> None:
+    """Refuses a bound that makes no sense.
+
+    Raises:
+        CodecError: it is not a length between 0.1 mm and 10 m.
+    """
+    if not (math.isfinite(max_error_m) and MIN_BOUND_M * (1 - 1e-6) <= max_error_m <= MAX_BOUND_M):
+        raise CodecError(f"error bound {max_error_m} m: needs {MIN_BOUND_M} to {MAX_BOUND_M:g}")
+
+
+def room_m(max_error_m: float, farthest_m: float, kind: str) -> float:
+    """Returns what quantisation may use of the bound: all but what float32 takes.
+
+    Args:
+        max_error_m: the bound.
+        farthest_m: the largest distance or coordinate.
+        kind: what it is, for the message.
+
+    Raises:
+        CodecError: float32 alone takes half of the bound.
+    """
+    room = max_error_m - (farthest_m + max_error_m) * _ROUNDING
+    if room < max_error_m / 2:
+        raise CodecError(
+            f"{kind} {farthest_m:.1f} m at a bound of {max_error_m} m: float32 ends at "
+            f"{max_error_m / 2 / _ROUNDING:.1f} m"
+        )
+    return room
+
+
+def encode_scan(
+    scan: RangeScan,
+    max_error_m: float,
+    *,
+    profile: str = Profile.DEFAULT,
+    intensity: bool = False,
+) -> bytes:
+    """Encodes a structured scan; every point moves by at most `max_error_m` along its beam.
+
+    Args:
+        scan: one revolution.
+        max_error_m: the bound, 0.1 mm to 10 m.
+        profile: name of a `Profile`.
+        intensity: whether intensities are sent, a byte each.
+
+    Raises:
+        CodecError: a range is negative, not finite, or too far for the bound.
+    """
+    check_bound(max_error_m)
+    chosen = profile_named(profile)
+    farthest_m = float(scan.range_m.max())
+    if not (np.isfinite(farthest_m) and float(scan.range_m.min()) >= 0):
+        raise CodecError("a range is negative or not finite")
+    room = room_m(max_error_m, farthest_m, "range")
+    if chosen is Profile.DRACO:
+        return _pack_draco(scan.cloud(), room, intensity)
+    range_m = np.ascontiguousarray(scan.range_m, np.float32)
+    if chosen is Profile.FAST:
+        form, step_m = Form.PLANES, 2.0 * room
+        sections, points = _pack_planes(range_m, max_error_m, step_m)
+    else:
+        form, step_m = Form.IMAGE, image_step_m(room)
+        window = Window.around(range_m)
+        image = range_m if window is None else window.cut(range_m)
+        sections, points = pack_image(image, step_m)
+        sections = [b"" if window is None else window.to_bytes(), *sections]
+    shades = pack_intensity(scan.intensity[scan.range_m > 0], True) if intensity else []
+    pattern = scan.pattern
+    fov_deg = (pattern.upper_fov_deg, pattern.lower_fov_deg)
+    beams = (pattern.channels, pattern.columns)
+    return Head(form, points, step_m, *beams, *fov_deg, intensity).seal(*sections, *shades)
+
+
+def encode_cloud(
+    cloud: PointCloud,
+    max_error_m: float,
+    *,
+    profile: str = Profile.DEFAULT,
+    intensity: bool = False,
+) -> bytes:
+    """Encodes an unordered cloud; every point moves by at most `max_error_m`.
+
+    Profile `fast` keeps the order of the points; the others do not. A cloud of one spinning LiDAR
+    becomes a range image of the rings that are found in it, any other an octree.
+
+    Args:
+        cloud: in the sensor frame.
+        max_error_m: the bound, 0.1 mm to 10 m.
+        profile: name of a `Profile`.
+        intensity: whether intensities are sent, a byte each.
+
+    Raises:
+        CodecError: a coordinate is not finite or too far away for the bound.
+    """
+    check_bound(max_error_m)
+    chosen = profile_named(profile)
+    points = np.asarray(cloud.points, np.float64).reshape(-1, 3)
+    if len(points) > MAX_POINTS:
+        raise CodecError(f"cloud has {len(points)} points, limit {MAX_POINTS}")
+    farthest_m = float(np.abs(points).max()) if len(points) else 0.0
+    if not np.isfinite(farthest_m):
+        raise CodecError("a coordinate is not finite")
+    room = room_m(max_error_m, farthest_m * 3**0.5, "coordinate")
+    if chosen is Profile.DRACO:
+        return _pack_draco(cloud, room, intensity)
+    if chosen is Profile.FAST:
+        return _pack_deltas(cloud, points, room, intensity)
+    image = find_rings(points, room)
+    if image is not None:
+        return _pack_rings(cloud, points, image, room, intensity)
+    edge_m = cell_edge_m(room)
+    sections, order = pack_tree(points, edge_m)
+    shades = pack_intensity(cloud.intensity[order], True) if intensity else []
+    head = Head(Form.TREE, len(points), edge_m, with_intensity=intensity)
+    return head.seal(*sections, *shades)
+
+
+def _pack_planes(range_m: Floats32, max_error_m: float, step_m: float) -> tuple[list[bytes], int]:
+    farthest_m = float(range_m.max())
+    if farthest_m >= planes.MAX_STEPS * step_m:
+        raise CodecError(
+            f"range {farthest_m:.1f} m at a bound of {max_error_m} m: profile fast ends at "
+            f"{planes.MAX_STEPS * step_m:.1f} m"
+        )
+    raw = np.empty(2 * range_m.size, np.uint8)
+    points = planes.pack_ranges(range_m, 1.0 / step_m, raw)
+    return [compress(raw)], points
+
+
+def _pack_deltas(cloud: PointCloud, points: Floats, room: float, intensity: bool) -> bytes:
+    step_m = cell_edge_m(room)
+    if len(points) and float(np.abs(points).max()) >= (2**30 - 1) * step_m:
+        raise CodecError(f"a coordinate takes more than 2^30 steps of {step_m} m")
+    raw = planes.pack_points(np.round(points / step_m).astype(np.int32))
+    head = Head(Form.DELTAS, len(points), step_m, with_intensity=intensity)
+    return head.seal(compress(raw), *pack_intensity(cloud.intensity, intensity))
+
+
+def _pack_rings(
+    cloud: PointCloud, points: Floats, image: RingImage, room: float, intensity: bool
+) -> bytes:
+    step_m = image_step_m(float(np.sqrt(room**2 - image.beside_m**2)))
+    rings = image.rings
+    sections, _ = pack_image(image.range_m, step_m)
+    rest, order = pack_tree(points[image.misfits], cell_edge_m(room))
+    shades = []
+    if intensity:
+        order = np.concatenate([image.order, image.misfits[order]])
+        shades = pack_intensity(cloud.intensity[order], True)
+    head = Head(
+        Form.RINGS,
+        len(points),
+        step_m,
+        len(rings.elevations),
+        rings.columns,
+        with_intensity=intensity,
+    )
+    return head.seal(
+        rings.to_bytes(len(image.misfits), cell_edge_m(room)), *sections, *rest, *shades
+    )
+
+
+def _pack_draco(cloud: PointCloud, room: float, intensity: bool) -> bytes:
+    if intensity:
+        raise CodecError("profile draco sends geometry only")
+    packed, points = pack_draco(cloud.points, bits_for(cloud.points, room))
+    return Head(Form.DRACO, points, 2 * room).seal(packed)
+
+
+def decode(payload: bytes | npt.NDArray[np.uint8]) -> PointCloud:
+    """Reads a payload of any form; the points come back in the sensor frame.
+
+    Raises:
+        CodecError: the payload is not one, or claims a size beyond the limits.
+    """
+    head, reader = read_payload(payload if isinstance(payload, bytes) else payload.tobytes())
+    points = _UNPACK[head.form](head, reader)
+    intensity = unpack_intensity(head, reader)
+    reader.end()
+    return PointCloud(points, intensity)
+
+
+def _unpack_planes(head: Head, reader: Reader) -> Floats32:
+    raw = decompress(reader.section(), 2 * head.channels * head.columns)
+    xyz = np.empty((head.points, 3), np.float32)
+    directions = _pattern(head).directions.reshape(-1, 3)
+    found = planes.unpack_ranges(raw, directions, head.columns, head.step_m, xyz)
+    if found != head.points:
+        raise CodecError(f"scan claims {head.points} points, holds {found}")
+    return xyz
+
+
+def _unpack_pattern(head: Head, reader: Reader) -> Floats32:
+    spin, section = _pattern(head).spin, reader.section()
+    if section:
+        spin = Window.from_bytes(section, head.channels, head.columns).cut_spin(spin)
+    return unpack_image(head, reader, *spin, head.points)
+
+
+def _unpack_deltas(head: Head, reader: Reader) -> Floats32:
+    raw = decompress(reader.section(), 12 * head.points)
+    xyz = np.empty((head.points, 3), np.float32)
+    if not planes.unpack_points(raw, head.step_m, xyz):
+        raise CodecError("a coordinate lies beyond the form's reach")
+    return xyz
+
+
+def _unpack_rings(head: Head, reader: Reader) -> Floats32:
+    rings, misfits, edge_m = Rings.from_bytes(reader.section(), head.channels, head.columns)
+    beams = head.channels * head.columns
+    if not 0 <= head.points - misfits <= beams:
+        raise CodecError(
+            f"scan claims {head.points} points, {misfits} of them beside {beams} beams"
+        )
+    placed = unpack_image(head, reader, *rings.spin, head.points - misfits)
+    return np.concatenate([placed, unpack_tree(reader, misfits, edge_m)])
+
+
+def _unpack_tree(head: Head, reader: Reader) -> Floats32:
+    return unpack_tree(reader, head.points, head.step_m)
+
+
+def _unpack_draco(head: Head, reader: Reader) -> Floats32:
+    return unpack_draco(reader.section(), head.points)
+
+
+def _pattern(head: Head) -> ScanPattern:
+    return ScanPattern(head.channels, head.columns, head.upper_fov_deg, head.lower_fov_deg)
+
+
+_UNPACK = {
+    Form.PLANES: _unpack_planes,
+    Form.IMAGE: _unpack_pattern,
+    Form.DELTAS: _unpack_deltas,
+    Form.RINGS: _unpack_rings,
+    Form.TREE: _unpack_tree,
+    Form.DRACO: _unpack_draco,
+}
