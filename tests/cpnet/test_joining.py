@@ -21,7 +21,7 @@ from protocol.messages import Setup
 from protocol.topics import BusName
 from tests.certificates import make_keys
 from tests.cpnet.commands import Shell, free_ports
-from tests.protocol.test_wire import EXAMPLES
+from tests.messages import EXAMPLES
 from tests.waiting import PATIENCE_S, wait_until
 
 WAIT_S = PATIENCE_S

@@ -15,7 +15,7 @@ from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Roster
 from protocol.topics import ALIVE, BusName
 from protocol.wire import encode
-from tests.protocol.test_wire import SCAN
+from tests.messages import SCAN
 from tests.waiting import PATIENCE_S
 
 WAIT_S = PATIENCE_S

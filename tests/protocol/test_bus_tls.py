@@ -16,7 +16,7 @@ from protocol.messages import End
 from protocol.tcpinfo import _socket_at
 from protocol.topics import BusName
 from tests.certificates import make_keys
-from tests.protocol.test_wire import SCAN
+from tests.messages import SCAN
 from tests.waiting import PATIENCE_S
 
 WAIT_S = PATIENCE_S

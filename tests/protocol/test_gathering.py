@@ -18,8 +18,7 @@ from protocol.inbox import Envelope, Inbox, Presence, Sealed
 from protocol.messages import Message
 from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
-from tests.protocol.test_unread import counted
-from tests.protocol.test_wire import SCAN
+from tests.messages import SCAN, lane_counts
 
 WAIT_S = 5.0
 
@@ -151,8 +150,8 @@ def test_messages_and_presence_cross_tcp_to_who_gathers_them():
         for frame in range(20):
             scan = SCAN.model_copy(update={"frame": frame, "payload": np.zeros(999, np.uint8)})
             speaker.publish("scan", scan, region="r0", process="v", agent="a", chunk="0")
-            speaker.publish("lanes", counted(frame), region="r0", tls="J")
-            sent += [("scan", scan), ("lanes", counted(frame))]
+            speaker.publish("lanes", lane_counts(frame), region="r0", tls="J")
+            sent += [("scan", scan), ("lanes", lane_counts(frame))]
         found: list[Envelope] = []
         while len(found) < len(sent):
             item = inbox.get(WAIT_S)

@@ -9,7 +9,7 @@ from protocol.hub import Hub, HubBus
 from protocol.inbox import Inbox, Presence
 from protocol.messages import Plan, Roster
 from protocol.topics import BusName
-from tests.protocol.test_wire import EXAMPLES
+from tests.messages import EXAMPLES
 
 ROSTER = Roster(frame=1, process="vehicle-0", agents=["a"], scanning=[])
 [PLAN] = [example for example in EXAMPLES if isinstance(example, Plan)]

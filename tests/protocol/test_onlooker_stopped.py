@@ -13,7 +13,7 @@ import pytest
 from protocol.bus import Endpoint, open_bus
 from protocol.inbox import Envelope, Inbox
 from protocol.topics import BusName
-from tests.protocol.test_wire import SCAN
+from tests.messages import SCAN
 from tests.waiting import wait_until
 
 LOOKER = """

@@ -9,23 +9,11 @@ from protocol import unread
 from protocol.inbox import Envelope
 from protocol.unread import MAX_FRAME_MESSAGES, MAX_OPEN_FRAMES, Unread, UnreadFrame
 from protocol.wire import encode
-from tests.protocol.test_wire import SCAN
+from tests.messages import SCAN, lane_counts
 
 
 def envelope(topic: str, message: m.Message) -> Envelope:
     return Envelope(topic, {}, None, 0, encode(message))
-
-
-def counted(frame: int) -> m.LaneCounts:
-    return m.LaneCounts(
-        frame=frame,
-        sim_time_ns=frame,
-        tls="J",
-        agents=[],
-        complete=True,
-        upstream={},
-        downstream={},
-    )
 
 
 def scan(frame: int, agent: str = "a") -> m.Scan:
@@ -50,11 +38,11 @@ class Heard(Unread):
         return frame
 
 
-def test_a_frame_is_whole_when_the_next_one_was_counted() -> None:
+def test_a_frame_is_whole_when_the_next_one_was_lane_counts() -> None:
     frames = Heard()
-    frames.hear(scan(1), counted(1))
+    frames.hear(scan(1), lane_counts(1))
     assert frames.next() is None
-    frames.hear(counted(2))
+    frames.hear(lane_counts(2))
     whole = frames.whole()
     assert (whole.number, [type(one) for one in whole.messages()]) == (1, [m.Scan, m.LaneCounts])
     assert frames.next() is None
@@ -62,27 +50,27 @@ def test_a_frame_is_whole_when_the_next_one_was_counted() -> None:
 
 def test_the_last_frame_is_whole_at_the_end() -> None:
     frames = Heard()
-    frames.hear(counted(5))
+    frames.hear(lane_counts(5))
     frames.finish()
     assert frames.whole().number == 5
 
 
 def test_a_frame_that_is_counted_twice_ends_once() -> None:
     frames = Heard()
-    frames.hear(counted(5), counted(5))
+    frames.hear(lane_counts(5), lane_counts(5))
     assert frames.next() is None
 
 
 def test_who_is_slow_gets_the_newest_and_leaves_out_whole_frames() -> None:
     frames = Heard()
-    frames.hear(*(counted(frame) for frame in range(10)))
+    frames.hear(*(lane_counts(frame) for frame in range(10)))
     assert (frames.whole().number, frames.left_out) == (8, 8)
 
 
 def test_who_rests_gets_the_newest_few_one_after_the_other() -> None:
     frames = Unread("lanes", 3)
     for number in range(10):
-        frames.take(envelope("lanes", counted(number)), number)
+        frames.take(envelope("lanes", lane_counts(number)), number)
     found = [frames.next() for _ in range(4)]
     assert [one and one.number for one in found] == [6, 7, 8, None]
     assert frames.left_out == 6
@@ -91,7 +79,7 @@ def test_who_rests_gets_the_newest_few_one_after_the_other() -> None:
 def test_absurd_frames_are_in_nobodys_way() -> None:
     frames = Heard()
     frames.hear(*(scan((1 << 40) - 1 - n) for n in range(1000)))
-    frames.hear(*(scan(3) for _ in range(10)), counted(3), counted(4))
+    frames.hear(*(scan(3) for _ in range(10)), lane_counts(3), lane_counts(4))
     whole = frames.whole()
     assert (whole.number, len(whole.heard)) == (3, 11)
 
@@ -112,13 +100,13 @@ def test_a_frame_of_endless_bytes_is_bounded(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_what_cannot_be_read_or_bears_another_number_ends_no_frame_and_is_left_out() -> None:
     frames = Heard()
-    spoilt = Envelope("lanes", {}, None, 0, encode(counted(7))[:-8])
+    spoilt = Envelope("lanes", {}, None, 0, encode(lane_counts(7))[:-8])
     frames.take(spoilt, 7)
-    frames.take(envelope("lanes", counted(7)), 8)
+    frames.take(envelope("lanes", lane_counts(7)), 8)
     assert not frames._open
     frames.take(Envelope("scan", {}, None, 0, b"?"), 7)
     frames.take(envelope("scan", scan(6)), 7)
-    frames.hear(counted(7), counted(8))
+    frames.hear(lane_counts(7), lane_counts(8))
     assert [type(one) for one in frames.whole().messages()] == [m.LaneCounts]
 
 
@@ -126,7 +114,7 @@ def test_what_cannot_be_read_or_bears_another_number_ends_no_frame_and_is_left_o
 def test_no_order_of_messages_opens_more_than_a_few(order: list[tuple[int, bool]]) -> None:
     frames, shown = Heard(), 0
     for frame, is_count in order:
-        frames.hear(counted(frame) if is_count else scan(frame))
+        frames.hear(lane_counts(frame) if is_count else scan(frame))
         assert len(frames._open) <= MAX_OPEN_FRAMES
         shown += frames.next() is not None
     assert shown + frames.left_out <= sum(is_count for _, is_count in order)

@@ -12,7 +12,7 @@ from protocol import messages as m
 from protocol.errors import MessageError
 from protocol.inbox import Envelope, Presence
 from protocol.topics import TOPICS, BusName
-from tests.protocol.test_wire import EXAMPLES
+from tests.messages import EXAMPLES
 from tests.viewer.test_viewer_layers import CROSSING
 from tests.viewer.test_viewer_rates import PERIOD_NS, measured, sent, tick
 from viewer.top import board as boards

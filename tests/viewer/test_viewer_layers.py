@@ -8,7 +8,7 @@ from protocol.codec import encode_cloud
 from protocol.roadmap import Lane, Link, PlanPhase, RoadMap, Signal
 from protocol.scans import PointCloud
 from studies import palette
-from tests.protocol.test_wire import SCAN
+from tests.messages import SCAN
 from viewer import layers
 from viewer.clouds import clouds
 from viewer.colours import MAX_REMEMBERED, Colours, rgb

@@ -7,7 +7,7 @@ from protocol.courtesy import Budget
 from protocol.inbox import Inbox, Presence, Sealed
 from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
-from tests.protocol.test_unread import counted
+from tests.messages import lane_counts
 from tests.viewer.test_top_board import SETUP
 from viewer.live import Live
 from viewer.scene import Picture, Scene
@@ -47,7 +47,7 @@ def frames_drawn(share: float) -> list[int]:
     """Returns what is drawn of a run of which all was said before anybody looked."""
     inbox = Inbox()
     for frame in range(FRAMES):
-        inbox.put(sealed("lanes", TOPICS["lanes"].key(region="r0", tls="J"), counted(frame)))
+        inbox.put(sealed("lanes", TOPICS["lanes"].key(region="r0", tls="J"), lane_counts(frame)))
     inbox.put(sealed("end", TOPICS["end"].key(), m.End(reason="finished", frames=FRAMES)))
     shows = Drawn()
     live = Live(inbox, Scene(SETUP), shows, 1e9, Budget(share, 0))

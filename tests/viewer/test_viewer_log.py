@@ -7,7 +7,7 @@ rr = pytest.importorskip("rerun", reason="the extra `view` is not installed")
 
 from protocol.codec import encode_cloud  # noqa: E402 - what follows is of use with the extra alone
 from protocol.scans import PointCloud  # noqa: E402
-from tests.protocol.test_wire import SCAN  # noqa: E402
+from tests.messages import SCAN  # noqa: E402
 from tests.viewer.test_top_board import SETUP  # noqa: E402
 from tests.viewer.test_viewer_layers import CAR, detections, truth  # noqa: E402
 from viewer.blueprint import blueprint  # noqa: E402

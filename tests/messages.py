@@ -1,0 +1,197 @@
+"""An example of every message, with as little in it as it needs."""
+
+import numpy as np
+
+from protocol import messages as m
+from protocol.roadmap import Lane, Link, PlanPhase, RoadMap, Signal
+
+SCAN = m.Scan(
+    frame=7,
+    sim_time_ns=700_000_000,
+    agent="rsu-0",
+    chunk=0,
+    chunks=1,
+    points=3,
+    sensor_pose=np.arange(6.0),
+    sense_start_ns=1,
+    sense_end_ns=2,
+    encode_end_ns=3,
+    payload=np.arange(5, dtype=np.uint8),
+)
+ROAD = RoadMap(
+    name="one lane",
+    centre=(0, 0, 0),
+    lanes=[
+        Lane(
+            id="in_0",
+            edge="in",
+            width_m=3.5,
+            speed_mps=13.89,
+            length_m=50,
+            centreline=[(-50, 0, 0), (0, 0, 0)],
+            successors=["out_0"],
+        )
+    ],
+    signal=Signal(
+        tls="J",
+        links=[Link(index=0, from_lane="in_0", to_lane="out_0")],
+        conflicts=[],
+        plan=[PlanPhase(duration_s=30, state="G"), PlanPhase(duration_s=4, state="y")],
+    ),
+    junction=[(0, 0), (1, 0), (1, 1)],
+)
+EXAMPLES: list[m.Message] = [
+    m.Setup(
+        scenario={"seed": 1},
+        road_map=ROAD,
+        vehicle_types=[
+            m.VehicleType(name="car", mesh="car", length_m=4.5, width_m=1.8, height_m=1.5)
+        ],
+        meshes=[m.MeshPart(name="car", vertices=3, triangles=1)],
+        mesh_vertices=np.eye(3, dtype=np.float32),
+        mesh_triangles=np.array([[0, 1, 2]], np.int32),
+        version="0.1.0",
+    ),
+    m.Tick(
+        frame=1,
+        sim_time_ns=100_000_000,
+        processes=["vehicle-0"],
+        ids=["a", "b"],
+        types=["car", "car"],
+        poses=np.arange(12.0).reshape(2, 6),
+        speeds_mps=np.array([1, 2], np.float32),
+        equipment=np.array([0, 1], np.uint8),
+        hosts=np.array([-1, 0], np.int32),
+    ),
+    m.Truth(
+        frame=1,
+        sim_time_ns=100_000_000,
+        ids=["a"],
+        types=["car"],
+        lanes=["in_0"],
+        poses=np.zeros((1, 6)),
+        speeds_mps=np.zeros(1, np.float32),
+        lane_positions_m=np.ones(1, np.float32),
+        equipment=np.zeros(1, np.uint8),
+    ),
+    m.Trips(
+        frame=3,
+        trips=[
+            m.Trip(
+                vehicle="a",
+                equipment=m.Equipment.CV,
+                depart_s=1.0,
+                arrive_s=None,
+                time_loss_s=2.5,
+            )
+        ],
+    ),
+    m.End(frames=600, reason="finished"),
+    m.SignalState(
+        frame=1,
+        sim_time_ns=1,
+        tls="J",
+        state="G",
+        stage="green",
+        green="G",
+        source="plan",
+        earliest_change_ns=5,
+    ),
+    m.SignalRequest(
+        frame=1,
+        sim_time_ns=1,
+        tls="J",
+        state="G",
+        policy="max_pressure",
+        pressures=[3],
+        unknown=["in_0"],
+    ),
+    m.Roster(frame=1, process="vehicle-0", agents=["a"], scanning=[]),
+    m.AgentPose(
+        frame=1,
+        sim_time_ns=1,
+        agent="a",
+        equipment=m.Equipment.CAV,
+        pose=np.zeros(6),
+        length_m=4.5,
+        width_m=1.8,
+        height_m=1.5,
+        position_std_m=0.05,
+    ),
+    SCAN,
+    m.Detections(
+        frame=1,
+        sim_time_ns=1,
+        agents=["a"],
+        boxes=np.ones((1, 7), np.float32),
+        scores=np.ones(1, np.float32),
+        lanes=["in_0"],
+        distances_m=np.ones(1, np.float32),
+        sources=["lidar"],
+    ),
+    m.LaneCounts(
+        frame=1,
+        sim_time_ns=1,
+        tls="J",
+        agents=["a"],
+        complete=True,
+        upstream={"in_0": 2},
+        downstream={"out_0": 0},
+    ),
+    m.Metrics(
+        process="edge",
+        frame=1,
+        sim_time_ns=1,
+        spans=[m.Span(stage="merge", start_ns=1, end_ns=2)],
+        arrivals=[m.Arrival(agent="a", chunk=0, received_ns=1, decoded_ns=2)],
+        doubts=[m.Doubt(agent="a", score=0.35, believed=False, motion=0, place=1, ground=None)],
+    ),
+    m.Progress(
+        frame=1,
+        sim_time_ns=1,
+        real_time_factor=1.5,
+        vehicles=2,
+        cavs=1,
+        cvs=0,
+        detections=2,
+        mbps={"a": 5.0},
+        end_to_end_ms=60,
+        state="G",
+        drops=0,
+    ),
+    m.Plan(
+        frame=2,
+        agent="a",
+        mbps=5.0,
+        enough=1,
+        agents=["a", "b"],
+        sites=np.arange(4.0).reshape(2, 2),
+        weights_m2=np.arange(6.0).reshape(2, 3),
+    ),
+    m.Objects(
+        frame=1,
+        sim_time_ns=1,
+        agent="a",
+        boxes=np.ones((1, 7), np.float32),
+        scores=np.ones(1, np.float32),
+        sense_start_ns=1,
+        sense_end_ns=2,
+        detect_end_ns=3,
+    ),
+    m.TimeReply(machine="here", heard_ns=5, told_ns=6),
+    m.ClockReading(process="edge", offset_ns=-7, error_ns=8),
+    m.Sighting(frame=2, agent="a", vehicles=["b"], points=np.array([7], np.int32)),
+]
+
+
+def lane_counts(frame: int) -> m.LaneCounts:
+    """Returns the counts of no lane, which end a frame."""
+    return m.LaneCounts(
+        frame=frame,
+        sim_time_ns=frame,
+        tls="J",
+        agents=[],
+        complete=True,
+        upstream={},
+        downstream={},
+    )
