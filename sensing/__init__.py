@@ -9,5 +9,6 @@ Uploads:  `upload_policies` names what may be sent; `upload_filters` and `upload
 Links:    `link_profile` and `link_config` describe a link, `link_channel` computes its rate and
           delay, `radio` is one agent's side of it.
 Agents:   `station` is what all agent processes share, `pose` what an agent believes of its pose.
-          `config` is the scenario's part, `noise` gives the random streams.
+          `config` is the scenario's part, `limits` what files and messages may hold, `noise`
+          gives the random streams.
 """

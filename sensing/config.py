@@ -12,9 +12,8 @@ from protocol.config import Section
 from protocol.plugins import PluginSettings
 from protocol.profiles import Profile
 from protocol.scans import ScanPattern
+from sensing.limits import MAX_COLUMNS
 from sensing.upload_policies import POLICIES, Filter, PolicyName, policy_of
-
-MAX_COLUMNS = 8192
 
 
 class LidarConfig(Section):

@@ -25,19 +25,9 @@ from pydantic import Field, ValidationError, field_validator
 from protocol.config import Section
 from protocol.errors import ConfigError
 from protocol.files import is_file
-from sensing.link_profile import (
-    BUILTIN,
-    MAX_RATE_BPS,
-    MAX_RTT_US,
-    MAX_STEPS,
-    MIN_STEP_US,
-    LinkProfile,
-    RoundTrip,
-    TraceRate,
-    VaryingRate,
-)
+from sensing.limits import MAX_RATE_BPS, MAX_RTT_US, MAX_STEPS, MAX_TRACE_FILE_BYTES, MIN_STEP_US
+from sensing.link_profile import BUILTIN, LinkProfile, RoundTrip, TraceRate, VaryingRate
 
-MAX_FILE_BYTES = 64 << 20
 _PACKET_BITS = 1500 * 8
 _COLUMNS = ("time_s", "rate_mbps")
 
@@ -61,9 +51,10 @@ def read_trace(path: Path, rtt_ms: float = 0.0) -> LinkProfile:
 
 def _lines(path: Path) -> list[str]:
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
+        size_bytes = path.stat().st_size
+        if size_bytes > MAX_TRACE_FILE_BYTES:
             raise ConfigError(
-                f"{path}: has {path.stat().st_size} bytes, limit {MAX_FILE_BYTES}: cut the trace"
+                f"{path}: has {size_bytes} bytes, limit {MAX_TRACE_FILE_BYTES}: cut the trace"
             )
         lines = path.read_text("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:

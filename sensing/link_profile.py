@@ -12,13 +12,14 @@ from typing import Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from protocol.config import Section
-
-MAX_STEPS = 200_000  # of a trace: it travels to every process in the setup
-MIN_STEP_US = 1_000
-MAX_PERIOD_US = 86_400_000_000  # a day
-MAX_RATE_BPS = 100_000_000_000
-MIN_MEAN_BPS = 1_000  # less, and a scan would be under way for hours
-MAX_RTT_US = 60_000_000
+from sensing.limits import (
+    MAX_PERIOD_US,
+    MAX_RATE_BPS,
+    MAX_RTT_US,
+    MAX_STEPS,
+    MIN_MEAN_BPS,
+    MIN_STEP_US,
+)
 
 
 class VaryingRate(Section):

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from protocol.errors import ConfigError
 from protocol.files import is_file, is_folder
 from protocol.scans import PointCloud
+from sensing.limits import MAX_CLOUD_FILE_BYTES, MAX_RECORD_BYTES
 
 
 def decompress(data: bytes, size: int) -> bytes:
@@ -56,8 +57,6 @@ def _repeat(out: bytearray, start: int, length: int) -> None:
     out += (piece * turns)[:length]
 
 
-MAX_FILE_BYTES = 1 << 30
-_MAX_RECORD_BYTES = 1 << 12
 _AXES = ("x", "y", "z")
 _KNOWN = (".bin", ".pcd")
 _KINDS = {"F": "f", "U": "u", "I": "i"}
@@ -99,8 +98,10 @@ def read_points(path: Path) -> PointCloud:
     if reader is None:
         raise ConfigError(f"{path}: cannot read {path.suffix or 'this'}; known are .bin and .pcd")
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise ConfigError(f"{path} has {path.stat().st_size} bytes, limit {MAX_FILE_BYTES}")
+        if path.stat().st_size > MAX_CLOUD_FILE_BYTES:
+            raise ConfigError(
+                f"{path} has {path.stat().st_size} bytes, limit {MAX_CLOUD_FILE_BYTES}"
+            )
         data = path.read_bytes()
     except OSError as error:
         raise ConfigError(f"{path} cannot be read: {error.strerror}") from None
@@ -178,8 +179,8 @@ def _record(header: Mapping[str, list[str]]) -> np.dtype[np.void]:
     if missing := [axis for axis in _AXES if axis not in layout]:
         raise ValueError(f"no field {missing[0]}")
     record = np.dtype([(label, *of_field) for label, of_field in layout.items()])
-    if record.itemsize > _MAX_RECORD_BYTES:
-        raise ValueError(f"a point takes {record.itemsize} bytes, limit {_MAX_RECORD_BYTES}")
+    if record.itemsize > MAX_RECORD_BYTES:
+        raise ValueError(f"a point takes {record.itemsize} bytes, limit {MAX_RECORD_BYTES}")
     return record
 
 

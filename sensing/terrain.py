@@ -11,6 +11,7 @@ from numba import njit
 from protocol.geometry import Floats
 from protocol.roadmap import RoadMap
 from sensing.config import SceneConfig
+from sensing.limits import MAX_TERRAIN_NODES
 from sensing.mesh import TriangleMesh
 from sensing.noise import stream
 from sensing.road import RoadArea, resample
@@ -104,7 +105,6 @@ def _doubled(coarse: Floats, rows: int) -> Floats:
 
 CELL_M = 4.0
 MARGIN_M = 128.0  # as far beyond the road as a sensor on it sees
-_MAX_NODES = 4_000_000
 _HALF_WHEELBASE_M, _HALF_TRACK_M = 1.35, 0.75
 
 
@@ -121,7 +121,7 @@ class Terrain:
         flat = np.concatenate([lane.points[:, :2] for lane in road_map.lanes])
         low, high = flat.min(axis=0) - MARGIN_M, flat.max(axis=0) + MARGIN_M
         self.cell_m = CELL_M
-        while np.prod((high - low) / self.cell_m) > _MAX_NODES:
+        while np.prod((high - low) / self.cell_m) > MAX_TERRAIN_NODES:
             self.cell_m *= 2
         self.origin: Floats = np.floor(low / self.cell_m) * self.cell_m
         columns, rows = (int(n) + 2 for n in (high - self.origin) / self.cell_m)

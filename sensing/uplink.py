@@ -9,10 +9,8 @@ from dataclasses import dataclass, field
 from protocol.bus import Bus
 from protocol.errors import CpnetError
 from protocol.messages import Objects, Plan, Scan, Span, Tick, Upload, WireCount
+from sensing.limits import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES
 from sensing.radio import ENVELOPE_BYTES, Radio
-
-MAX_AGE_FRAMES = 10  # an older plan is of a scene that has passed
-MAX_AHEAD_FRAMES = 64  # a plan for later than this is an error
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 from pydantic import AfterValidator
 
 from protocol.plugins import Catalogue
+from sensing.limits import MAX_CHUNKS
 
 if TYPE_CHECKING:
     from sensing.upload_selection import ChooserMaker
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
 Filter = Literal["roi", "foreground"]
 Sends = Literal["scan", "objects", "nothing"]
-MAX_CHUNKS = 64  # as `protocol.messages.Scan` has it
 
 
 @dataclass(frozen=True, slots=True)

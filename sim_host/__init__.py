@@ -3,5 +3,6 @@
 `role` plays frame after frame; `world` is the traffic, `journeys` the vehicles in it, `cabinet`
 what the signal shows; `presence` knows which processes are there. Before a run, `setup` collects
 what every process gets: `netfile` and `road_map` read the net, `demand` its vehicles and flows,
-`junctions` makes nets with the tools of `sumo`. `config` is the scenario's part.
+`junctions` makes nets with the tools of `sumo`. `config` is the scenario's part,
+`limits` what others may send.
 """

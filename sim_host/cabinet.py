@@ -19,6 +19,7 @@ from protocol.inbox import Envelope
 from protocol.messages import SignalRequest, SignalState
 from protocol.roadmap import Signal
 from sim_host.config import CabinetConfig
+from sim_host.limits import MAX_PENDING_REQUESTS
 
 
 class Cabinet(Protocol):
@@ -257,9 +258,6 @@ class ActuatedCabinet:
             source=SOURCE,
             earliest_change_ns=now_ns,
         )
-
-
-MAX_PENDING_REQUESTS = 512  # the longest deadline, 10 s, at 0.1 s a frame, has 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,6 +14,7 @@ from protocol.files import is_file
 from protocol.messages import VehicleType
 from protocol.roadmap import Signal
 from sim_host.config import TrafficConfig, VehicleSpec
+from sim_host.limits import MAX_NAME_CHARS
 from sim_host.netfile import UNREADABLE, Net, open_file
 
 # SUMO's default length, width and height in m by vClass (page "Vehicle Type Parameter Defaults").
@@ -118,7 +119,6 @@ def _v_types(path: Path) -> Iterator[dict[str, str]]:
 UPSTREAM_M = 200.0
 DOWNSTREAM_M = 100.0
 MIX = "mix"
-MAX_NAME_CHARS = 118  # and a number behind it: a message takes 128
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 from protocol.errors import ConfigError
 from protocol.files import is_file
 from protocol.roadmap import PlanPhase
+from sim_host.limits import MAX_ID_CHARS
 
 _Stream = BufferedReader | gzip.GzipFile
 UNREADABLE = (ElementTree.ParseError, OSError, EOFError, zlib.error)
@@ -26,7 +27,6 @@ def open_file(path: Path) -> _Stream:
 
 
 Point = tuple[float, float, float]
-MAX_ID_CHARS = 512
 _NOT_IN_IDS = frozenset(" \t\n\r|\\'\";,<>&*?")  # for SUMO they end or divide names
 _WALKS = {"crossing", "walkingarea"}
 _ROAD_CLASSES = {"passenger", "private", "taxi", "bus", "coach", "delivery", "truck", "trailer"}

@@ -12,6 +12,7 @@ from protocol.errors import BusError
 from protocol.inbox import Presence
 from protocol.messages import Equipment
 from protocol.topics import BusName
+from sim_host.limits import MAX_PROCESSES
 
 _REMIND_NS = 5_000_000_000
 _log = logging.getLogger(__name__)
@@ -69,9 +70,6 @@ class Readiness:
             self._reminded_ns = now_ns
             _log.info("waiting for %s", missing)
         return not missing
-
-
-MAX_PROCESSES = 256
 
 
 class Fleet:

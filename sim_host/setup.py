@@ -21,6 +21,7 @@ from protocol.version import own_version
 from sim_host import junctions
 from sim_host.config import TrafficConfig
 from sim_host.demand import types_of_demand, types_of_files, write_demand
+from sim_host.limits import MAX_HEIGHT_M
 from sim_host.netfile import UNREADABLE, Net, open_file, read_net
 from sim_host.road_map import road_map
 from sim_host.sumo import sumo_home
@@ -101,7 +102,6 @@ def _box() -> Mesh:
 
 
 DEFAULT_HEIGHT_M = 10.0
-MAX_HEIGHT_M = 1000.0
 POLYGON_RADIUS_M = 400.0
 
 Ring = list[tuple[float, float]]

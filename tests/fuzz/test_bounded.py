@@ -42,8 +42,9 @@ from recorder.glance import MAX_AGENTS as MAX_GLANCED
 from recorder.ledger import MAX_ENTRIES, MAX_WIRED
 from recorder.pulse import OPEN_FRAMES
 from recorder.role import RecordRole
-from sensing.uplink import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES, PlanHistory
-from sim_host.presence import MAX_PROCESSES as MAX_HOSTS
+from sensing.limits import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES
+from sensing.uplink import PlanHistory
+from sim_host.limits import MAX_PROCESSES as MAX_HOSTS
 from sim_host.presence import Fleet, Readiness
 
 LONG = "x" * 120  # of an agent's id
@@ -257,7 +258,7 @@ def test_an_edge_remembers_no_more_agents_than_it_serves():
 def test_an_agent_keeps_the_plans_of_a_few_frames():
     plans = PlanHistory()
     for frame in range(500):
-        plans.hear(
+        plans.receive(
             m.Plan(
                 frame=frame,
                 agent="a",
@@ -270,7 +271,7 @@ def test_an_agent_keeps_the_plans_of_a_few_frames():
             frame=frame // 2,
             arrival_sim_ns=0,
         )
-        assert len(plans._heard) <= MAX_AGE_FRAMES + MAX_AHEAD_FRAMES + 1
+        assert len(plans._received) <= MAX_AGE_FRAMES + MAX_AHEAD_FRAMES + 1
 
 
 def test_the_world_counts_the_processes_it_expects_and_a_few_more():

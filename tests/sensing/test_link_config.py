@@ -7,17 +7,10 @@ from hypothesis import strategies as st
 
 from protocol.errors import ConfigError
 from protocol.messages import Setup
+from sensing.limits import MAX_PERIOD_US, MAX_RATE_BPS, MAX_RTT_US, MAX_STEPS
 from sensing.link_channel import Channel as LinkPath
 from sensing.link_config import LinkConfig, profile_named, read_trace
-from sensing.link_profile import (
-    MAX_PERIOD_US,
-    MAX_RATE_BPS,
-    MAX_RTT_US,
-    MAX_STEPS,
-    LinkProfile,
-    TraceRate,
-    VaryingRate,
-)
+from sensing.link_profile import LinkProfile, TraceRate, VaryingRate
 
 WIDE_CSV = f"time_s,rate_mbps\n0,1\n1,{'1' * 140_000}\n"
 LONG_NAME = pytest.param("x" * 5000, id="long")

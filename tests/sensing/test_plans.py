@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.messages import Plan
-from sensing.uplink import MAX_AGE_FRAMES, PlanHistory
+from sensing.limits import MAX_AGE_FRAMES
+from sensing.uplink import PlanHistory
 
 
 def plan(frame: int) -> Plan:

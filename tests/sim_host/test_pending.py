@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from protocol.inbox import Envelope
 from protocol.messages import SignalRequest
-from sim_host.cabinet import MAX_PENDING_REQUESTS, PendingRequests
+from sim_host.cabinet import PendingRequests
+from sim_host.limits import MAX_PENDING_REQUESTS
 
 
 def add(
