@@ -44,7 +44,6 @@ PARTS = {
     "policies": Part(
         [
             "signal_controller/policies.py",
-            "signal_controller/registry.py",
             "signal_controller/queue_estimator.py",
         ],
         ["tests/signal_controller"],
