@@ -6,6 +6,7 @@ import signal
 import threading
 import time
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
@@ -13,7 +14,6 @@ from rich.markup import escape
 from cpnet.crowd import everybody
 from cpnet.deaths import Death
 from cpnet.display import Display
-from cpnet.exporter.tally import Tally
 from cpnet.processes import TAPE
 from cpnet.scenario import Scenario
 from cpnet.stillness import PATIENCE_NS, Stillness
@@ -21,6 +21,9 @@ from cpnet.supervisor import Supervisor
 from cpnet.watch import Watch
 from protocol.bus import Endpoint
 from protocol.errors import BusError
+
+if TYPE_CHECKING:
+    from cpnet.metrics_page import RunMetrics  # prometheus_client: only runs with --metrics need it
 
 POLL_S = 0.05
 OVERTAKEN_S = 2.0
@@ -62,7 +65,7 @@ class Attendant:
     interruption: Interruption
     console: Console
     restart: bool
-    tally: Tally | None = None
+    metrics: RunMetrics | None = None
 
     def attend(self, world: Endpoint) -> int:
         """Returns the exit status."""
@@ -104,7 +107,7 @@ class Attendant:
             if death := self.supervisor.death(at_end=False):
                 return death
             try:
-                return Watch(world, everybody(self.scenario), self.tally)
+                return Watch(world, everybody(self.scenario), self.metrics)
             except BusError:
                 self.interruption.event.wait(POLL_S)
         return None
@@ -177,8 +180,8 @@ class Attendant:
         found, lost = self.supervisor.revive()
         for death in found:
             self.console.print(f"{death.id} {death.how}", markup=False)
-            if self.tally is not None:
-                self.tally.restarted(death.id)
+            if self.metrics is not None:
+                self.metrics.restarted(death.id)
         return lost
 
     def _lost_elsewhere(self, watch: Watch) -> Death | None:

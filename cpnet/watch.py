@@ -5,13 +5,16 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from cpnet.crowd import Crowd, Who
-from cpnet.exporter.tally import Tally
 from protocol.bus import Endpoint, open_bus
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Progress
 from protocol.topics import BusName
+
+if TYPE_CHECKING:
+    from cpnet.metrics_page import RunMetrics  # prometheus_client: only runs with --metrics need it
 
 CONNECT_TIMEOUT_MS = 300
 CLOSE_S = 1.0
@@ -23,22 +26,22 @@ class Watch:
     """A listener that disturbs nobody; a context manager."""
 
     def __init__(
-        self, world: Endpoint, expected: Iterable[Who], tally: Tally | None = None
+        self, world: Endpoint, expected: Iterable[Who], metrics: RunMetrics | None = None
     ) -> None:
-        """Connects; all that comes is told to the tally, if there is one.
+        """Connects; `metrics` takes all that comes, if there are any.
 
         Raises:
             BusError: the world bus is not there yet.
         """
         self._inbox = Inbox()
-        self._tally = tally
+        self._metrics = metrics
         self._bus = open_bus(BusName.WORLD, world, self._inbox, CONNECT_TIMEOUT_MS)
         self.progress: Progress | None = None
         self.end: End | None = None
         self._crowd = Crowd(expected)
         for topic in ("progress", "end"):
             self._bus.subscribe(topic)
-        if tally is not None:
+        if metrics is not None:
             self._inbox.limit("metrics", METRICS_WAITING)
             self._bus.subscribe("metrics")
         self._bus.watch()
@@ -61,8 +64,8 @@ class Watch:
             self._take(item)
             taken += 1
             item = self._inbox.get() if taken < MAX_BATCH else None
-        if self._tally is not None:
-            self._tally.lost(self._inbox.drops)
+        if self._metrics is not None:
+            self._metrics.lost(self._inbox.drops)
         return self.progress is not before
 
     def await_end(self, timeout_s: float) -> None:
@@ -80,8 +83,8 @@ class Watch:
         return sorted(self._crowd.left)
 
     def _take(self, item: Envelope | Presence) -> None:
-        if self._tally is not None:
-            self._tally.take(item)
+        if self._metrics is not None:
+            self._metrics.take(item)
         if isinstance(item, Presence):
             self._crowd.hear(item)
         elif isinstance(item.message, Progress):

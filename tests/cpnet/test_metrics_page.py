@@ -1,21 +1,30 @@
 """What is exported of a run, whatever its processes say."""
 
+import socket
 import threading
+import urllib.request
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
-from cpnet.exporter.counts import BUCKETS_S
-from cpnet.exporter.families import TallyCollector
-from cpnet.exporter.names import OTHER, Names
-from cpnet.exporter.tally import MAX_PROCESSES, MAX_REASONS, MAX_STAGES, Tally
+from cpnet.metrics_page import (
+    BUCKETS_S,
+    MAX_PROCESSES,
+    MAX_REASONS,
+    MAX_STAGES,
+    OTHER,
+    LabelSet,
+    MetricsAddress,
+    RunMetrics,
+    serving,
+)
 from cpnet.processes import ProcessEntry, RoleEntry
 from protocol import messages as m
+from protocol.errors import ConfigError
 from protocol.inbox import Envelope, Presence
-from protocol.rising import Rising
 
 MS = 1_000_000
 
@@ -34,11 +43,9 @@ def progress(**fields) -> Envelope:
     return envelope(m.Progress(**(plain | {"drops": 0} | fields)))
 
 
-def page(tally: Tally) -> dict[tuple[str, ...], float]:
+def page(run_metrics: RunMetrics) -> dict[tuple[str, ...], float]:
     """Returns all samples, as Prometheus reads them, by name and values in order of labels."""
-    registry = CollectorRegistry()
-    registry.register(TallyCollector(tally))
-    text = generate_latest(registry).decode()
+    text = generate_latest(run_metrics.registry).decode()
     return {
         (sample.name, *dict(sorted(sample.labels.items())).values()): sample.value
         for family in text_string_to_metric_families(text)
@@ -47,16 +54,16 @@ def page(tally: Tally) -> dict[tuple[str, ...], float]:
 
 
 def test_before_anything_was_heard_the_page_can_be_read():
-    samples = page(Tally())
+    samples = page(RunMetrics())
     assert samples[("cpnet_frames_total",)] == 0
     assert ("cpnet_frame",) not in samples
 
 
 def test_stages_are_counted_by_bucket_in_seconds():
-    tally = Tally()
+    run_metrics = RunMetrics()
     for took_ns in (MS // 10, 3 * MS, 5000 * MS):
-        tally.take(metrics(spans=[m.Span(stage="merge", start_ns=10, end_ns=10 + took_ns)]))
-    samples = page(tally)
+        run_metrics.take(metrics(spans=[m.Span(stage="merge", start_ns=10, end_ns=10 + took_ns)]))
+    samples = page(run_metrics)
     reached = {"0.0001": 1, "0.0025": 1, "0.005": 2, "1.0": 2, "+Inf": 3}
     for bound, count in reached.items():
         assert samples[("cpnet_stage_seconds_bucket", bound, "merge")] == count
@@ -66,88 +73,66 @@ def test_stages_are_counted_by_bucket_in_seconds():
 
 @pytest.mark.parametrize("end_ns", [-1, (1 << 62) - 1])
 def test_a_stage_that_ends_before_it_began_or_never_is_left_out(end_ns):
-    tally = Tally()
-    tally.take(metrics(spans=[m.Span(stage="merge", start_ns=0, end_ns=end_ns)]))
-    samples = page(tally)
+    run_metrics = RunMetrics()
+    run_metrics.take(metrics(spans=[m.Span(stage="merge", start_ns=0, end_ns=end_ns)]))
+    samples = page(run_metrics)
     assert samples[("cpnet_odd_spans_total",)] == 1
     assert ("cpnet_stage_seconds_count", "merge") not in samples
 
 
 def test_frames_are_those_that_the_world_has_finished():
-    tally = Tally()
+    run_metrics = RunMetrics()
     for stage in ("actuate", "world", "actuate", "world"):
-        tally.take(metrics("sim", spans=[m.Span(stage=stage, start_ns=0, end_ns=MS)]))
-    samples = page(tally)
+        run_metrics.take(metrics("sim", spans=[m.Span(stage=stage, start_ns=0, end_ns=MS)]))
+    samples = page(run_metrics)
     assert samples[("cpnet_frames_total",)] == 2
     assert 0 <= samples[("cpnet_signal_request_age_seconds",)] < 60
 
 
 def test_bytes_are_counted_by_process_and_never_by_agent():
     times = dict.fromkeys(("sense_start_ns", "sense_end_ns", "encode_end_ns", "sent_ns"), 0)
-    tally = Tally()
+    run_metrics = RunMetrics()
     for agent in ("a", "b"):
         upload = m.Upload(agent=agent, chunk=0, points=1, payload_bytes=100, **times)
         wire = m.WireCount(agent=agent, frame=0, sent_bytes=130)
-        tally.take(metrics("vehicle-0", uploads=[upload], wire=[wire]))
-    samples = page(tally)
+        run_metrics.take(metrics("vehicle-0", uploads=[upload], wire=[wire]))
+    samples = page(run_metrics)
     assert samples[("cpnet_uploaded_bytes_total", "vehicle-0")] == 200
     assert samples[("cpnet_sent_bytes_total", "vehicle-0")] == 260
 
 
 def test_drops_go_on_rising_when_a_process_starts_anew():
-    tally = Tally()
+    run_metrics = RunMetrics()
     for told in ({"late": 3}, {"late": 5, "odd": 1}, {"late": 2}, {"late": 2, "odd": 4}):
-        tally.take(metrics(drops=told))
-    samples = page(tally)
+        run_metrics.take(metrics(drops=told))
+    samples = page(run_metrics)
     assert samples[("cpnet_drops_total", "edge", "late")] == 7
     assert samples[("cpnet_drops_total", "edge", "odd")] == 5
 
 
-@given(st.lists(st.lists(st.dictionaries(st.sampled_from("ab"), st.integers(0, 9)), max_size=4)))
-def test_the_counts_of_all_lives_of_a_process_are_summed(lives):
-    rising, wanted = Rising(), {"a": 0, "b": 0}
-    for life in lives:
-        count = {"a": 0, "b": 0}
-        for growth in life:
-            count = {reason: n + growth.get(reason, 0) for reason, n in count.items()}
-            rising.take(count)
-        rising.restart()
-        wanted = {reason: n + count[reason] for reason, n in wanted.items()}
-    assert {"a": 0, "b": 0, **rising.total} == wanted
-
-
-@given(st.lists(st.dictionaries(st.sampled_from("abc"), st.integers(0, 1 << 52))))
-def test_a_counter_never_falls(told):
-    rising, before = Rising(), {}
-    for counts in told:
-        rising.take(counts)
-        assert all(rising.total[reason] >= n for reason, n in before.items())
-        before = dict(rising.total)
-
-
 def test_a_process_is_down_until_it_shows_itself_and_when_it_leaves():
-    tally = Tally()
-    tally.expect([ProcessEntry("edge", RoleEntry("edge", "edge_server"))])
-    seen = [page(tally)]
+    run_metrics = RunMetrics()
+    run_metrics.expect([ProcessEntry("edge", RoleEntry("edge", "edge_server"))])
+    seen = [page(run_metrics)]
     for alive in (True, False):
-        tally.take(Presence("edge", "edge", alive))
-        seen.append(page(tally))
+        run_metrics.take(Presence("edge", "edge", alive))
+        seen.append(page(run_metrics))
     assert [samples[("cpnet_process_up", "edge", "edge")] for samples in seen] == [0, 1, 0]
 
 
 def test_ghosts_that_come_and_go_leave_no_series_and_a_newcomer_has_its_own():
-    tally = Tally()
+    run_metrics = RunMetrics()
     edge = ProcessEntry("edge", RoleEntry("edge", "edge_server"))
-    tally.expect([edge], [("vehicle", "vehicle-0")])
+    run_metrics.expect([edge], [("vehicle", "vehicle-0")])
     for n in range(4000):
-        tally.take(Presence(f"role{n}", f"ghost{n}", alive=True))
-        tally.take(metrics(f"ghost{n}", drops={"late": 1}))
-        tally.take(Presence(f"role{n}", f"ghost{n}", alive=False))
+        run_metrics.take(Presence(f"role{n}", f"ghost{n}", alive=True))
+        run_metrics.take(metrics(f"ghost{n}", drops={"late": 1}))
+        run_metrics.take(Presence(f"role{n}", f"ghost{n}", alive=False))
     for process in ("vehicle-0", "vehicle-9"):
-        tally.take(Presence("vehicle", process, alive=True))
-        tally.take(metrics(process, drops={"late": 2}))
-    tally.take(Presence("vehicle", "vehicle-0", alive=False))
-    samples = page(tally)
+        run_metrics.take(Presence("vehicle", process, alive=True))
+        run_metrics.take(metrics(process, drops={"late": 2}))
+    run_metrics.take(Presence("vehicle", "vehicle-0", alive=False))
+    samples = page(run_metrics)
     up = {key[1:]: value for key, value in samples.items() if key[0] == "cpnet_process_up"}
     assert up == {("edge", "edge"): 0, ("vehicle-0", "vehicle"): 0, ("vehicle-9", "vehicle"): 1}
     drops = {key[1:]: value for key, value in samples.items() if key[0] == "cpnet_drops_total"}
@@ -155,50 +140,50 @@ def test_ghosts_that_come_and_go_leave_no_series_and_a_newcomer_has_its_own():
 
 
 def test_ghosts_that_stay_take_no_label_of_those_who_are_expected():
-    tally = Tally()
-    tally.expect([], [("vehicle", "vehicle-0")])
+    run_metrics = RunMetrics()
+    run_metrics.expect([], [("vehicle", "vehicle-0")])
     for n in range(4000):
-        tally.take(Presence("vehicle", f"ghost{n}", alive=True))
-    tally.take(Presence("vehicle", "vehicle-0", alive=True))
-    assert page(tally)[("cpnet_process_up", "vehicle-0", "vehicle")] == 1
+        run_metrics.take(Presence("vehicle", f"ghost{n}", alive=True))
+    run_metrics.take(Presence("vehicle", "vehicle-0", alive=True))
+    assert page(run_metrics)[("cpnet_process_up", "vehicle-0", "vehicle")] == 1
 
 
 def test_restarts_are_counted_and_begin_with_0():
-    tally = Tally()
-    tally.expect([ProcessEntry("edge", RoleEntry("edge", "edge_server"))])
-    assert page(tally)[("cpnet_process_restarts_total", "edge")] == 0
-    tally.restarted("edge")
-    assert page(tally)[("cpnet_process_restarts_total", "edge")] == 1
+    run_metrics = RunMetrics()
+    run_metrics.expect([ProcessEntry("edge", RoleEntry("edge", "edge_server"))])
+    assert page(run_metrics)[("cpnet_process_restarts_total", "edge")] == 0
+    run_metrics.restarted("edge")
+    assert page(run_metrics)[("cpnet_process_restarts_total", "edge")] == 1
 
 
 def test_the_signals_age_is_simulated_time_since_its_state_changed():
-    tally, ages = Tally(), []
+    run_metrics, ages = RunMetrics(), []
     for second, state in enumerate(("Gr", "Gr", "yr", "yr", "yr")):
-        tally.take(progress(sim_time_ns=second * 1000 * MS, state=state))
-        ages.append(page(tally)[("cpnet_signal_state_age_seconds",)])
+        run_metrics.take(progress(sim_time_ns=second * 1000 * MS, state=state))
+        ages.append(page(run_metrics)[("cpnet_signal_state_age_seconds",)])
     assert ages == [0, 1, 0, 1, 2]
 
 
 def test_absurd_figures_leave_a_page_that_can_be_read():
-    tally = Tally()
+    run_metrics = RunMetrics()
     huge = {"real_time_factor": -1e308, "end_to_end_ms": 1.7e308, "vehicles": (1 << 40) - 1}
-    tally.take(progress(sim_time_ns=(1 << 62) - 1, state="u" * 512, **huge))
-    tally.take(progress(sim_time_ns=1 - (1 << 62), state="u" * 512, **huge))
+    run_metrics.take(progress(sim_time_ns=(1 << 62) - 1, state="u" * 512, **huge))
+    run_metrics.take(progress(sim_time_ns=1 - (1 << 62), state="u" * 512, **huge))
     for told in ((1 << 53) - 1, 0) * 50:
-        tally.take(metrics(drops={"late": told}))
-    samples = page(tally)
+        run_metrics.take(metrics(drops={"late": told}))
+    samples = page(run_metrics)
     assert samples[("cpnet_end_to_end_seconds",)] == pytest.approx(1.7e305)
     assert samples[("cpnet_signal_state_age_seconds",)] == 0
     assert samples[("cpnet_drops_total", "edge", "late")] == pytest.approx(50 * 2**53)
 
 
 def test_names_without_end_leave_a_page_with_one():
-    tally = Tally()
+    run_metrics = RunMetrics()
     for n in range(400):
         spans = [m.Span(stage=f"s{n}", start_ns=0, end_ns=1)]
-        tally.take(metrics(f"p{n}", spans=spans, drops={f"r{n}-{k}": 1 for k in range(40)}))
-        tally.take(Presence(f"role{n}", f"p{n}", alive=True))
-    samples = page(tally)
+        run_metrics.take(metrics(f"p{n}", spans=spans, drops={f"r{n}-{k}": 1 for k in range(40)}))
+        run_metrics.take(Presence(f"role{n}", f"p{n}", alive=True))
+    samples = page(run_metrics)
     stages = [key for key in samples if key[0] == "cpnet_stage_seconds_count"]
     assert len(stages) == MAX_STAGES + 1
     assert samples[("cpnet_stage_seconds_count", OTHER)] == 400 - MAX_STAGES
@@ -209,17 +194,17 @@ def test_names_without_end_leave_a_page_with_one():
 
 
 def test_processes_beyond_the_last_place_do_not_make_a_counter_run():
-    tally = Tally()
+    run_metrics = RunMetrics()
     for n in range(MAX_PROCESSES):
-        tally.take(Presence("x", f"p{n}", alive=True))
+        run_metrics.take(Presence("x", f"p{n}", alive=True))
     for n in range(100):
-        tally.take(metrics(f"late{n % 2}", drops={"odd": 5 + n % 2}))
-    assert page(tally)[("cpnet_drops_total", OTHER, "odd")] == 6
+        run_metrics.take(metrics(f"late{n % 2}", drops={"odd": 5 + n % 2}))
+    assert page(run_metrics)[("cpnet_drops_total", OTHER, "odd")] == 6
 
 
 @given(st.text(max_size=80))
 def test_a_label_is_a_plain_word(name):
-    label = Names(9).label(name)
+    label = LabelSet(9).label(name)
     assert label in (name, OTHER)
     assert label.isascii()
     assert label.isprintable()
@@ -227,19 +212,34 @@ def test_a_label_is_a_plain_word(name):
 
 
 def test_a_page_may_be_asked_for_while_the_tally_grows():
-    tally, stop = Tally(), threading.Event()
+    run_metrics, stop = RunMetrics(), threading.Event()
 
     def grow() -> None:
         n = 0
         while not stop.is_set():
             n += 1
-            tally.take(metrics(f"p{n % 300}", drops={f"r{n % 90}": n}))
+            run_metrics.take(metrics(f"p{n % 300}", drops={f"r{n % 90}": n}))
 
     growing = threading.Thread(target=grow)
     growing.start()
     try:
         for _ in range(20):
-            page(tally)
+            page(run_metrics)
     finally:
         stop.set()
         growing.join()
+
+
+def test_the_page_is_served_on_the_address_that_was_asked_for():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    address = MetricsAddress.parse(str(port))
+    with serving(address) as run_metrics:
+        run_metrics.take(metrics("sim", spans=[m.Span(stage="world", start_ns=0, end_ns=MS)]))
+        with urllib.request.urlopen(f"http://{address}/metrics", timeout=30) as answer:
+            assert "cpnet_frames_total 1.0" in answer.read().decode()
+        with pytest.raises(ConfigError, match="cannot listen at 127"):
+            MetricsAddress.parse(f"127.0.0.1:{port}")
+        with pytest.raises(ConfigError, match="cannot listen"), serving(address):
+            pass
