@@ -3,7 +3,7 @@
 import numpy as np
 
 from protocol import messages as m
-from protocol.roadmap import Lane, Link, PlanPhase, RoadMap, Signal
+from tests.roads import ONE_LANE
 
 SCAN = m.Scan(
     frame=7,
@@ -18,32 +18,10 @@ SCAN = m.Scan(
     encode_end_ns=3,
     payload=np.arange(5, dtype=np.uint8),
 )
-ROAD = RoadMap(
-    name="one lane",
-    centre=(0, 0, 0),
-    lanes=[
-        Lane(
-            id="in_0",
-            edge="in",
-            width_m=3.5,
-            speed_mps=13.89,
-            length_m=50,
-            centreline=[(-50, 0, 0), (0, 0, 0)],
-            successors=["out_0"],
-        )
-    ],
-    signal=Signal(
-        tls="J",
-        links=[Link(index=0, from_lane="in_0", to_lane="out_0")],
-        conflicts=[],
-        plan=[PlanPhase(duration_s=30, state="G"), PlanPhase(duration_s=4, state="y")],
-    ),
-    junction=[(0, 0), (1, 0), (1, 1)],
-)
 EXAMPLES: list[m.Message] = [
     m.Setup(
         scenario={"seed": 1},
-        road_map=ROAD,
+        road_map=ONE_LANE,
         vehicle_types=[
             m.VehicleType(name="car", mesh="car", length_m=4.5, width_m=1.8, height_m=1.5)
         ],

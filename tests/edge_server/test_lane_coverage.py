@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edge_server.lanes import LaneCoverage, LaneIndex
-from tests.studies.test_matching_and_ecvpr import straight_road
+from tests.roads import straight_road
 
 NOBODY = np.zeros((0, 2))
 

@@ -32,7 +32,6 @@ from protocol.inbox import CAPACITY, CAPACITY_BYTES, MAX_KEY, Inbox, Presence, S
 from protocol.local import LocalNetwork
 from protocol.messages import MAX_ITEMS
 from protocol.process import Context
-from protocol.roadmap import RoadMap, Signal
 from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
 from recorder.database import MAX_PENDING_ROWS
@@ -46,6 +45,7 @@ from sensing.limits import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES
 from sensing.uplink import PlanHistory
 from sim_host.limits import MAX_PROCESSES as MAX_HOSTS
 from sim_host.presence import Fleet, Readiness
+from tests.roads import no_road
 
 LONG = "x" * 120  # of an agent's id
 KEY = "cpnet/v1/r0/roster/p"
@@ -294,10 +294,9 @@ def test_whoever_watches_remembers_so_many_processes():
 
 @pytest.fixture
 def recorder(tmp_path: Path) -> RecordRole:
-    signal = Signal(tls="t", links=[], conflicts=[], plan=[])
     setup = m.Setup(
         scenario={"name": "t", "frame_period_s": 0.1},
-        road_map=RoadMap(name="t", centre=(0, 0, 0), lanes=[], signal=signal, junction=[]),
+        road_map=no_road(),
         vehicle_types=[],
         meshes=[],
         mesh_vertices=np.zeros((0, 3), np.float32),

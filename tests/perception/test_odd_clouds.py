@@ -19,8 +19,8 @@ from perception.detector import Cloud, Detector, Vehicles
 from perception.registry import detector_of
 from perception.roadway import Placed, Roadway, lowest
 from protocol.geometry import SE3
-from tests.edge_server.conftest import make_road
 from tests.edge_server.test_edge_pipeline import ROADSIDE, frame_of
+from tests.roads import junction_road
 
 MANY = 2_000_000
 NEEDS = {"reference": "open3d", "pointpillars": "torch"}
@@ -30,7 +30,7 @@ Floats32 = np.ndarray
 
 @cache
 def roadway() -> Roadway:
-    return Roadway.of(make_road(), margin_m=0.5)
+    return Roadway.of(junction_road(), margin_m=0.5)
 
 
 def need(name: str) -> None:
@@ -188,7 +188,7 @@ def test_an_agent_that_sends_them_changes_nothing_of_what_others_see(
     name: str, ground_free: bool, shell: Callable[..., Any], ground: Callable[..., Any]
 ) -> None:
     need(name)
-    pipeline = Pipeline(make_road(0.035), EdgeConfig.model_validate({"detector": name}), seed=1)
+    pipeline = Pipeline(junction_road(0.035), EdgeConfig.model_validate({"detector": name}), seed=1)
     frame = frame_of(shell, ground)
     bad = replace(frame.chunks[0], agent="bad", points=hostile(), ground_free=ground_free)
     honest, spoilt = (

@@ -15,9 +15,9 @@ from protocol import messages as m
 from protocol.inbox import Envelope, Inbox
 from protocol.local import LocalNetwork
 from protocol.process import Context
-from protocol.roadmap import PlanPhase, RoadMap, Signal
 from protocol.topics import BusName
 from protocol.wire import encode
+from tests.roads import no_road
 
 PERIOD_NS = 100_000_000
 REGION = "r0"
@@ -112,11 +112,9 @@ class Rig:
 
     def __init__(self, said: list[Envelope], process: str = "vehicle-0", **more: Any) -> None:
         data = scenarios.load("t_junction", {"replay": {"tape": "none"}, **more})
-        signal = Signal(tls="J", links=[], conflicts=[], plan=[PlanPhase(duration_s=9, state="G")])
-        roads = RoadMap(name="none", centre=(0, 0, 0), lanes=[], signal=signal, junction=[])
         setup = m.Setup(
             scenario=data.model_dump(mode="json"),
-            road_map=roads,
+            road_map=no_road("J", [(9, "G")]),
             vehicle_types=[],
             meshes=[],
             mesh_vertices=np.zeros((0, 3), np.float32),

@@ -13,7 +13,6 @@ from protocol.errors import ConfigError, CpnetError
 from protocol.inbox import Inbox
 from protocol.local import LocalNetwork
 from protocol.process import Context
-from protocol.roadmap import RoadMap, Signal
 from protocol.topics import BusName
 from recorder.pulse import OPEN_FRAMES
 from recorder.role import RecordRole
@@ -31,6 +30,7 @@ from recorder.tables import (
     TruthRow,
     UploadRow,
 )
+from tests.roads import no_road
 from tests.waiting import wait_until
 
 PERIOD_NS = 100_000_000
@@ -38,11 +38,9 @@ MS = 1_000_000
 
 
 def setup_message(**record: object) -> m.Setup:
-    signal = Signal(tls="t", links=[], conflicts=[], plan=[])
-    road_map = RoadMap(name="t", centre=(0, 0, 0), lanes=[], signal=signal, junction=[])
     return m.Setup(
         scenario={"name": "t", "frame_period_s": 0.1, "record": record},
-        road_map=road_map,
+        road_map=no_road(),
         vehicle_types=[],
         meshes=[],
         mesh_vertices=np.zeros((0, 3), np.float32),

@@ -16,7 +16,7 @@ from sensing.lidar import Lidar
 from sensing.mesh import TriangleMesh, VehicleShapes, merge
 from sensing.noise import stream
 from sensing.scene import Scene
-from tests.sensing.conftest import SEED
+from tests.sensing.solids import SEED
 
 CONFIG = LidarConfig(channels=48, points_per_second=48 * 900 * 10)
 CLEAN = LidarConfig(

@@ -10,7 +10,8 @@ from sensing.config import SceneConfig
 from sensing.mesh import TriangleMesh
 from sensing.road import RoadArea
 from sensing.scene import Scene, build_scene
-from tests.sensing.conftest import SEED, lane, street
+from tests.roads import lane, street
+from tests.sensing.solids import SEED
 
 PARTS = ("ground", "kerbs", "buildings", "poles", "trees")
 

@@ -8,7 +8,8 @@ import pytest
 from protocol.errors import MessageError
 from protocol.messages import MeshPart, Setup, VehicleType
 from sensing.mesh import VehicleShapes
-from tests.sensing.conftest import street, unit_box, unit_wedge
+from tests.roads import street
+from tests.sensing.solids import unit_box, unit_wedge
 
 CAR = VehicleType(name="car", mesh="wedge", length_m=4.6, width_m=1.8, height_m=1.5)
 MESHES = {"box": unit_box(), "wedge": unit_wedge()}

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from protocol.geometry import SE3
 from sensing.config import SceneConfig
 from sensing.terrain import Terrain
-from tests.sensing.conftest import SEED, street
+from tests.roads import street
+from tests.sensing.solids import SEED
 
 FLAT = SceneConfig(terrain_amplitude_m=0)
 CLIMB = Terrain(street(climb_m=8.0), FLAT, SEED)

@@ -12,31 +12,9 @@ from protocol import messages as m
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.local import LocalNetwork
 from protocol.process import Context
-from protocol.roadmap import Lane, Link, PlanPhase, RoadMap, Signal
 from protocol.topics import BusName
 from signal_controller.role import SignalRole
-
-
-def _lane(name: str) -> Lane:
-    ends = [(0.0, 0.0, 0.0), (9.0, 0.0, 0.0)]
-    return Lane(id=name, edge=name, width_m=3.5, speed_mps=14, length_m=9, centreline=ends)
-
-
-ROAD = RoadMap(
-    name="test",
-    centre=(0, 0, 0),
-    lanes=[_lane("main"), _lane("side"), _lane("out")],
-    signal=Signal(
-        tls="j",
-        links=[
-            Link(index=0, from_lane="main", to_lane="out"),
-            Link(index=1, from_lane="side", to_lane="out"),
-        ],
-        conflicts=[(0, 1)],
-        plan=[PlanPhase(duration_s=30, state="Gr"), PlanPhase(duration_s=30, state="rG")],
-    ),
-    junction=[],
-)
+from tests.roads import MAIN_AND_SIDE
 
 
 class Rig:
@@ -49,7 +27,7 @@ class Rig:
         scenario["edge"] = {"upstream_m": 200}
         setup = m.Setup(
             scenario=scenario,
-            road_map=ROAD,
+            road_map=MAIN_AND_SIDE,
             vehicle_types=[],
             meshes=[],
             mesh_vertices=np.zeros((0, 3), np.float32),

@@ -11,27 +11,15 @@ import pytest
 from protocol.codec import encode_cloud
 from protocol.errors import ConfigError
 from protocol.messages import Setup, VehicleType
-from protocol.roadmap import Lane, Link, RoadMap, Signal
 from protocol.scans import PointCloud
 from protocol.wire import encode
 from recorder.database import Database
 from recorder.run import SETUP_NAME, Run
 from recorder.tables import CloudRow, CountRow, DetectionRow, FrameRow, PhaseRow, TruthRow
 from studies.snapshot import draw_frame, load_snapshot
+from tests.roads import WEST_TO_EAST
 
 FRAME = 7
-
-
-def road() -> RoadMap:
-    west = Lane(
-        id="west", edge="west", width_m=3.2, speed_mps=14, length_m=90,
-        centreline=[(-100, 0, 0), (-10, 0, 0)], successors=["east"],
-    )  # fmt: skip
-    east = west.model_copy(update={"id": "east", "centreline": [(10, 0, 0), (100, 0, 0)]})
-    link = Link(index=0, from_lane="west", to_lane="east")
-    signal = Signal(tls="t", links=[link], conflicts=[], plan=[])
-    square = [(-10.0, -5.0), (10.0, -5.0), (10.0, 5.0), (-10.0, 5.0)]
-    return RoadMap(name="t", centre=(0, 0, 0), lanes=[west, east], signal=signal, junction=square)
 
 
 @pytest.fixture
@@ -39,7 +27,7 @@ def run_dir(tmp_path: Path) -> Path:
     rng = np.random.default_rng(0)
     car = VehicleType(name="car", mesh="car", length_m=4.5, width_m=1.8, height_m=1.5)
     setup = Setup(
-        scenario={}, road_map=road(), vehicle_types=[car], meshes=[],
+        scenario={}, road_map=WEST_TO_EAST, vehicle_types=[car], meshes=[],
         mesh_vertices=np.zeros((0, 3)), mesh_triangles=np.zeros((0, 3)),
     )  # fmt: skip
     (tmp_path / SETUP_NAME).write_bytes(encode(setup))

@@ -19,7 +19,8 @@ from protocol.geometry import SE3
 from studies import evaluate as study
 from studies.evaluate import Site, evaluate
 from studies.evaluate_table import print_evaluation
-from tests.edge_server.conftest import car_shell, ground_points, make_road
+from tests.point_clouds import car_shell, ground_points
+from tests.roads import junction_road
 
 
 def car(x: float, y: float) -> list[float]:
@@ -59,7 +60,7 @@ def rows_with(
     monkeypatch: pytest.MonkeyPatch, sample: SceneSample, boxes: list[list[float]]
 ) -> Any:
     monkeypatch.setattr(study, "detector_of", lambda *_: Told(boxes))
-    rows = evaluate([(Site(make_road(), EdgeConfig()), sample)], ["fast"])
+    rows = evaluate([(Site(junction_road(), EdgeConfig()), sample)], ["fast"])
 
     def of(**wanted: Any) -> Any:
         wanted = {"part": "all", "view": "bev", "iou": 0.5, "geofence": False} | wanted
@@ -111,7 +112,7 @@ def test_late_fusion_makes_one_of_what_two_sensors_found(monkeypatch: pytest.Mon
 def test_the_fast_detector_finds_cars_with_and_without_geofence() -> None:
     boxes = [car(-30, 1.75), car(20, -1.75), car(-50, -1.75)]
     sample = scene_sample(boxes, [[300] * 3, [300] * 3], None)
-    rows = evaluate([(Site(make_road(), EdgeConfig()), sample)], ["fast"])
+    rows = evaluate([(Site(junction_road(), EdgeConfig()), sample)], ["fast"])
     for row in rows:
         if row.part == "all" and row.iou <= 0.3:
             assert row.recall == 1.0

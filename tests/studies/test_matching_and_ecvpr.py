@@ -8,41 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.messages import Setup, VehicleType
-from protocol.roadmap import Lane, Link, RoadMap, Signal
 from protocol.wire import encode
 from recorder.database import Database
 from recorder.run import SETUP_NAME, Run
 from recorder.tables import DetectionRow, FrameRow, TruthRow
 from studies.ecvpr import EvaluationArea, FrameScore, match, score
+from tests.roads import straight_road
 
 CAR = VehicleType(name="car", mesh="car", length_m=4.0, width_m=2.0, height_m=1.5)
 COORDINATES = st.floats(-15, 15, allow_nan=False)
-
-
-def lane(name: str, start: float, end: float, successors: list[str], *, internal: bool = False):
-    return Lane(
-        id=name, edge=name, width_m=3.0, speed_mps=10.0, length_m=abs(end - start),
-        centreline=[(start, 0, 0), (end, 0, 0)], successors=successors, internal=internal,
-    )  # fmt: skip
-
-
-def straight_road() -> RoadMap:
-    """A road along x: far (300 m), in (150 m), the junction (10 m), out (80 m), beyond (50 m)."""
-    return RoadMap(
-        name="straight",
-        centre=(0, 0, 0),
-        lanes=[
-            lane("far", -455, -155, ["in"]),
-            lane("in", -155, -5, [":j"]),
-            lane(":j", -5, 5, ["out"], internal=True),
-            lane("out", 5, 85, ["beyond"]),
-            lane("beyond", 85, 135, []),
-        ],
-        signal=Signal(
-            tls="j", links=[Link(index=0, from_lane="in", to_lane="out")], conflicts=[], plan=[]
-        ),
-        junction=[],
-    )
 
 
 @pytest.mark.parametrize(

@@ -26,8 +26,8 @@ from recorder.tables import (
 )  # fmt: skip
 from studies.page.model import Chart, Code, MapChart, Page, Table, Text, Timeline, flat
 from studies.run_page import run_page
+from tests.roads import WEST_TO_EAST
 from tests.studies.page.pages import HOSTILE
-from tests.studies.test_drawing import road
 
 MS = 1_000_000
 
@@ -38,7 +38,7 @@ def make_run(
     """A car passes a roadside LiDAR, seen in every second frame; another is never seen."""
     car = VehicleType(name="car", mesh="car", length_m=4.5, width_m=1.8, height_m=1.5)
     setup = Setup(
-        scenario={}, road_map=road(), vehicle_types=[car], meshes=[],
+        scenario={}, road_map=WEST_TO_EAST, vehicle_types=[car], meshes=[],
         mesh_vertices=np.zeros((0, 3)), mesh_triangles=np.zeros((0, 3)),
     )  # fmt: skip
     (run_dir / SETUP_NAME).write_bytes(encode(setup))

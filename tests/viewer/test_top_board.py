@@ -13,7 +13,7 @@ from protocol.errors import MessageError
 from protocol.inbox import Envelope, Presence
 from protocol.topics import TOPICS, BusName
 from tests.messages import EXAMPLES
-from tests.viewer.test_viewer_layers import CROSSING
+from tests.roads import CROSSING
 from tests.viewer.test_viewer_rates import PERIOD_NS, measured, sent, tick
 from viewer.top import board as boards
 from viewer.top.board import Board

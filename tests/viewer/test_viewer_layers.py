@@ -5,10 +5,10 @@ import pytest
 
 from protocol import messages as m
 from protocol.codec import encode_cloud
-from protocol.roadmap import Lane, Link, PlanPhase, RoadMap, Signal
 from protocol.scans import PointCloud
 from studies import palette
 from tests.messages import SCAN
+from tests.roads import CROSSING
 from viewer import layers
 from viewer.clouds import clouds
 from viewer.colours import MAX_REMEMBERED, Colours, rgb
@@ -17,36 +17,6 @@ from viewer.moments import Moment
 from viewer.road import camera, count_place, count_places, heads, surface
 
 CAR = m.VehicleType(name="car", mesh="car", length_m=4.0, width_m=2.0, height_m=1.5)
-
-
-def lane(name: str, start: tuple[float, float], end: tuple[float, float]) -> Lane:
-    length_m = float(np.hypot(end[0] - start[0], end[1] - start[1]))
-    return Lane(
-        id=f"{name}_0", edge=name, width_m=3.0, speed_mps=10.0, length_m=length_m,
-        centreline=[(*start, 0.0), (*end, 0.0)],
-    )  # fmt: skip
-
-
-CROSSING = RoadMap(
-    name="crossing",
-    centre=(0, 0, 0),
-    lanes=[
-        lane("south", (0, -80), (0, -5)),
-        lane("west", (-80, 0), (-5, 0)),
-        lane("north", (0, 5), (0, 80)),
-        lane("east", (5, 0), (80, 0)),
-    ],
-    signal=Signal(
-        tls="J",
-        links=[
-            Link(index=0, from_lane="south_0", to_lane="north_0"),
-            Link(index=1, from_lane="west_0", to_lane="east_0"),
-        ],
-        conflicts=[(0, 1)],
-        plan=[PlanPhase(duration_s=30, state="Gr"), PlanPhase(duration_s=30, state="rG")],
-    ),
-    junction=[(-5, -5), (5, -5), (5, 5), (-5, 5)],
-)
 
 
 def detections(**changes: object) -> m.Detections:

@@ -25,7 +25,7 @@ from perception.pillars.weights import SHIPPED, load, save  # noqa: E402
 from perception.pillars.windows import Window, pillars_of  # noqa: E402
 from perception.roadway import Placed, Roadway  # noqa: E402
 from protocol.errors import ConfigError  # noqa: E402
-from protocol.roadmap import Lane, RoadMap, Signal  # noqa: E402
+from tests.roads import lane, no_road  # noqa: E402
 
 TINY = PillarsConfig(pillar_channels=8, channels=(8, 8, 8), layers=(0, 0, 0), up_channels=8)
 CPU = torch.device("cpu")
@@ -43,13 +43,8 @@ def network(seed: int = 1) -> PointPillars:
 
 
 def roadway() -> Roadway:
-    lane = Lane(
-        id="a_0", edge="a", width_m=8, speed_mps=9, length_m=100,
-        centreline=[(-50, 0, 0), (50, 0, 0)],
-    )  # fmt: skip
-    signal = Signal(tls="j", links=[], conflicts=[], plan=[])
-    road_map = RoadMap(name="r", centre=(0, 0, 0), lanes=[lane], signal=signal, junction=[])
-    return Roadway.of(road_map, margin_m=0.5)
+    wide = lane("a_0", [(-50, 0, 0), (50, 0, 0)], width_m=8)
+    return Roadway.of(no_road().model_copy(update={"lanes": [wide]}), margin_m=0.5)
 
 
 def cloud(points: np.ndarray) -> Cloud:

@@ -22,7 +22,7 @@ from perception.pillars.weights import SHIPPED, save  # noqa: E402
 from perception.registry import check, detector_of  # noqa: E402
 from perception.roadway import Roadway  # noqa: E402
 from protocol.errors import ConfigError  # noqa: E402
-from tests.edge_server.conftest import make_road  # noqa: E402
+from tests.roads import junction_road  # noqa: E402
 
 GOOD = SHIPPED / "pointpillars.safetensors"
 METADATA = {"format": "cpnet-pillars-1", "config": SMALL.model_dump_json(), "about": "{}"}
@@ -100,7 +100,7 @@ def refused(name: str, path: Path | None) -> str:
     with pytest.raises(ConfigError) as early:
         check(asked(name, path))
     with pytest.raises(ConfigError) as late:
-        detector_of(asked(name, path), Roadway.of(make_road(), margin_m=0.5))
+        detector_of(asked(name, path), Roadway.of(junction_road(), margin_m=0.5))
     assert str(early.value) == str(late.value)
     assert "\n" not in str(early.value)
     return str(early.value)

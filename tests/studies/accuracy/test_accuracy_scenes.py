@@ -13,7 +13,7 @@ from studies.accuracy.view import best_of, view_of
 from studies.evaluate import Site
 from studies.page.model import MapChart, Page, Section, flat
 from studies.page.write import to_markdown
-from tests.edge_server.conftest import make_road
+from tests.roads import junction_road
 from tests.studies.accuracy.small import small
 from tests.studies.test_evaluate import Told, car, scene_sample
 
@@ -26,7 +26,7 @@ def view(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(evaluate, "detector_of", lambda *_: Told([SEEN, car(0, 1.75)]))
     points_on = [[50, 9, 1, 50], [50, 0, 0, 50]]
     sample = scene_sample([SEEN, MISSED, HIDDEN, AWAY], points_on, None)
-    return view_of(Site(make_road(), EdgeConfig()), sample, "fast")
+    return view_of(Site(junction_road(), EdgeConfig()), sample, "fast")
 
 
 def rings(chart: MapChart) -> dict[str, int]:
