@@ -31,6 +31,10 @@ from sim_host.config import CabinetConfig, TrafficConfig
 
 _NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)  # the loader lets all of them out
 
+# Keys that scenarios of earlier versions have -> what they are called now. Dotted; an old key
+# may name a whole section. `changed` and `validate` refuse the old key and name the new one.
+RENAMED_KEYS: dict[str, str] = {}
+
 
 class LidarPair(Section):
     """The two kinds of LiDAR, and who casts their scans."""
@@ -133,7 +137,12 @@ def changed(data: dict[str, Any], overrides: dict[str, Any], source: str) -> Sce
 
 
 def validate(data: dict[str, Any], source: str) -> Scenario:
-    """Checks a scenario's data; `source` says in errors where it came from."""
+    """Checks a scenario's data; `source` says in errors where it came from.
+
+    Raises:
+        ConfigError: a key that was renamed, an unknown key or a value out of range.
+    """
+    _check_renamed(data, source)
     try:
         scenario = Scenario.model_validate(data)
     except ValidationError as error:
@@ -156,6 +165,22 @@ def parse_assignment(text: str) -> tuple[str, Any]:
         return key.strip(), yaml.safe_load(value)
     except _NOT_YAML as error:
         raise ConfigError(f"--set {key}: the value {value!r:.80} is not YAML: {error}") from None
+
+
+def _check_renamed(data: dict[str, Any], source: str) -> None:
+    found = [f"{old} is now {new}" for old, new in RENAMED_KEYS.items() if _holds(data, old)]
+    if found:
+        raise ConfigError(f"{source}: renamed key: " + "\n".join(found))
+
+
+def _holds(data: object, dotted: str) -> bool:
+    """Says whether the data have that dotted key, in any entry where a list is on the way."""
+    if isinstance(data, list):
+        return any(_holds(entry, dotted) for entry in data)
+    key, _, rest = dotted.partition(".")
+    if not isinstance(data, dict) or key not in data:
+        return False
+    return not rest or _holds(data[key], rest)
 
 
 def _read(name_or_file: str) -> tuple[str, dict[str, Any]]:

@@ -129,3 +129,29 @@ def test_a_value_of_a_link_given_by_its_name_has_no_place():
     named = {"link.profile": "lte", "link.profile.rate.mean_mbps": 5}
     with pytest.raises(ConfigError, match="profile is 'lte', which has no keys of its own"):
         load("t_junction", named)
+
+
+@pytest.fixture
+def renamed_keys(monkeypatch):
+    table = {"edge.old_section": "edge.misbehaviour", "roadside_mounts.old_m": "height_m"}
+    monkeypatch.setattr(scenarios, "RENAMED_KEYS", table)
+
+
+@pytest.mark.parametrize("key", ["edge.old_section", "edge.old_section.limit_m"])
+def test_a_key_that_was_renamed_is_refused_with_its_new_name(renamed_keys, key):
+    with pytest.raises(ConfigError, match=r"edge\.old_section is now edge\.misbehaviour"):
+        load("t_junction", {key: 1})
+
+
+def test_a_renamed_key_is_found_in_a_file_and_in_the_entries_of_a_list(renamed_keys, tmp_path):
+    file = tmp_path / "old.yaml"
+    file.write_text("edge: {old_section: {}}\nroadside_mounts: [{id: a}, {old_m: 3}]\n")
+    with pytest.raises(
+        ConfigError, match=r"old\.yaml: renamed key: edge\.old_section (.|\n)*old_m"
+    ):
+        load(str(file), {})
+
+
+def test_no_key_of_today_stands_among_the_renamed():
+    data = Scenario().model_dump(mode="json")
+    assert scenarios.validate(data, "today") == Scenario()
