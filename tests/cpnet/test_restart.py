@@ -10,14 +10,12 @@ from pathlib import Path
 
 from cpnet.endpoints import free_locator
 from cpnet.restarts import MAX_RESTARTS, WITHIN_NS, Restarts
-from cpnet.soak.faults import processes_of
-from cpnet.soak.findings import look_back
-from cpnet.soak.health import Health
-from cpnet.soak.observer import Observer
-from cpnet.soak.soak import hurt_once
 from cpnet.supervisor import LIST_NAME
 from protocol.bus import Endpoint
 from tests.cpnet.commands import Command, Shell, children_of
+from tests.soak.campaign import hurt_once
+from tests.soak.findings import look_back, processes_of
+from tests.soak.health import Health, Observer
 from tests.waiting import PATIENCE_S, wait_until
 
 REALTIME = ("--mode=realtime", "--restart", "--set=edge.deadline_ms=300")

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from cpnet.soak.faults import processes_of
 from protocol.errors import ConfigError
 from recorder.compare import differences
 from recorder.run import Run
 from sensing.link_channel import on_air_bytes
 from tests.cpnet.city import City, Host
 from tests.cpnet.commands import SMALL, Command, Shell
+from tests.soak.findings import processes_of
 
 pytestmark = pytest.mark.root
 

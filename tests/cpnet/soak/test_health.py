@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cpnet.soak.faults import Fault, victims_of
-from cpnet.soak.findings import Findings, by_victim
-from cpnet.soak.health import SETTLED_FRAMES, STEADY_FRAMES, Health
-from cpnet.soak.memory import Growth
-from cpnet.soak.page import page
 from protocol import messages as m
 from protocol.inbox import Envelope, Presence
 from protocol.topics import BusName
+from tests.soak.findings import Fault, Findings, Growth, by_victim, page, victims_of
+from tests.soak.health import SETTLED_FRAMES, STEADY_FRAMES, Health
 
 PROCESSES = {"edge", "vehicle-0"}
 

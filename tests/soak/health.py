@@ -1,9 +1,14 @@
-"""Whether all is right with a loop, from nothing but what its buses say."""
+"""Whether a run works, judged by the messages on its buses alone."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+
+from protocol.bus import Endpoint
 from protocol.inbox import Envelope, Presence
 from protocol.messages import Equipment, LaneCounts, SignalRequest, SignalState, Tick
+from protocol.onlooker import Onlooker
 from protocol.topics import BusName
 
 STEADY_FRAMES = 3
@@ -104,3 +109,40 @@ class Health:
             self.doubt()
         else:
             self._counted[counts.frame] = now_ns
+
+
+TOPICS = ("tick", "lanes", "state", "request")
+
+
+class Observer:
+    """Keeps a `Health` up to date; a context manager. `asked` are the frames with a request."""
+
+    def __init__(self, v2x: Endpoint, world: Endpoint, health: Health) -> None:
+        """Connects.
+
+        Raises:
+            BusError: the buses are not there.
+        """
+        self.health = health
+        self.asked: set[int] = set()
+        self._onlooker = Onlooker(v2x, world, TOPICS)
+
+    def __enter__(self) -> Observer:
+        return self
+
+    def __exit__(self, *details: object) -> None:
+        self._onlooker.__exit__(*details)
+
+    def listen(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Takes what comes for so long, or until that holds; returns whether it held."""
+        for item in self._onlooker.listen(seconds):
+            if isinstance(item, Envelope) and isinstance(item.message, SignalRequest):
+                self.asked.add(item.message.frame)
+            self.health.hear(item, time.monotonic_ns())
+            if until():
+                return True
+        return until()
+
+    def is_right(self) -> bool:
+        """Whether all is right now."""
+        return self.health.right_since_ns is not None

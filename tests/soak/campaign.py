@@ -1,4 +1,4 @@
-"""`scripts/soak`: starts a run in real time, hurts it, and says what came of it."""
+"""`scripts/soak`: starts a realtime run, kills its processes, measures how long recovery takes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -17,15 +18,76 @@ from rich.markup import escape
 
 from cpnet.cli_options import console, errors
 from cpnet.endpoints import connecting, free_locator
-from cpnet.soak.faults import Fault, processes_of
-from cpnet.soak.findings import Findings, look_back
-from cpnet.soak.health import Health
-from cpnet.soak.observer import Observer
-from cpnet.soak.page import page
-from cpnet.soak.soak import hurt
 from cpnet.supervisor import LIST_NAME
 from protocol.bus import Endpoint
 from protocol.errors import BusError, ConfigError, CpnetError
+from tests.soak.findings import (
+    Fault,
+    Findings,
+    Growth,
+    Memory,
+    kill,
+    look_back,
+    page,
+    processes_of,
+    victims_of,
+)
+from tests.soak.health import Health, Observer
+
+GIVE_UP_S = 20.0
+SAMPLE_S = 5.0
+
+
+def hurt(
+    observer: Observer,
+    run_dir: Path,
+    *,
+    minutes: float,
+    kills: int,
+    rng: np.random.Generator,
+    tell: Callable[[Fault], None],
+) -> tuple[list[Fault], list[Growth]]:
+    """Kills so many processes in so many minutes, at random times; returns what came of it.
+
+    A process is killed once all is right; how long that stays so is drawn at random. Each fault is
+    told at once.
+    """
+    memory = Memory(run_dir)
+    faults = []
+    began_ns = time.monotonic_ns()
+    pause_s = minutes * 60 / kills
+    for number, victim in enumerate(victims_of(list(processes_of(run_dir)), kills, rng)):
+        due_ns = began_ns + round((number + rng.uniform(0, 0.5)) * pause_s * 1e9)
+        for left_s in _slices(due_ns):
+            observer.listen(left_s)
+            memory.sample()
+        observer.listen(GIVE_UP_S, observer.is_right)
+        faults.append(hurt_once(observer, run_dir, victim))
+        tell(faults[-1])
+    return faults, memory.growth()
+
+
+def hurt_once(
+    observer: Observer, run_dir: Path, victim: str, patience_s: float = GIVE_UP_S
+) -> Fault:
+    """Kills a process and waits until all is right again, at most so long."""
+    health = observer.health
+    frame = health.frame
+    since_ns = time.monotonic_ns()
+    kill(run_dir, victim)
+    observer.listen(patience_s, lambda: victim in health.absent())
+    health.doubt()
+    observer.listen(patience_s, observer.is_right)
+    right_ns = health.right_since_ns
+    if right_ns is None:
+        return Fault(victim, frame, None, health.wrong)
+    return Fault(victim, frame, (right_ns - since_ns) / 1e9)
+
+
+def _slices(due_ns: int) -> Iterator[float]:
+    while (left_ns := due_ns - time.monotonic_ns()) > 0:
+        yield min(SAMPLE_S, left_ns / 1e9)
+
 
 START_S = 120.0
 POLL_S = 0.1
