@@ -28,27 +28,25 @@ def doctor_command(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Check this machine: libraries, SUMO, bus, kernel, room; certificates, and buses elsewhere."""
-    from cpnet.doctor import checks, machine
-    from cpnet.doctor.finding import as_json as to_json
-    from cpnet.doctor.finding import print_findings
+    """Check this machine: libraries, SUMO, bus, socket buffers; certificates; buses elsewhere."""
+    from cpnet import doctor
     from cpnet.endpoints import implies_world, places
     from cpnet.security import WATCH
     from protocol.bus import Endpoint
     from protocol.keys import Keys
 
     if packages:
-        typer.echo(" ".join(machine.missing_packages()))
+        typer.echo(" ".join(doctor.missing_packages()))
         return
     own = Keys.of(keys, WATCH) if keys else None
     named = places("--connect", connect or [], "tls" if keys else "tcp")
     elsewhere = {bus: Endpoint(at, listen=False, keys=own) for bus, at in named.items()}
-    findings = checks.examine()
+    findings = doctor.examine()
     if keys is not None:
-        findings += checks.examine_keys(keys)
-    findings += checks.examine_buses(elsewhere, implied=implies_world(connect or []))
+        findings += doctor.examine_keys(keys)
+    findings += doctor.examine_buses(elsewhere, implied=implies_world(connect or []))
     if as_json:
-        typer.echo(json.dumps(to_json(findings), indent=2))
+        typer.echo(json.dumps(doctor.as_json(findings), indent=2))
     else:
-        print_findings(findings, console)
+        doctor.print_findings(findings, console)
     raise typer.Exit(0 if all(finding.is_well for finding in findings) else 1)

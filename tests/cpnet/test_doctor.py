@@ -10,9 +10,8 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from cpnet.doctor import checks, remote
-from cpnet.doctor.checks import Check, carry_out
-from cpnet.doctor.finding import Finding, as_json
+from cpnet import doctor
+from cpnet.doctor import Check, Finding, as_json, carry_out
 from cpnet.endpoints import free_locator
 from protocol.bus import Endpoint, ZenohBus, open_bus
 from protocol.clock import time_reply
@@ -44,16 +43,16 @@ def by_check(findings: list[Finding]) -> dict[str, Finding]:
 
 
 def test_this_machine_is_examined_and_every_check_has_a_name_of_its_own():
-    found = checks.examine()
+    found = doctor.examine()
     assert len(by_check(found)) == len(found)
-    assert by_check(found).keys() >= {"python", "disk", "memory", "cores", "tcp_info"}
-    assert by_check(found)["tcp_info"].ok
-    assert by_check(found)["memory"].measured["memory_bytes"] > 1 << 28
+    assert by_check(found).keys() >= {"sumo_libraries", "bus_on_loopback", "send_buffer"}
+    assert by_check(found)["bus_on_loopback"].ok
+    assert by_check(found)["send_buffer"].measured["send_buffer_bytes"] > 1 << 12
 
 
 def test_sumo_simulates_a_step():
     pytest.importorskip("libsumo", reason="extra sim")
-    (found,) = checks.sumo.starts()
+    (found,) = doctor.sumo_runs()
     assert found.ok, found.advice
     assert "simulates a step" in found.what
 
@@ -69,12 +68,12 @@ def test_sumo_simulates_a_step():
 def test_a_sumo_that_crashes_is_reported(monkeypatch, tmp_path, code, advice):
     pytest.importorskip("libsumo", reason="extra sim")
     (tmp_path / "sim_host").mkdir()
-    (tmp_path / "sim_host" / "trial.py").write_text(code)
+    (tmp_path / "sim_host" / "sumo.py").write_text(code)
     (tmp_path / "sim_host" / "__init__.py").write_text("")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(checks.sumo, "TRIAL_TIMEOUT_S", 2)
-    (found,) = checks.sumo.starts()
+    monkeypatch.setattr(doctor, "TRIAL_TIMEOUT_S", 2)
+    (found,) = doctor.sumo_runs()
     assert not found.is_well
     assert advice in found.advice
 
@@ -113,7 +112,7 @@ def test_a_world_tells_its_clock_and_who_is_there(host):
     locator, bus = host(BusName.WORLD)
     bus.answer("time", time_reply())
     bus.announce("sim", "sim")
-    found = by_check(list(remote.examine_bus(BusName.WORLD, Endpoint(locator, listen=False))))
+    found = by_check(list(doctor.examine_bus(BusName.WORLD, Endpoint(locator, listen=False))))
     assert found["world_reached"].ok
     assert found["world_processes"].measured["processes"] == ["sim"]
     clock = found["world_clock"].measured
@@ -127,7 +126,7 @@ def test_the_clock_of_another_machine_is_known_within_its_error(host):
     locator, bus = host(BusName.WORLD)
     bus.answer("time", time_reply("another machine"))
     bus.announce("sim", "sim")
-    found = by_check(list(remote.examine_bus(BusName.WORLD, Endpoint(locator, listen=False))))[
+    found = by_check(list(doctor.examine_bus(BusName.WORLD, Endpoint(locator, listen=False))))[
         "world_clock"
     ]
     assert abs(found.measured["offset_ms"]) <= found.measured["error_ms"]  # it is the same clock
@@ -141,7 +140,7 @@ def test_a_bus_of_the_other_kind_is_told(host, name):
     bus.announce("edge", "edge")
     if other is BusName.WORLD:
         bus.answer("time", time_reply())
-    found = by_check(list(remote.examine_bus(name, Endpoint(locator, listen=False))))
+    found = by_check(list(doctor.examine_bus(name, Endpoint(locator, listen=False))))
     assert not found[f"{name.value}_mistaken"].ok
     assert f"this is the {other.value} bus" in found[f"{name.value}_mistaken"].advice
     assert f"{name.value}_processes" not in found
@@ -151,7 +150,7 @@ def test_another_version_of_the_protocol_is_told(host, monkeypatch):
     locator, bus = host(BusName.V2X)
     monkeypatch.setattr("protocol.bus.ALIVE", "cpnet/v9/alive")
     bus.announce("edge", "edge")
-    (_, found) = remote.examine_bus(BusName.V2X, Endpoint(locator, listen=False))
+    (_, found) = doctor.examine_bus(BusName.V2X, Endpoint(locator, listen=False))
     assert (found.check, found.ok) == ("v2x_protocol", False)
     assert "speak protocol v9" in found.what
 
@@ -159,7 +158,7 @@ def test_another_version_of_the_protocol_is_told(host, monkeypatch):
 @pytest.mark.parametrize("name", list(BusName))
 def test_a_bus_without_anybody(host, name):
     locator, _ = host(name)
-    (_, found) = remote.examine_bus(name, Endpoint(locator, listen=False))
+    (_, found) = doctor.examine_bus(name, Endpoint(locator, listen=False))
     assert (found.ok, found.what) == (False, f"on the {name.value} bus: nobody")
 
 
@@ -173,7 +172,7 @@ def test_a_bus_without_anybody(host, name):
     ],
 )
 def test_what_to_do_about_a_bus_that_is_not_reached(locator, advice):
-    (found,) = remote.examine_bus(BusName.WORLD, Endpoint(locator, listen=False))
+    (found,) = doctor.examine_bus(BusName.WORLD, Endpoint(locator, listen=False))
     assert not found.ok
     assert advice in found.advice
 
@@ -182,7 +181,7 @@ def test_a_server_that_says_nothing_is_no_bus_and_nobody_waits_for_it():
     with closing(socket.create_server(("127.0.0.1", 0))) as silent:
         locator = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
         before_ns = time.monotonic_ns()
-        findings = checks.examine_buses({BusName.WORLD: Endpoint(locator, listen=False)})
+        findings = doctor.examine_buses({BusName.WORLD: Endpoint(locator, listen=False)})
     assert time.monotonic_ns() - before_ns < 6e9
     assert "does not speak Zenoh" in findings[-1].advice
 
@@ -202,7 +201,7 @@ def test_a_dead_port_is_a_fault_for_programs_too(shell: Shell):
 @pytest.mark.parametrize("implied", [True, False])
 def test_a_port_that_nobody_named_is_explained(implied):
     dead = {bus: Endpoint("tcp/127.0.0.1:1", listen=False) for bus in BusName}
-    found = by_check(checks.examine_buses(dead, implied=implied))
+    found = by_check(doctor.examine_buses(dead, implied=implied))
     assert ("one port above the V2X bus" in found["world_reached"].advice) is implied
     assert "one port above" not in found["v2x_reached"].advice
 
@@ -211,7 +210,7 @@ def test_certificates_are_looked_through(tmp_path):
     make_keys(tmp_path, now=datetime.now(UTC) - timedelta(days=350))
     (tmp_path / "signal.key").unlink()
     (tmp_path / "record.pem").write_text("no certificate")
-    found = {finding.what: finding for finding in checks.examine_keys(tmp_path)}
+    found = {finding.what: finding for finding in doctor.examine_keys(tmp_path)}
     holding = next(finding for what, finding in found.items() if "of edge holds until" in what)
     assert (holding.ok, holding.is_well) == (False, True)
     assert "days are left" in holding.advice

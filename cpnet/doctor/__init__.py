@@ -1,1 +1,0 @@
-"""`cpnet doctor`: what this machine lacks, what a bus elsewhere answers, what to do."""
