@@ -8,6 +8,17 @@ from filelock import FileLock
 
 from tests.cpnet.commands import Shell
 
+STARTING = {"shell", "first_run"}
+"""Fixtures that start processes: tests here that use one are marked so."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    here = Path(__file__).parent
+    for item in items:
+        if here in item.path.parents and STARTING & {*getattr(item, "fixturenames", ())}:
+            item.add_marker(pytest.mark.process)
+
 
 @pytest.fixture
 def shell(tmp_path: Path) -> Iterator[Shell]:

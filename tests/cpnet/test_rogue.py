@@ -24,6 +24,8 @@ from tests.certificates import make_keys
 from tests.cpnet.commands import Command, Shell, free_ports
 from tests.waiting import PATIENCE_S, wait_until
 
+pytestmark = pytest.mark.process
+
 FORGED = b"forged"
 V2X, WORLD = BusName.V2X, BusName.WORLD
 ALLOWED = {V2X: "r0/roster/vehicle-1", WORLD: "metrics/vehicle-1"}

@@ -5,8 +5,12 @@ import signal
 import subprocess
 import sys
 
+import pytest
+
 from cpnet.stillness import Stillness, is_stopped
 from tests.waiting import wait_until
+
+pytestmark = pytest.mark.process
 
 S = 1_000_000_000
 

@@ -18,6 +18,8 @@ from protocol.errors import ConfigError
 from protocol.topics import BusName
 from tests.waiting import wait_until
 
+pytestmark = pytest.mark.process
+
 SLEEPER = """
 import signal, sys, time
 def main():

@@ -14,6 +14,8 @@ from protocol.inbox import Inbox
 from protocol.onlooker import Onlooker
 from protocol.topics import BusName
 
+pytestmark = pytest.mark.process
+
 WAITER = """
 import sys
 from protocol.bus import Endpoint

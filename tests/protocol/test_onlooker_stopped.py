@@ -16,6 +16,8 @@ from protocol.topics import BusName
 from tests.messages import SCAN
 from tests.waiting import wait_until
 
+pytestmark = pytest.mark.process
+
 LOOKER = """
 import sys
 from protocol.bus import Endpoint, open_bus
