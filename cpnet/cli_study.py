@@ -19,7 +19,7 @@ from edge_server.config import EdgeConfig
 from perception.registry import check
 from protocol.errors import ConfigError
 from studies.page.write import check_target
-from studies.sweep.cells import Cell, Store, cells_of
+from studies.sweep.cells import Cell, ResultStore, cells_of
 from studies.sweep.study_file import Study, read_study
 
 if TYPE_CHECKING:
@@ -55,7 +55,9 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
 ) -> None:
     """Run every cell of a study that is not done yet; then write table and report."""
     if scheduler is not None and (jobs is not None or keep_runs):
-        raise ConfigError("--scheduler: goes with neither --jobs nor --keep-runs, its workers rule")
+        raise ConfigError(
+            "--scheduler: goes with neither --jobs nor --keep-runs: its workers decide"
+        )
     file = read_study(what)
     own = {"traffic.net": net and str(net.resolve()), "traffic.tls": tls}
     settings = {key: value for key, value in own.items() if value is not None} | assigned(set_)
@@ -67,10 +69,10 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
     except ConfigError as error:
         raise ConfigError(f"{what}: {error}") from None
     _check_detectors(study, cells)
-    with _needs_extra():
+    with _explained_if_missing():
         from cpnet.study_report import write_reports
         from studies.sweep.results import table, write_table
-    store = Store.at(out or Path("runs") / f"study-{study.name}")
+    store = ResultStore.at(out or Path("runs") / f"study-{study.name}")
     with _stopped_by_signals() as stop:
         failures = _run(cells, store, scheduler, jobs, stop, keep_runs=keep_runs)
     frame = table(cells, store)
@@ -79,7 +81,7 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
     path = write_table(frame, store)
     if study.title is not None and not as_json:
         console.print(study.title, style="bold", markup=False, highlight=False)
-    _conclude(frame, cells, failures, path, as_json=as_json)
+    _print_results(frame, cells, failures, path, as_json=as_json)
     scenario = _resolved(file.scenario, study.settings | {"seed": study.seeds[0]})
     gaps = tuple(cell.title for cell in cells if store.row(cell.id) is None)
     for report in write_reports(study, scenario, frame, gaps, store.folder, markdown):
@@ -89,7 +91,7 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
 
 
 def _check_detectors(study: Study, cells: list[Cell]) -> None:
-    """Finds out before the first hour is spent what a detector would lack.
+    """Checks before the first run that every detector can be had.
 
     Raises:
         ConfigError: a detector of a cell, or of the accuracy part, cannot be had here.
@@ -104,15 +106,15 @@ def _check_detectors(study: Study, cells: list[Cell]) -> None:
 
 def _run(
     cells: list[Cell],
-    store: Store,
+    store: ResultStore,
     scheduler: str | None,
     jobs: int | None,
-    stop: Stop,
+    stop: StopRequest,
     *,
     keep_runs: bool,
 ) -> list[Failure]:
     """Runs what is missing; returns what failed."""
-    with _needs_extra():
+    with _explained_if_missing():
         from studies.sweep.cluster import local, remote, usable_cores
         from studies.sweep.engine import Engine, ProgressDisplay, missing
     todo = missing(cells, store)
@@ -139,7 +141,7 @@ def _run(
         sys.exit(128 + interrupt.args[0])
 
 
-def _conclude(
+def _print_results(
     frame: Any,  # noqa: ANN401 - polars may not be installed
     cells: list[Cell],
     failures: list[Failure],
@@ -153,8 +155,8 @@ def _conclude(
     if as_json:
         failed = [{"cell": one.cell.title, "reason": one.reason} for one in failures]
         rows = overview(frame, axes).to_dicts()
-        said = {"results": str(path), "rows": len(frame), "failed": failed, "cells": rows}
-        typer.echo(json.dumps(said, indent=2))
+        results = {"results": str(path), "rows": len(frame), "failed": failed, "cells": rows}
+        typer.echo(json.dumps(results, indent=2))
         return
     print_overview(frame, axes, console)
     if failures:
@@ -185,7 +187,7 @@ def _seeds(text: str | None) -> list[int]:
 
 
 @contextmanager
-def _needs_extra() -> Iterator[None]:
+def _explained_if_missing() -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
@@ -195,16 +197,16 @@ def _needs_extra() -> Iterator[None]:
         ) from None
 
 
-class Stop:
-    """What a signal asks for: at once, or as soon as `check` is called."""
+class StopRequest:
+    """A stop by signal: at once, or as soon as `check` is called."""
 
     def __init__(self) -> None:
         self._is_deferred = False
         self._number: int | None = None
 
     def take(self, number: int, _: FrameType | None) -> None:
-        """Heeds the first signal; the workers are ended at once anyway."""
-        for which in _STOPS:
+        """Takes the first signal and ignores later ones; workers are ended at once anyway."""
+        for which in _STOP_SIGNALS:
             signal.signal(which, signal.SIG_IGN)
         self._number = number
         if not self._is_deferred:
@@ -217,7 +219,7 @@ class Stop:
 
     @contextmanager
     def deferred(self) -> Iterator[None]:
-        """Leaves it to `check` for a while: interrupted imports leave traces."""
+        """Defers to `check`: an interrupted import leaves broken modules."""
         self._is_deferred = True
         try:
             yield
@@ -225,14 +227,14 @@ class Stop:
             self._is_deferred = False
 
 
-_STOPS = (signal.SIGINT, signal.SIGTERM)
+_STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextmanager
-def _stopped_by_signals() -> Iterator[Stop]:
-    """Makes SIGTERM what Ctrl-C is; both are heeded once, also where a shell has them ignored."""
-    stop = Stop()
-    before = {which: signal.signal(which, stop.take) for which in _STOPS}
+def _stopped_by_signals() -> Iterator[StopRequest]:
+    """Handles SIGTERM like Ctrl-C, once, also where a shell has them ignored."""
+    stop = StopRequest()
+    before = {which: signal.signal(which, stop.take) for which in _STOP_SIGNALS}
     try:
         yield stop
     finally:

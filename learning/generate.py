@@ -41,7 +41,7 @@ _PARTS = ".parts"
 
 @dataclass(frozen=True, slots=True)
 class DatasetSpec:
-    """What a dataset is made from; the same gives the same bytes."""
+    """The arguments of a dataset; equal ones give equal bytes."""
 
     networks: int
     samples: int

@@ -42,7 +42,7 @@ class Site(Section):
 
     @property
     def name(self) -> str:
-        """What the network is called."""
+        """The network's name."""
         return f"network-{self.number:03d}"
 
 

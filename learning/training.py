@@ -151,7 +151,7 @@ class Recipe:
 
 @dataclass(frozen=True, slots=True)
 class StepLosses:
-    """What a step gave."""
+    """The losses of a step."""
 
     step: int
     score_loss: float
@@ -265,7 +265,7 @@ SAVE_EVERY_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Training:
-    """What is trained, on what, and where the weights and the state go."""
+    """A training: dataset, network, recipe, and the folder for weights and state."""
 
     dataset: Path
     out: Path

@@ -1,1 +1,21 @@
-"""What recorded runs say: figures of merit, summaries, pictures."""
+"""Analysis of recorded runs: figures of merit, reports, pictures, benches, studies of many runs.
+
+Figures of one run
+- `ecvpr`: matching of detections with vehicles, E-CVPR and its upper bounds
+- `count_error`: lane counts against the truth
+- `latency`, `uplink`: the latency breakdown; bytes and rates of agents
+- `safety`: violations of a signal's rules, from the states that it showed
+- `summary`: all figures of a run, as JSON and as tables on a terminal
+
+Pages and pictures
+- `page/`: content of a page, its charts by matplotlib, HTML and Markdown files
+- `run_page`, `run_sections`, `over_time`: the page of a run (`cpnet report --html`)
+- `study_page`, `paper_page`, `study_tables`: the pages of studies
+- `snapshot`, `frame_picture`: the picture of a frame (`cpnet draw`)
+- `outlines`, `palette`: shapes and colours, also of the viewer
+
+Many runs
+- `in_process`: a lockstep run in one process
+- `sweep/`: `cpnet study`, its cells, workers and table
+- `bench_*`, `evaluate`, `accuracy/`: `cpnet bench`, `cpnet eval`, Table 1 of Chen et al. 2022
+"""

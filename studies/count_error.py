@@ -19,7 +19,7 @@ from studies.ecvpr import DOWNSTREAM_M, UPSTREAM_M, EvaluationArea, by_frame, ma
 def lane_errors(run: Run) -> Floats:
     """Returns vehicles counted too many (N,), negative if too few, by frame and counted lane.
 
-    Lanes before the stop bar and behind it, each within the reach that the edge counts in.
+    Lanes upstream and downstream of the stop bar, within the distances that the edge counts in.
 
     Raises:
         ConfigError: the run folder lacks its setup.
@@ -29,7 +29,7 @@ def lane_errors(run: Run) -> Floats:
 
 
 def counts_with_truth(run: Run) -> Iterator[tuple[CountRow, int]]:
-    """Yields each count of a frame that has truth, with how many vehicles truly were there.
+    """Yields each count of a frame that has truth, with the true number of vehicles.
 
     Raises:
         ConfigError: the run folder lacks its setup.
@@ -47,7 +47,7 @@ def counts_with_truth(run: Run) -> Iterator[tuple[CountRow, int]]:
 
 
 class TrueCounts:
-    """Counts as the edge would, were it told where everybody is."""
+    """Lane counts from true positions, within the distances that the edge counts in."""
 
     def __init__(self, road_map: RoadMap, upstream_m: float, downstream_m: float) -> None:
         self._index = LaneIndex(road_map)
@@ -59,17 +59,17 @@ class TrueCounts:
         lanes = [self._numbers.get(vehicle.lane, -1) for vehicle in vehicles]
         along_m = [vehicle.lane_position_m for vehicle in vehicles]
         place = LanePositions(np.array(lanes, np.int64), np.array(along_m, np.float64))
-        before, behind = self._index.count(
+        upstream, downstream = self._index.count(
             place, upstream_m=self._upstream_m, downstream_m=self._downstream_m
         )
-        return {"upstream": before, "downstream": behind}
+        return {"upstream": upstream, "downstream": downstream}
 
 
 class PerceptionTally:
-    """Takes frame after frame; a figure without any frame is None."""
+    """Detection and count figures over frames; None without any frame."""
 
     def __init__(self, setup: Setup) -> None:
-        self._reach = EvaluationArea(setup.road_map)
+        self._area = EvaluationArea(setup.road_map)
         self._counter = TrueCounts(setup.road_map, UPSTREAM_M, DOWNSTREAM_M)
         self._types = {kind.name: kind for kind in setup.vehicle_types}
         self._seen = self._found = self._false = self._frames = 0
@@ -82,8 +82,8 @@ class PerceptionTally:
         counts: list[CountRow],
         vehicles: list[TruthRow],
     ) -> None:
-        """Takes a frame: what there was to see, what was found and counted, and the truth."""
-        here = {v.vehicle for v in vehicles if self._reach.contains(v.lane, v.lane_position_m)}
+        """Adds a frame: the visible vehicles, detections, counts, and the truth."""
+        here = {v.vehicle for v in vehicles if self._area.contains(v.lane, v.lane_position_m)}
         matched, wrong = matched_vehicles(detections, vehicles, self._types)
         self._seen += len(visible & here)
         self._found += len(visible & here & matched)
@@ -94,15 +94,15 @@ class PerceptionTally:
 
     @property
     def recall_visible(self) -> float | None:
-        """The share of the visible vehicles within the signal's reach that were found."""
+        """The share of the visible vehicles near the signal that were detected."""
         return self._found / self._seen if self._seen else None
 
     @property
     def false_per_frame(self) -> float | None:
-        """Detections of nothing."""
+        """False detections per frame."""
         return self._false / self._frames if self._frames else None
 
     @property
     def count_error(self) -> float | None:
-        """The mean absolute error of a lane's count, before and behind the stop bar, vehicles."""
+        """Mean absolute error of a lane's count, upstream and downstream of the stop bar."""
         return float(np.mean(self._errors)) if self._errors else None

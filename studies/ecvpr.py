@@ -30,10 +30,10 @@ DOWNSTREAM_M = 100.0
 
 
 class EvaluationArea:
-    """The lanes that lead to the stop bar and those that leave it, so far as the signal looks.
+    """The lanes before and behind the stop bars on which vehicles count.
 
-    The reach of Chen et al. 2022: 200 m upstream, 100 m downstream, measured along the lanes. The
-    junction's own lanes lie behind the stop bar.
+    As in Chen et al. 2022: 200 m upstream, 100 m downstream, measured along the lanes. The
+    junction's own lanes are downstream.
     """
 
     def __init__(
@@ -43,42 +43,42 @@ class EvaluationArea:
         downstream_m: float = DOWNSTREAM_M,
     ) -> None:
         lengths = {lane.id: lane.length_m for lane in road_map.lanes}
-        onward = {lane.id: lane.successors for lane in road_map.lanes}
+        successors = {lane.id: lane.successors for lane in road_map.lanes}
         incoming = [lane for lane in road_map.incoming if lane in lengths]
-        behind = [after for lane in incoming for after in onward[lane] if after in lengths]
-        starts = behind or [lane for lane in road_map.outgoing if lane in lengths]
+        after = [after for lane in incoming for after in successors[lane] if after in lengths]
+        starts = after or [lane for lane in road_map.outgoing if lane in lengths]
         # by lane: metres from its end to the stop bar, and from the stop bar to its beginning
-        self._before = _spread(incoming, road_map.predecessors, lengths, upstream_m)
-        self._behind = _spread(starts, onward, lengths, downstream_m)
+        self._before = _distances(incoming, road_map.predecessors, lengths, upstream_m)
+        self._after = _distances(starts, successors, lengths, downstream_m)
         self._lengths = lengths
         self._upstream_m, self._downstream_m = upstream_m, downstream_m
 
     def contains(self, lane: str, position_m: float) -> bool:
-        """Whether a vehicle that has gone so far along a lane is within the reach."""
+        """Whether a vehicle at this distance from its lane's beginning is within the area."""
         if lane in self._before:
-            left_m = self._lengths[lane] - position_m + self._before[lane]
-            if left_m <= self._upstream_m:
+            remaining_m = self._lengths[lane] - position_m + self._before[lane]
+            if remaining_m <= self._upstream_m:
                 return True
-        return lane in self._behind and self._behind[lane] + position_m <= self._downstream_m
+        return lane in self._after and self._after[lane] + position_m <= self._downstream_m
 
 
-def _spread(
+def _distances(
     starts: Iterable[str],
-    onward: Mapping[str, Iterable[str]],
+    successors: Mapping[str, Iterable[str]],
     lengths: Mapping[str, float],
     limit_m: float,
 ) -> dict[str, float]:
-    """Returns the shortest way from the starts to each lane within the limit (Dijkstra)."""
+    """Returns the shortest distance from the starts to each lane within the limit (Dijkstra)."""
     reached: dict[str, float] = {}
     queue = [(0.0, lane) for lane in sorted(starts)]
     while queue:
-        way_m, lane = heapq.heappop(queue)
-        if lane in reached or way_m > limit_m:
+        distance_m, lane = heapq.heappop(queue)
+        if lane in reached or distance_m > limit_m:
             continue
-        reached[lane] = way_m
-        for after in onward.get(lane, ()):
+        reached[lane] = distance_m
+        for after in successors.get(lane, ()):
             if after in lengths:
-                heapq.heappush(queue, (way_m + lengths[lane], after))
+                heapq.heappush(queue, (distance_m + lengths[lane], after))
     return reached
 
 
@@ -90,8 +90,8 @@ def match(
 ) -> list[tuple[int, int]]:
     """Returns pairs (detection, vehicle): a detection's centre lies in the vehicle's footprint.
 
-    The nearest pairs are taken first, and nobody twice. Ties are broken by where things are, never
-    by their order, so that a permutation of the input gives the same pairs.
+    The nearest pairs are taken first, each detection and vehicle once. Ties are broken by position,
+    never by order, so that a permutation of the input gives the same pairs.
 
     Args:
         centres_m: (N, 2) x, y of the detections.
@@ -107,10 +107,10 @@ def match(
     detection, vehicle = np.nonzero((along <= reach_m[:, 0]) & (across <= reach_m[:, 1]))
     distance = np.hypot(along, across)[detection, vehicle]
     ties = (*vehicles[vehicle].T, *centres_m[detection].T)
-    return _greedy(detection, vehicle, np.lexsort((*ties, distance)))
+    return _nearest_first(detection, vehicle, np.lexsort((*ties, distance)))
 
 
-def _greedy(
+def _nearest_first(
     detection: npt.NDArray[np.int64], vehicle: npt.NDArray[np.int64], order: npt.NDArray[np.int64]
 ) -> list[tuple[int, int]]:
     seen_detections: set[int] = set()
@@ -128,9 +128,9 @@ VISIBLE_POINTS = 5  # in the scans of all agents together, as in Chen et al. 202
 
 
 class PerceptionBounds:
-    """Answers frame after frame, in their order.
+    """The vehicles that perception could detect at best, frame by frame in rising order.
 
-    A vehicle that reports itself is both: the edge knows of it whatever LiDARs see.
+    A vehicle that reports itself is visible and in range: the edge knows of it without a LiDAR.
     """
 
     def __init__(self, run: Run) -> None:
@@ -140,12 +140,12 @@ class PerceptionBounds:
         scenario = run.scenario
         mounts: list[dict[str, float]] = scenario.get("roadside_mounts", [])
         places = [centre + np.array([mount["x_m"], mount["y_m"]]) for mount in mounts]
-        self._posts = np.array(places).reshape(-1, 2)
-        self._post_range_m = _range_m(scenario, "roadside")
+        self._roadside = np.array(places).reshape(-1, 2)
+        self._roadside_range_m = _range_m(scenario, "roadside")
         self._cav_range_m = _range_m(scenario, "vehicle")
 
     def visible(self, frame: int, vehicles: list[TruthRow]) -> set[str]:
-        """Returns the vehicles with `VISIBLE_POINTS` or more on them; frames must not go back."""
+        """Returns the vehicles with `VISIBLE_POINTS` or more on them; frames must not decrease."""
         points: Counter[str] = Counter()
         while self._next is not None and self._next[0] <= frame:
             if self._next[0] == frame:
@@ -155,10 +155,12 @@ class PerceptionBounds:
         return seen | _reporting(vehicles)
 
     def in_range(self, vehicles: list[TruthRow]) -> set[str]:
-        """Returns the vehicles whose middle is within the range of a LiDAR."""
+        """Returns the vehicles whose centre is within the range of a LiDAR."""
         at = np.array([(v.x_m, v.y_m) for v in vehicles]).reshape(-1, 2)
         cavs = at[[v.equipment == Equipment.CAV for v in vehicles]]
-        near = _within(at, self._posts, self._post_range_m) | _within(at, cavs, self._cav_range_m)
+        near = _within(at, self._roadside, self._roadside_range_m) | _within(
+            at, cavs, self._cav_range_m
+        )
         inside = {v.vehicle for v, is_near in zip(vehicles, near, strict=True) if is_near}
         return inside | _reporting(vehicles)
 
@@ -191,7 +193,7 @@ R = TypeVar("R", TruthRow, DetectionRow, CountRow)
 
 @dataclass(frozen=True, slots=True)
 class FrameScore:
-    """One frame: vehicles present, those of them that were detected, detections of nothing.
+    """One frame: vehicles present, those of them that were detected, false detections.
 
     `visible` of those present could have been detected, as LiDAR points lay on them or they report
     themselves; `in_range` were near enough to a LiDAR for that, or report themselves.
@@ -224,14 +226,14 @@ class FrameScore:
 
 
 def score(
-    run: Run, reach: EvaluationArea | None = None, margin_m: float = MARGIN_M
+    run: Run, area: EvaluationArea | None = None, margin_m: float = MARGIN_M
 ) -> list[FrameScore]:
     """Returns the score of every frame that has truth and was perceived.
 
     Raises:
         ConfigError: the run folder lacks its setup.
     """
-    reach = reach or EvaluationArea(run.setup.road_map)
+    area = area or EvaluationArea(run.setup.road_map)
     types = {kind.name: kind for kind in run.setup.vehicle_types}
     perceived = {n for (n,) in run.query("SELECT frame FROM frames WHERE detections IS NOT NULL")}
     detections, bounds = by_frame(run.rows(DetectionRow)), PerceptionBounds(run)
@@ -242,8 +244,8 @@ def score(
             waiting = next(detections, None)
         found = waiting[1] if waiting is not None and waiting[0] == frame else []
         if frame in perceived:
-            one = score_frame(frame, found, vehicles, types, reach, margin_m)
-            present = {v.vehicle for v in vehicles if reach.contains(v.lane, v.lane_position_m)}
+            one = score_frame(frame, found, vehicles, types, area, margin_m)
+            present = {v.vehicle for v in vehicles if area.contains(v.lane, v.lane_position_m)}
             visible = len(present & bounds.visible(frame, vehicles))
             in_range = len(present & bounds.in_range(vehicles))
             scores.append(replace(one, visible=visible, in_range=in_range))
@@ -255,19 +257,19 @@ def score_frame(
     detections: list[DetectionRow],
     vehicles: list[TruthRow],
     types: dict[str, VehicleType],
-    reach: EvaluationArea,
+    area: EvaluationArea,
     margin_m: float = MARGIN_M,
 ) -> FrameScore:
-    """Returns the score of one frame. A vehicle outside the reach is neither true nor false.
+    """Returns the score of one frame. A vehicle outside the area is neither true nor false.
 
-    A vehicle that reports itself is detected, however far off its satellite positioning is.
+    A vehicle that reports itself counts as detected, whatever its positioning error.
     """
     index = {vehicle.vehicle: i for i, vehicle in enumerate(vehicles)}
     selves = {index[d.source] for d in detections if d.source in index}
     others = [i for i in range(len(vehicles)) if i not in selves]
     seen = [d for d in detections if d.source not in index]
     pairs = _pairs(seen, [vehicles[i] for i in others], types, margin_m)
-    present = {i for i, v in enumerate(vehicles) if reach.contains(v.lane, v.lane_position_m)}
+    present = {i for i, v in enumerate(vehicles) if area.contains(v.lane, v.lane_position_m)}
     true = len(present & (selves | {others[vehicle] for _, vehicle in pairs}))
     return FrameScore(frame, len(present), true, len(seen) - len(pairs))
 
@@ -300,7 +302,7 @@ def matched_vehicles(
 def matches(
     detections: list[DetectionRow], vehicles: list[TruthRow], types: dict[str, VehicleType]
 ) -> tuple[set[str], list[DetectionRow]]:
-    """Returns which vehicles that do not report themselves were detected, and what was nothing."""
+    """Returns which vehicles that do not report themselves were detected, and false detections."""
     reporting = {detection.source for detection in detections}
     others = [vehicle for vehicle in vehicles if vehicle.vehicle not in reporting]
     names = {vehicle.vehicle for vehicle in vehicles}

@@ -1,7 +1,7 @@
-"""A whole lockstep run in one process: the same roles, the same messages, the same rows.
+"""A lockstep run in one process: the same roles, messages and rows as with a process per role.
 
-Without a network and without other processes to wait for, one core plays many times as fast as the
-clock: what a study of many runs needs. SUMO keeps its state globally, so one run at a time.
+Without a network and other processes to wait for, one core runs much faster than real time, which
+studies of many runs need. SUMO's state is global, so one run at a time.
 """
 
 from __future__ import annotations
@@ -28,79 +28,79 @@ from sim_host.role import SimRole
 from sim_host.setup import build_setup
 from vehicle_agent.role import VehicleRole
 
-IDLE_S = 0.001  # what waits for the clock alone, as the recorder's end does
+IDLE_S = 0.001  # between polls when no message is waiting, as at the recorder's end
 STALL_NS = 120_000_000_000
 Builder = Callable[[Context], Role]
 
 
 class _RoleSlot:
-    """One role's place in the round."""
+    """A role with its context, polled in turn."""
 
     def __init__(self, name: str, context: Context, build: Builder) -> None:
         self.name = name
         self._context = context
         self._role = build(context)
-        self.has_left = False
+        self.is_closed = False
 
     @property
     def is_done(self) -> bool:
-        """Whether the role wants to leave."""
+        """Whether the role has asked to stop."""
         return self._context.stop.is_set()
 
     def turn(self) -> bool:
-        """Hands over all that came in and lets the role act; tells whether anything had come."""
-        taken, inbox = 0, self._context.inbox
-        while taken < MAX_BATCH and (item := inbox.get()) is not None:
+        """Delivers waiting messages and polls the role; tells whether there were any."""
+        delivered, inbox = 0, self._context.inbox
+        while delivered < MAX_BATCH and (item := inbox.get()) is not None:
             hand_over(self._role, inbox, item)
-            taken += 1
+            delivered += 1
         self._role.poll()
-        return taken > 0
+        return delivered > 0
 
-    def leave(self) -> None:
-        """Ends the role and hangs up, once."""
-        if not self.has_left:
-            self.has_left = True
+    def close(self) -> None:
+        """Closes the role and its buses, once."""
+        if not self.is_closed:
+            self.is_closed = True
             self._role.close()
             self._context.v2x.close()
             self._context.world.close()
 
 
 def run_in_process(scenario: dict[str, Any], run_dir: Path) -> None:
-    """Plays a scenario to its end; the run folder is as `cpnet up --mode lockstep` leaves it.
+    """Runs a scenario to its end; the run folder is as `cpnet up --mode lockstep` leaves it.
 
     Args:
         scenario: of mode lockstep, with every key.
         run_dir: an empty folder.
 
     Raises:
-        ConfigError: the scenario cannot be played.
-        BusError: the roles wait for one another.
+        ConfigError: the scenario cannot be run.
+        BusError: the roles wait for each other.
     """
     run_setup_in_process(build_setup(scenario, run_dir), run_dir)
 
 
 def run_setup_in_process(setup: Setup, run_dir: Path) -> None:
-    """Plays what a setup says, be it a tape.
+    """Runs what a setup describes, a recording too.
 
     Raises:
-        ConfigError: the scenario cannot be played.
-        BusError: the roles wait for one another.
+        ConfigError: the scenario cannot be run.
+        BusError: the roles wait for each other.
     """
     (run_dir / "setup.msgpack").write_bytes(encode(setup))
-    table = _Buses(setup, run_dir)
-    sim_builder, builders = _builders(setup.scenario)
+    buses = _Buses(setup, run_dir)
+    sim_builder, builders = _role_builders(setup.scenario)
     with ExitStack() as stack:
 
-        def seat(name: str, build: Builder) -> _RoleSlot:
-            taken = _RoleSlot(name, table.context(name), build)
-            stack.callback(taken.leave)
-            return taken
+        def slot(name: str, build: Builder) -> _RoleSlot:
+            made = _RoleSlot(name, buses.context(name), build)
+            stack.callback(made.close)
+            return made
 
-        sim = seat("sim", sim_builder)  # leaves last: with the world goes what others may ask
-        _run_until_done(sim, [seat(name, build) for name, build in builders])
+        sim = slot("sim", sim_builder)  # closed last: others may still query it
+        _run_until_done(sim, [slot(name, build) for name, build in builders])
 
 
-def _builders(scenario: dict[str, Any]) -> tuple[Builder, list[tuple[str, Builder]]]:
+def _role_builders(scenario: dict[str, Any]) -> tuple[Builder, list[tuple[str, Builder]]]:
     """Returns what makes the world's role, and the others' by their ids."""
     world: Builder = SimRole.build
     infra: Builder = InfraRole
@@ -120,22 +120,22 @@ def _builders(scenario: dict[str, Any]) -> tuple[Builder, list[tuple[str, Builde
 
 
 class _Buses:
-    """Where all roles sit: the two buses."""
+    """The two in-process buses, and the contexts of roles on them."""
 
     def __init__(self, setup: Setup, run_dir: Path) -> None:
         self._setup = setup
         self._run_dir = run_dir
-        self._hubs = {name: Hub(name) for name in BusName}
+        self._buses = {name: Hub(name) for name in BusName}
 
     def context(self, name: str) -> Context:
-        """Returns what a role of this name is handed."""
+        """Returns the context of the role of this name."""
         inbox = Inbox()
-        v2x = self._hubs[BusName.V2X]
+        v2x = self._buses[BusName.V2X]
         return Context(
             name,
             self._setup,
             self._run_dir,
-            self._hubs[BusName.WORLD].open(inbox),
+            self._buses[BusName.WORLD].open(inbox),
             v2x.open(inbox),
             inbox,
             threading.Event(),
@@ -143,24 +143,24 @@ class _Buses:
         )
 
 
-def _run_until_done(sim: _RoleSlot, others: list[_RoleSlot]) -> None:
-    """Gives everybody a turn, again and again, until the world is done and the recorder has left.
+def _run_until_done(sim: _RoleSlot, roles: list[_RoleSlot]) -> None:
+    """Polls all roles in turn until the simulation is done and the recorder has stopped.
 
-    Agents leave when they hear of the end; edge and signal stay as long as they are asked.
+    Agents stop at the end of the run; edge and signal controller as soon as nothing is left to do.
     """
-    record = next(seat for seat in others if seat.name == "record")
+    record = next(slot for slot in roles if slot.name == "record")
     busy_ns = time.monotonic_ns()
-    while not (sim.is_done and record.has_left):
+    while not (sim.is_done and record.is_closed):
         moved = False
-        for seat in [sim, *others]:
-            if seat.has_left or (seat is sim and sim.is_done):
+        for slot in [sim, *roles]:
+            if slot.is_closed or (slot is sim and sim.is_done):
                 continue
-            moved |= seat.turn()
-            if seat is not sim and seat.is_done:
-                seat.leave()
+            moved |= slot.turn()
+            if slot is not sim and slot.is_done:
+                slot.close()
         if moved:
             busy_ns = time.monotonic_ns()
         elif time.monotonic_ns() - busy_ns > STALL_NS:
-            raise BusError("nobody has said anything for two minutes: the roles wait for another")
+            raise BusError("no role received a message for two minutes: they wait for each other")
         else:
             time.sleep(IDLE_S)

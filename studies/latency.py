@@ -11,17 +11,17 @@ from recorder.run import Run
 from studies import palette
 from studies.over_time import FrameClock, over_time, thinned_series
 from studies.page.model import Block, Cell, Chart, Column, Section, Series, Table, Text
-from studies.uplink import MOST_ROWS, left_out, most_active
+from studies.uplink import MAX_ROWS, most_active, omitted_agents
 
 STAGES = (
     "sense", "select", "encode", "send", "link", "decode", "place", "wait", "merge", "ground",
     "detect", "fuse", "count", "decide", "actuate", "other", "end_to_end",
 )  # fmt: skip
-"""The way of a frame; every summary names these, and further ones that a process measured."""
+"""Stages of a frame in order; a summary lists all of them, then others that were measured."""
 
 _PERCENTILES = (50, 95, 99)
-_FROM_ACCOUNT = ("send", "link", "wait", "other")
-"""What no single process can measure: it follows from what several of them said."""
+_BETWEEN_PROCESSES = ("send", "link", "wait", "other")
+"""Stages that are computed from the reports of several processes."""
 
 
 def latencies(run: Run) -> dict[str, dict[str, float | None]]:
@@ -48,7 +48,7 @@ def distribution_ms(durations_ns: list[int]) -> dict[str, float | None]:
 
 
 def clock_error_ms(run: Run) -> float | None:
-    """Returns how wrong a latency between machines may be at most; 0 on one machine."""
+    """Returns the largest error of a latency between machines; 0 on one machine."""
     ((worst_ns,),) = run.query("SELECT max(clock_error_ns) FROM account")
     return None if worst_ns is None else worst_ns / 1e6
 
@@ -57,7 +57,7 @@ def _durations(run: Run) -> dict[str, list[int]]:
     durations: dict[str, list[int]] = defaultdict(list)
     for stage, duration_ns in run.query("SELECT stage, duration_ns FROM stages"):
         durations[stage].append(duration_ns)
-    for stage in _FROM_ACCOUNT:
+    for stage in _BETWEEN_PROCESSES:
         durations[stage] = [ns for (ns,) in run.query(f"SELECT {stage}_ns FROM account")]
     sql = "SELECT end_to_end_ns FROM frames WHERE end_to_end_ns IS NOT NULL"
     durations["end_to_end"] = [ns for (ns,) in run.query(sql)]
@@ -72,16 +72,16 @@ def _percentiles(durations_ns: list[int]) -> dict[str, float | None]:
 
 
 Latencies: TypeAlias = dict[str, dict[str, float | None]]
-GROUPS = {
+STAGE_GROUPS = {
     "on the agent": ("sense", "select", "encode"),
-    "on the way": ("send", "link"),
-    "opened, placed": ("decode", "place"),
-    "waiting for others": ("wait",),
+    "uplink": ("send", "link"),
+    "decoding": ("decode", "place"),
+    "waiting for other agents": ("wait",),
     "perception": ("merge", "ground", "detect", "fuse", "count"),
     "decision": ("decide", "actuate"),
     "other": ("other",),
 }
-"""Stages that are shown as one where there are many."""
+"""Groups of stages, for charts by agent."""
 
 _SHOWN_PERCENTILES = (("p50", palette.PLAIN), ("p95", "#56b4e9"))
 _END_TO_END = """
@@ -91,7 +91,7 @@ _END_TO_END = """
 
 def latency_section(run: Run, clock: FrameClock, found: Latencies) -> Section:
     """Returns latencies by stage, over time and by agent."""
-    blocks: list[Block] = [_stage_chart(found)] if _measured(found) else []
+    blocks: list[Block] = [_stage_chart(found)] if _measured_stages(found) else []
     took = run.query(_END_TO_END)
     if took:
         x, y = [clock[frame] for frame, _ in took], [ns / 1e6 for _, ns in took]
@@ -111,12 +111,12 @@ def latency_table(found: Latencies) -> Table:
     return Table(columns, rows)
 
 
-def _measured(found: Latencies) -> list[str]:
+def _measured_stages(found: Latencies) -> list[str]:
     return [s for s, figures in found.items() if s != "end_to_end" and figures["p50"] is not None]
 
 
 def _stage_chart(found: Latencies) -> Chart:
-    stages = _measured(found)
+    stages = _measured_stages(found)
     series = tuple(
         Series(p, tuple(range(len(stages))), tuple(found[s][p] for s in stages), colour=colour)
         for p, colour in _SHOWN_PERCENTILES
@@ -127,7 +127,7 @@ def _stage_chart(found: Latencies) -> Chart:
 
 def _by_agent(run: Run) -> list[Block]:
     means = ", ".join(
-        f"avg({' + '.join(f'{s}_ns' for s in stages)}) / 1e6" for stages in GROUPS.values()
+        f"avg({' + '.join(f'{s}_ns' for s in stages)}) / 1e6" for stages in STAGE_GROUPS.values()
     )
     rows = run.query(
         f"SELECT agent, count(*), {means}, avg(end_to_end_ns) / 1e6 FROM account GROUP BY agent"
@@ -139,11 +139,11 @@ def _by_agent(run: Run) -> list[Block]:
     named = most_active(frames)
     series = tuple(
         Series(group, tuple(range(len(named))), tuple(by_name[agent][i] for agent in named))
-        for i, group in enumerate(GROUPS)
+        for i, group in enumerate(STAGE_GROUPS)
     )
     chart = Chart("Mean by agent", "", "ms", series, "bar", x_categories=tuple(named), stacked=True)
-    names = ("agent", "frames", *GROUPS, "end to end")
+    names = ("agent", "frames", *STAGE_GROUPS, "end to end")
     columns = tuple(Column(name, "" if name in ("agent", "frames") else ".1f") for name in names)
-    order = sorted(rows, key=lambda row: (-row[1], row[0]))[:MOST_ROWS]
-    caption = f"Mean by agent, ms{left_out(len(rows))}"
+    order = sorted(rows, key=lambda row: (-row[1], row[0]))[:MAX_ROWS]
+    caption = f"Mean by agent, ms{omitted_agents(len(rows))}"
     return [chart, Table(columns, tuple(map(tuple, order)), caption)]

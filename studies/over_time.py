@@ -14,24 +14,24 @@ from recorder.run import Run
 from studies.page.model import Chart, ChartKind, Numbers, Series
 
 MAX_POINTS = 1500
-STRETCHES = 300
-NOTE = "Lines are means over short stretches of time; the surfaces reach from least to greatest."
+INTERVALS = 300
+NOTE = "Lines are means over short intervals of time; bands reach from the least to the greatest."
 
 
 def thinned_series(
     name: str, x: Sequence[float], y: Sequence[float | None], colour: str | None = None
 ) -> Series:
-    """Returns a series as it is, or of `STRETCHES` points if it has more than `MAX_POINTS`.
+    """Returns a series as it is, or of `INTERVALS` points if it has more than `MAX_POINTS`.
 
-    Of a stretch there are the mean, the least and the greatest, so that no extreme is lost; its x
-    is that of its middle. None is a gap; one that is shorter than a stretch is bridged.
+    An interval has its mean, least and greatest value, so that no extreme is lost; its x is that of
+    its middle. None is a gap; one that is shorter than an interval is bridged.
     """
     values = np.array([np.nan if one is None else one for one in y], np.float64)
     if len(values) <= MAX_POINTS:
         return Series(name, tuple(x), _numbers(values), colour=colour)
-    edges = np.linspace(0, len(values), STRETCHES + 1).astype(np.int64)
+    edges = np.linspace(0, len(values), INTERVALS + 1).astype(np.int64)
     parts = [values[begin:end] for begin, end in pairwise(edges.tolist())]
-    with warnings.catch_warnings():  # a stretch without values has no mean, as it should be
+    with warnings.catch_warnings():  # an interval without values has no mean
         warnings.simplefilter("ignore", RuntimeWarning)
         mean, low, high = (
             _numbers(np.array([of(part) for part in parts]))
@@ -42,7 +42,7 @@ def thinned_series(
 
 
 def note_on(series: tuple[Series, ...]) -> str:
-    """Returns what must be said of a chart if its series are thinned."""
+    """Returns the note for a chart whose series are thinned, else nothing."""
     return NOTE if any(one.low is not None for one in series) else ""
 
 
@@ -55,7 +55,7 @@ TIME = "simulated time, s"
 
 @dataclass(frozen=True, slots=True)
 class FrameClock:
-    """Simulated seconds by frame; a frame whose time was never heard is where it should be."""
+    """Simulated seconds by frame; one that was not recorded is at its nominal time."""
 
     period_s: float
     start_s: float
@@ -78,6 +78,6 @@ class FrameClock:
 def over_time(
     title: str, y_label: str, series: tuple[Series, ...], kind: ChartKind = "line", notes: str = ""
 ) -> Chart:
-    """Returns a chart over simulated time; thinned series are explained under it."""
-    said = " ".join(filter(None, (notes, note_on(series))))
-    return Chart(title, TIME, y_label, series, kind, notes=said)
+    """Returns a chart over simulated time; a note explains thinned series."""
+    text = " ".join(filter(None, (notes, note_on(series))))
+    return Chart(title, TIME, y_label, series, kind, notes=text)

@@ -33,7 +33,7 @@ E_CVPR_MEAN: dict[str, dict[float, float]] = {
 DELAY_S = (10.6, 11.0)
 """Table 3: the mean delays of all cells lie between these."""
 
-TWIN = {"fast": "DBSCAN", "reference": "DBSCAN", "pointpillars": "PointPillars"}
+PUBLISHED_DETECTOR = {"fast": "DBSCAN", "reference": "DBSCAN", "pointpillars": "PointPillars"}
 """Their detector for ours."""
 
 
@@ -59,7 +59,7 @@ def claims_section(findings: StudyResults) -> Section:
     )
     columns = (Column("expected"), Column("measured"), Column("holds"))
     blocks: tuple[Block, ...] = (Table(columns, rows), *map(Text, _notes(findings)))
-    return Section("What was expected, and what came of it", blocks)
+    return Section("Expected and measured", blocks)
 
 
 def claims(findings: StudyResults) -> list[Claim]:
@@ -222,7 +222,7 @@ def _e_cvpr_section(findings: StudyResults) -> Section:
 
 def _e_cvpr_row(row: GridRow) -> tuple[Cell, ...]:
     share, detector = figure_of(row, CAV) or 0.0, str(row[DETECTOR])
-    theirs = E_CVPR_MEAN.get(TWIN.get(detector, ""), {}).get(share)
+    theirs = E_CVPR_MEAN.get(PUBLISHED_DETECTOR.get(detector, ""), {}).get(share)
     found, visible = figure_of(row, "e_cvpr_mean"), figure_of(row, "visible_share_mean")
     return (
         detector,
@@ -257,7 +257,7 @@ def _delay_section(findings: StudyResults) -> Section:
     low, high = DELAY_S
     caption = (
         f"Table 3. Time lost on a journey, of all vehicles. Chen et al.: {low} to {high} s in all "
-        "cells. Vehicles are means over seeds; kept outside: those that found no room to enter."
+        "cells. Vehicles are means over seeds; not inserted: those that found no room to enter."
     )
     blocks: list[Block] = [grid_table(rows, [DETECTOR, CAV], caption)]
     blocks.append(bars(rows, [DETECTOR, CAV], DELAY))

@@ -31,7 +31,7 @@ from studies.uplink import uplink_section
 
 
 def facts(summary: Summary) -> tuple[Fact, ...]:
-    """Returns what stands at the top of the page."""
+    """Returns the headline figures at the top of the page."""
     e_cvpr, delay, uplink = summary["e_cvpr"], summary["delay_s"], summary["uplink_mbps"]
     latency, frames = summary["latency_ms"]["end_to_end"], summary["frames"]
     return (
@@ -69,27 +69,27 @@ def result_table(summary: Summary) -> Table:
         ("vehicles at frame 0", vehicles["at_start"]),
         ("inserted", vehicles["inserted"]),
         ("finished", vehicles["finished"]),
-        ("kept outside: no room to enter", vehicles["waiting"]),
+        ("not inserted: no room to enter", vehicles["waiting"]),
         ("teleported", vehicles["teleported"]),
-        ("in reach per frame", _rounded(seen["present"])),
+        ("near the signal per frame", _rounded(seen["present"])),
         ("truly detected per frame", _rounded(seen["true"])),
         ("false detections per frame", _rounded(seen["false"])),
         ("agents that sent", len(summary["agents"])),
-        ("greatest error of clocks, ms", _rounded(summary["clock_error_ms"])),
+        ("largest clock error, ms", _rounded(summary["clock_error_ms"])),
         ("messages dropped", summary["drops"]),
     )
     return Table((Column("result"), Column("")), rows)
 
 
 def drop_table(summary: Summary) -> Table | None:
-    """Returns what was dropped by process and reason; None if nothing was."""
+    """Returns drops by process and reason; None without any."""
     rows = tuple(
         (process, reason, times)
         for process, reasons in summary["drops_by_reason"].items()
         for reason, times in reasons.items()
     )
     columns = (Column("process"), Column("reason"), Column("times", "d"))
-    return Table(columns, rows, "What was dropped") if rows else None
+    return Table(columns, rows, "Dropped messages") if rows else None
 
 
 def lead(summary: Summary) -> str:

@@ -98,7 +98,7 @@ def _rate(scores: list[FrameScore], clock: FrameClock) -> Chart:
         for name, values in shares.items()
         if any(share is not None for share in values)
     )
-    return over_time("Vehicles within reach that were detected (E-CVPR)", "%", series)
+    return over_time("Vehicles near the signal that were detected (E-CVPR)", "%", series)
 
 
 def _by_lane(counted: Counted) -> Table:
@@ -224,7 +224,7 @@ def _parsed(text: str) -> list[float]:
     return [float(v) for v in values] if is_list else []
 
 
-MOST_POINTS = 4000
+MAX_POINTS = 4000
 _MARGIN_M = 8.0
 _CLASSES: tuple[tuple[str, float, Mark, str], ...] = (
     ("detected", 4.5, "disc", palette.GOOD),
@@ -252,14 +252,14 @@ def map_section(run: Run) -> Section:
     kept = _thinned(run, frames)
     types = {kind.name: kind for kind in setup.vehicle_types}
     points = _vehicle_points(run, kept, types, EvaluationArea(setup.road_map))
-    notes = f"Vehicles within reach of the signal in {len(kept)} of {len(frames)} frames."
+    notes = f"Vehicles near the signal in {len(kept)} of {len(frames)} frames."
     return Section(title, (_map(setup.road_map, [*points, *_sensors(run)], notes),))
 
 
 def _thinned(run: Run, frames: list[int]) -> list[int]:
-    """Returns every n-th frame, so that about `MOST_POINTS` vehicles are shown."""
+    """Returns every n-th frame, so that about `MAX_POINTS` vehicles are shown."""
     ((vehicles,),) = run.query("SELECT count(*) FROM truth")
-    return frames[:: max(1, ceil(vehicles / MOST_POINTS))]
+    return frames[:: max(1, ceil(vehicles / MAX_POINTS))]
 
 
 def _vehicle_points(

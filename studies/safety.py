@@ -1,8 +1,8 @@
-"""Whether a signal was ever unsafe, told from what it showed alone; knows nothing of the cabinet.
+"""Safety check of signals from the states that they showed, independent of the cabinet.
 
-What was shown is known at moments. At each it had been shown for one step, the grid on which a
-signal changes; what lies between two moments that are farther apart is not known. Only what was
-unsafe whatever lay there is a violation: with a frame a step nothing is missed.
+States are known at sampled times. At each the state had been shown for one step, the grid on which
+a signal changes; states between two samples that are farther apart are not known. Only what was
+unsafe whatever was shown there is a violation: with a frame per step nothing is missed.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ def violations(
         config: the times to be kept.
         step_s: the grid on which the signal may change.
     """
-    watch = Watch(signal, config, step_s)
-    return [found for time_ns, state in shown for found in watch.see(time_ns, state)]
+    monitor = SignalMonitor(signal, config, step_s)
+    return [found for time_ns, state in shown for found in monitor.observe(time_ns, state)]
 
 
 def violations_of(run: Run) -> list[str]:
@@ -58,7 +58,7 @@ def violations_of(run: Run) -> list[str]:
 
 @dataclass(slots=True)
 class _Link:
-    """One link: its colour, after which moment that began, when it was last not red."""
+    """One link: its colour, the sample before that began, when it was last not red."""
 
     colour: str
     began_ns: int | None = None
@@ -66,8 +66,8 @@ class _Link:
     lit_ns: int = 0
 
 
-class Watch:
-    """Looks at one signal's states as they come, however many; see `violations`."""
+class SignalMonitor:
+    """Checks the states of one signal one after the other; see `violations`."""
 
     def __init__(self, signal: Signal, config: CabinetConfig, step_s: float) -> None:
         self._signal = signal
@@ -80,22 +80,22 @@ class Watch:
             _GREEN: _ns(config.yellow_s) + _ns(config.all_red_s),
             _YELLOW: _ns(config.all_red_s),
         }
-        self._foes = _foes(signal)
+        self._foes = _conflicting_links(signal)
         self._size = len(signal.plan[0].state)
         self._links: list[_Link] = []
         self._state = ""
         self._time_ns = 0
         self._known: dict[str, list[str]] = {}
 
-    def see(self, time_ns: int, state: str) -> list[str]:
-        """Takes what is shown at a moment; returns what is wrong with it."""
+    def observe(self, time_ns: int, state: str) -> list[str]:
+        """Takes the state shown at a time; returns its violations."""
         if state == self._state and time_ns > self._time_ns:
             self._time_ns = time_ns
             return []
         if len(state) != self._size:
-            return [self._say(time_ns, f"{state!r} has not one character for each link")]
+            return [self._message(time_ns, f"{state!r} has not one character for each link")]
         if self._links and time_ns <= self._time_ns:
-            return [self._say(time_ns, f"time stands still or runs back from {self._time_ns} ns")]
+            return [self._message(time_ns, f"time does not increase from {self._time_ns} ns")]
         found = self._conflicts(state)
         colours = [_colour(letter) for letter in state]
         if self._links:
@@ -103,9 +103,9 @@ class Watch:
         else:
             self._links = [_Link(colour) for colour in colours]
         self._state, self._time_ns = state, time_ns
-        return [self._say(time_ns, one) for one in found]
+        return [self._message(time_ns, one) for one in found]
 
-    def _say(self, time_ns: int, what: str) -> str:
+    def _message(self, time_ns: int, what: str) -> str:
         return f"signal {self._signal.tls} at {time_ns / 1e9:g} s: {what}"
 
     def _conflicts(self, state: str) -> list[str]:
@@ -140,7 +140,7 @@ class Watch:
         return found + [one for link in gaining for one in self._cleared(link, time_ns)]
 
     def _ended(self, number: int, link: _Link, after: str, hidden_ns: int) -> list[str]:
-        """Returns what is wrong with the end of a link's colour, if anything is for sure."""
+        """Returns what is certainly wrong with the end of a link's colour."""
         before, found = link.colour, []
         if before != _RED and link.began_ns is not None:
             longest_ns = self._time_ns + hidden_ns - link.began_ns
@@ -169,7 +169,7 @@ class Watch:
         return found
 
 
-def _foes(signal: Signal) -> dict[int, list[int]]:
+def _conflicting_links(signal: Signal) -> dict[int, list[int]]:
     """Returns for each link those that conflict with it, and itself."""
     foes = {number: [number] for number in range(len(signal.plan[0].state))}
     for a, b in signal.conflicts:

@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgentCloud:
-    """What one agent uploaded: points (N, 3) in the map frame, and where its sensor stood."""
+    """An agent's upload: points (N, 3) in the map frame, and its sensor's position."""
 
     agent: str
     points: Floats
@@ -108,7 +108,7 @@ def _choose(run: Run, frame: int | None) -> int:
 
 
 def _clouds(rows: list[CloudRow], vehicles: set[str]) -> list[AgentCloud]:
-    """Returns a cloud per agent, those that stand at the roadside first."""
+    """Returns a cloud per agent, roadside units first."""
     by_agent: dict[str, list[CloudRow]] = defaultdict(list)
     for row in rows:
         by_agent[row.agent].append(row)
@@ -123,7 +123,7 @@ def _cloud(agent: str, chunks: list[CloudRow]) -> AgentCloud:
         try:
             parts.append(map_SE3_sensor.apply(decode(chunk.payload).points))
         except CodecError as error:
-            _log.warning("chunk %d of %s is left out: %s", chunk.chunk, agent, error)
+            _log.warning("chunk %d of %s is skipped: %s", chunk.chunk, agent, error)
     payload_bytes = sum(len(chunk.payload) for chunk in chunks)
     return AgentCloud(agent, np.concatenate(parts), _pose(chunks[0])[:3], payload_bytes)
 

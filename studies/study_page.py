@@ -12,13 +12,13 @@ from studies.study_tables import (
     GridRow,
     Measure,
     StudyResults,
-    bare_mean,
     bars,
     curves,
     figure_of,
     grid_table,
     label_of,
     origin_section,
+    rounded_mean,
 )
 from studies.sweep.study_file import Grid
 
@@ -106,7 +106,7 @@ def _answers(findings: StudyResults, grid: str) -> Iterator[tuple[Cell, ...]]:
         rows.sort(key=lambda row: figure_of(row, RATE) or 0.0)
         goal = ENOUGH * (figure_of(rows[-1], "e_cvpr_mean") or 0.0)
         first = next(row for row in rows if (figure_of(row, "e_cvpr_mean") or 0.0) >= goal)
-        figures = (bare_mean(first, shown) for shown in (E_CVPR, DELAY))
+        figures = (rounded_mean(first, shown) for shown in (E_CVPR, DELAY))
         sent = figure_of(first, "uplink_mbps_mean")
         yield (_TITLES.get(grid, grid), upload, label_of(first[RATE]), *figures, sent)
 

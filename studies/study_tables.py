@@ -13,7 +13,7 @@ from studies.page.model import Block, Cell, Chart, Code, Column, Number, Section
 from studies.sweep.results import over_seeds
 from studies.sweep.study_file import Study
 
-VALUES = (
+MEASURE_COLUMNS = (
     "delay_s",
     "e_cvpr",
     "e_cvpr_std",
@@ -27,7 +27,7 @@ VALUES = (
     "vehicles_teleported",
     "vehicles_waiting",
 )
-"""Measures that pages speak of."""
+"""Measures that pages show."""
 
 GridRow = dict[str, float | int | str | None]
 
@@ -63,7 +63,7 @@ class StudyResults:
     def rows(self, grid: str) -> list[GridRow]:
         """Returns a row for each cell of a grid, over its seeds: see `over_seeds`."""
         part = self.frame.filter(pl.col("grid") == grid)
-        present = [value for value in VALUES if value in part.columns]
+        present = [value for value in MEASURE_COLUMNS if value in part.columns]
         return over_seeds(part, self.axes(grid), present).to_dicts() if len(part) else []
 
 
@@ -74,7 +74,7 @@ def figure_of(row: GridRow, name: str) -> float | None:
 
 
 def label_of(value: float | str | None) -> str:
-    """Returns an axis's label as people write it."""
+    """Returns an axis's label as text."""
     return value if isinstance(value, str) else "–" if value is None else f"{value:g}"
 
 
@@ -98,9 +98,9 @@ TRAFFIC = (
     Measure("vehicles_inserted", "inserted", 1, 0),
     Measure("vehicles_finished", "finished", 1, 0),
     Measure("vehicles_teleported", "teleported", 1, 1),
-    Measure("vehicles_waiting", "kept outside", 1, 1),
+    Measure("vehicles_waiting", "not inserted", 1, 1),
 )
-"""What stands beside every delay: whom it is the mean of, and who is missing."""
+"""Shown beside every delay: the vehicles that it is the mean of, and those that it lacks."""
 
 
 def mean_of(row: GridRow, shown: Measure) -> str | None:
@@ -112,7 +112,7 @@ def mean_of(row: GridRow, shown: Measure) -> str | None:
     return text if half is None else f"{text} ± {half * shown.factor:.{shown.decimals}f}"
 
 
-def bare_mean(row: GridRow, shown: Measure) -> float | None:
+def rounded_mean(row: GridRow, shown: Measure) -> float | None:
     """Returns the mean alone, rounded as it is written."""
     mean = figure_of(row, f"{shown.value}_mean")
     return None if mean is None else round(mean * shown.factor, shown.decimals)
@@ -128,7 +128,7 @@ def grid_table(rows: list[GridRow], axes: Sequence[str], caption: str = "") -> T
         (
             *(label_of(row[axis]) for axis in axes),
             *(mean_of(row, one) for one in used),
-            *(bare_mean(row, one) for one in TRAFFIC),
+            *(rounded_mean(row, one) for one in TRAFFIC),
             row["n"],
         )
         for row in rows

@@ -140,7 +140,7 @@ def _mean_std(values: list[float]) -> tuple[float, float] | tuple[None, None]:
     return float(array.mean()), float(array.std())
 
 
-_MOST_AGENTS = 8
+_MAX_AGENTS = 8
 _BLANK = "–"
 _MANY = 0.2  # of a run's frames
 
@@ -165,10 +165,10 @@ def print_report(summary: Summary, console: Console) -> None:
 def _headline(summary: Summary) -> str:
     ended = summary["ended"] or "cut off"
     name = escape(str(summary["scenario"] or "run"))
-    told = "; a replay: traffic and delay are the recording's" if summary["replay_of"] else ""
+    replayed = "; a replay: traffic and delay are the recording's" if summary["replay_of"] else ""
     return (
         f"[bold]{name}[/bold]  {summary['mode'] or ''}  "
-        f"seed {summary['seed']}  [dim]({escape(ended)}{told})[/dim]"
+        f"seed {summary['seed']}  [dim]({escape(ended)}{replayed})[/dim]"
     )
 
 
@@ -185,9 +185,9 @@ def _result_table(summary: Summary) -> Table:
         ("vehicles at frame 0", str(vehicles["at_start"])),
         ("  inserted", str(vehicles["inserted"])),
         ("  finished", str(vehicles["finished"])),
-        ("  kept outside", _number(vehicles["waiting"], 0)),
+        ("  not inserted", _number(vehicles["waiting"], 0)),
         ("  teleported", str(vehicles["teleported"])),
-        ("in reach per frame", _number(seen["present"], 1)),
+        ("near the signal", _number(seen["present"], 1)),
         ("  truly detected", _number(seen["true"], 1)),
         ("  false detections", _number(seen["false"], 1)),
         ("with lanes unseen", _percent(summary["unknown_share"])),
@@ -215,7 +215,7 @@ def _agent_table(summary: Summary) -> Table:
     table = _numeric("agent", "frames", "points", "kB/frame", "Mbit/s", "by TCP", "score")
     doubted = summary["doubted"]
     agents = sorted(summary["agents"].items(), key=lambda item: (-item[1]["frames"], item[0]))
-    for agent, figures in agents[:_MOST_AGENTS]:
+    for agent, figures in agents[:_MAX_AGENTS]:
         table.add_row(
             escape(agent),
             str(figures["frames"]),
@@ -223,20 +223,20 @@ def _agent_table(summary: Summary) -> Table:
             _number(figures["bytes_per_frame"] / 1e3, 1),
             _number(figures["mbps"], 2),
             _number(figures["wire_mbps"], 2),
-            _belief(doubted.get(agent)),
+            _score_text(doubted.get(agent)),
         )
-    if len(agents) > _MOST_AGENTS:
-        rest = agents[_MOST_AGENTS:]
+    if len(agents) > _MAX_AGENTS:
+        rest = agents[_MAX_AGENTS:]
         table.add_row(f"and {len(rest)} more", str(sum(a["frames"] for _, a in rest)))
-    for agent in [name for name in doubted if name not in summary["agents"]][:_MOST_AGENTS]:
-        table.add_row(escape(agent), "", "", "", "", "", _belief(doubted[agent]))
+    for agent in [name for name in doubted if name not in summary["agents"]][:_MAX_AGENTS]:
+        table.add_row(escape(agent), "", "", "", "", "", _score_text(doubted[agent]))
     total = summary["uplink_mbps"]
     table.add_row("all together", "", "", "mean", _number(total["mean"], 2), style="bold")
     table.add_row("", "", "", "peak", _number(total["peak"], 2), style="bold")
     return table
 
 
-def _belief(doubt: dict[str, float] | None) -> str:
+def _score_text(doubt: dict[str, float] | None) -> str:
     """Returns the least score that an agent had, and in how many frames it was left out."""
     if doubt is None:
         return "1.00"

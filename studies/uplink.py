@@ -54,8 +54,8 @@ def _mbps(bytes_per_frame: float, frame_period_s: float) -> float:
     return bytes_per_frame * 8e-6 / frame_period_s
 
 
-MOST_AGENTS = 8
-MOST_ROWS = 15
+MAX_LINES = 8
+MAX_ROWS = 15
 _COLUMNS = (
     Column("agent"),
     Column("frames", "d"),
@@ -76,13 +76,13 @@ def uplink_section(run: Run, clock: FrameClock) -> Section:
     for agent, frame, payload in run.query(_SENT):
         sent[agent][frame] = payload
     if not sent:
-        return Section("Uplink", (Text("No agent sent anything, or nothing of it was recorded."),))
+        return Section("Uplink", (Text("No agent sent anything, or no upload was recorded."),))
     return Section("Uplink", (*_charts(sent, clock), _table(run, clock)))
 
 
 def most_active(agents: dict[str, int]) -> list[str]:
-    """Returns the agents with the largest figure, at most `MOST_AGENTS`; ties go by name."""
-    return sorted(agents, key=lambda agent: (-agents[agent], agent))[:MOST_AGENTS]
+    """Returns the agents with the largest figure, at most `MAX_LINES`; ties go by name."""
+    return sorted(agents, key=lambda agent: (-agents[agent], agent))[:MAX_LINES]
 
 
 def _charts(sent: dict[str, dict[int, int]], clock: FrameClock) -> tuple[Chart, Chart]:
@@ -112,15 +112,15 @@ def _line(
 def _table(run: Run, clock: FrameClock) -> Table:
     found = by_agent(run, clock.period_s)
     order = sorted(found, key=lambda agent: (-(found[agent]["frames"] or 0), agent))
-    rows = tuple(_row(agent, found[agent]) for agent in order[:MOST_ROWS])
+    rows = tuple(_row(agent, found[agent]) for agent in order[:MAX_ROWS])
     caption = "By agent, over the frames in which it sent"
-    return Table(_COLUMNS, rows, caption + left_out(len(order)))
+    return Table(_COLUMNS, rows, caption + omitted_agents(len(order)))
 
 
-def left_out(agents: int) -> str:
-    """Returns what a caption says of agents beyond `MOST_ROWS`."""
-    left = agents - MOST_ROWS
-    return f"; {left} more that sent less often are left out" if left > 0 else ""
+def omitted_agents(agents: int) -> str:
+    """Returns the end of a caption: how many agents beyond `MAX_ROWS` are omitted."""
+    left = agents - MAX_ROWS
+    return f"; {left} more that sent less often are omitted" if left > 0 else ""
 
 
 def _row(agent: str, figures: dict[str, float | None]) -> tuple[Cell, ...]:

@@ -12,7 +12,7 @@ from typing import Any
 from perception.config import DetectorName
 from studies.accuracy.measure import Scenario, measure_accuracy
 from studies.evaluate import EvalRow
-from studies.sweep.cells import Store, identify, write_whole
+from studies.sweep.cells import ResultStore, identify, write_atomically
 
 SCHEMA = 1
 """To be raised when the same samples would give other rows: all is measured anew."""
@@ -31,12 +31,12 @@ def accuracy_of(
         ConfigError: they cannot be measured, or the folder cannot be written.
     """
     name = identity(scenario, detectors, samples)
-    path = Store.at(store_folder).folder / f"accuracy-{name}.json"
+    path = ResultStore.at(store_folder).folder / f"accuracy-{name}.json"
     rows = _read(path, name)
     if rows is None:
         rows = measure_accuracy(scenario, detectors, samples)
         data = {"id": name, "rows": [row.as_json() for row in rows]}
-        write_whole(path, json.dumps(data, indent=1).encode())
+        write_atomically(path, json.dumps(data, indent=1).encode())
     return rows
 
 

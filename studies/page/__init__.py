@@ -1,1 +1,1 @@
-"""Pages that people look at: what is on them, and how they become HTML or Markdown."""
+"""Pages of reports: `model` is their content, `plotting` draws charts, `write` makes files."""

@@ -1,4 +1,4 @@
-"""What a page holds: text, tables, pictures and charts, as data.
+"""The content of a page: text, tables, pictures and charts, as data.
 
 No plotting library is known here.
 """
@@ -121,7 +121,7 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """What held when: bars on rows, coloured by what they mean."""
+    """A timeline: bars on rows, coloured by state."""
 
     title: str
     x_label: str

@@ -1,1 +1,8 @@
-"""Studies of many runs: a file names them, cells are run side by side, a table keeps what came."""
+"""Studies of many runs: a file names them, workers run them, a table keeps their figures.
+
+- `study_file`: the file, its grids and axes
+- `cells`: a scenario with a seed each, and their results on disk
+- `worker`: runs and measures one cell
+- `cluster`, `engine`: Dask workers, the distribution of cells to them, progress
+- `results`: the table, and its overview over seeds
+"""

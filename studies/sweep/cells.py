@@ -41,7 +41,7 @@ class Cell:
 
     @property
     def title(self) -> str:
-        """What people are shown."""
+        """The cell's name for display."""
         shown = [f"{name}={label}" for name, label in self.labels.items()]
         return " ".join([self.grid, *shown, f"seed={self.seed}"])
 
@@ -98,13 +98,13 @@ def _digest(path: Path) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Store:
+class ResultStore:
     """The folder of a study's results; several studies may share one."""
 
     folder: Path
 
     @staticmethod
-    def at(folder: Path) -> Store:
+    def at(folder: Path) -> ResultStore:
         """Makes the folder where there is none.
 
         Raises:
@@ -114,7 +114,7 @@ class Store:
             (folder / "cells").mkdir(parents=True, exist_ok=True)
         except (OSError, ValueError) as error:
             raise ConfigError(f"--out {folder}: {error}") from None
-        return Store(folder)
+        return ResultStore(folder)
 
     def row(self, cell_id: str) -> Row | None:
         """Returns the figures of a finished cell; None if it has to be run."""
@@ -127,7 +127,7 @@ class Store:
         row: Any = data.get("row")
         return row if _is_row(row) else None
 
-    def keep(self, cell: Cell, outcome: Outcome) -> None:
+    def save(self, cell: Cell, outcome: Outcome) -> None:
         """Writes a finished cell; from then on it is never run again."""
         data = {
             "id": cell.id,
@@ -136,17 +136,17 @@ class Store:
             "row": outcome.row,
             "scenario": cell.scenario,
         }
-        write_whole(self._path(cell.id), json.dumps(data, indent=1).encode())
+        write_atomically(self._path(cell.id), json.dumps(data, indent=1).encode())
 
         self._traceback(cell.id).unlink(missing_ok=True)
 
-    def blame(self, cell: Cell, error: BaseException) -> None:
-        """Writes how a cell failed, for who wants to know where; it is tried again next time."""
+    def record_failure(self, cell: Cell, error: BaseException) -> None:
+        """Writes the traceback of a failed cell; the cell is tried again next time."""
         text = "".join(traceback.format_exception(error))
-        write_whole(self._traceback(cell.id), f"{cell.title}\n{text}".encode())
+        write_atomically(self._traceback(cell.id), f"{cell.title}\n{text}".encode())
 
     def run_dir(self, cell_id: str) -> Path:
-        """Where a cell's run is kept, if runs are."""
+        """The folder of a cell's run, if runs are kept."""
         return (self.folder / "runs" / cell_id).absolute()
 
     def _traceback(self, cell_id: str) -> Path:
@@ -157,7 +157,7 @@ class Store:
 
 
 def _is_row(row: object) -> bool:
-    """Whether figures are what `studies.sweep.worker` gives; others are measured anew."""
+    """Whether figures are what `worker.measure` gives; others are measured anew."""
     if not isinstance(row, dict) or not row:
         return False
     return all(_is_figure(name, value) for name, value in row.items())
@@ -172,8 +172,8 @@ def _is_figure(name: str, value: object) -> bool:
     return name not in LISTS and (value is None or type(value) in kinds)
 
 
-def write_whole(path: Path, data: bytes) -> None:
-    """Writes a file so that nobody ever sees a part of it, also if the machine stops."""
+def write_atomically(path: Path, data: bytes) -> None:
+    """Writes a file whole or not at all, also if the machine stops."""
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with partial.open("wb") as file:

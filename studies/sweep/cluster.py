@@ -1,7 +1,7 @@
 """Where cells run: processes of this machine, or a Dask cluster that is already there.
 
-Dask sends pickled Python both ways: whoever reaches a scheduler can run anything on its workers and
-clients. So a local one listens on loopback only, and others must be one's own.
+Dask sends pickled Python both ways: whoever reaches a scheduler can run any code on its workers and
+clients. A local one listens on loopback only; a remote one must be your own.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from protocol.errors import ConfigError
 LOOPBACK = "127.0.0.1"
 CONNECT_S = 10.0
 _CONFIG = {
-    "distributed.scheduler.allowed-failures": 1,  # a cell that kills its worker twice is given up
-    "distributed.scheduler.worker-ttl": None,  # a long step of SUMO is no death
+    "distributed.scheduler.allowed-failures": 1,  # a cell whose worker is killed twice fails
+    "distributed.scheduler.worker-ttl": None,  # a long step of SUMO is no failure
     "distributed.admin.system-monitor.disk": False,
 }
 
 
 class CorePinning(WorkerPlugin):
-    """Gives each worker process a core of its own, by which its thread pools size themselves."""
+    """Pins each worker process to a core, by which its thread pools size themselves."""
 
     def __init__(self, cores: list[int]) -> None:
         self._cores = cores
 
     def setup(self, worker: Worker) -> None:
-        """Pins all threads that are there; later ones inherit it."""
+        """Pins all present threads; later ones inherit it."""
         core = self._cores[int(worker.name) % len(self._cores)]
         for thread in Path("/proc/self/task").iterdir():
             with suppress(ProcessLookupError):  # it has just ended
@@ -59,13 +59,13 @@ def local(jobs: int) -> Iterator[Client]:
         with _signals_held():
             cluster = stack.enter_context(_cluster(jobs))
             client = stack.enter_context(Client(cluster))
-            stack.push(lambda kind, *_: _kill(cluster) if kind is not None else None)
+            stack.push(lambda kind, *_: _kill_workers(cluster) if kind is not None else None)
             client.register_plugin(CorePinning(usable_cores()))
         yield client
 
 
 def _silence_dask_logs() -> None:
-    """Silences Dask's logs: what matters comes back as a cell's failure or a lost scheduler."""
+    """Silences Dask's logs: failures are reported as a failed cell or a lost scheduler."""
     for name in sorted(logging.root.manager.loggerDict):  # Dask gives some a level of their own
         if name.split(".")[0] in ("distributed", "tornado", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -79,16 +79,16 @@ def _cluster(jobs: int) -> LocalCluster:
         host=LOOPBACK,
         dashboard_address=None,
         scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"},
-        memory_limit=0,  # a worker that is paused for its memory would hold up the study
+        memory_limit=0,  # a worker paused for its memory would block the study
         silence_logs=logging.CRITICAL,
     )
 
 
 @contextmanager
 def _signals_held() -> Iterator[None]:
-    """Heeds Ctrl-C and SIGTERM only once all is started; children inherit that both are blocked.
+    """Defers Ctrl-C and SIGTERM until all is started; children inherit that both are blocked.
 
-    A terminal sends Ctrl-C to all processes, but to end the workers is their parent's.
+    A terminal sends Ctrl-C to all processes, but the parent ends the workers.
     """
     came: list[int] = []
     resource_tracker.ensure_running()  # if a later thread started it, this would unblock them there
@@ -114,7 +114,7 @@ def remote(address: str) -> Iterator[Client]:
     """
     _silence_dask_logs()
     try:
-        asyncio.run(asyncio.wait_for(_greet(address), CONNECT_S))
+        asyncio.run(asyncio.wait_for(_check_scheduler(address), CONNECT_S))
         client = Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
         raise ConfigError(
@@ -124,15 +124,15 @@ def remote(address: str) -> Iterator[Client]:
         yield client
 
 
-async def _greet(address: str) -> None:
-    """Connects and leaves; whoever listens but is no scheduler would keep a client for ever."""
+async def _check_scheduler(address: str) -> None:
+    """Connects and disconnects; a listener that is no scheduler would block a client for ever."""
     secured = Security().get_connection_args("client")
     comm = await connect(address, timeout=CONNECT_S, **secured)
     await comm.close()
 
 
-def _kill(cluster: Any) -> None:  # noqa: ANN401 - Dask's classes are untyped
-    """Ends the workers at once: whatever they are in the midst of is not wanted any more."""
+def _kill_workers(cluster: Any) -> None:  # noqa: ANN401 - Dask's classes are untyped
+    """Kills the workers at once: their present cells are not wanted any more."""
     for nanny in cluster.workers.values():
         nanny.auto_restart = False
         if nanny.pid is not None:

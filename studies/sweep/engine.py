@@ -16,10 +16,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Column
 
 from protocol.errors import BusError, CpnetError
-from studies.sweep.cells import Cell, Store
+from studies.sweep.cells import Cell, ResultStore
 from studies.sweep.worker import Outcome, Task, run_cell
 
-POLL_S = 0.5  # how soon a stop is heeded, and how soon workers that came later are noticed
+POLL_S = 0.5  # delay until a stop or a new worker is noticed
 Work = Callable[[Task], Outcome]
 
 
@@ -32,22 +32,22 @@ class Failure:
 
 
 class ProgressListener(Protocol):
-    """Is told how a study goes on."""
+    """Receives the progress of a study."""
 
     def started(self, cell: Cell) -> None:
         """A worker was given a cell."""
 
     def finished(self, cell: Cell) -> None:
-        """A cell was done and is kept."""
+        """A cell is done and its result saved."""
 
     def failed(self, failure: Failure) -> None:
-        """A cell went wrong."""
+        """A cell failed."""
 
-    def waits(self, workers: int) -> None:
-        """A moment passed without anything; tells how many workers there are."""
+    def idle(self, workers: int) -> None:
+        """Nothing happened for `POLL_S`; says how many workers there are."""
 
 
-def missing(cells: Iterable[Cell], store: Store) -> list[Cell]:
+def missing(cells: Iterable[Cell], store: ResultStore) -> list[Cell]:
     """Returns those that are still to be run; equal ones once."""
     first: dict[str, Cell] = {}
     for cell in cells:
@@ -56,13 +56,13 @@ def missing(cells: Iterable[Cell], store: Store) -> list[Cell]:
 
 
 class Engine:
-    """Keeps as many cells in flight as there are workers, so that a death hits no other cell."""
+    """Keeps as many cells in flight as there are workers: a worker's end costs one cell only."""
 
     def __init__(
         self,
         client: Client,
-        store: Store,
-        watcher: ProgressListener,
+        store: ResultStore,
+        listener: ProgressListener,
         *,
         keep_runs: bool,
         work: Work = run_cell,
@@ -70,11 +70,11 @@ class Engine:
     ) -> None:
         self._client = client
         self._store = store
-        self._watcher = watcher
+        self._listener = listener
         self._keep_runs = keep_runs
         self._work = work
         self._check = check
-        self._flying: dict[Any, Cell] = {}
+        self._in_flight: dict[Any, Cell] = {}
 
     def run(self, cells: list[Cell]) -> list[Failure]:
         """Runs cells to the last; returns those that failed.
@@ -85,12 +85,12 @@ class Engine:
         """
         todo = cells[::-1]
         failures = []
-        while todo or self._flying:
+        while todo or self._in_flight:
             self._check()
-            while todo and len(self._flying) < max(1, self._workers()):
+            while todo and len(self._in_flight) < max(1, self._workers()):
                 self._send(todo.pop())
-            for future in self._landed():
-                failure = self._take(future, self._flying.pop(future))
+            for future in self._completed():
+                failure = self._store_result(future, self._in_flight.pop(future))
                 failures += [failure] if failure else []
         return failures
 
@@ -101,33 +101,33 @@ class Engine:
             raise _lost() from error
 
     def _send(self, cell: Cell) -> None:
-        keep = str(self._store.run_dir(cell.id)) if self._keep_runs else None
-        task = Task(cell.scenario, version("cpnet-edge"), keep)
+        run_dir = str(self._store.run_dir(cell.id)) if self._keep_runs else None
+        task = Task(cell.scenario, version("cpnet-edge"), run_dir)
         future = self._client.submit(self._work, task, key=f"cell-{cell.id}", pure=False)
-        self._flying[future] = cell
-        self._watcher.started(cell)
+        self._in_flight[future] = cell
+        self._listener.started(cell)
 
-    def _landed(self) -> list[Any]:
+    def _completed(self) -> list[Any]:
         try:
-            done = wait(list(self._flying), timeout=POLL_S, return_when="FIRST_COMPLETED").done
+            done = wait(list(self._in_flight), timeout=POLL_S, return_when="FIRST_COMPLETED").done
         except TimeoutError:
-            self._watcher.waits(self._workers())
+            self._listener.idle(self._workers())
             return []
         except CancelledError as error:
             raise _lost() from error
         return list(done)
 
-    def _take(self, future: Any, cell: Cell) -> Failure | None:  # noqa: ANN401 - Dask's is untyped
+    def _store_result(self, future: Any, cell: Cell) -> Failure | None:  # noqa: ANN401 - Dask's is untyped
         if future.status == "finished":
-            self._store.keep(cell, future.result())
-            self._watcher.finished(cell)
+            self._store.save(cell, future.result())
+            self._listener.finished(cell)
             return None
         if future.status != "error":
             raise _lost()
         error = future.exception()
-        self._store.blame(cell, error)
+        self._store.record_failure(cell, error)
         failure = Failure(cell, _reason(error))
-        self._watcher.failed(failure)
+        self._listener.failed(failure)
         return failure
 
 
@@ -135,7 +135,7 @@ def _reason(error: BaseException) -> str:
     if isinstance(error, CpnetError):
         return str(error)
     if type(error).__name__ == "KilledWorker":
-        return "its worker process died again and again, as when memory runs out"
+        return "its worker process was killed again and again, as when memory runs out"
     return f"{type(error).__name__}: {error}"
 
 
@@ -147,7 +147,7 @@ SHOWN = 2  # running cells that are named
 
 
 class TimeLeft:
-    """Tells the time left by what was done so far: cells differ, so it is a guess."""
+    """An estimate of the time left, from the cells done so far."""
 
     def __init__(self, total: int) -> None:
         self.total = total
@@ -160,7 +160,7 @@ class TimeLeft:
         self._last_ns = time.monotonic_ns()
 
     def left(self) -> str:
-        """Returns the time left as text; nothing is known before the first cell is done."""
+        """Returns the time left as text; empty before the first cell is done."""
         if not self.done:
             return ""
         each_s = (self._last_ns - self._begun_ns) / 1e9 / self.done
@@ -169,7 +169,7 @@ class TimeLeft:
 
 
 def duration(seconds: float) -> str:
-    """Returns a time as people say it."""
+    """Returns a duration as text."""
     minutes, rest_s = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     if hours:
@@ -178,7 +178,7 @@ def duration(seconds: float) -> str:
 
 
 class ProgressDisplay:
-    """A watcher that prints."""
+    """Prints the progress of a study: a bar on a terminal, a line for each cell elsewhere."""
 
     def __init__(self, console: Console, todo: int, kept: int) -> None:
         self._console = console
@@ -215,27 +215,29 @@ class ProgressDisplay:
         self._bar.stop()
 
     def started(self, cell: Cell) -> None:
-        """Shows what runs."""
+        """Shows the cells that run."""
         self._running[cell.id] = cell
         self._refresh()
 
     def finished(self, cell: Cell) -> None:
-        """Moves the bar on."""
+        """Advances the bar."""
         self._end(cell)
         if not self._console.is_terminal:
             done = self._kept + self._pace.done
-            self._say(f"{done}/{self._kept + self._pace.total}  {cell.title}  {self._pace.left()}")
+            self._print(
+                f"{done}/{self._kept + self._pace.total}  {cell.title}  {self._pace.left()}"
+            )
 
     def failed(self, failure: Failure) -> None:
-        """Says at once what went wrong: a study may take hours."""
+        """Prints the reason at once: a study may take hours."""
         self._end(failure.cell)
-        self._say(f"failed  {failure.cell.title}: {failure.reason}")
+        self._print(f"failed  {failure.cell.title}: {failure.reason}")
 
-    def waits(self, workers: int) -> None:
-        """Keeps the time left up to date; says so once if nobody is there to work."""
+    def idle(self, workers: int) -> None:
+        """Keeps the time left up to date; says so once if there is no worker."""
         self._refresh()
         if not workers and not self._is_alone:
-            self._say("no worker is connected; the study goes on once one is")
+            self._print("no worker is connected; the study goes on once one is")
         self._is_alone = not workers
 
     def _end(self, cell: Cell) -> None:
@@ -253,5 +255,5 @@ class ProgressDisplay:
             left=self._pace.left(),
         )
 
-    def _say(self, text: str) -> None:
+    def _print(self, text: str) -> None:
         self._console.print(text, markup=False, highlight=False, soft_wrap=True)

@@ -14,7 +14,7 @@ from rich.table import Table
 from scipy.special import stdtrit
 
 from protocol.errors import ConfigError
-from studies.sweep.cells import Cell, Store, write_whole
+from studies.sweep.cells import Cell, ResultStore, write_atomically
 from studies.sweep.worker import Row
 from studies.whole_table import print_whole
 
@@ -22,7 +22,7 @@ FILE = "results.parquet"
 _CONFIDENCE = 0.95
 
 
-def table(cells: list[Cell], store: Store) -> pl.DataFrame:
+def table(cells: list[Cell], store: ResultStore) -> pl.DataFrame:
     """Returns `grid`, a column for each axis, `seed`, then the measures; unfinished cells lack.
 
     An axis of numbers only is a column of numbers, any other of texts; it is null in grids that do
@@ -44,12 +44,12 @@ def table(cells: list[Cell], store: Store) -> pl.DataFrame:
     return pl.DataFrame(columns)
 
 
-def write_table(frame: pl.DataFrame, store: Store) -> Path:
+def write_table(frame: pl.DataFrame, store: ResultStore) -> Path:
     """Writes the table into the study's folder; returns its path."""
     buffer = io.BytesIO()
     frame.write_parquet(buffer)
     path = store.folder / FILE
-    write_whole(path, buffer.getvalue())
+    write_atomically(path, buffer.getvalue())
     return path
 
 

@@ -45,11 +45,11 @@ MEASURES = frozenset(
         "uplink_peak_mbps",
     }
 )
-"""What `studies.sweep.worker.measure` gives."""
+"""Keys of what `studies.sweep.worker.measure` returns."""
 
 LISTS = frozenset({"e_cvpr_hist"})
 RESERVED = frozenset({"grid", "seed", "n"}) | MEASURES
-"""What no axis may be called; nor by a measure's name with an end, such as delay_s_mean."""
+"""Names that no axis may have; nor a measure's name with a suffix, such as delay_s_mean."""
 
 
 def is_taken(name: str) -> bool:
@@ -101,7 +101,7 @@ def points(axes: dict[str, Axis]) -> Iterator[Point]:
 
 
 def check_axes(axes: dict[str, Axis]) -> None:
-    """Checks what pydantic cannot.
+    """Checks names, labels and keys of axes.
 
     Raises:
         ValueError: a name is taken, a label stands twice or is none, two axes set one key.
@@ -115,18 +115,20 @@ def check_axes(axes: dict[str, Axis]) -> None:
         for key in {key for choice in choices for key in choice.settings}:
             if key == "seed":
                 raise ValueError(f"the axis {name} sets seed: give seeds: [..] instead")
-            other = next((own for own in setter if setter[own] != name and touch(key, own)), None)
+            other = next(
+                (own for own in setter if setter[own] != name and keys_overlap(key, own)), None
+            )
             if other is not None:
                 raise ValueError(f"the axes {setter[other]} and {name} both set {key}")
             setter[key] = name
 
 
-def touch(key: str, other: str) -> bool:
+def keys_overlap(key: str, other: str) -> bool:
     """Whether two dotted keys name the same value, or one a part of the other."""
     return f"{key}.".startswith(f"{other}.") or f"{other}.".startswith(f"{key}.")
 
 
-def settings_clash(settings: Settings, axes: dict[str, Axis]) -> None:
+def check_settings(settings: Settings, axes: dict[str, Axis]) -> None:
     """Checks that no axis varies what is to be set.
 
     Raises:
@@ -134,7 +136,9 @@ def settings_clash(settings: Settings, axes: dict[str, Axis]) -> None:
     """
     for name, axis in axes.items():
         for choice in _choices(name, axis):
-            both = sorted(key for key in settings for own in choice.settings if touch(key, own))
+            both = sorted(
+                key for key in settings for own in choice.settings if keys_overlap(key, own)
+            )
             if both:
                 raise ConfigError(f"--set {both[0]}: the axis {name} varies it")
 
@@ -196,7 +200,7 @@ _PAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "latency": ("upload", "latency in ms"),
     },
 }
-"""By page the grids that it speaks of, with their axes."""
+"""By page, the grids that it needs, with their axes."""
 
 
 class Accuracy(Section):
@@ -253,18 +257,18 @@ class Study(Section):
             ConfigError: an axis varies a key that is to be set, or a seed is out of range.
         """
         for grid in self.grids:
-            settings_clash(settings, grid.axes)
+            check_settings(settings, grid.axes)
         data = self.model_dump(by_alias=True)
-        data["set"] = _without(self.settings, settings) | settings
+        data["set"] = _without_overridden(self.settings, settings) | settings
         data["seeds"] = seeds or self.seeds
         for grid in data["grids"]:
             for own in _partial_overrides(grid["set"], settings):
                 raise ConfigError(f"--set {own}: grid {grid['name']} sets a whole that holds it")
-            grid["set"] = _without(grid["set"], settings)
+            grid["set"] = _without_overridden(grid["set"], settings)
         return _validated(data, f"study {self.name}")
 
 
-def _without(settings: Settings, stronger: Settings) -> Settings:
+def _without_overridden(settings: Settings, stronger: Settings) -> Settings:
     """Returns settings without those that stronger ones replace, as a whole or wholly."""
     return {
         key: value
@@ -367,7 +371,7 @@ _MERGE = "tag:yaml.org,2002:merge"
 
 
 class _Strict(yaml.SafeLoader):
-    """Refuses a key that stands twice: of two equal labels, one would vanish."""
+    """Refuses duplicate keys: of two equal labels, one would vanish."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """See `yaml.SafeLoader`; what is merged in (<<) may be overridden, as YAML has it."""

@@ -1,4 +1,4 @@
-"""What a worker does with a cell: it runs the scenario in its own process and measures it."""
+"""The work of one cell on a worker: run the scenario in this process, measure it, clean up."""
 
 from __future__ import annotations
 
@@ -85,27 +85,27 @@ _ONE_AT_A_TIME = threading.Lock()  # SUMO keeps its state globally, whatever the
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What a worker is asked."""
+    """The input of a worker: one run."""
 
     scenario: dict[str, Any]
     version: str
-    keep: str | None = None
-    """A folder for the run, which must not exist; None: the run is deleted once measured."""
+    run_dir: str | None = None
+    """A new folder for the run; None: the run is deleted once measured."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a worker answers."""
+    """The result of a worker."""
 
     row: Row
     took_s: float
 
 
 def run_cell(task: Task) -> Outcome:
-    """Plays and measures one run.
+    """Runs and measures one scenario.
 
     Raises:
-        ConfigError: the scenario cannot be played, or this is another version.
+        ConfigError: the scenario cannot be run, or this is another version.
     """
     here = version("cpnet-edge")
     if here != task.version:
@@ -117,13 +117,13 @@ def run_cell(task: Task) -> Outcome:
         run_in_process(task.scenario, run_dir)
         row = measure(run_dir)
         took_s = (time.monotonic_ns() - begun_ns) / 1e9
-        if task.keep is not None:
-            shutil.copytree(run_dir, task.keep, dirs_exist_ok=True)
+        if task.run_dir is not None:
+            shutil.copytree(run_dir, task.run_dir, dirs_exist_ok=True)
     return Outcome(row, took_s)
 
 
 def in_own_folder() -> tempfile.TemporaryDirectory[str]:
-    """Returns a folder for one run, in the worker's own: Dask deletes that of a killed one too."""
+    """Returns a folder for one run within the worker's own: Dask deletes a killed worker's too."""
     from distributed import get_worker
 
     try:

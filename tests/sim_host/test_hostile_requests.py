@@ -14,7 +14,7 @@ from protocol.messages import SignalRequest
 from protocol.roadmap import PlanPhase, Signal
 from sim_host.cabinet import PendingRequests, SignalCabinet
 from sim_host.config import CabinetConfig
-from studies.safety import Watch
+from studies.safety import SignalMonitor
 from tests.hostile import KINDS, Hostile, S
 from tests.sim_host.test_cabinet import signals
 
@@ -41,7 +41,7 @@ class Kerb:
         self.signal = signal
         self.cabinet = SignalCabinet(signal, config)
         self.pending = PendingRequests()
-        self.watch = Watch(signal, promised or config, STEP_S)
+        self.monitor = SignalMonitor(signal, promised or config, STEP_S)
         self.now_ns = 0
         self.heard = 0
         self.acted: Counter[str] = Counter()
@@ -73,7 +73,7 @@ class Kerb:
         self.act()
         state = self.cabinet.advance(self.now_ns)
         self.now_ns += STEP_NS
-        self.found += self.watch.see(self.now_ns, state)
+        self.found += self.monitor.observe(self.now_ns, state)
         self.shown[state] += 1
 
 

@@ -4,14 +4,14 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from studies.over_time import MAX_POINTS, STRETCHES, note_on, thinned_series
+from studies.over_time import INTERVALS, MAX_POINTS, note_on, thinned_series
 
 
 def test_a_peak_of_one_point_is_kept() -> None:
     y = [0.0] * 36_000
     y[12_345], y[12_347] = 9.0, -9.0
     thin = thinned_series("s", range(36_000), y)
-    assert len(thin.x) == STRETCHES
+    assert len(thin.x) == INTERVALS
     assert (max(thin.high or ()), min(thin.low or ())) == (9.0, -9.0)
     assert note_on((thin,))
 

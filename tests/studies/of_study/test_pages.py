@@ -67,7 +67,7 @@ def test_every_grid_has_its_table_with_whom_a_delay_is_the_mean_of():
     rates, words, versions = tables(page)
     names = [column.name for column in rates.columns]
     assert names[:3] == ["traffic.cav_rate", "edge.detector", "mean delay, s"]
-    assert {"inserted", "finished", "teleported", "kept outside", "seeds"} <= set(names)
+    assert {"inserted", "finished", "teleported", "not inserted", "seeds"} <= set(names)
     assert rates.rows[0][:3] == (
         "0",
         "fast",

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.sweep.cells import Cell, Store, identify
+from studies.sweep.cells import Cell, ResultStore, identify
 
 
 def cell(seed: int, grid: str = "all", **labels: str | float) -> Cell:
@@ -13,5 +13,5 @@ def cell(seed: int, grid: str = "all", **labels: str | float) -> Cell:
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store.at(tmp_path / "out")
+def store(tmp_path: Path) -> ResultStore:
+    return ResultStore.at(tmp_path / "out")

@@ -37,7 +37,7 @@ class Told:
     def failed(self, failure):
         self.running.remove(failure.cell.id)
 
-    def waits(self, workers):
+    def idle(self, workers):
         pass
 
 
@@ -98,7 +98,7 @@ def test_a_failed_cell_is_tried_again_and_a_finished_one_is_not(client, store):
 def test_a_worker_that_dies_takes_only_its_own_cell_with_it(client, store):
     told, failures = run(client, store, [1, 15, 2, 3])
     assert sorted(told.done) == [1, 2, 3]
-    assert "died" in failures[15]
+    assert "was killed" in failures[15]
 
 
 def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch):

@@ -18,7 +18,7 @@ from studies.sweep.worker import Outcome  # noqa: E402
 
 def filled(store, cells, row=lambda c: {"frames": c.seed, "delay_s": c.seed / 2}):
     for one in reversed(cells):
-        store.keep(one, Outcome(row(one), 1.0))
+        store.save(one, Outcome(row(one), 1.0))
     return table(cells, store)
 
 

@@ -42,8 +42,8 @@ def test_without_a_terminal_there_is_a_line_for_each_cell_and_each_failure():
         display.started(cell(1, rate=0.5))
         display.finished(cell(1, rate=0.5))
         display.failed(Failure(cell(2, name="[/x]"), "no [such] thing"))
-        display.waits(0)
-        display.waits(0)
+        display.idle(0)
+        display.idle(0)
     first, second, third = said.getvalue().splitlines()
     assert first.startswith("4/5  all rate=0.5 seed=1  ")
     assert second == "failed  all name=[/x] seed=2: no [such] thing"
