@@ -33,7 +33,12 @@ _NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)  # the loader lets all 
 
 # Keys that scenarios of earlier versions have -> what they are called now. Dotted; an old key
 # may name a whole section. `changed` and `validate` refuse the old key and name the new one.
-RENAMED_KEYS: dict[str, str] = {}
+RENAMED_KEYS: dict[str, str] = {
+    "signal.reckon_inflow_vph": "signal.estimator_inflow_vph",
+    "signal.reckon_s": "signal.estimator_timeout_s",
+    "signal.reckon_saturation_vph": "signal.estimator_saturation_vph",
+    "traffic.reach_m": "traffic.radius_m",
+}
 
 
 class LidarPair(Section):

@@ -188,7 +188,7 @@ def samples_on(
     if not net.is_file():
         raise ConfigError(f"--net {net}: there is no such file")
     traffic = TrafficConfig(
-        net=str(net.resolve()), tls=tls, step_s=0.5, cav_rate=0.0, reach_m=300.0
+        net=str(net.resolve()), tls=tls, step_s=0.5, cav_rate=0.0, radius_m=300.0
     )
     update = {
         "junction": None,

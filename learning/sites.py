@@ -62,7 +62,7 @@ def draw_site(seed: int, number: int) -> Site:
             },
             vehicles=_vehicles(rng),
             cav_rate=0.0,  # who carries a LiDAR is drawn anew at every moment
-            reach_m=300.0,
+            radius_m=300.0,
         ),
         scene=_scene(rng),
         lidar=_lidar(rng),

@@ -14,7 +14,7 @@ POLICIES = Catalogue("cpnet.signal_policies", "signal policy", ("max_pressure", 
 
 
 class SignalConfig(Section):
-    """Who decides on the phase; minimum green, yellow and all-red are the cabinet's."""
+    """The policy that chooses the phase; minimum green, yellow and all-red are the cabinet's."""
 
     policy: Annotated[str, AfterValidator(POLICIES.checked)] = Field(
         "max_pressure",
@@ -24,25 +24,25 @@ class SignalConfig(Section):
     plugin: PluginSettings = Field({})
     unseen: Literal["alike", "empty"] = Field(
         "alike",
-        description="ours: what max_pressure makes of the part of a lane that no LiDAR has within "
+        description="what max_pressure assumes of the part of a lane that no LiDAR has within "
         "sight (edge.sight_m): alike, it is as full as the rest of the lane, and of a lane that "
-        "nobody sees the number is reckoned; empty, as in Chen et al. 2022",
+        "no LiDAR covers the number is estimated; empty, as in Chen et al. 2022",
     )
-    reckon_inflow_vph: float = Field(
+    estimator_inflow_vph: float = Field(
         500,
         ge=0,
         le=3600,
-        description="ours: vehicles per hour that come to a lane that nobody sees; the default is "
+        description="vehicles per hour that come to a lane that no LiDAR covers; the default is "
         "the demand in Chen et al. 2022",
     )
-    reckon_saturation_vph: float = Field(
-        1800, gt=0, le=7200, description="ours: vehicles per hour that leave it while it is green"
+    estimator_saturation_vph: float = Field(
+        1800, gt=0, le=7200, description="vehicles per hour that leave it while it is green"
     )
-    reckon_s: float = Field(
+    estimator_timeout_s: float = Field(
         60,
         gt=0,
         le=3600,
-        description="ours: simulated time for which numbers are reckoned without any lane before "
+        description="simulated time for which numbers are estimated without any lane before "
         "the stop bar being seen; then the fixed plan is asked for, until one is",
     )
     weight: Literal["vehicles", "queued"] = Field(

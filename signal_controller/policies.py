@@ -13,7 +13,13 @@ from protocol.messages import LaneCounts, SignalState
 from protocol.plugins import Plugin
 from protocol.roadmap import Signal
 from signal_controller.config import POLICIES, SignalConfig
-from signal_controller.queue_estimator import Lanes, QueueEstimator, Weight, completed, weighed
+from signal_controller.queue_estimator import (
+    Lanes,
+    QueueEstimator,
+    Weight,
+    extrapolated,
+    weighted_counts,
+)
 
 Unseen = Literal["alike", "empty"]
 
@@ -22,7 +28,7 @@ Unseen = Literal["alike", "empty"]
 class Decision:
     """A green state, one character per link, and the pressure of each of the signal's phases.
 
-    `policy` is what decided; `unknown` are lanes whose vehicles were reckoned, not counted.
+    `policy` is what decided; `unknown` are lanes whose vehicles were estimated, not counted.
     """
 
     state: str
@@ -37,33 +43,32 @@ def max_pressure(
     shown: SignalState | None,
     weight: Weight = "vehicles",
     unseen: Unseen = "empty",
-    reckoned: Lanes | None = None,
+    estimated: Lanes | None = None,
 ) -> Decision:
     """Chooses the phase of highest pressure (Varaiya 2013; Chen et al. 2022).
 
-    A tie leaves the present green, else the plan's first phase wins. While a change is under way
-    its goal stands: the counts that led to it are not weighed anew half-way. Before the stop bar,
-    what is `reckoned` of a lane stands in the place of its count.
+    A tie keeps the present green, else the plan's first phase wins. While the signal changes, the
+    goal of the change is kept. Before the stop bar, an `estimated` number replaces a lane's count.
     """
     greens = signal.greens
-    before, behind = weighed(counts, weight)
+    before, behind = weighted_counts(counts, weight)
     if unseen == "alike":
-        before = completed(before, counts.seen_upstream)
-        behind = completed(behind, counts.seen_downstream)
-    reckoned = reckoned or {}
-    before = {**before, **reckoned}
+        before = extrapolated(before, counts.seen_upstream)
+        behind = extrapolated(behind, counts.seen_downstream)
+    estimated = estimated or {}
+    before = {**before, **estimated}
     pressures = [pressure(signal, green, before, behind) for green in greens]
     state = _chosen(greens, pressures, shown)
-    return Decision(state, pressures, "max_pressure", tuple(reckoned))
+    return Decision(state, pressures, "max_pressure", tuple(estimated))
 
 
 def fixed(signal: Signal, sim_time_ns: int) -> Decision:
-    """Asks for what the net's own plan shows at this time."""
+    """Requests the green that the net's own plan has at this time."""
     return Decision(signal.planned_green(sim_time_ns / 1e9), [], "fixed")
 
 
-def blind(signal: Signal, sim_time_ns: int, unknown: Iterable[str]) -> Decision:
-    """Asks for the same because nothing is known of any lane before the stop bar."""
+def fallback_plan(signal: Signal, sim_time_ns: int, unknown: Iterable[str]) -> Decision:
+    """Requests the plan's green because nothing is known of any lane before the stop bar."""
     return Decision(signal.planned_green(sim_time_ns / 1e9), [], "plan", tuple(unknown))
 
 
@@ -80,10 +85,10 @@ def _chosen(greens: list[str], pressures: list[float], shown: SignalState | None
 def pressure(
     signal: Signal, green: str, upstream: Mapping[str, float], downstream: Mapping[str, float]
 ) -> float:
-    """Returns vehicles before minus vehicles behind, over the lanes that a phase lets go.
+    """Returns vehicles before minus vehicles behind, over the lanes that a phase opens.
 
-    A lane counts once, however many ways it leads; what lies behind it is the mean over the exits
-    that this phase opens to it. A lane without a count has none.
+    A lane counts once, however many exits it has; behind it counts the mean over the exits that
+    this phase opens to it. A lane without a count has none.
     """
     exits: dict[str, list[str]] = {}
     for link in signal.links:
@@ -96,22 +101,22 @@ def pressure(
 
 
 class SignalPolicy(Protocol):
-    """Decides for one signal, frame by frame; it may remember."""
+    """Decides for one signal, frame by frame; may keep state."""
 
     def decide(self, counts: LaneCounts, shown: SignalState | None) -> Decision:
-        """Returns the green state to ask for; the cabinet keeps all times between greens.
+        """Returns the green state to request; the cabinet keeps all times between greens.
 
         Args:
             counts: vehicles by lane, `edge.upstream_m` before the stop bar and
-                `edge.downstream_m` behind it, with what of each lane was seen.
-            shown: what the signal shows as these counts are true; None before it was ever heard.
+                `edge.downstream_m` behind it, with the covered share of each lane.
+            shown: what the signal shows at the time of the counts; None before its first state.
         """
 
 
 PolicyMaker = Callable[[SignalConfig, Signal, float], SignalPolicy]
 """Makes the policy of a signal; the settings of a plug-in are `plugin` of the configuration.
 
-The last argument is `edge.upstream_m`. A ValueError says that the settings cannot be.
+The last argument is `edge.upstream_m`. A ValueError refuses the settings.
 """
 
 
@@ -132,7 +137,7 @@ def policy_of(config: SignalConfig, signal: Signal, upstream_m: float) -> Signal
 
 
 def check_policy(config: SignalConfig) -> None:
-    """Finds before a start what would keep a plug-in from being made.
+    """Checks before a start that the policy of a configuration can be loaded.
 
     Raises:
         ConfigError: it cannot be imported.
@@ -143,7 +148,7 @@ def check_policy(config: SignalConfig) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedPlan:
-    """The plan that the net brings."""
+    """The net's own plan."""
 
     signal: Signal
 
@@ -153,27 +158,27 @@ class FixedPlan:
 
 
 class MaxPressure:
-    """Max pressure, with what is reckoned of lanes that nobody sees."""
+    """Max pressure, with estimates for lanes that no sensor covers."""
 
     def __init__(self, config: SignalConfig, signal: Signal, upstream_m: float) -> None:
         self._config = config
         self._signal = signal
-        self._reckoning = QueueEstimator(signal, config, upstream_m)
+        self._estimator = QueueEstimator(signal, config, upstream_m)
 
     def decide(self, counts: LaneCounts, shown: SignalState | None) -> Decision:
         """See `SignalPolicy.decide`."""
-        config, reckoned = self._config, {}
+        config, estimated = self._config, {}
         if config.unseen == "alike":
-            estimate = self._reckoning.take(counts, shown)
+            estimate = self._estimator.take(counts, shown)
             if estimate.is_blind:
-                return blind(self._signal, counts.sim_time_ns, estimate.vehicles)
-            reckoned = estimate.vehicles
-        return max_pressure(self._signal, counts, shown, config.weight, config.unseen, reckoned)
+                return fallback_plan(self._signal, counts.sim_time_ns, estimate.vehicles)
+            estimated = estimate.vehicles
+        return max_pressure(self._signal, counts, shown, config.weight, config.unseen, estimated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CheckedPolicy:
-    """Holds a plug-in to what every policy promises, frame by frame."""
+    """Checks each decision of a plug-in."""
 
     plugin: Plugin
     policy: SignalPolicy

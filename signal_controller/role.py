@@ -1,4 +1,4 @@
-"""The signal role: hears lane counts and the signal's state, says which green it wants."""
+"""The signal role: requests a green for each frame's lane counts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from protocol.process import Context
 from signal_controller.config import SignalConfig
 from signal_controller.policies import Decision, policy_of
 
-MAX_KEPT = 8  # counts and states
+MAX_KEPT = 8  # counts and states that wait for each other: limits what others may send
 Kept = TypeVar("Kept", LaneCounts, SignalState)
 
 
@@ -21,8 +21,8 @@ class SignalRole:
     """Answers each frame's counts with one request.
 
     Counts and states come from two processes, in any order. The counts of a frame wait for the
-    state of the same frame, so that a run repeats exactly and no frame is believed on one message
-    alone; in realtime, while no state was heard at all, the newest counts will do. Counts whose
+    state of the same frame, so that a run repeats exactly and no frame number is trusted on one
+    message alone; in realtime, before the first state, the newest counts suffice. Counts whose
     time is too far from the state's get no request.
     """
 
@@ -41,7 +41,7 @@ class SignalRole:
 
     @classmethod
     def build(cls, context: Context) -> SignalRole:
-        """Listens and shows itself."""
+        """Subscribes and announces the role."""
         role = cls(context)
         tls = role._signal.tls
         context.v2x.subscribe("lanes", region=context.setup.scenario["region"], tls=tls)
@@ -50,7 +50,7 @@ class SignalRole:
         return role
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes counts or the signal's state; what is older than the newest is left."""
+        """Takes counts or the signal's state; ignores what is older than the newest."""
         if isinstance(item, Presence):
             return
         match item.message:
@@ -63,7 +63,7 @@ class SignalRole:
                     self._bound(self._shown)
 
     def poll(self) -> None:
-        """Decides as soon as all that the decision needs is there."""
+        """Decides as soon as counts and state of a frame are there."""
         due = [frame for frame in self._counts if self._is_due(frame)]
         fresh = [frame for frame in due if self._is_fresh(self._counts[frame])]
         for frame in set(due) - set(fresh):
@@ -106,9 +106,9 @@ class SignalRole:
         return frame in self._shown or frame <= max(self._decided, self._horizon.newest)
 
     def _is_fresh(self, counts: LaneCounts) -> bool:
-        """Whether counts are of the present; counts them by reason if not.
+        """Whether counts are recent; those that are not are counted by reason.
 
-        What virtual links took is no age here: the cabinet judges that once the request is due.
+        Delays of virtual links are no age here: the cabinet checks them once the request is due.
         """
         shown = self._shown_at(counts.frame)
         age_ns = 0 if shown is None else shown.sim_time_ns - counts.sim_time_ns
@@ -117,7 +117,7 @@ class SignalRole:
         return is_near
 
     def _shown_at(self, frame: int) -> SignalState | None:
-        """Returns the newest state that is known to be real, once a frame's counts are."""
+        """Returns the newest trusted state at the time of a frame's counts."""
         newest = max(frame, self._horizon.newest)
         return self._shown.get(max((n for n in self._shown if n <= newest), default=-1))
 

@@ -23,15 +23,15 @@ from sim_host.limits import MAX_PENDING_REQUESTS
 
 
 class Cabinet(Protocol):
-    """What decides in the end; see `SignalCabinet`."""
+    """What decides on the state that is shown; see `SignalCabinet`."""
 
     refusals: Counter[str]
 
     def request(self, request: SignalRequest, now_ns: int) -> str | None:
-        """Takes a wish; returns None, or why it was refused."""
+        """Takes a request; returns None, or why it was refused."""
 
     def refuse(self, request: SignalRequest, now_ns: int) -> str | None:
-        """Returns why a wish could not be taken now, and counts that."""
+        """Returns why a request would be refused now, and counts that."""
 
     def advance(self, now_ns: int) -> str:
         """Returns the state to show from now until the next call."""
@@ -68,9 +68,9 @@ class SignalCabinet:
         self._source = self._green_source = PLAN
 
     def request(self, request: SignalRequest, now_ns: int) -> str | None:
-        """Takes a wish; returns None, or why it was refused.
+        """Takes a request; returns None, or why it was refused.
 
-        A refused wish changes nothing: the last accepted one stands until it is stale.
+        A refused request changes nothing: the last accepted one holds until it is stale.
         """
         reason = self.refuse(request, now_ns)
         if reason is None:
@@ -78,8 +78,8 @@ class SignalCabinet:
         return reason
 
     def refuse(self, request: SignalRequest, now_ns: int) -> str | None:
-        """Returns why a wish could not be taken now, and counts that; None if it could."""
-        reason = self._judge(request, now_ns)
+        """Returns why a request would be refused now, and counts that; None if it could."""
+        reason = self._refusal(request, now_ns)
         if reason is not None:
             self.refusals[reason] += 1
         return reason
@@ -88,12 +88,12 @@ class SignalCabinet:
         """Returns the state to show from now until the next call."""
         if self._since_ns is None:
             self._since_ns = now_ns
-        wish, self._source = self._wish(now_ns)
+        wanted, self._source = self._wanted(now_ns)
         while now_ns - self._since_ns >= self._durations_ns[self._stage]:
-            if self._stage == "green" and wish == self._green:
+            if self._stage == "green" and wanted == self._green:
                 self._green_source = self._source
                 break
-            self._leave_stage(wish)
+            self._leave_stage(wanted)
             self._since_ns = now_ns
         return self._state
 
@@ -111,32 +111,32 @@ class SignalCabinet:
             earliest_change_ns=max(now_ns, since_ns + self._durations_ns[self._stage]),
         )
 
-    def _leave_stage(self, wish: str) -> None:
+    def _leave_stage(self, wanted: str) -> None:
         if self._stage == "green":
-            losing = [a in "Gg" and b not in "Gg" for a, b in zip(self._state, wish, strict=True)]
+            losing = [a in "Gg" and b not in "Gg" for a, b in zip(self._state, wanted, strict=True)]
             self._stage = "yellow" if any(losing) else "green"
-            self._state = self._over(losing, "y") if any(losing) else wish
-            self._green, self._green_source = wish, self._source
+            self._state = self._over(losing, "y") if any(losing) else wanted
+            self._green, self._green_source = wanted, self._source
         elif self._stage == "yellow":
             self._stage = "all_red"
             self._state = self._state.replace("y", "r")
         else:
             if "g" not in self._green.lower():  # the first green after the start
-                self._green, self._green_source = wish, self._source
+                self._green, self._green_source = wanted, self._source
             self._stage = "green"
             self._state = self._green
 
     def _over(self, where: list[bool], colour: str) -> str:
         return "".join(colour if hit else old for hit, old in zip(where, self._state, strict=True))
 
-    def _wish(self, now_ns: int) -> tuple[str, str]:
+    def _wanted(self, now_ns: int) -> tuple[str, str]:
         request = self._request
         if request is not None and now_ns - request.sim_time_ns <= self._stale_ns:
             return request.state, request.policy
         return self._signal.planned_green(now_ns / 1e9), PLAN
 
-    def _judge(self, request: SignalRequest, now_ns: int) -> str | None:
-        # Age is told by simulated time, not by frame: a forged frame number must not lock others
+    def _refusal(self, request: SignalRequest, now_ns: int) -> str | None:
+        # Age counts in simulated time, not in frames: a forged frame number must not lock others
         # out for ever.
         last = self._request
         checks = (
@@ -161,7 +161,7 @@ class SignalCabinet:
 def _shown_together(signal: Signal) -> set[tuple[int, int, str, str]]:
     """Returns what the plan shows to conflicting links at once, and the same with less right.
 
-    The plan says who of the two yields, so a `G` and a `g` may not be swapped.
+    The plan decides which of the two yields, so a `G` and a `g` may not be swapped.
     """
     shown: set[tuple[int, int, str, str]] = set()
     for green in signal.greens:
@@ -186,7 +186,7 @@ SOURCE = "actuated"
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """One interval of the programme: a state, and how long it lasts at least and at most."""
+    """One interval of a programme: a state, its least and its greatest duration."""
 
     state: str
     least_s: float
@@ -199,7 +199,7 @@ def programme(signal: Signal, config: CabinetConfig) -> list[Interval]:
     A green goes on while its loops see vehicles, as the actuated programs of SUMO do.
 
     Raises:
-        ConfigError: there is only one green, and nothing to decide.
+        ConfigError: there is only one green.
     """
     greens = signal.greens
     if len(greens) < 2:
@@ -220,7 +220,7 @@ def programme(signal: Signal, config: CabinetConfig) -> list[Interval]:
 
 
 class ActuatedCabinet:
-    """In the place of `SignalCabinet`: it shows what SUMO shows, and heeds no request."""
+    """SUMO's own actuated control in the place of `SignalCabinet`; requests have no effect."""
 
     def __init__(self, signal: Signal, shown: Callable[[], str]) -> None:
         self._signal = signal
@@ -229,22 +229,22 @@ class ActuatedCabinet:
         self.refusals: Counter[str] = Counter()
 
     def request(self, request: SignalRequest, now_ns: int) -> str | None:  # noqa: ARG002 - see `SignalCabinet.request`
-        """Takes note of a wish, which changes nothing."""
+        """Ignores a request."""
         return None
 
     def refuse(self, request: SignalRequest, now_ns: int) -> str | None:  # noqa: ARG002 - see `SignalCabinet.refuse`
-        """Finds nothing wrong with a wish that changes nothing."""
+        """Never refuses a request."""
         return None
 
     def advance(self, now_ns: int) -> str:  # noqa: ARG002 - see `SignalCabinet.advance`
-        """Returns what is shown anyway."""
+        """Returns what SUMO shows."""
         state = self._shown()
         if state in self._signal.greens:
             self._green = state
         return state
 
     def spat(self, frame: int, now_ns: int) -> SignalState:
-        """Returns phase and timing; when the next change comes, nobody knows beforehand."""
+        """Returns phase and timing; the time of the next change is unknown."""
         state, greens = self.advance(now_ns), self._signal.greens
         stage = "yellow" if "y" in state else "green" if state in greens else "all_red"
         after = greens[(greens.index(self._green) + 1) % len(greens)]
@@ -270,10 +270,11 @@ class PendingRequest:
 
 
 class PendingRequests:
-    """Keeps requests until their simulated time has come; of those due, the newest frame's acts.
+    """Requests on their way over virtual links, kept until they are due in simulated time.
 
-    `overtaken` counts those that came behind a newer one that acted, `crowded_out` those that were
-    let go because too many waited: the farthest from being due went first.
+    Of those due, the one of the newest frame acts. `overtaken` counts those that arrived behind a
+    newer one that acted, `crowded_out` those dropped because too many were pending: the farthest
+    from being due is dropped first.
     """
 
     def __init__(self) -> None:
@@ -290,22 +291,22 @@ class PendingRequests:
             self.crowded_out += 1
 
     def take(self, now_ns: int, accepts: Callable[[SignalRequest], bool]) -> PendingRequest | None:
-        """Returns the newest of what is due that is accepted, if any; what is due is let go.
+        """Returns the newest due request that is accepted, if any, and drops all that are due.
 
-        One that is refused stands in nobody's way: the next newest is asked about.
+        After one that is refused, the next newest is tried.
         """
         split = bisect_right(self._waiting, now_ns, key=_due_ns)
         due, self._waiting = self._waiting[:split], self._waiting[split:]
         due.sort(key=lambda one: one.request.sim_time_ns, reverse=True)
-        for place, one in enumerate(due):
+        for index, one in enumerate(due):
             if accepts(one.request):
-                self.overtaken += len(due) - place - 1
+                self.overtaken += len(due) - index - 1
                 self._pass(one.request.sim_time_ns)
                 return one
         return None
 
     def _pass(self, sim_time_ns: int) -> None:
-        """Lets go what is not due yet and already overtaken."""
+        """Drops what is not due yet and already overtaken."""
         newer = [one for one in self._waiting if one.request.sim_time_ns > sim_time_ns]
         self.overtaken += len(self._waiting) - len(newer)
         self._waiting = newer

@@ -1,4 +1,4 @@
-"""What a user may say about traffic and about the signal cabinet."""
+"""Configuration of traffic and of the signal cabinet."""
 
 from __future__ import annotations
 
@@ -60,11 +60,11 @@ class TrafficConfig(Section):
     )
     cav_rate: float = Field(0.05, description="share of vehicles with LiDAR and radio", ge=0, le=1)
     cv_rate: float = Field(0.0, description="share of vehicles with a radio alone", ge=0, le=1)
-    reach_m: float = Field(
+    radius_m: float = Field(
         450, description="vehicles farther from the signal exist for SUMO alone", ge=50, le=5000
     )
     start_timeout_s: float = Field(
-        120, description="how long to wait until all processes are there", gt=0
+        120, description="how long to wait until all processes are ready", gt=0
     )
 
     @model_validator(mode="after")
@@ -83,7 +83,7 @@ class TrafficConfig(Section):
 
 
 class CabinetConfig(Section):
-    """Times that the signal cabinet keeps, whatever is asked of it."""
+    """Times that the signal cabinet keeps, whatever is requested."""
 
     min_green_s: float = Field(5, description="a green lasts at least this long", ge=0, le=120)
     yellow_s: float = Field(4, description="yellow after a green", gt=0, le=20)
@@ -91,10 +91,10 @@ class CabinetConfig(Section):
     control: Literal["requests", "actuated"] = Field(
         "requests",
         description="requests: shows what is asked for, where it is safe; actuated: SUMO's own "
-        "control with loop detectors before the stop bars, which heeds no request",
+        "control with loop detectors before the stop bars, which ignores requests",
     )
     max_green_s: float = Field(
-        50, description="actuated: a green lasts no longer while others wait", gt=0, le=600
+        50, description="actuated: longest green while others wait", gt=0, le=600
     )
     stale_after_s: float = Field(
         3,

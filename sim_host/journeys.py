@@ -31,9 +31,9 @@ _UNSAFE = re.compile(r"[/*$?#\s]")
 
 @dataclass(slots=True)
 class Journey:
-    """One vehicle, from when it first came within reach.
+    """One vehicle, from when it first came within the radius.
 
-    SUMO counts a vehicle's loss from its start: `lost_before_s` of that is not the signal's matter.
+    SUMO counts a vehicle's loss from its start; `lost_before_s` of it was lost outside the radius.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Journey:
     over_signal: bool
     lost_before_s: float
     lost_s: float
-    within_reach: bool = True
+    within_radius: bool = True
     teleported: bool = False
 
     def trip(self, arrive_s: float | None) -> Trip:
@@ -72,31 +72,31 @@ class Journeys:
         self._under_way: dict[str, Journey] = {}
         self._ended: list[Trip] = []
 
-    def within_reach(self, vehicles: list[str]) -> list[Journey]:
-        """Returns the journeys of all vehicles that are within reach now; new ones begin."""
+    def within_radius(self, vehicles: list[str]) -> list[Journey]:
+        """Returns the journeys of all vehicles that are within the radius now; new ones begin."""
         for journey in self._under_way.values():
-            journey.within_reach = False
+            journey.within_radius = False
         for vehicle in vehicles:
             if vehicle not in self._under_way:
                 self._under_way[vehicle] = self._begin(vehicle)
-            self._under_way[vehicle].within_reach = True
+            self._under_way[vehicle].within_radius = True
         return [self._under_way[vehicle] for vehicle in vehicles]
 
     def note_losses(self) -> None:
-        """Reads the time that each has lost so far: once arrived, SUMO no longer knows it."""
+        """Reads the time that each vehicle has lost so far: SUMO forgets it on arrival."""
         api = self._sumo.vehicle
         for vehicle in api.getIDList():
             journey = self._under_way.get(vehicle)
-            if journey is not None and journey.within_reach:
+            if journey is not None and journey.within_radius:
                 journey.lost_s = api.getTimeLoss(vehicle)
 
     def note_teleport(self, vehicle: str) -> None:
-        """SUMO moved a vehicle that was stuck or had collided."""
+        """Marks a vehicle that SUMO moved because it was stuck or had collided."""
         if vehicle in self._under_way:
             self._under_way[vehicle].teleported = True
 
     def end(self, vehicle: str, arrive_s: float) -> None:
-        """The vehicle has arrived."""
+        """Ends the journey of a vehicle that has arrived."""
         journey = self._under_way.pop(vehicle, None)
         if journey is not None and journey.over_signal:
             self._ended.append(journey.trip(arrive_s))
@@ -153,6 +153,6 @@ class Journeys:
 
 
 def _safe(vehicle: str) -> str:
-    """Returns the id, or one in its place that may stand in a topic's key."""
+    """Returns the id, or a replacement that is allowed in a topic's key."""
     clean = _UNSAFE.sub("_", vehicle)
     return vehicle if clean == vehicle else f"{clean}~{zlib.crc32(vehicle.encode()):08x}"

@@ -14,12 +14,12 @@ from protocol.messages import Equipment
 from protocol.topics import BusName
 from sim_host.limits import MAX_PROCESSES
 
-_REMIND_NS = 5_000_000_000
+_LOG_PERIOD_NS = 5_000_000_000
 _log = logging.getLogger(__name__)
 
 
 def expected_processes(scenario: dict[str, Any]) -> list[str]:
-    """Returns the ids of all processes that frame 0 waits for, the world's own excepted."""
+    """Returns the ids of all processes that frame 0 waits for, except the world's own."""
     vehicles = [f"vehicle-{i}" for i in range(scenario["processes"]["vehicle"])]
     posts = [f"infra-{i}" for i in range(len(scenario["roadside_mounts"]))]
     tape = ["tape"] if scenario.get("record", {}).get("tape") else []
@@ -27,10 +27,10 @@ def expected_processes(scenario: dict[str, Any]) -> list[str]:
 
 
 class Readiness:
-    """Hears who appears and who vanishes.
+    """Which of the expected processes are there.
 
-    A process is there when it has shown itself on both buses: only then is all that it asked for
-    known to both routers, and nothing of the first frame can pass it by.
+    A process is ready when it has announced itself on both buses: only then do both routers know
+    all its subscriptions, so that it misses nothing of the first frame.
     """
 
     def __init__(self, expected: list[str], timeout_s: float) -> None:
@@ -39,8 +39,8 @@ class Readiness:
         self._here: set[tuple[BusName, str]] = set()
         self._since_ns = self._reminded_ns = time.monotonic_ns()
 
-    def hear(self, presence: Presence) -> None:
-        """Notes a presence; whoever else appears is none of its business."""
+    def note(self, presence: Presence) -> None:
+        """Takes a presence; processes that are not expected are ignored."""
         if presence.id not in self._expected:
             return
         if presence.alive:
@@ -49,14 +49,14 @@ class Readiness:
             self._here.discard((presence.bus, presence.id))
 
     def is_on(self, bus: BusName, process_id: str) -> bool:
-        """Tells whether a process shows itself on a bus."""
+        """Whether a process is present on a bus."""
         return (bus, process_id) in self._here
 
     def is_complete(self) -> bool:
-        """Tells whether all are there, and says in the log who is missing.
+        """Whether all processes are ready; logs which ones are missing.
 
         Raises:
-            BusError: somebody did not come in time; the text says who.
+            BusError: a process did not appear in time; the message names it.
         """
         missing = ", ".join(
             name for name in self._expected if any((bus, name) not in self._here for bus in BusName)
@@ -66,14 +66,14 @@ class Readiness:
             raise BusError(
                 f"{missing} did not appear within traffic.start_timeout_s, {self._timeout_s:g} s"
             )
-        if missing and now_ns - self._reminded_ns > _REMIND_NS:
+        if missing and now_ns - self._reminded_ns > _LOG_PERIOD_NS:
             self._reminded_ns = now_ns
             _log.info("waiting for %s", missing)
         return not missing
 
 
 class Fleet:
-    """Spreads CAVs and CVs over the live vehicle processes, each kind by itself.
+    """Assigns CAVs and CVs to the live vehicle processes, each kind by itself.
 
     A newcomer goes to the process that has the fewest of its kind, ties by process id; it stays
     there until it leaves or the process dies.
@@ -89,15 +89,12 @@ class Fleet:
         return sorted(self._live)
 
     def join(self, process: str) -> None:
-        """A vehicle process appeared; newcomers go to it until it has its share.
-
-        Of too many processes no more get any.
-        """
+        """Adds a vehicle process, unless there are too many; new vehicles go to it first."""
         if len(self._live) < MAX_PROCESSES:
             self._live.add(process)
 
     def leave(self, process: str) -> None:
-        """A vehicle process vanished; its vehicles move at the next `assign`."""
+        """Removes a vehicle process; its vehicles move at the next `assign`."""
         self._live.discard(process)
 
     def assign(self, equipment: Mapping[str, Equipment]) -> dict[str, str]:

@@ -23,7 +23,7 @@ from sim_host.world import RecordedWorld, Traffic, World, tick_of, truth_of
 
 
 class FrameClock:
-    """When the next frame is due, in monotonic ns. A world that falls behind slips."""
+    """When the next frame is due in realtime, in monotonic ns; a world that is late slips."""
 
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
@@ -34,7 +34,7 @@ class FrameClock:
         """Returns how long to wait for the next frame, 0 if it is due."""
         return 0 if self._due_ns is None else max(0, self._due_ns - now_ns)
 
-    def strike(self, now_ns: int) -> None:
+    def begin_frame(self, now_ns: int) -> None:
         """Notes that a frame begins now; one that is a whole period late shifts all that follow."""
         due_ns = now_ns if self._due_ns is None else self._due_ns
         if now_ns - due_ns >= self._period_ns:
@@ -43,19 +43,19 @@ class FrameClock:
         self._due_ns = due_ns + self._period_ns
 
 
-_SLICE_NS = 50_000_000  # how long warm-up may keep the loop from hearing a stop
-_NAP_NS = 30_000_000  # more than the loop's own pause, so that no tick waits for that
-_RETURN_NS = 5_000_000_000  # for a recorder that died to come back
-_LINGER_NS = 2_000_000_000  # for the recorder to take what was said last
+_WARM_UP_SLICE_NS = 50_000_000  # longest that warm-up delays a stop
+_SHORT_WAIT_NS = 30_000_000  # more than the loop's own pause, so that it delays no tick
+_RECORDER_RESTART_NS = 5_000_000_000  # for a recorder that failed to restart
+_RECORDER_EXIT_NS = 2_000_000_000  # for the recorder to write the last messages
 _log = logging.getLogger(__name__)
 
 
 class Stage(Enum):
-    """Where in its life the role is."""
+    """Stages of a run."""
 
-    ROLL_CALL = "roll call"
+    READINESS = "readiness"
     WARM_UP = "warm-up"
-    REST = "rest"
+    IDLE = "idle"
     FRAME = "frame"
     LAST = "last"
     OVER = "over"
@@ -64,11 +64,11 @@ class Stage(Enum):
 class SimRole:
     """Owns the world, the cabinet and the clock.
 
-    REST lies between frames: a tick follows. FRAME waits for what ends the frame: in lockstep its
+    IDLE lies between frames: a tick follows. FRAME waits for what ends the frame: in lockstep its
     request, on which the cabinet then acts; in realtime the clock, while requests act as they come.
     The signal state of a tick is what was shown until then.
 
-    What the cabinet would refuse is refused as it comes: it neither waits nor ends a frame.
+    What the cabinet would refuse is refused on arrival: it is neither pending nor ends a frame.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class SimRole:
         first_frame: int = 0,
         speed: float = 1.0,
     ) -> None:
-        """Begins with a frame; in realtime, the world runs so many times as fast as the clock."""
+        """Begins with `first_frame`; in realtime, `speed` is simulated over wall time."""
         scenario = context.setup.scenario
         self._context = context
         self._world = world
@@ -89,13 +89,13 @@ class SimRole:
         self._cabinet_config = CabinetConfig.model_validate(scenario["cabinet"])
         self._cabinet = cabinet or SignalCabinet(self._signal, self._cabinet_config)
         self._fleet = Fleet()
-        self._roll_call = Readiness(expected_processes(scenario), self._traffic.start_timeout_s)
+        self._readiness = Readiness(expected_processes(scenario), self._traffic.start_timeout_s)
         self._lockstep = scenario["mode"] == "lockstep"
         frames = max(1, round(scenario["duration_s"] / scenario["frame_period_s"]))
         self._end_frame = first_frame + frames
         self._steps = max(1, round(scenario["frame_period_s"] / self._traffic.step_s))
-        self._beat = FrameClock(round(scenario["frame_period_s"] * 1e9 / speed))
-        self._stage = Stage.ROLL_CALL
+        self._clock = FrameClock(round(scenario["frame_period_s"] * 1e9 / speed))
+        self._stage = Stage.READINESS
         self._since_ns = 0
         self._warm_ns = world.time_ns + round(self._traffic.warmup_s * 1e9)
         self._frame = first_frame
@@ -124,11 +124,11 @@ class SimRole:
         else:
             world = World(setup, context.run_dir, Terrain(setup.road_map, scene, seed))
             world.start(seed)
-            cabinet = _own_control(setup, world)
+            cabinet = _sumo_control(setup, world)
         return cls(context, world, cabinet).open()
 
     def open(self) -> SimRole:
-        """Listens and announces the role."""
+        """Subscribes to requests and announces the role."""
         self._context.v2x.subscribe("request", tls=self._signal.tls)
         self._context.world.watch()
         self._context.v2x.watch()
@@ -138,26 +138,26 @@ class SimRole:
     def on(self, item: Envelope | Presence) -> None:
         """Takes a presence or a request: it acts at once in realtime, else as the frame ends."""
         if isinstance(item, Presence):
-            self._hear(item)
+            self._note_presence(item)
         elif isinstance(item.message, SignalRequest):
             self._take_request(item, item.message)
 
     def poll(self) -> None:
-        """Goes on with what is due.
+        """Does what is due.
 
         Raises:
-            BusError: processes or a request did not come in time.
+            BusError: a process or a request did not arrive in time.
             ConfigError: SUMO gave up.
         """
         try:
-            self._go_on()
+            self._advance()
         except CpnetError:
             self._end("failed")
             raise
 
-    def _go_on(self) -> None:
-        if self._stage is Stage.ROLL_CALL and self._roll_call.is_complete():
-            _log.info("all processes are there; %g s of warm-up", self._traffic.warmup_s)
+    def _advance(self) -> None:
+        if self._stage is Stage.READINESS and self._readiness.is_complete():
+            _log.info("all processes are ready; %g s of warm-up", self._traffic.warmup_s)
             self._stage = Stage.WARM_UP
         if self._stage is Stage.WARM_UP:
             self._warm_up()
@@ -165,31 +165,31 @@ class SimRole:
             self._finish_frame()
         if self._stage is Stage.LAST:
             self._await_recorder()
-        if self._stage is Stage.REST:
+        if self._stage is Stage.IDLE:
             self._begin_frame()
 
     def close(self) -> None:
-        """Ends the run, if it has not ended by itself, and sees the recorder off."""
+        """Ends the run, if it has not ended by itself, and waits for the recorder to exit."""
         try:
             if self._stage is not Stage.OVER:
                 self._end("stopped")
-            self._see_off()
+            self._await_recorder_exit()
         finally:
             self._world.close()
 
-    def _see_off(self) -> None:
-        """Waits until those who write have left: with this process the world's router goes."""
-        until_ns = time.monotonic_ns() + _LINGER_NS
+    def _await_recorder_exit(self) -> None:
+        """Waits until recording processes have exited: the world's router ends with this one."""
+        until_ns = time.monotonic_ns() + _RECORDER_EXIT_NS
         while self._is_written() and time.monotonic_ns() < until_ns:
-            item = self._context.inbox.get(_NAP_NS / 1e9)
+            item = self._context.inbox.get(_SHORT_WAIT_NS / 1e9)
             if isinstance(item, Presence):
-                self._roll_call.hear(item)
+                self._readiness.note(item)
 
     def _is_written(self) -> bool:
-        return any(self._roll_call.is_on(BusName.WORLD, name) for name in ("record", "tape"))
+        return any(self._readiness.is_on(BusName.WORLD, name) for name in ("record", "tape"))
 
-    def _hear(self, presence: Presence) -> None:
-        self._roll_call.hear(presence)
+    def _note_presence(self, presence: Presence) -> None:
+        self._readiness.note(presence)
         if presence.role == "vehicle":
             (self._fleet.join if presence.alive else self._fleet.leave)(presence.id)
 
@@ -205,7 +205,7 @@ class SimRole:
             self._actuate()
 
     def _is_awaited(self, request: SignalRequest) -> bool:
-        """Whether a request answers the present frame, which nobody has answered yet."""
+        """Whether a request is the first to answer the present frame."""
         answers = (request.frame, request.sim_time_ns) == (self._frame, self._tick_ns)
         return answers and self._stage is Stage.FRAME and self._request is None
 
@@ -215,12 +215,12 @@ class SimRole:
         return reason is not None
 
     def _warm_up(self) -> None:
-        until_ns = time.monotonic_ns() + _SLICE_NS
+        until_ns = time.monotonic_ns() + _WARM_UP_SLICE_NS
         while self._world.time_ns < self._warm_ns and time.monotonic_ns() < until_ns:
             self._step()
         if self._world.time_ns >= self._warm_ns:
             _log.info("%d vehicles inserted; frame %d", self._world.counts.inserted, self._frame)
-            self._stage = Stage.REST
+            self._stage = Stage.IDLE
 
     def _begin_frame(self) -> None:
         frame, now_ns, bodies = self._frame, self._world.time_ns, self._world.bodies()
@@ -228,7 +228,7 @@ class SimRole:
         self._request = None
         self._since_ns = time.monotonic_ns()
         if not self._lockstep:
-            self._beat.strike(self._since_ns)
+            self._clock.begin_frame(self._since_ns)
         self._stage = Stage.FRAME
         state = self._cabinet.spat(frame, now_ns)
         self._context.v2x.publish("state", state, tls=self._signal.tls)
@@ -239,7 +239,7 @@ class SimRole:
     def _frame_is_over(self) -> bool:
         now_ns = time.monotonic_ns()
         if not self._lockstep:
-            return self._clock_struck(now_ns)
+            return self._frame_time_is_over(now_ns)
         waited_ns = now_ns - self._since_ns
         if self._request is None and waited_ns > self._cabinet_config.request_timeout_s * 1e9:
             refused = ", ".join(f"{n} {why}" for why, n in self._cabinet.refusals.items())
@@ -250,16 +250,16 @@ class SimRole:
             )
         return self._request is not None
 
-    def _clock_struck(self, now_ns: int) -> bool:
-        """Tells whether the frame's time is over; stays for the last bit, lest the tick be late."""
-        wait_ns = self._beat.wait_ns(now_ns)
-        if wait_ns > _NAP_NS:
+    def _frame_time_is_over(self, now_ns: int) -> bool:
+        """Whether the frame's time is over; waits for its end, so that the tick is on time."""
+        wait_ns = self._clock.wait_ns(now_ns)
+        if wait_ns > _SHORT_WAIT_NS:
             return False
         while wait_ns > 0:
             item = self._context.inbox.get(wait_ns / 1e9)
             if item is not None:
                 self.on(item)
-            wait_ns = self._beat.wait_ns(time.monotonic_ns())
+            wait_ns = self._clock.wait_ns(time.monotonic_ns())
         return True
 
     def _finish_frame(self) -> None:
@@ -273,22 +273,22 @@ class SimRole:
         self._publish_trips(with_unfinished=False)
         self._publish_metrics(self._frame, self._tick_ns, stepped)
         self._frame += 1
-        self._stage = Stage.REST
+        self._stage = Stage.IDLE
         if self._frame == self._end_frame:
             self._stage = Stage.LAST
             self._since_ns = time.monotonic_ns()
 
     def _await_recorder(self) -> None:
-        """Ends the run once the recorder can hear of it: it may just be being started again."""
-        is_here = self._roll_call.is_on(BusName.WORLD, "record")
-        if is_here or time.monotonic_ns() - self._since_ns > _RETURN_NS:
+        """Ends the run once the recorder is there to receive it: it may be restarting."""
+        is_here = self._readiness.is_on(BusName.WORLD, "record")
+        if is_here or time.monotonic_ns() - self._since_ns > _RECORDER_RESTART_NS:
             self._end("finished")
 
     def _actuate(self) -> None:
-        """Hands the request that is due to the cabinet and shows what it makes of it.
+        """Hands the request that is due to the cabinet and shows the state it returns.
 
-        The time it took belongs to the frame that the request was made of: in realtime and with
-        virtual links that is often an older one.
+        The span belongs to the frame that the request answers: in realtime and with virtual links
+        that is often an older one.
         """
         now_ns = self._world.time_ns
         due = self._pending.take(now_ns, lambda one: self._accepts(one, now_ns))
@@ -331,7 +331,7 @@ class SimRole:
             "request_out_of_turn": self._out_of_turn,
             "request_overtaken": self._pending.overtaken,
             "request_crowded_out": self._pending.crowded_out,
-            "late": self._beat.late,
+            "late": self._clock.late,
         }
         return {**self._context.inbox.drops, **refused, **{k: n for k, n in own.items() if n}}
 
@@ -349,7 +349,7 @@ class SimRole:
         self._context.stop.set()
 
 
-def _own_control(setup: Setup, world: World) -> Cabinet | None:
+def _sumo_control(setup: Setup, world: World) -> Cabinet | None:
     """Returns the control that SUMO itself runs, if the scenario wants that."""
     config = CabinetConfig.model_validate(setup.scenario["cabinet"])
     if config.control != "actuated":

@@ -194,7 +194,7 @@ def traffic_config(scenario: dict[str, Any]) -> TrafficConfig:
     """Returns the scenario's traffic section.
 
     Raises:
-        ConfigError: it does not hold what it should.
+        ConfigError: a value is wrong or out of range.
     """
     try:
         return TrafficConfig.model_validate(scenario.get("traffic", {}))

@@ -47,7 +47,7 @@ def netconvert(arguments: Sequence[str]) -> None:
     """Runs netconvert; coordinates stay as they are given.
 
     Raises:
-        ConfigError: it is missing or fails; the text holds what it said.
+        ConfigError: it is missing or fails; the message holds its output.
     """
     program = sumo_home() / "bin" / "netconvert"
     options = ["--no-turnarounds", "true", "--offset.disable-normalization", "true"]

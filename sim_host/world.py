@@ -29,7 +29,7 @@ _ACTUATED_TYPE = 3  # of SUMO's kinds of program
 
 
 class Ground(Protocol):
-    """What bodies stand on."""
+    """Poses of bodies on the ground."""
 
     def body_poses(self, x: Floats, y: Floats, yaw: Floats) -> Floats:
         """Returns poses (N, 6) of footprint centres at x, y (N,) in m, heading yaw (N,) in rad."""
@@ -50,7 +50,7 @@ class TrafficState:
 
 @dataclass(frozen=True, slots=True)
 class TrafficCounts:
-    """Vehicles since SUMO's start, those of the warm-up and beyond the reach included."""
+    """Vehicles since SUMO's start, including the warm-up and those outside the radius."""
 
     inserted: int = 0
     finished: int = 0
@@ -58,7 +58,7 @@ class TrafficCounts:
 
 
 class World:
-    """The simulated world. `start` must come first and `close` last."""
+    """The traffic that SUMO simulates. `start` must come first and `close` last."""
 
     def __init__(self, setup: Setup, run_dir: Path, ground: Ground) -> None:
         self._traffic = traffic_config(setup.scenario)
@@ -102,7 +102,7 @@ class World:
         self._read_clock()
 
     def step(self) -> None:
-        """Runs one SUMO step and books who departed, arrived and was teleported.
+        """Runs one SUMO step and counts vehicles that departed, arrived and were teleported.
 
         Raises:
             ConfigError: SUMO gives up, as on a route file with an invalid route.
@@ -130,13 +130,13 @@ class World:
         self._journeys.note_losses()
 
     def bodies(self) -> TrafficState:
-        """Returns where every vehicle within reach is now."""
+        """Returns where every vehicle within the radius is now."""
         vehicle = self._sumo.vehicle
         names = sorted(vehicle.getIDList())
         fronts = np.array([vehicle.getPosition(name) for name in names]).reshape(-1, 2)
-        near = np.linalg.norm(fronts - self._centre, axis=1) <= self._traffic.reach_m
+        near = np.linalg.norm(fronts - self._centre, axis=1) <= self._traffic.radius_m
         names = [name for name, is_near in zip(names, near, strict=True) if is_near]
-        journeys = self._journeys.within_reach(names)
+        journeys = self._journeys.within_radius(names)
         yaw = np.radians(90.0 - np.array([vehicle.getAngle(name) for name in names]))
         half = np.array([journey.type.length_m / 2 for journey in journeys])
         x, y = fronts[near].T - half * np.array([np.cos(yaw), np.sin(yaw)])
@@ -179,11 +179,11 @@ class World:
         return self._journeys.unfinished()
 
     def waiting(self) -> int:
-        """Returns how many vehicles find no room to enter the net."""
+        """Returns how many vehicles cannot enter the net for lack of room."""
         return len(self._sumo.simulation.getPendingVehicles())
 
     def close(self) -> None:
-        """Ends SUMO; harmless if it never began."""
+        """Ends SUMO, if it was started."""
         if self._sumo is not None:
             self._sumo.close()
             self._sumo = None
@@ -197,7 +197,7 @@ class World:
 
 
 def connected(bodies: TrafficState) -> dict[str, Equipment]:
-    """Returns the vehicles that carry something, and what."""
+    """Returns the connected vehicles and their equipment."""
     return {
         name: Equipment(int(kind))
         for name, kind in zip(bodies.ids, bodies.equipment, strict=True)
@@ -239,7 +239,7 @@ def truth_of(frame: int, sim_time_ns: int, bodies: TrafficState) -> Truth:
 
 
 class Traffic(Protocol):
-    """Moves in steps; see `sim_host.world.World`."""
+    """What the sim role needs of traffic, simulated or recorded; see `World`."""
 
     time_ns: int
     counts: TrafficCounts
@@ -248,7 +248,7 @@ class Traffic(Protocol):
         """Goes on by one step."""
 
     def bodies(self) -> TrafficState:
-        """Returns where every vehicle within reach is."""
+        """Returns where every vehicle within the radius is."""
 
     def set_signal(self, state: str) -> None:
         """Shows a state at the signal."""
@@ -260,14 +260,14 @@ class Traffic(Protocol):
         """Returns the journeys still under way."""
 
     def waiting(self) -> int:
-        """Returns how many find no room to enter."""
+        """Returns how many vehicles cannot enter for lack of room."""
 
     def close(self) -> None:
         """Ends the world."""
 
 
 class RecordedWorld:
-    """Plays a frame of the recording a step; `sim_host.world.Traffic` says what of a world."""
+    """Recorded traffic: one recorded frame a step; it does not follow the signal."""
 
     def __init__(self, recording: Recording, step_ns: int) -> None:
         self._recording = recording
@@ -295,10 +295,10 @@ class RecordedWorld:
         )
 
     def set_signal(self, state: str) -> None:
-        """Does nothing: what is recorded goes its way."""
+        """Does nothing: recorded traffic does not follow the signal."""
 
     def take_trips(self) -> list[Trip]:
-        """Returns nothing: nobody arrives."""
+        """Returns nothing: no vehicle arrives."""
         return []
 
     def unfinished_trips(self) -> list[Trip]:
@@ -306,7 +306,7 @@ class RecordedWorld:
         return []
 
     def waiting(self) -> int:
-        """Returns 0: nobody wants to enter."""
+        """Returns 0: no vehicle enters."""
         return 0
 
     def close(self) -> None:
@@ -316,7 +316,7 @@ class RecordedWorld:
 def sample_traffic(
     setup: Setup, run_dir: Path, ground: Ground, seed: int, steps: Sequence[int]
 ) -> list[TrafficState]:
-    """Returns the bodies after each of these numbers of SUMO steps, which must ascend.
+    """Returns the traffic on the fixed plan after each of these numbers of SUMO steps, ascending.
 
     One such world at a time and process: libsumo keeps its state globally.
 

@@ -275,12 +275,12 @@ def test_an_agent_keeps_the_plans_of_a_few_frames():
 
 
 def test_the_world_counts_the_processes_it_expects_and_a_few_more():
-    roll_call, fleet = Readiness(["edge", "record"], 60), Fleet()
+    readiness, fleet = Readiness(["edge", "record"], 60), Fleet()
     for n in range(5000):
-        roll_call.hear(Presence("vehicle", f"{n}", alive=True, bus=BusName.WORLD))
+        readiness.note(Presence("vehicle", f"{n}", alive=True, bus=BusName.WORLD))
         fleet.join(f"{n}")
-    roll_call.hear(Presence("edge", "edge", alive=True, bus=BusName.WORLD))
-    assert len(roll_call._here) == 1
+    readiness.note(Presence("edge", "edge", alive=True, bus=BusName.WORLD))
+    assert len(readiness._here) == 1
     assert len(fleet.processes) == MAX_HOSTS
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from protocol.messages import LaneCounts, SignalState
 from protocol.roadmap import Link, PlanPhase, Signal
 from signal_controller.policies import fixed, max_pressure, pressure
-from signal_controller.queue_estimator import LEAST_SEEN, completed
+from signal_controller.queue_estimator import MIN_COVERAGE, extrapolated
 
 MAIN, SIDE = "GGr", "rrG"
 SIGNAL = Signal(
@@ -90,17 +90,17 @@ def test_the_wish_is_always_a_green_of_the_plan(a: int, b: int, c: int, d: int) 
 
 
 def test_what_nobody_sees_of_a_lane_is_as_full_as_the_rest():
-    assert completed({"a": 4, "b": 4, "c": 4}, {"a": 0.5, "b": 1.0}) == {"a": 8, "b": 4, "c": 4}
+    assert extrapolated({"a": 4, "b": 4, "c": 4}, {"a": 0.5, "b": 1.0}) == {"a": 8, "b": 4, "c": 4}
 
 
-@pytest.mark.parametrize("share", [0.0, LEAST_SEEN - 0.01])
+@pytest.mark.parametrize("share", [0.0, MIN_COVERAGE - 0.01])
 def test_of_a_lane_that_hardly_anybody_sees_the_count_stands(share):
-    assert completed({"a": 3}, {"a": share}) == {"a": 3}
+    assert extrapolated({"a": 3}, {"a": share}) == {"a": 3}
 
 
 @given(st.integers(0, 50), st.floats(0, 1))
 def test_completing_never_takes_vehicles_away(cars: int, share: float) -> None:
-    assert cars <= completed({"a": cars}, {"a": share})["a"] <= cars / LEAST_SEEN
+    assert cars <= extrapolated({"a": cars}, {"a": share})["a"] <= cars / MIN_COVERAGE
 
 
 def test_unseen_parts_may_turn_the_decision():

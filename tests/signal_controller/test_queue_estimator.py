@@ -8,13 +8,15 @@ from hypothesis import strategies as st
 
 from protocol.messages import LaneCounts, SignalState
 from signal_controller.config import SignalConfig
-from signal_controller.policies import blind, max_pressure
-from signal_controller.queue_estimator import LEAST_SEEN, SPACING_M, QueueEstimate, QueueEstimator
+from signal_controller.policies import fallback_plan, max_pressure
+from signal_controller.queue_estimator import MIN_COVERAGE, SPACING_M, QueueEstimate, QueueEstimator
 from tests.signal_controller.test_policies import MAIN, SIDE, SIGNAL
 
 S = 1_000_000_000
 REACH_M = 200.0
-CONFIG = SignalConfig(reckon_inflow_vph=360, reckon_saturation_vph=1800)  # 0.1 and 0.5 a second
+CONFIG = SignalConfig(
+    estimator_inflow_vph=360, estimator_saturation_vph=1800
+)  # 0.1 and 0.5 a second
 
 
 def counts(main: int, side: int, /, **seen: float) -> LaneCounts:
@@ -43,18 +45,20 @@ def shown(second: float, state: str = MAIN) -> SignalState:
     )
 
 
-def reckoning(**keys: float) -> QueueEstimator:
+def estimator(**keys: float) -> QueueEstimator:
     return QueueEstimator(SIGNAL, CONFIG.model_copy(update=keys), REACH_M)
 
 
 def test_what_is_seen_is_not_reckoned():
-    known = reckoning()
-    assert known.take(counts(3, 4, main=1.0, side=LEAST_SEEN), shown(0)) == QueueEstimate({}, False)
+    known = estimator()
+    assert known.take(counts(3, 4, main=1.0, side=MIN_COVERAGE), shown(0)) == QueueEstimate(
+        {}, False
+    )
     assert known.take(counts(3, 4), shown(99)) == QueueEstimate({}, False)
 
 
 def test_a_lane_grows_while_red_and_shrinks_while_green_from_what_was_last_seen():
-    known = reckoning()
+    known = estimator()
     known.take(counts(4, 2, main=0.5, side=0.5), shown(0))
     after = known.take(counts(0, 0, main=0.0, side=0.0), shown(10))
     assert after.vehicles == pytest.approx({"main": 4, "side": 5})
@@ -64,7 +68,7 @@ def test_a_lane_grows_while_red_and_shrinks_while_green_from_what_was_last_seen(
 
 
 def test_a_lane_that_was_never_seen_starts_empty_and_never_overflows():
-    known = reckoning(reckon_inflow_vph=3600)
+    known = estimator(estimator_inflow_vph=3600)
     first = known.take(counts(0, 0, main=0.0, side=0.0), shown(500))
     assert first == QueueEstimate({"main": 0.0, "side": 0.0}, False)
     for second in range(501, 600):
@@ -74,7 +78,7 @@ def test_a_lane_that_was_never_seen_starts_empty_and_never_overflows():
 
 
 def test_vehicles_that_report_themselves_are_the_least_there_is():
-    known = reckoning()
+    known = estimator()
     assert known.take(counts(7, 0, main=0.0, side=1.0), shown(0)).vehicles == {"main": 7}
     assert known.take(counts(2, 0, main=0.0, side=1.0), shown(4)).vehicles == {
         "main": pytest.approx(5.4)
@@ -82,7 +86,7 @@ def test_vehicles_that_report_themselves_are_the_least_there_is():
 
 
 def test_after_a_while_without_sight_nothing_is_worth_deciding_by_until_something_is_seen():
-    known = reckoning(reckon_s=3.0)
+    known = estimator(estimator_timeout_s=3.0)
     blinds = [
         known.take(counts(0, 0, main=0.0, side=0.0), shown(second)).is_blind for second in range(6)
     ]
@@ -93,7 +97,7 @@ def test_after_a_while_without_sight_nothing_is_worth_deciding_by_until_somethin
 
 
 def test_an_absurd_time_does_no_lasting_harm():
-    known = reckoning()
+    known = estimator()
     dark, clear = counts(0, 0, main=0.0, side=0.0), counts(1, 1, main=1.0, side=1.0)
     known.take(clear, shown(0))
     known.take(dark, shown(1 << 31))
@@ -102,7 +106,7 @@ def test_an_absurd_time_does_no_lasting_harm():
 
 
 def test_no_lane_starves_however_long_nobody_sees_it():
-    known, green, served = reckoning(), MAIN, 0
+    known, green, served = estimator(), MAIN, 0
     for second in range(600):
         dark_side = counts(5, 0, main=1.0, side=0.0)
         estimate = known.take(dark_side, shown(second, green))
@@ -126,24 +130,24 @@ steps = st.lists(
 def test_numbers_stay_within_what_was_counted_and_what_a_lane_holds(
     stream: list[tuple[int, int, float, str]],
 ) -> None:
-    known, second, most = reckoning(), 0, REACH_M / SPACING_M
+    known, second, most = estimator(), 0, REACH_M / SPACING_M
     for passed, count, share, state in stream:
         second += passed
         estimate = known.take(counts(count, 0, main=share, side=0.0), shown(second, state))
-        most = max(most, count / max(share, LEAST_SEEN))
+        most = max(most, count / max(share, MIN_COVERAGE))
         assert estimate.vehicles["side"] <= REACH_M / SPACING_M
-        if share < LEAST_SEEN:
+        if share < MIN_COVERAGE:
             assert count <= estimate.vehicles["main"] <= most
 
 
 def test_what_is_reckoned_may_turn_the_decision_and_is_named():
-    found = max_pressure(SIGNAL, counts(4, 0, main=1.0, side=0.0), None, reckoned={"side": 6.5})
+    found = max_pressure(SIGNAL, counts(4, 0, main=1.0, side=0.0), None, estimated={"side": 6.5})
     assert (found.state, found.pressures, found.unknown) == (SIDE, [4, 6.5], ("side",))
     assert found.policy == "max_pressure"
 
 
 def test_who_knows_nothing_asks_for_the_plan():
-    found = [blind(SIGNAL, seconds * S, ["main"]) for seconds in (29, 35)]
+    found = [fallback_plan(SIGNAL, seconds * S, ["main"]) for seconds in (29, 35)]
     assert [(one.state, one.policy, one.unknown) for one in found] == [
         (MAIN, "plan", ("main",)),
         (SIDE, "plan", ("main",)),

@@ -203,7 +203,7 @@ def decided(rig: Rig) -> tuple[str, str, list[str]]:
 
 
 def test_who_sees_nothing_reckons_then_asks_for_the_plan_and_takes_over_again() -> None:
-    rig = Rig(reckon_s=1.0, reckon_inflow_vph=3600)
+    rig = Rig(estimator_timeout_s=1.0, estimator_inflow_vph=3600)
     told = []
     for frame in range(1, 40):
         is_dark = 5 <= frame < 30
@@ -217,7 +217,7 @@ def test_who_sees_nothing_reckons_then_asks_for_the_plan_and_takes_over_again() 
 
 
 def test_what_is_not_seen_is_empty_where_that_is_asked_for() -> None:
-    rig = Rig(unseen="empty", reckon_s=1.0)
+    rig = Rig(unseen="empty", estimator_timeout_s=1.0)
     for frame in range(1, 40):
         rig.say_state(frame, "Gr")
         rig.say_counts(frame, 0, 1, seen=0.0)

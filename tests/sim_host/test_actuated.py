@@ -42,8 +42,8 @@ def test_greens_cannot_end_before_they_may():
 def test_it_tells_what_sumo_shows_and_what_a_change_leads_to():
     shown = "Gr"
     cabinet = ActuatedCabinet(signal("Gr", "rG"), lambda: shown)
-    wish = SignalRequest(frame=1, sim_time_ns=1, tls="J", state="rG", policy="max_pressure")
-    assert cabinet.request(wish, 2) is None
+    wanted = SignalRequest(frame=1, sim_time_ns=1, tls="J", state="rG", policy="max_pressure")
+    assert cabinet.request(wanted, 2) is None
     told = []
     for state in ("Gr", "yr", "rr", "rG", "ry"):
         shown = state

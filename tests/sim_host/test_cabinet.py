@@ -31,7 +31,7 @@ YIELD = Signal(
 )
 
 
-def wish(state: str, now_ns: int, tls: str = "J", policy: str = "test") -> SignalRequest:
+def wanted(state: str, now_ns: int, tls: str = "J", policy: str = "test") -> SignalRequest:
     return SignalRequest(frame=0, sim_time_ns=now_ns, tls=tls, state=state, policy=policy)
 
 
@@ -39,7 +39,7 @@ def green_cabinet(signal: Signal, state: str) -> SignalCabinet:
     """Returns a cabinet that shows a green, since 9 s before the time 10 s."""
     cabinet = SignalCabinet(signal, CONFIG)
     for second in range(11):
-        cabinet.request(wish(state, second * S), second * S)
+        cabinet.request(wanted(state, second * S), second * S)
         cabinet.advance(second * S)
     assert cabinet.advance(10 * S) == state
     return cabinet
@@ -49,7 +49,7 @@ def test_a_change_runs_through_yellow_and_all_red() -> None:
     cabinet = green_cabinet(TWO, "Gr")
     shown = []
     for second in range(10, 18):
-        assert cabinet.request(wish("rG", second * S + 1), second * S + 1) is None
+        assert cabinet.request(wanted("rG", second * S + 1), second * S + 1) is None
         shown.append(cabinet.advance(second * S + 1))
     assert shown == ["yr"] * 4 + ["rr"] + ["rG"] * 3
 
@@ -59,14 +59,14 @@ def test_a_green_lasts_its_minimum() -> None:
     shown = {}
     for tenth in range(150):
         now_ns = tenth * S // 10
-        cabinet.request(wish("Gr" if tenth < 15 else "rG", now_ns), now_ns)
+        cabinet.request(wanted("Gr" if tenth < 15 else "rG", now_ns), now_ns)
         shown[tenth] = cabinet.advance(now_ns)
     assert [tenth for tenth, state in shown.items() if state == "Gr"] == list(range(10, 60))
 
 
 def test_links_green_before_and_after_keep_their_green() -> None:
     cabinet = green_cabinet(YIELD, "Ggr")
-    cabinet.request(wish("rGr", 10 * S + 1), 10 * S + 1)
+    cabinet.request(wanted("rGr", 10 * S + 1), 10 * S + 1)
     assert cabinet.advance(10 * S + 1) == "ygr"
     assert cabinet.advance(14 * S + 1) == "rgr"
     assert cabinet.advance(15 * S + 1) == "rGr"
@@ -75,16 +75,16 @@ def test_links_green_before_and_after_keep_their_green() -> None:
 @pytest.mark.parametrize(
     ("request_", "reason"),
     [
-        (wish("Gr", 9 * S, tls="K"), "wrong_tls"),
-        (wish("Grr", 9 * S), "wrong_length"),
-        (wish("Gy", 9 * S), "bad_alphabet"),
-        (wish("rr", 9 * S), "no_green"),
-        (wish("Gr", 11 * S), "from_the_future"),
-        (wish("Gr", 6 * S), "stale"),
-        (wish("Gr", -9 * S), "stale"),
-        (wish("GG", 9 * S), "conflict"),
-        (wish("Gg", 9 * S), "conflict"),
-        (wish("gg", 9 * S), "conflict"),
+        (wanted("Gr", 9 * S, tls="K"), "wrong_tls"),
+        (wanted("Grr", 9 * S), "wrong_length"),
+        (wanted("Gy", 9 * S), "bad_alphabet"),
+        (wanted("rr", 9 * S), "no_green"),
+        (wanted("Gr", 11 * S), "from_the_future"),
+        (wanted("Gr", 6 * S), "stale"),
+        (wanted("Gr", -9 * S), "stale"),
+        (wanted("GG", 9 * S), "conflict"),
+        (wanted("Gg", 9 * S), "conflict"),
+        (wanted("gg", 9 * S), "conflict"),
     ],
 )
 def test_what_cannot_be_is_refused_and_counted(request_: SignalRequest, reason: str) -> None:
@@ -95,16 +95,16 @@ def test_what_cannot_be_is_refused_and_counted(request_: SignalRequest, reason: 
 
 def test_a_replayed_request_is_refused() -> None:
     cabinet = SignalCabinet(TWO, CONFIG)
-    assert cabinet.request(wish("Gr", 9 * S), 9 * S) is None
-    assert cabinet.request(wish("Gr", 9 * S), 10 * S) == "replayed"
-    assert cabinet.request(wish("rG", 8 * S), 10 * S) == "replayed"
+    assert cabinet.request(wanted("Gr", 9 * S), 9 * S) is None
+    assert cabinet.request(wanted("Gr", 9 * S), 10 * S) == "replayed"
+    assert cabinet.request(wanted("rG", 8 * S), 10 * S) == "replayed"
 
 
 @pytest.mark.parametrize(
     ("state", "fits"), [("Ggr", True), ("ggr", True), ("gGr", False), ("GGr", False)]
 )
 def test_a_yielding_green_is_taken_only_as_the_plan_shows_it(state: str, fits: bool) -> None:
-    refused = SignalCabinet(YIELD, CONFIG).request(wish(state, 0), 0)
+    refused = SignalCabinet(YIELD, CONFIG).request(wanted(state, 0), 0)
     assert refused == (None if fits else "conflict")
 
 
@@ -120,7 +120,7 @@ def test_the_plan_runs_when_requests_stop_and_requests_when_they_return() -> Non
     plan_rules = cabinet.spat(0, 30 * S)
     assert (plan_rules.source, plan_rules.state) == ("plan", "rG")  # as of 25 s of its cycle
     for second in range(31, 45):
-        cabinet.request(wish("Gr", second * S), second * S)
+        cabinet.request(wanted("Gr", second * S), second * S)
         cabinet.advance(second * S)
     back = cabinet.spat(0, 44 * S)
     assert (back.source, back.state) == ("test", "Gr")
@@ -131,7 +131,7 @@ def test_spat_says_what_is_shown_and_until_when_at_least() -> None:
     green = cabinet.spat(7, 10 * S)
     assert (green.frame, green.stage, green.green) == (7, "green", "Gr")
     assert green.earliest_change_ns == 10 * S
-    cabinet.request(wish("rG", 11 * S), 11 * S)
+    cabinet.request(wanted("rG", 11 * S), 11 * S)
     cabinet.advance(11 * S)
     yellow = cabinet.spat(8, 12 * S)
     assert (yellow.stage, yellow.state, yellow.green) == ("yellow", "yr", "rG")
@@ -177,7 +177,7 @@ def test_no_requests_whatever_make_it_unsafe(
         now_ns += tenths * S // 10
         state = asked if asked is None or "y" in asked else data.draw(greens | st.just(asked))
         if state is not None:
-            cabinet.request(wish(state, now_ns), now_ns)
+            cabinet.request(wanted(state, now_ns), now_ns)
         history.append((now_ns, cabinet.advance(now_ns)))
     check_no_conflict(signal, [state for _, state in history])
     for link in range(len(signal.plan[0].state)):

@@ -48,7 +48,7 @@ class Kerb:
         self.found: list[str] = []
         self.shown: Counter[str] = Counter()
 
-    def hear(self, request: SignalRequest) -> None:
+    def note(self, request: SignalRequest) -> None:
         self.heard += 1
         if self.cabinet.refuse(request, self.now_ns) is None:
             self.pending.add(Envelope("request", {}, request, 0, b""), request)
@@ -63,7 +63,7 @@ class Kerb:
             self.cabinet.advance(self.now_ns)
 
     def ask(self, state: str) -> None:
-        self.hear(
+        self.note(
             SignalRequest(
                 frame=0, sim_time_ns=self.now_ns, tls=self.signal.tls, state=state, policy="true"
             )
@@ -115,7 +115,7 @@ def test_no_stream_of_hostile_requests_makes_it_unsafe(
             if kind == "true":
                 kerb.ask(signal.greens[rng.integers(len(signal.greens))])
             else:
-                kerb.hear(hostile.make(kind, kerb.now_ns))
+                kerb.note(hostile.make(kind, kerb.now_ns))
         for _ in range(ticks):
             kerb.step()
     assert kerb.found == []
@@ -144,7 +144,7 @@ def test_without_fresh_requests_the_plan_runs_and_control_returns_by_itself() ->
             if second // 30 != 1:
                 kerb.ask("rGrr")
             for kind in ("stale", "future", "other_signal", "all_green", "replayed"):
-                kerb.hear(hostile.make(kind, kerb.now_ns))
+                kerb.note(hostile.make(kind, kerb.now_ns))
             kerb.step()
         sources.append(kerb.cabinet.spat(0, kerb.now_ns).source)
     assert set(sources[10:30]) == {"true"}
@@ -159,15 +159,15 @@ def test_a_soak_of_hostile_requests_shows_nothing_unsafe(hours: float, per_step:
     """100 a step of 0.1 s are 1000 a second; the other soak is long instead."""
     rng = np.random.default_rng(7)
     kerb, hostile = Kerb(CROSSING, CONFIG), Hostile(CROSSING, rng)
-    wish = CROSSING.greens[0]
+    wanted = CROSSING.greens[0]
     for number in range(round(hours * 36_000)):
         if rng.random() < 0.01:
-            wish = CROSSING.greens[rng.integers(3)]
+            wanted = CROSSING.greens[rng.integers(3)]
         if number % 10 == 0 and number // 3000 % 2:
-            kerb.ask(wish)
+            kerb.ask(wanted)
         many = int(per_step) or int(rng.random() < per_step)
         for _ in range(many):
-            kerb.hear(hostile.any(kerb.now_ns))
+            kerb.note(hostile.any(kerb.now_ns))
         kerb.step()
     assert kerb.found == []
     assert {"Ggrr", "rrGg", "rGrr"} < kerb.shown.keys()
