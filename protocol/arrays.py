@@ -54,11 +54,11 @@ class Array:
         return core_schema.no_info_plain_validator_function(self.check)
 
 
-Poses = Annotated[npt.NDArray[np.float64], Array("<f8", (None, 6))]
-Pose6 = Annotated[npt.NDArray[np.float64], Array("<f8", (6,))]
-Sites = Annotated[npt.NDArray[np.float64], Array("<f8", (None, 2))]
-Borders = Annotated[npt.NDArray[np.float64], Array("<f8", (None, 3))]
-Boxes = Annotated[npt.NDArray[np.float32], Array("<f4", (None, 7))]
+PoseRows = Annotated[npt.NDArray[np.float64], Array("<f8", (None, 6))]
+PoseRow = Annotated[npt.NDArray[np.float64], Array("<f8", (6,))]
+SiteRows = Annotated[npt.NDArray[np.float64], Array("<f8", (None, 2))]
+WeightRows = Annotated[npt.NDArray[np.float64], Array("<f8", (None, 3))]
+BoxRows = Annotated[npt.NDArray[np.float32], Array("<f4", (None, 7))]
 Floats32 = Annotated[npt.NDArray[np.float32], Array("<f4", (None,))]
 Bytes = Annotated[npt.NDArray[np.uint8], Array("|u1", (None,))]
 Indices = Annotated[npt.NDArray[np.int32], Array("<i4", (None,))]

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from protocol.arrays import Boxes, Floats32
+from protocol.arrays import BoxRows, Floats32
 from protocol.messages.base import Message, check_lengths
 from protocol.messages.fields import (
     BOUNDED,
@@ -35,7 +35,7 @@ class Detections(Message):
     frame: FrameNumber
     sim_time_ns: TimeNs
     agents: Ids
-    boxes: Boxes
+    boxes: BoxRows
     scores: Floats32
     lanes: Texts
     distances_m: Floats32

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, FailFast, Field
 
-from protocol import arrays
+from protocol.arrays import BoxRows, PoseRow, PoseRows, SiteRows, WeightRows
 
 MAX_ITEMS = 4096  # of a list or map
 _AGENT_BYTES = 128
@@ -62,11 +62,11 @@ FrameNumber = Annotated[int, Field(ge=0, lt=1 << 40)]
 Count = Annotated[int, Field(ge=0, lt=1 << 40)]
 Total = Annotated[int, Field(ge=0, lt=1 << 53)]
 TimeNs = Annotated[int, Field(gt=-(1 << 62), lt=1 << 62)]  # so that differences fit into 64 bit
-Sites = Annotated[arrays.Sites, AfterValidator(_on_the_map)]
-Borders = Annotated[arrays.Borders, AfterValidator(_moderate)]
-Boxes = Annotated[arrays.Boxes, AfterValidator(_plausible)]
-Pose = Annotated[arrays.Pose6, AfterValidator(_within_reach)]
-Poses = Annotated[arrays.Poses, AfterValidator(_within_reach)]
+Sites = Annotated[SiteRows, AfterValidator(_on_the_map)]
+Borders = Annotated[WeightRows, AfterValidator(_moderate)]
+Boxes = Annotated[BoxRows, AfterValidator(_plausible)]
+Pose = Annotated[PoseRow, AfterValidator(_within_reach)]
+Poses = Annotated[PoseRows, AfterValidator(_within_reach)]
 BOUNDED = (FailFast(), Field(max_length=MAX_ITEMS))  # one error will do, a million cost memory
 Ids = Annotated[list[Id], *BOUNDED]
 Texts = Annotated[list[Text], *BOUNDED]
