@@ -32,8 +32,8 @@ def doctor_command(
     from cpnet import doctor
     from cpnet.endpoints import implies_world, places
     from cpnet.security import WATCH
+    from protocol.access import Keys
     from protocol.bus import Endpoint
-    from protocol.keys import Keys
 
     if packages:
         typer.echo(" ".join(doctor.missing_packages()))

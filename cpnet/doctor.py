@@ -24,15 +24,14 @@ from cpnet.deaths import signal_name
 from cpnet.endpoints import address_of, connecting, resolve
 from cpnet.key_check import check_key
 from cpnet.processes import ROLES
+from protocol.access import AUTHORITY
 from protocol.bus import SEND_BUFFER_BYTES, Endpoint, ZenohBus, open_bus
 from protocol.clock import BURST, Exchange, OffsetFilter, this_machine
 from protocol.errors import BusError, ConfigError
 from protocol.inbox import Inbox
-from protocol.keys import AUTHORITY
 from protocol.messages import Setup, TimeReply
-from protocol.roll import Roll
 from protocol.topics import BusName
-from protocol.version import own_version
+from protocol.version import PresentProcesses, own_version
 
 Measured = Mapping[str, float | str | list[str]]
 
@@ -300,10 +299,10 @@ def examine_bus(name: BusName, endpoint: Endpoint) -> Iterator[Finding]:
 
 
 def _ask(name: BusName, bus: ZenohBus) -> Iterator[Finding]:
-    roll = Roll.of(bus.roll_call(ANSWER_S))
+    roll = PresentProcesses.of(bus.list_present(ANSWER_S))
     present = roll.present
     clock = ask_clock(bus)
-    if roll.strangers:
+    if roll.other_versions:
         yield _of_another_version(name, roll)
     if clock is not None and name is BusName.V2X:
         yield _mistaken(name, BusName.WORLD, "below")
@@ -312,7 +311,7 @@ def _ask(name: BusName, bus: ZenohBus) -> Iterator[Finding]:
     elif present:
         what = f"on the {name.value} bus: {', '.join(present)}"
         yield Finding(f"{name.value}_processes", what, ok=True, measured={"processes": present})
-    elif not roll.strangers:
+    elif not roll.other_versions:
         what, advice = f"on the {name.value} bus: nobody", "still starting, or not a bus of cpnet?"
         yield Finding(f"{name.value}_processes", what, ok=False, advice=advice)
     if clock is not None and name is BusName.WORLD:
@@ -366,9 +365,11 @@ def _version(bus: ZenohBus) -> Iterator[Finding]:
     yield Finding("world_version", what, ok, advice, optional=True, measured=measured)
 
 
-def _of_another_version(name: BusName, roll: Roll) -> Finding:
-    what = f"on the {name.value} bus: processes that speak protocol {', '.join(roll.strangers)}"
-    return Finding(f"{name.value}_protocol", what, ok=False, advice=roll.misfit())
+def _of_another_version(name: BusName, roll: PresentProcesses) -> Finding:
+    what = (
+        f"on the {name.value} bus: processes that speak protocol {', '.join(roll.other_versions)}"
+    )
+    return Finding(f"{name.value}_protocol", what, ok=False, advice=roll.mismatch())
 
 
 def _mistaken(name: BusName, found: BusName, way: str) -> Finding:

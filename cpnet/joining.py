@@ -12,8 +12,8 @@ from protocol.bus import Endpoint, ZenohBus, open_bus, unanswered
 from protocol.errors import BusError, ConfigError
 from protocol.inbox import Inbox
 from protocol.messages import Setup
-from protocol.roll import Roll
 from protocol.topics import BusName
+from protocol.version import PresentProcesses
 
 PATIENCE_S = 60.0
 TELL_S = 1.0
@@ -99,14 +99,14 @@ class World:
             is_told = True
             time.sleep(POLL_S)
 
-    def _roll(self) -> Roll:
-        return Roll.of(self._bus.roll_call(ROLL_CALL_S))
+    def _roll(self) -> PresentProcesses:
+        return PresentProcesses.of(self._bus.list_present(ROLL_CALL_S))
 
     def _refuse_strangers(self) -> None:
         """Waits for nobody where all that live speak another version of the protocol."""
         roll = self._roll()
-        if roll.strangers and not roll.present:
-            raise BusError(f"{self._endpoint.locator}: {roll.misfit()}")
+        if roll.other_versions and not roll.present:
+            raise BusError(f"{self._endpoint.locator}: {roll.mismatch()}")
 
 
 def say(console: Console, text: str) -> None:

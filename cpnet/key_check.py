@@ -8,9 +8,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from protocol.access import Keys
+from protocol.config import is_file, is_folder
 from protocol.errors import ConfigError
-from protocol.files import is_file, is_folder
-from protocol.keys import Keys
 
 
 def check_key(folder: Path, process_id: str, *, hosts: bool = False) -> datetime:

@@ -14,8 +14,8 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from protocol.access import AUTHORITY, Keys
 from protocol.errors import ConfigError
-from protocol.keys import AUTHORITY, Keys
 
 HOSTS = ("edge", "sim", "router")
 """Processes that others connect to. All others' certificates cannot pass for a bus."""

@@ -6,10 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from protocol.access import Members, access_control
+from protocol.access import AUTHORITY, Keys, Members, access_control
 from protocol.bus import settings_of
 from protocol.errors import ConfigError
-from protocol.keys import AUTHORITY, Keys
 from protocol.manners import dropping
 from protocol.topics import ROLES, BusName
 

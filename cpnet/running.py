@@ -12,10 +12,10 @@ from pathlib import Path
 from cpnet.endpoints import Endpoints, connecting, places
 from cpnet.run_folder import written
 from cpnet.security import VIEW
+from protocol.access import Keys
 from protocol.bus import Endpoint
+from protocol.config import is_file, is_folder
 from protocol.errors import ConfigError
-from protocol.files import is_file, is_folder
-from protocol.keys import Keys
 from protocol.topics import BusName
 
 FILE_NAME = "buses.json"

@@ -13,9 +13,8 @@ from pydantic import BaseModel, Field, ValidationError
 
 from edge_server.config import EdgeConfig
 from player.config import ReplayConfig
-from protocol.config import Section
+from protocol.config import Section, is_file
 from protocol.errors import ConfigError
-from protocol.files import is_file
 from recorder.config import RecordConfig
 from sensing.config import (
     CarlaConfig,

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from cpnet.endpoints import Endpoints, address_of, resolve
 from cpnet.processes import ProcessEntry
+from protocol.access import Keys
 from protocol.bus import Endpoint
 from protocol.errors import ConfigError
-from protocol.keys import Keys
 from protocol.topics import BusName
 
 WATCH = "watch"

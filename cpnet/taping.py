@@ -13,9 +13,9 @@ from rich.console import Console
 from cpnet.follow import Interruption
 from cpnet.looking import looking_for
 from cpnet.running import Running
+from protocol.config import is_file, is_folder, is_free
 from protocol.courtesy import step_back
 from protocol.errors import ConfigError, CpnetError
-from protocol.files import is_file, is_folder, is_free
 from protocol.onlooker import Onlooker
 from protocol.process import loop
 from tape.names import next_file

@@ -21,9 +21,9 @@ from pydantic_core import core_schema
 
 import protocol.messages
 from cpnet.scenario import Scenario
-from protocol.arrays import Array
 from protocol.messages import MESSAGES, Part
-from protocol.topics import ASKED, PREFIX, ROLES, TOPICS, Delivery, Roles, Topic
+from protocol.messages.fields import Array
+from protocol.topics import PREFIX, QUERIED, ROLES, TOPICS, Delivery, Roles, Topic
 
 ROOT = Path(__file__).parent.parent
 _OUTSIDE = re.compile(r"\]\(\.\./([^)#\s]+)")
@@ -169,10 +169,10 @@ def topics_page() -> str:
 
 
 def _topic_cells(topic: Topic) -> list[str]:
-    key = f"`{topic.template}`" + (" (query)" if topic.name in ASKED else "")
+    key = f"`{topic.template}`" + (" (query)" if topic.name in QUERIED else "")
     message = topic.message.__name__
     link = f"[{message}](messages.md#{message.lower()})"
-    says, hears = _roles(topic.speakers), _roles(topic.hearers)
+    says, hears = _roles(topic.publishers), _roles(topic.subscribers)
     return [topic.name, key, link, topic.bus.value, topic.delivery.value, says, hears]
 
 

@@ -9,8 +9,8 @@ from typing import TypeVar
 
 from edge_server.completion import UploadProgress
 from edge_server.frame import AgentDetections, Chunk, Frame
-from protocol.horizon import Horizon
 from protocol.messages import AgentPose, Objects, Roster, Scan
+from protocol.sequence_window import SequenceWindow
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -187,7 +187,7 @@ class Assembler:
         self._open: dict[int, FrameAssembly] = {}
         self._times_ns: dict[int, int] = {}
         self._finished = -1
-        self._horizon = Horizon()
+        self._horizon = SequenceWindow()
         self.drops: Counter[str] = Counter()
 
     def hear(self, process: str, role: str, *, alive: bool) -> None:

@@ -105,7 +105,7 @@ class EdgeRole:
         role = cls(context)
         role.warm_up()
         context.inbox.limit("scan", MAX_OPEN_FRAMES)
-        context.inbox.share_out(is_paced=not role._lockstep)
+        context.inbox.set_quotas(is_paced=not role._lockstep)
         for topic in ("roster", "pose", "scan", "objects"):
             context.v2x.subscribe(topic, region=role._region)
         context.v2x.subscribe("state", tls=role._tls)

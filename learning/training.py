@@ -28,8 +28,8 @@ from learning.examples import Example, PlacedSample, RoadRasters, Targets, examp
 from perception.pillars.config import ANCHOR_YAWS, NETWORKS, PillarsConfig
 from perception.pillars.network import BOX_TERMS, Batch, PointPillars, lay_channels_last
 from perception.pillars.weights import save
+from protocol.config import is_file
 from protocol.errors import ConfigError
-from protocol.files import is_file
 
 KEPT_BYTES = 8 << 30
 

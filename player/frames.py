@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from protocol.horizon import AHEAD, Horizon
 from protocol.inbox import Envelope
+from protocol.sequence_window import AHEAD, SequenceWindow
 
 CLOCK = "state"
 """The topic that tells which frames are real: one message a frame, from the world."""
@@ -23,7 +23,7 @@ class Frames:
         self._heard = iter(heard)
         self._has_more = True
         self._waiting: dict[int, list[Envelope]] = {}
-        self._horizon = Horizon()
+        self._horizon = SequenceWindow()
         self._taken = -1
         self.late = 0
         self.absurd = 0

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from player.frames import CLOCK
 from protocol.errors import ConfigError
-from protocol.horizon import Horizon
 from protocol.messages import Roster, SignalState, Tick, Truth
+from protocol.sequence_window import SequenceWindow
 from tape.reader import Tape
 
 _VEHICLE = "vehicle-"
@@ -28,7 +28,7 @@ class Survey:
         Raises:
             ConfigError: there is no frame on it, or it cannot be read.
         """
-        horizon = Horizon()
+        horizon = SequenceWindow()
         times: set[int] = set()
         vehicles, has_truth = 0, False
         for item in tape.heard(["tick", "truth", "roster", CLOCK]):

@@ -1,16 +1,60 @@
-"""Who may say and hear what on a bus, as Zenoh's access control, from the topic table.
+"""Certificates of processes, and what each may publish and subscribe to, from the topic table.
 
-What no row allows is refused. A sender is known by the common name of its certificate, its id.
+A process is known by the common name of its certificate, its id. The rules become Zenoh's access
+control; what no row of the topic table allows is refused.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from protocol.topics import ALIVE, ALIVE_IN_ANY, ASKED, LOOKERS, ONLOOKERS, TOPICS, BusName
+from protocol.topics import (
+    ALIVE,
+    ALIVE_IN_ANY,
+    OBSERVERS,
+    PRESENCE_WATCHERS,
+    QUERIED,
+    TOPICS,
+    BusName,
+)
+
+AUTHORITY = "ca.pem"
+"""The certificate by which every process knows the others."""
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """A process's certificate and private key, and the authority that all certificates are from.
+
+    The common name of a certificate is the process's id.
+    """
+
+    authority: Path
+    certificate: Path
+    private_key: Path
+
+    @classmethod
+    def of(cls, folder: Path, process_id: str) -> Keys:
+        """Returns what `cpnet keys` calls the files of this process."""
+        key = folder / f"{process_id}.key"
+        return cls(folder / AUTHORITY, folder / f"{process_id}.pem", key)
+
+    def settings(self) -> dict[str, object]:
+        """Returns Zenoh's settings of links over TLS: both sides show a certificate."""
+        return {
+            "root_ca_certificate": str(self.authority),
+            "enable_mtls": True,
+            "verify_name_on_connect": True,
+            "listen_certificate": str(self.certificate),
+            "listen_private_key": str(self.private_key),
+            "connect_certificate": str(self.certificate),
+            "connect_private_key": str(self.private_key),
+        }
+
 
 MOST_VEHICLES = 64
 """Vehicle processes that can have keys: `vehicle-0` and on."""
@@ -81,18 +125,18 @@ def _rules(
 
     Onlookers ask before they know of which region, so they may hear all that is on the bus.
     """
-    place = {} if region is None or role in ONLOOKERS else {"region": region}
+    place = {} if region is None or role in OBSERVERS else {"region": region}
     for topic in TOPICS.values():
         if topic.bus is not bus:
             continue
-        for verb, roles in ((_SAY, topic.speakers), (_HEAR, topic.hearers)):
+        for verb, roles in ((_SAY, topic.publishers), (_HEAR, topic.subscribers)):
             if role in roles:
-                flows = (_ASK if topic.name in ASKED else _PUBLISH)[verb]
+                flows = (_ASK if topic.name in QUERIED else _PUBLISH)[verb]
                 own = {"process": process_id} if verb == _SAY else {}
                 key = topic.key(**place, **own)
                 yield from _allow(f"{process_id} {verb}s {topic.name}", flows, key)
     yield from _allow(f"{process_id} shows itself", _SHOW, f"{ALIVE}/{role}/{quote(process_id)}")
-    if role in LOOKERS[bus]:
+    if role in PRESENCE_WATCHERS[bus]:
         yield from _allow(f"{process_id} looks who is there", _LOOK, ALIVE_IN_ANY)
 
 

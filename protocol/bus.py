@@ -15,11 +15,10 @@ from typing import Any, Protocol, TypeVar
 
 import zenoh
 
-from protocol.access import Members, access_control
+from protocol.access import Keys, Members, access_control
 from protocol.errors import BusError, MessageError
 from protocol.gathering import CAPACITY, Gathering, Read
-from protocol.inbox import Envelope, Inbox, Presence, Sealed
-from protocol.keys import Keys
+from protocol.inbox import Envelope, Inbox, Presence, RawMessage
 from protocol.manners import dropping, onlooker_id
 from protocol.messages import Message
 from protocol.tcpinfo import sent_bytes, unsent_bytes
@@ -42,9 +41,9 @@ __all__ = [
     "Presence",
     "ZenohBus",
     "open_bus",
-    "roomy",
     "settings_of",
     "unanswered",
+    "with_send_buffer",
 ]
 
 M = TypeVar("M", bound=Message)
@@ -143,8 +142,8 @@ class ZenohBus:
         """See `Bus.subscribe`."""
         topic = self._topic(topic_name)
 
-        def read(sample: zenoh.Sample, arrived_ns: int) -> Sealed:
-            return Sealed(topic, str(sample.key_expr), sample.payload.to_bytes(), arrived_ns)
+        def read(sample: zenoh.Sample, arrived_ns: int) -> RawMessage:
+            return RawMessage(topic, str(sample.key_expr), sample.payload.to_bytes(), arrived_ns)
 
         key = topic.key(**parts)
         self._hear(lambda handler: self._session.declare_subscriber(key, handler), read)
@@ -190,7 +189,7 @@ class ZenohBus:
                 return decode(reply.ok.payload.to_bytes(), message)
         return None
 
-    def roll_call(self, timeout_s: float) -> list[tuple[str, str, str]]:
+    def list_present(self, timeout_s: float) -> list[tuple[str, str, str]]:
         """Returns protocol version, role and id of all that live, whatever version they speak."""
         replies = self._session.liveliness().get(ALIVE_IN_ANY, timeout=timeout_s)
         keys = [str(reply.ok.key_expr).split("/") for reply in replies if reply.ok is not None]
@@ -265,7 +264,7 @@ def open_bus(
     return ZenohBus(_open_session(name, endpoint, timeout_ms, members), name, inbox)
 
 
-def roomy(endpoint: Endpoint) -> Endpoint:
+def with_send_buffer(endpoint: Endpoint) -> Endpoint:
     """Returns the endpoint with a socket that takes a whole scan while the link is full.
 
     Then publishing blocks nobody, and the kernel tells how much waits.

@@ -24,7 +24,7 @@ KEPT = 32
 BURST = 8
 BURST_PERIOD_S = 0.02
 PERIOD_S = 2.0
-PATIENCE_S = 0.5
+REPLY_TIMEOUT_S = 0.5
 MAX_OFFSET_NS = 1 << 61  # 73 years
 _log = logging.getLogger(__name__)
 M = TypeVar("M", bound=Message)
@@ -102,7 +102,7 @@ class ClockWatch:
     def stop(self) -> None:
         """Ends the thread."""
         self._stop.set()
-        self._thread.join(2 * PATIENCE_S)
+        self._thread.join(2 * REPLY_TIMEOUT_S)
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -130,7 +130,7 @@ class ClockWatch:
 
     def _ask(self) -> TimeReply | None:
         try:
-            return self._bus.ask("time", TimeReply, PATIENCE_S)
+            return self._bus.ask("time", TimeReply, REPLY_TIMEOUT_S)
         except ProtocolError as error:
             _log.warning("the clock's answer cannot be read: %s", error)
             return None

@@ -12,13 +12,13 @@ from datetime import datetime
 from operator import itemgetter
 from typing import Any, Protocol
 
-from protocol.inbox import Presence, Sealed
+from protocol.inbox import Presence, RawMessage
 
 CAPACITY = 4096  # of a topic; what is beyond waits before this process, or is dropped there
 _AT_ONCE = 512  # of a topic
 
 
-Read = Callable[[Any, int], Sealed | Presence | None]
+Read = Callable[[Any, int], RawMessage | Presence | None]
 """Reads a sample that arrived then, on our clock; None if it cannot."""
 
 
@@ -53,7 +53,7 @@ class Gathering:
         """Adds a subscription."""
         self._sources.append((channel, read))
 
-    def fetch(self, now_ns: int) -> list[tuple[int, Sealed | Presence]]:
+    def fetch(self, now_ns: int) -> list[tuple[int, RawMessage | Presence]]:
         """Returns what waits in the order in which the router took it, and when it arrived.
 
         That is when the router says, if its clock can be right: since the last time and before now.

@@ -1,4 +1,9 @@
-"""Where a process finds all that came in, from every bus, in order of arrival."""
+"""The inbox: a bounded queue of what arrives from all buses, with a quota for each sender.
+
+A sender is the process in a message's key. Each process that is present has a quota of its own; all
+others share one, so that inventing senders gains nothing, and so do messages without a process in
+their key. Quotas sum up to the whole: no sender can take another's.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +15,96 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from operator import itemgetter
 
-from protocol.complaints import Complaints
 from protocol.errors import MessageError, ProtocolError
+from protocol.logs import RateLimitedLog
 from protocol.messages import Message
-from protocol.shares import Shares
 from protocol.topics import TOPICS, BusName, Topic
 from protocol.wire import decode
+
+MOST_SENDERS = 128  # with a share of their own
+EXTRA_QUOTAS = 2  # shares: of strangers, and of what no process signs
+TOTAL_PER_S = 8000.0  # messages of all senders that a role reads without being late
+LEAST_PER_S = 1000.0  # of one: what a process with twenty agents may send at 10 Hz
+BURST_S = 0.5  # so much of its rate may come at once
+MAX_DEBT_S = 1.0  # so much of its rate, at most, must be made up for
+STRANGERS, UNSIGNED = "", "/"  # no process has such an id
+
+
+@dataclass(slots=True)
+class _Sender:
+    messages: int = 0
+    size_bytes: int = 0
+    tokens: float | None = None  # of messages; None for one that has not sent any
+    filled_ns: int = 0
+
+
+class SenderQuotas:
+    """Counts what waits by sender. `is_paced` is for the wall clock: a rate holds as well."""
+
+    def __init__(self, capacity: int, max_bytes: int, *, is_paced: bool) -> None:
+        self._capacity = capacity
+        self._max_bytes = max_bytes
+        self._is_paced = is_paced
+        self._known: set[str] = set()
+        self._senders: dict[str, _Sender] = {STRANGERS: _Sender(), UNSIGNED: _Sender()}
+
+    def show(self, process: str, *, alive: bool) -> None:
+        """Takes note of a process that appeared or vanished."""
+        if not alive:
+            self._known.discard(process)
+            self._forget(process)
+        elif len(self._known) < MOST_SENDERS:
+            self._known.add(process)
+
+    def sender_of(self, process: str | None) -> str:
+        """Returns whose share a message of a process takes; None for one that none signs."""
+        if process is None:
+            return UNSIGNED
+        return process if process in self._known else STRANGERS
+
+    def admits(self, sender: str, growth: tuple[int, int], now_ns: int) -> bool:
+        """Whether a sender may add so many messages and bytes; each attempt counts for its rate."""
+        known = self._senders.setdefault(sender, _Sender())
+        keeps_pace = not self._is_paced or sender == UNSIGNED or self._take_token(known, now_ns)
+        shares = len(self._known) + EXTRA_QUOTAS
+        has_room = known.messages + growth[0] <= max(self._capacity // shares, 1)
+        return keeps_pace and has_room and known.size_bytes + growth[1] <= self._max_bytes // shares
+
+    def add(self, sender: str, growth: tuple[int, int]) -> None:
+        """Counts messages and bytes, or takes them away."""
+        known = self._senders[sender]
+        known.messages += growth[0]
+        known.size_bytes += growth[1]
+        self._forget(sender)
+
+    def _forget(self, sender: str) -> None:
+        """Lets a sender go that has left and of which nothing waits."""
+        if sender in self._known or sender in (STRANGERS, UNSIGNED):
+            return
+        if sender in self._senders and not self._senders[sender].messages:
+            del self._senders[sender]
+
+    def flooding(self, now_ns: int) -> set[str]:
+        """Returns the senders that have sent more than their rate allows, and not yet made up."""
+        return {name for name, known in self._senders.items() if self._tokens(known, now_ns) < 1}
+
+    @property
+    def _per_s(self) -> float:
+        return max(TOTAL_PER_S / (len(self._known) + EXTRA_QUOTAS), LEAST_PER_S)
+
+    def _tokens(self, known: _Sender, now_ns: int) -> float:
+        most = BURST_S * self._per_s
+        if known.tokens is None:
+            return most
+        passed_s = max(now_ns - known.filled_ns, 0) / 1e9
+        return min(known.tokens + passed_s * self._per_s, most)
+
+    def _take_token(self, known: _Sender, now_ns: int) -> bool:
+        tokens = self._tokens(known, now_ns)
+        known.tokens = max(tokens - 1.0, -MAX_DEBT_S * self._per_s)
+        known.filled_ns = max(now_ns, known.filled_ns)
+        return tokens >= 1.0
+
 
 CAPACITY = 16_384
 CAPACITY_BYTES = 256 << 20  # sixteen of the largest messages, or 8000 scans
@@ -66,7 +155,7 @@ class Presence:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sealed:
+class RawMessage:
     """Bytes as they came, not yet read; `sender` is whose share of an inbox they take."""
 
     topic: Topic
@@ -86,17 +175,17 @@ class Inbox:
         self._queue: queue.Queue[_Entry] = queue.Queue(capacity)
         self._capacity = capacity
         self._max_bytes = max_bytes
-        self._shares: Shares | None = None
+        self._shares: SenderQuotas | None = None
         self._bytes = 0
         self._limits: dict[str, int] = {}
-        self._waiting: dict[_Place, deque[Sealed]] = {}
+        self._waiting: dict[_Place, deque[RawMessage]] = {}
         self._lock = threading.Lock()
         self._woken = False
         self._reads = True
         self._fetches: list[_Fetch] = []
         self._held: list[_Came] = []
         self.gathers = False
-        self._complaints = Complaints()
+        self._complaints = RateLimitedLog()
         self.drops: Counter[str] = Counter()
 
     def limit(self, topic_name: str, waiting: int) -> None:
@@ -106,7 +195,7 @@ class Inbox:
         """
         self._limits[topic_name] = waiting
 
-    def leave_closed(self) -> None:
+    def keep_encoded(self) -> None:
         """Hands messages over unread, to one who keeps most of them as they came."""
         self._reads = False
 
@@ -122,21 +211,21 @@ class Inbox:
         """Asks a transport for what it has kept, when it is time; it says when each arrived."""
         self._fetches.append(fetch)
 
-    def share_out(self, *, is_paced: bool) -> None:
+    def set_quotas(self, *, is_paced: bool) -> None:
         """Gives each process a share of its own, and a rate where the wall clock paces them.
 
         To be called before anything comes in. What is beyond is counted as `rate_limited`.
         """
-        self._shares = Shares(self._capacity, self._max_bytes, is_paced=is_paced)
+        self._shares = SenderQuotas(self._capacity, self._max_bytes, is_paced=is_paced)
 
     def flooding(self, now_ns: int) -> set[str]:
         """Returns the processes that send faster than they may."""
         with self._lock:
             return self._shares.flooding(now_ns) if self._shares else set()
 
-    def put(self, item: Sealed | Presence) -> None:
+    def put(self, item: RawMessage | Presence) -> None:
         """Takes an item from a transport's thread; a full inbox counts and drops it."""
-        if isinstance(item, Sealed) and len(item.key) > MAX_KEY:
+        if isinstance(item, RawMessage) and len(item.key) > MAX_KEY:
             error = MessageError(f"its key has {len(item.key)} characters")
             self.refuse(item.topic.name, error, item.key)
             return
@@ -231,48 +320,48 @@ class Inbox:
         for _, item in came[: len(came) - len(self._held)]:
             self.put(item)
 
-    def _signed(self, item: Sealed | Presence) -> Sealed | Presence:
+    def _signed(self, item: RawMessage | Presence) -> RawMessage | Presence:
         """Returns an item with the sender whose share it takes; learns who is there."""
         if self._shares is None:
             return item
-        if isinstance(item, Sealed):
+        if isinstance(item, RawMessage):
             return replace(item, sender=self._shares.sender_of(item.topic.process(item.key)))
         self._shares.show(item.id, alive=item.alive)
         return item
 
-    def _has_share(self, item: Sealed | Presence, growth: tuple[int, int]) -> bool:
+    def _has_share(self, item: RawMessage | Presence, growth: tuple[int, int]) -> bool:
         if self._shares is None or isinstance(item, Presence):
             return True
         return self._shares.admits(item.sender, growth, item.received_ns)
 
-    def _take_share(self, item: Sealed | Presence, times: int) -> None:
+    def _take_share(self, item: RawMessage | Presence, times: int) -> None:
         """Counts an item as one that waits, or with -1 as one that does so no more."""
-        if self._shares is not None and isinstance(item, Sealed):
+        if self._shares is not None and isinstance(item, RawMessage):
             self._shares.add(item.sender, (times, times * len(item.data)))
 
-    def _oldest_beside(self, item: Sealed | Presence) -> Sealed | None:
+    def _oldest_beside(self, item: RawMessage | Presence) -> RawMessage | None:
         """Returns what an item drives out: the oldest of its key, if no more may wait."""
-        if not isinstance(item, Sealed):
+        if not isinstance(item, RawMessage):
             return None
         waiting = self._waiting.get(_place(item), deque())
         return waiting[0] if len(waiting) >= self._limits.get(item.topic.name, 1) else None
 
-    def _wait(self, item: Sealed | Presence) -> _Place | Sealed | Presence:
+    def _wait(self, item: RawMessage | Presence) -> _Place | RawMessage | Presence:
         """Returns what stands in the queue for an item: its place alone where others may come."""
-        if not isinstance(item, Sealed) or item.topic.name not in self._limits:
+        if not isinstance(item, RawMessage) or item.topic.name not in self._limits:
             return item
         place = _place(item)
         self._waiting.setdefault(place, deque()).append(item)
         return place
 
-    def _pop_waiting(self, place: _Place) -> Sealed:
+    def _pop_waiting(self, place: _Place) -> RawMessage:
         waiting = self._waiting[place]
         item = waiting.popleft()
         if not waiting:
             del self._waiting[place]
         return item
 
-    def _open(self, sealed: Sealed) -> Envelope | None:
+    def _open(self, sealed: RawMessage) -> Envelope | None:
         try:
             message = decode(sealed.data, sealed.topic.message) if self._reads else None
             parts = sealed.topic.parts(sealed.key)
@@ -283,15 +372,15 @@ class Inbox:
 
 
 _Place = tuple[str, str]
-_Entry = _Place | Sealed | Presence | None
-_Came = tuple[int, Sealed | Presence]
+_Entry = _Place | RawMessage | Presence | None
+_Came = tuple[int, RawMessage | Presence]
 _Fetch = Callable[[int], Iterable[_Came]]
 
 
-def _place(item: Sealed) -> _Place:
+def _place(item: RawMessage) -> _Place:
     """Returns topic and key: what is published at `cpnet/**` comes on many topics by one key."""
     return item.topic.name, item.key
 
 
-def _size_bytes(item: Sealed | Presence | None) -> int:
-    return len(item.data) if isinstance(item, Sealed) else 0
+def _size_bytes(item: RawMessage | Presence | None) -> int:
+    return len(item.data) if isinstance(item, RawMessage) else 0

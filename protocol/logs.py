@@ -1,4 +1,4 @@
-"""How a process writes its log: lines for people, or one JSON object a line for programs."""
+"""The log of a process: its format, and rate-limited logging of messages that were dropped."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def configure(process: str, style: LogStyle) -> None:
     logging.basicConfig(level=logging.INFO, handlers=[handler])
     if style is LogStyle.JSON:
         logging.captureWarnings(capture=True)
-        sys.excepthook = _tell_end
-        threading.excepthook = _tell_end_of_thread
+        sys.excepthook = _log_end
+        threading.excepthook = _log_end_of_thread
 
 
 def _text(process: str) -> logging.Formatter:
@@ -49,11 +49,11 @@ def _json(process: str) -> logging.Formatter:
     )
 
 
-def _tell_end(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+def _log_end(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     _log.critical("ended by an error", exc_info=(kind, error, trace))
 
 
-def _tell_end_of_thread(ended: threading.ExceptHookArgs) -> None:
+def _log_end_of_thread(ended: threading.ExceptHookArgs) -> None:
     error = ended.exc_value or ended.exc_type()
     name = ended.thread.name if ended.thread else "unknown"
     _log.critical(
@@ -61,3 +61,43 @@ def _tell_end_of_thread(ended: threading.ExceptHookArgs) -> None:
         name,
         exc_info=(ended.exc_type, error, ended.exc_traceback),
     )
+
+
+MAX_LINES = 64
+_MAX_SHOWN = 200  # characters of a key or a reason
+
+
+class RateLimitedLog:
+    """Logs one line for each topic and kind of error, and `MAX_LINES` in all.
+
+    Keys and reasons do not count: a sender could invent new ones without end.
+    """
+
+    def __init__(self) -> None:
+        self._logged: set[tuple[str, str]] = set()
+
+    def refused(self, topic: str, key: str, error: Exception) -> None:
+        """Logs that a bad message was dropped."""
+        if rest := self._rest((topic, type(error).__name__)):
+            _log.warning(
+                "dropped a message on %s: %s (%s)", _printable(key), _printable(str(error)), rest
+            )
+
+    def failed(self, topic: str, error: Exception) -> None:
+        """Logs that a role failed on a message, by an error of its own."""
+        if rest := self._rest((topic, "role_error")):
+            _log.error("a message on %s went wrong (%s)", _printable(topic), rest, exc_info=error)
+
+    def _rest(self, news: tuple[str, str]) -> str:
+        """Returns what happens to later ones; empty if this one is not logged either."""
+        if news in self._logged or len(self._logged) >= MAX_LINES:
+            return ""
+        self._logged.add(news)
+        if len(self._logged) == MAX_LINES:
+            return f"line {MAX_LINES} of this kind, the last: all later ones are only counted"
+        return "later ones are only counted"
+
+
+def _printable(text: str) -> str:
+    """Returns the beginning of what others wrote, so that it cannot break a line of the log."""
+    return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text[:_MAX_SHOWN])

@@ -12,9 +12,9 @@ from protocol.bus import CONNECT_TIMEOUT_MS, Endpoint, ZenohBus, open_bus
 from protocol.errors import BusError
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import Setup
-from protocol.topics import ASKED, TOPICS, BusName
+from protocol.topics import QUERIED, TOPICS, BusName
 
-ALL_TOPICS = frozenset(TOPICS) - ASKED
+ALL_TOPICS = frozenset(TOPICS) - QUERIED
 _ASK_S = 2.0
 _CLOSE_S = 1.0
 _POLL_S = 0.1

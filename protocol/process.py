@@ -20,12 +20,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
-from protocol.access import members_of
-from protocol.bus import Bus, Endpoint, ZenohBus, open_bus, roomy
+from protocol.access import Keys, members_of
+from protocol.bus import Bus, Endpoint, ZenohBus, open_bus, with_send_buffer
 from protocol.clock import ClockWatch, time_reply
 from protocol.errors import CpnetError, ProtocolError
 from protocol.inbox import Envelope, Inbox, Presence
-from protocol.keys import Keys
 from protocol.logs import LogStyle, configure
 from protocol.messages import Setup
 from protocol.topics import BusName
@@ -120,7 +119,7 @@ def _live(
         v2x,
         inbox,
         stop,
-        lambda: open_bus(BusName.V2X, roomy(uplink), inbox),
+        lambda: open_bus(BusName.V2X, with_send_buffer(uplink), inbox),
         arguments.v2x,
         uplink,
     )
@@ -145,13 +144,13 @@ def loop(role: Role, inbox: Inbox, stop: threading.Event) -> None:
         item = inbox.get(POLL_S)
         taken = 0
         while item is not None:
-            hand_over(role, inbox, item)
+            deliver(role, inbox, item)
             taken += 1
             item = inbox.get() if taken < MAX_BATCH else None
         role.poll()
 
 
-def hand_over(role: Role, inbox: Inbox, item: Envelope | Presence) -> None:
+def deliver(role: Role, inbox: Inbox, item: Envelope | Presence) -> None:
     """Lets a role take an item; one that it cannot take is counted."""
     topic = item.topic if isinstance(item, Envelope) else "alive"
     try:

@@ -41,7 +41,7 @@ Roles = frozenset[str]
 class Topic:
     """One row of the table; `{names}` in the template are filled in by `key`.
 
-    Only `speakers` may say it and only `hearers` hear it, by role; where the key holds
+    Only `publishers` may say it and only `subscribers` hear it, by role; where the key holds
     `{process}`, each speaker under its own id alone.
     """
 
@@ -50,8 +50,8 @@ class Topic:
     message: type[m.Message]
     bus: BusName
     delivery: Delivery
-    speakers: Roles
-    hearers: Roles
+    publishers: Roles
+    subscribers: Roles
 
     def key(self, **parts: str) -> str:
         """Returns the Zenoh key expression; a part that is left out becomes `*`.
@@ -106,18 +106,18 @@ _B, _P, _T = Delivery.BULK, Delivery.PROMPT, Delivery.TELEMETRY
 
 _AGENTS = frozenset({"vehicle", "infra"})
 _SIM, _EDGE, _SIGNAL, _RECORD = (frozenset({r}) for r in ("sim", "edge", "signal", "record"))
-ONLOOKERS = frozenset({"view", "tape"})
+OBSERVERS = frozenset({"view", "tape"})
 """Who hears all and says nothing (a tape: how its clock goes)."""
 _WATCH = frozenset({"watch"})  # the supervisor on each machine: how the run goes, and no more
 _RELAY = frozenset({"relay"})
 _ALL = _AGENTS | _SIM | _EDGE | _SIGNAL | _RECORD
 _CLOCKS = _ALL | _RELAY | {"tape"}
-ROLES = _ALL | ONLOOKERS | _WATCH | _RELAY
+ROLES = _ALL | OBSERVERS | _WATCH | _RELAY
 """Whoever may be on a bus."""
 
 
 def _table(*rows: Topic) -> dict[str, Topic]:
-    return {row.name: replace(row, hearers=row.hearers | ONLOOKERS) for row in rows}
+    return {row.name: replace(row, subscribers=row.subscribers | OBSERVERS) for row in rows}
 
 
 TOPICS = _table(
@@ -152,7 +152,7 @@ TOPICS = _table(
 )
 """All topics by name. Liveliness tokens stand at `alive/{role}/{id}` on both buses."""
 
-ASKED = frozenset({"setup", "time"})
+QUERIED = frozenset({"setup", "time"})
 """Topics that are not sent but asked for, from the host of their bus."""
 
 ALIVE = f"{PREFIX}/alive"
@@ -161,9 +161,9 @@ ALIVE_IN_ANY = "cpnet/*/alive/*/*"
 
 OWN_VERSION = PREFIX.partition("/")[2]
 
-LOOKERS = {
-    BusName.WORLD: _SIM | ONLOOKERS | _WATCH,
-    BusName.V2X: _SIM | _EDGE | ONLOOKERS | _WATCH,
+PRESENCE_WATCHERS = {
+    BusName.WORLD: _SIM | OBSERVERS | _WATCH,
+    BusName.V2X: _SIM | _EDGE | OBSERVERS | _WATCH,
 }
 """Who sees, on each bus, which processes are there."""
 

@@ -17,23 +17,23 @@ import msgpack
 import numpy as np
 from pydantic import ValidationError
 
-from protocol.arrays import Array
 from protocol.errors import MessageError, VersionError
 from protocol.messages import MESSAGES, Message
+from protocol.messages.fields import Array
 
 VERSION = 1
 MAGIC = b"CPNT"
 PREFIX = struct.Struct("<4sHHII")
 MAX_BODY_BYTES = 16 << 20
 _ALIGN = 8
-_TOLD = 200  # characters of a text from the network
+_MAX_SHOWN = 200  # characters of a text from the network
 _ODD = (ValueError, msgpack.UnpackException, RecursionError, OverflowError)
 _CONTAINERS = 1 << 13  # lists and maps of a header, and one more for every sixteen bytes
 
 M = TypeVar("M", bound=Message)
 
 
-class Moment(NamedTuple):
+class FrameTime(NamedTuple):
     """The frame and the simulated time that a message bears; None where that is no integer."""
 
     frame: int | None = None
@@ -80,11 +80,11 @@ def decode(data: bytes, expected: type[M]) -> M:
         return expected.model_validate(header)
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-        where = ".".join([expected.__name__, *(str(part)[:_TOLD] for part in first["loc"])])
-        raise MessageError(f"{where}: {first['msg'][:_TOLD]}") from None
+        where = ".".join([expected.__name__, *(str(part)[:_MAX_SHOWN] for part in first["loc"])])
+        raise MessageError(f"{where}: {first['msg'][:_MAX_SHOWN]}") from None
 
 
-def peek_moment(data: bytes, expected: type[Message]) -> Moment:
+def peek_frame_time(data: bytes, expected: type[Message]) -> FrameTime:
     """Returns of which moment a message is, and reads no more of it.
 
     Raises:
@@ -107,12 +107,12 @@ def peek_moment(data: bytes, expected: type[Message]) -> Moment:
                 unpacker.skip()
     except _ODD as error:
         raise MessageError(f"header is not msgpack: {error or type(error).__name__}") from None
-    return Moment(**found)
+    return FrameTime(**found)
 
 
 @cache
 def _moment_fields(message: type[Message]) -> tuple[str, ...]:
-    return tuple(name for name in Moment._fields if name in message.model_fields)
+    return tuple(name for name in FrameTime._fields if name in message.model_fields)
 
 
 @cache

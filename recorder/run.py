@@ -11,8 +11,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
+from protocol.config import is_file
 from protocol.errors import ConfigError, ProtocolError
-from protocol.files import is_file
 from protocol.messages import Setup
 from protocol.wire import decode
 from recorder.database import FILE_NAME

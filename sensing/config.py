@@ -10,8 +10,7 @@ from pydantic import Field, model_validator
 
 from protocol.config import Section
 from protocol.plugins import PluginSettings
-from protocol.profiles import Profile
-from protocol.scans import ScanPattern
+from protocol.scans import Profile, ScanPattern
 from sensing.limits import MAX_COLUMNS
 from sensing.upload_policies import POLICIES, Filter, PolicyName, policy_of
 

@@ -22,9 +22,8 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, ValidationError, field_validator
 
-from protocol.config import Section
+from protocol.config import Section, is_file
 from protocol.errors import ConfigError
-from protocol.files import is_file
 from sensing.limits import MAX_RATE_BPS, MAX_RTT_US, MAX_STEPS, MAX_TRACE_FILE_BYTES, MIN_STEP_US
 from sensing.link_profile import BUILTIN, LinkProfile, RoundTrip, TraceRate, VaryingRate
 

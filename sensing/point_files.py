@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from protocol.config import is_file, is_folder
 from protocol.errors import ConfigError
-from protocol.files import is_file, is_folder
 from protocol.scans import PointCloud
 from sensing.limits import MAX_CLOUD_FILE_BYTES, MAX_RECORD_BYTES
 

@@ -6,10 +6,10 @@ import time
 from collections import Counter
 from typing import TypeVar
 
-from protocol.horizon import Horizon
 from protocol.inbox import Envelope, Presence
 from protocol.messages import LaneCounts, Metrics, SignalRequest, SignalState, Span
 from protocol.process import Context
+from protocol.sequence_window import SequenceWindow
 from signal_controller.config import SignalConfig
 from signal_controller.policies import Decision, policy_of
 
@@ -33,7 +33,7 @@ class SignalRole:
         self._config = SignalConfig.model_validate(scenario["signal"])
         self._policy = policy_of(self._config, self._signal, scenario["edge"]["upstream_m"])
         self._lockstep = scenario["mode"] == "lockstep"
-        self._horizon = Horizon()
+        self._horizon = SequenceWindow()
         self._shown: dict[int, SignalState] = {}
         self._counts: dict[int, LaneCounts] = {}
         self._decided = -1

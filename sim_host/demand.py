@@ -9,8 +9,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
+from protocol.config import is_file
 from protocol.errors import ConfigError
-from protocol.files import is_file
 from protocol.messages import VehicleType
 from protocol.roadmap import Signal
 from sim_host.config import TrafficConfig, VehicleSpec

@@ -11,8 +11,8 @@ from io import BufferedReader
 from pathlib import Path
 from xml.etree import ElementTree
 
+from protocol.config import is_file
 from protocol.errors import ConfigError
-from protocol.files import is_file
 from protocol.roadmap import PlanPhase
 from sim_host.limits import MAX_ID_CHARS
 

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError
 
+from protocol.config import is_file
 from protocol.errors import ConfigError
-from protocol.files import is_file
 from protocol.messages import MeshPart, Setup, VehicleType
 from protocol.roadmap import RoadMap
 from protocol.version import own_version

@@ -22,8 +22,7 @@ from protocol.codec import decode, encode_cloud, encode_scan
 from protocol.codec.draco import LEVEL, load_draco
 from protocol.codec.forms import MIN_BOUND_M
 from protocol.errors import CodecError, ConfigError
-from protocol.profiles import Profile
-from protocol.scans import Floats32, PointCloud, RangeScan
+from protocol.scans import Floats32, PointCloud, Profile, RangeScan
 from sensing.point_files import read_points
 from studies.bench_scans import BenchScan
 

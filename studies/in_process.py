@@ -16,10 +16,10 @@ from typing import Any
 from edge_server.role import EdgeRole
 from infra_agent.role import InfraRole
 from protocol.errors import BusError
-from protocol.hub import Hub
+from protocol.in_process import InProcessRouter
 from protocol.inbox import Inbox
 from protocol.messages import Setup
-from protocol.process import MAX_BATCH, Context, Role, hand_over
+from protocol.process import MAX_BATCH, Context, Role, deliver
 from protocol.topics import BusName
 from protocol.wire import encode
 from recorder.role import RecordRole
@@ -51,7 +51,7 @@ class _RoleSlot:
         """Delivers waiting messages and polls the role; tells whether there were any."""
         delivered, inbox = 0, self._context.inbox
         while delivered < MAX_BATCH and (item := inbox.get()) is not None:
-            hand_over(self._role, inbox, item)
+            deliver(self._role, inbox, item)
             delivered += 1
         self._role.poll()
         return delivered > 0
@@ -125,7 +125,7 @@ class _Buses:
     def __init__(self, setup: Setup, run_dir: Path) -> None:
         self._setup = setup
         self._run_dir = run_dir
-        self._buses = {name: Hub(name) for name in BusName}
+        self._buses = {name: InProcessRouter(name) for name in BusName}
 
     def context(self, name: str) -> Context:
         """Returns the context of the role of this name."""
@@ -135,11 +135,11 @@ class _Buses:
             name,
             self._setup,
             self._run_dir,
-            self._buses[BusName.WORLD].open(inbox),
-            v2x.open(inbox),
+            self._buses[BusName.WORLD].bus(inbox),
+            v2x.bus(inbox),
             inbox,
             threading.Event(),
-            lambda: v2x.open(inbox),
+            lambda: v2x.bus(inbox),
         )
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from mcap.records import Attachment, Channel, DataEnd, Message, Metadata
 
+from protocol.config import is_file, is_folder
 from protocol.errors import ConfigError, ProtocolError
-from protocol.files import is_file, is_folder
-from protocol.inbox import Envelope, Inbox, Sealed
+from protocol.inbox import Envelope, Inbox, RawMessage
 from protocol.messages import Setup
 from protocol.topics import TOPICS, Topic
 from protocol.wire import decode
@@ -63,7 +63,7 @@ class Tape:
                     channels[record.id] = _native(record, wanted)
                 elif isinstance(record, Message) and record.channel_id in channels:
                     if (channel := channels[record.channel_id]) is not None:
-                        inbox.put(Sealed(*channel, record.data, record.log_time))
+                        inbox.put(RawMessage(*channel, record.data, record.log_time))
                         item = inbox.get()
                         if isinstance(item, Envelope):
                             yield item

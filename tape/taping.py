@@ -52,7 +52,7 @@ class Taping:
         Raises:
             ConfigError: the tape cannot be written there.
         """
-        inbox.leave_closed()
+        inbox.keep_encoded()
         inbox.gather()
         self._inbox = inbox
         self._stop = stop

@@ -10,7 +10,7 @@ from pathlib import Path
 from protocol.courtesy import Budget
 from protocol.errors import CpnetError
 from protocol.topics import TOPICS
-from protocol.wire import peek_moment
+from protocol.wire import peek_frame_time
 from tape.names import GOES_ON_FROM
 from tape.reader import Tape
 from tape.scene import DRAWN, Scene
@@ -47,7 +47,7 @@ def translate(
     scene = Scene(tape.setup, writer, Budget.endless(), Budget.endless())
     try:
         for item in tape.heard(DRAWN):
-            number = peek_moment(item.data, TOPICS[item.topic].message).frame
+            number = peek_frame_time(item.data, TOPICS[item.topic].message).frame
             if number is not None and (item.topic != "scan" or number % cloud_every == 0):
                 scene.take(item, number)
                 _draw(scene, tell)

@@ -11,7 +11,7 @@ from protocol.errors import MessageError
 from protocol.inbox import Envelope
 from protocol.messages import Setup
 from protocol.topics import TOPICS
-from protocol.wire import Moment, encode, peek_moment
+from protocol.wire import FrameTime, encode, peek_frame_time
 from tape.names import ENCODING, GOES_ON_FROM, TOPIC
 from tape.reel import Reel
 from tape.schemas import ENCODING as SCHEMA_ENCODING
@@ -51,14 +51,14 @@ class TapeWriter:
         """How much is in the files."""
         return self._ended_bytes + self._reel.size_bytes
 
-    def write(self, item: Envelope) -> Moment:
+    def write(self, item: Envelope) -> FrameTime:
         """Adds a message as it came; returns of which moment it is.
 
         Raises:
             ProtocolError: it has no key, or nobody could read its bytes.
             CpnetError: the disk is full, or fails.
         """
-        moment = peek_moment(item.data, TOPICS[item.topic].message)
+        moment = peek_frame_time(item.data, TOPICS[item.topic].message)
         place = (item.topic, *item.parts.values())
         channel = self._channels.get(place)
         if channel is None:

@@ -14,7 +14,7 @@ from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Metrics
 from protocol.topics import BusName
 from protocol.unread import Unread
-from protocol.wire import peek_moment
+from protocol.wire import peek_frame_time
 from viewer.moments import Moment
 from viewer.scene import Picture, Scene
 from viewer.stages import Account, Stages
@@ -59,7 +59,7 @@ class Live:
     def __init__(
         self, inbox: Inbox, scene: Scene, shows: Shows, fps: float, budget: Budget
     ) -> None:
-        inbox.leave_closed()
+        inbox.keep_encoded()
         self._inbox = inbox
         self._scene = scene
         self._shows = shows
@@ -104,7 +104,7 @@ class Live:
 
     def _read(self, item: Envelope) -> None:
         """Notes what is told of a frame, and reads at once what is told of the run."""
-        frame = peek_moment(item.data, topics.TOPICS[item.topic].message).frame
+        frame = peek_frame_time(item.data, topics.TOPICS[item.topic].message).frame
         if item.topic in DRAWN and frame is not None:
             self._frames.take(item, frame)
         if item.topic not in TOLD:

@@ -19,8 +19,8 @@ from urllib.parse import quote
 import rerun as rr
 import rerun_cli
 
+from protocol.config import is_free
 from protocol.errors import ConfigError, CpnetError
-from protocol.files import is_free
 from viewer.blueprint import blueprint
 from viewer.scene import Scene
 

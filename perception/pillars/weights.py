@@ -16,8 +16,8 @@ from torch import Tensor
 from perception.config import PillarsDetection
 from perception.pillars.config import NETWORKS, PillarsConfig
 from perception.pillars.network import PointPillars
+from protocol.config import is_file, is_folder
 from protocol.errors import ConfigError
-from protocol.files import is_file, is_folder
 
 SHIPPED = Path(__file__).parent / "weights"
 FORMAT = "cpnet-pillars-1"

@@ -22,8 +22,8 @@ import numpy as np
 from player.scans.folder import by_agent
 from player.scans.numbers import lines_of, numbers_of
 from player.scans.table import rows_of
+from protocol.config import is_folder
 from protocol.errors import ConfigError
-from protocol.files import is_folder
 from protocol.geometry import SE3, Floats
 
 MOST = np.array([1e7, 1e7, 1e7, 1e3, 1e3, 1e3])  # m, rad: as messages take

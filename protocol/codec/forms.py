@@ -23,8 +23,16 @@ from protocol.codec.payload import (
 )
 from protocol.codec.rings import RingImage, Rings, find_rings
 from protocol.errors import CodecError
-from protocol.profiles import Profile, profile_named
-from protocol.scans import MAX_POINTS, Floats, Floats32, PointCloud, RangeScan, ScanPattern
+from protocol.scans import (
+    MAX_POINTS,
+    Floats,
+    Floats32,
+    PointCloud,
+    Profile,
+    RangeScan,
+    ScanPattern,
+    profile_named,
+)
 
 MIN_BOUND_M, MAX_BOUND_M = 1e-4, 10.0
 _ROUNDING = 2.0**-22  # of a distance: what float32 may do to a point on both sides

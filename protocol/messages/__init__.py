@@ -9,19 +9,27 @@ Where links are virtual, `arrival_sim_ns` says when, in simulated time, the edge
 at `NEVER_NS` was taken off the link before it left.
 """
 
-from protocol.messages.agents import AgentPose, Objects, Roster, Scan
-from protocol.messages.base import Message, Part
-from protocol.messages.clock import ClockReading, TimeReply
-from protocol.messages.edge import Detections, LaneCounts, Plan
-from protocol.messages.fields import MAX_DELAY_NS, MAX_ITEMS, NEVER_NS, Equipment
+from protocol.messages.fields import MAX_DELAY_NS, MAX_ITEMS, NEVER_NS, Equipment, Message, Part
 from protocol.messages.metrics import Arrival, Doubt, Metrics, Progress, Span, Upload, WireCount
-from protocol.messages.signal import SignalRequest, SignalState
+from protocol.messages.v2x import (
+    AgentPose,
+    Detections,
+    LaneCounts,
+    Objects,
+    Plan,
+    Roster,
+    Scan,
+    SignalRequest,
+    SignalState,
+)
 from protocol.messages.world import (
+    ClockReading,
     End,
     MeshPart,
     Setup,
     Sighting,
     Tick,
+    TimeReply,
     Trip,
     Trips,
     Truth,

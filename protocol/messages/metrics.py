@@ -6,7 +6,6 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from protocol.messages.base import Message, Part
 from protocol.messages.fields import (
     BOUNDED,
     AgentId,
@@ -15,6 +14,8 @@ from protocol.messages.fields import (
     FrameNumber,
     Id,
     Lights,
+    Message,
+    Part,
     Text,
     TimeNs,
     Total,

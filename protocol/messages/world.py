@@ -1,4 +1,4 @@
-"""What the simulated world says: setup, bodies and truth, journeys, the end."""
+"""Messages on the world bus: setup, ticks, ground truth, trips, the end, and the host's clock."""
 
 from __future__ import annotations
 
@@ -6,19 +6,25 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import FailFast, Field, model_validator
 
-from protocol.arrays import Bytes, Floats32, Indices, Triangles, Vertices
-from protocol.messages.base import Message, Part, check_lengths
 from protocol.messages.fields import (
     BOUNDED,
+    Bytes,
     Count,
     Equipment,
+    Floats32,
     FrameNumber,
     Id,
     Ids,
+    Indices,
+    Message,
+    Part,
     Poses,
     Text,
     Texts,
     TimeNs,
+    Triangles,
+    Vertices,
+    check_lengths,
 )
 from protocol.roadmap import RoadMap
 
@@ -179,3 +185,24 @@ def _check_bodies(message: Tick | Truth, *columns: str) -> None:
         raise ValueError("an id stands there twice")
     if (message.equipment > max(Equipment)).any():
         raise ValueError(f"equipment {message.equipment.max()} is none of {[*map(int, Equipment)]}")
+
+
+class TimeReply(Message):
+    """What the host of the world bus answers to who asks for its clock."""
+
+    kind: ClassVar[int] = 17
+    machine: Text
+    heard_ns: TimeNs
+    told_ns: TimeNs
+
+
+class ClockReading(Message):
+    """What to add to a process's clock to have that of the world bus's host.
+
+    It is wrong by `error_ns` at most; both are 0 on the same machine.
+    """
+
+    kind: ClassVar[int] = 18
+    process: Id
+    offset_ns: TimeNs
+    error_ns: TimeNs = Field(ge=0)

@@ -15,8 +15,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
+from protocol.config import is_folder
 from protocol.errors import ConfigError
-from protocol.files import is_folder
 from studies.page.model import (
     Beside,
     Block,

@@ -13,8 +13,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from protocol.config import is_file
 from protocol.errors import ConfigError
-from protocol.files import is_file
 from studies.sweep.study_file import LISTS, MEASURES, Grid, Label, Settings, Study, points
 
 if TYPE_CHECKING:  # a study's file is read and refused without loading all roles

@@ -17,9 +17,8 @@ import yaml
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from perception.config import DetectorName
-from protocol.config import Section
+from protocol.config import Section, is_file
 from protocol.errors import ConfigError
-from protocol.files import is_file
 
 MEASURES = frozenset(
     {

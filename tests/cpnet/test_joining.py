@@ -13,10 +13,10 @@ from rich.console import Console
 from cpnet import joining
 from cpnet.endpoints import free_locator
 from cpnet.joining import joined
+from protocol.access import Keys
 from protocol.bus import Endpoint, ZenohBus, open_bus
 from protocol.errors import BusError, ConfigError
 from protocol.inbox import Inbox
-from protocol.keys import Keys
 from protocol.messages import Setup
 from protocol.topics import BusName
 from tests.certificates import make_keys

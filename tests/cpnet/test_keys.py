@@ -15,10 +15,10 @@ from cpnet.endpoints import free_locator
 from cpnet.key_check import check_key
 from cpnet.router_config import ROUTER, router_config
 from cpnet.security import secured
+from protocol.access import Keys
 from protocol.bus import Endpoint, open_bus
 from protocol.errors import ConfigError
 from protocol.inbox import Envelope, Inbox, Presence
-from protocol.keys import Keys
 from protocol.messages import Roster
 from protocol.topics import BusName
 from tests.certificates import make_keys

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from protocol.access import Keys
 from protocol.bus import Endpoint, open_bus
 from protocol.inbox import Inbox
-from protocol.keys import Keys
 from protocol.messages import Setup
 from protocol.topics import ALIVE, PREFIX, TOPICS, BusName
 from tests.certificates import make_keys
@@ -132,7 +132,7 @@ class Run:
         """Listens to all that a recorder may hear, as a recorder."""
         heard, session = Heard(), self.member(bus, "record")
         for topic in TOPICS.values():
-            if topic.bus is bus and "record" in topic.hearers:
+            if topic.bus is bus and "record" in topic.subscribers:
                 session.declare_subscriber(topic.key(region="r0"), heard.take)
         return heard
 

@@ -15,8 +15,8 @@ from edge_server.frame import Chunk
 from edge_server.role import EdgeRole, has_lidars
 from protocol import messages as m
 from protocol.codec import encode_cloud
+from protocol.in_process import InProcessRouter
 from protocol.inbox import Envelope, Inbox, Presence
-from protocol.local import LocalNetwork
 from protocol.process import Context, loop
 from protocol.roadmap import RoadMap
 from protocol.scans import PointCloud
@@ -50,7 +50,7 @@ class Rig:
             mesh_vertices=np.zeros((0, 3), np.float32),
             mesh_triangles=np.zeros((0, 3), np.int32),
         )
-        world, v2x = LocalNetwork(BusName.WORLD), LocalNetwork()
+        world, v2x = InProcessRouter(BusName.WORLD), InProcessRouter()
         self.inbox, self.seen = Inbox(), Inbox()
         listener = v2x.bus(self.seen)
         for topic in ("detections", "lanes", "plan"):

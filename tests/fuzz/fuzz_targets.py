@@ -28,11 +28,11 @@ from protocol.clock import Exchange, OffsetFilter
 from protocol.codec import decode as decode_scan
 from protocol.codec.payload import Form
 from protocol.errors import BusError, CodecError, ConfigError, CpnetError, ProtocolError
-from protocol.inbox import Envelope, Inbox, Presence, Sealed
+from protocol.inbox import Envelope, Inbox, Presence, RawMessage
 from protocol.messages import MESSAGES, ClockReading, Message, Scan, TimeReply
 from protocol.scans import MAX_POINTS
 from protocol.topics import TOPICS, Topic, alive_parts
-from protocol.wire import MAX_BODY_BYTES, decode, encode, peek_moment
+from protocol.wire import MAX_BODY_BYTES, decode, encode, peek_frame_time
 from sensing.link_config import read_trace
 from sensing.point_files import decompress, read_points
 from sensing.recorded_scans import Recording
@@ -91,8 +91,8 @@ def _through_inbox(topic: Topic) -> Callable[[bytes], None]:
 
     def read(data: bytes) -> None:
         with suppress(ProtocolError):  # a tape asks for no more
-            peek_moment(data, topic.message)
-        inbox.put(Sealed(topic, key, data, 0))
+            peek_frame_time(data, topic.message)
+        inbox.put(RawMessage(topic, key, data, 0))
         item = inbox.get()
         if item is None:
             raise ProtocolError("counted and dropped")
@@ -123,7 +123,7 @@ def _read_key(data: bytes) -> None:
     topics = list(TOPICS.values())
     topic = topics[data[0] % len(topics)] if data else topics[0]
     inbox = Inbox()
-    inbox.put(Sealed(topic, text[1:], _EXAMPLES[topic.message], 0))
+    inbox.put(RawMessage(topic, text[1:], _EXAMPLES[topic.message], 0))
     if inbox.get() is None:
         raise ProtocolError("counted and dropped")
 
@@ -160,7 +160,7 @@ def _work_inbox(data: bytes) -> None:
         elif what % 4 == 1:
             inbox.put(Presence("edge", str(which), alive=True))
         elif what % 4 == 2:
-            inbox.put(Sealed(topic, f"cpnet/v1/r/roster/{which >> 6}", bytes(which * 8), 0))
+            inbox.put(RawMessage(topic, f"cpnet/v1/r/roster/{which >> 6}", bytes(which * 8), 0))
         else:
             inbox.wake()
     while inbox.get() is not None or inbox._queue.qsize():

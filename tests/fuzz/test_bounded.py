@@ -27,11 +27,11 @@ from edge_server.role import _arrivals, _told, _waits
 from perception.parallel import threads
 from protocol import messages as m
 from protocol.errors import MessageError
-from protocol.horizon import AHEAD
-from protocol.inbox import CAPACITY, CAPACITY_BYTES, MAX_KEY, Inbox, Presence, Sealed
-from protocol.local import LocalNetwork
+from protocol.in_process import InProcessRouter
+from protocol.inbox import CAPACITY, CAPACITY_BYTES, MAX_KEY, Inbox, Presence, RawMessage
 from protocol.messages import MAX_ITEMS
 from protocol.process import Context
+from protocol.sequence_window import AHEAD
 from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
 from recorder.database import MAX_PENDING_ROWS
@@ -123,7 +123,7 @@ def test_an_inbox_holds_no_more_than_its_bytes():
     inbox = Inbox()
     with Growth() as growth:
         for _ in range(6000):
-            inbox.put(Sealed(TOPICS["roster"], KEY, bytes(1 << 17), 0))
+            inbox.put(RawMessage(TOPICS["roster"], KEY, bytes(1 << 17), 0))
     assert inbox._queue.qsize() == CAPACITY_BYTES >> 17
     assert growth.mib < (CAPACITY_BYTES >> 20) + 8
 
@@ -134,9 +134,9 @@ def test_an_inbox_holds_no_more_than_its_messages_whatever_their_keys():
     with Growth() as growth:
         for number in range(3 * CAPACITY):
             key = f"{KEY}{number:01000}"
-            inbox.put(Sealed(TOPICS["roster"], key, b"", 0))
+            inbox.put(RawMessage(TOPICS["roster"], key, b"", 0))
             inbox.put(Presence("edge", f"{number:0100}", alive=True))
-            inbox.put(Sealed(TOPICS["roster"], key * 9, b"", 0))
+            inbox.put(RawMessage(TOPICS["roster"], key * 9, b"", 0))
         assert inbox._queue.qsize() == CAPACITY
         assert len(inbox._waiting) <= CAPACITY
         while inbox._queue.qsize():
@@ -302,7 +302,7 @@ def recorder(tmp_path: Path) -> RecordRole:
         mesh_vertices=np.zeros((0, 3), np.float32),
         mesh_triangles=np.zeros((0, 3), np.int32),
     )
-    bus = LocalNetwork(BusName.WORLD).bus(Inbox())
+    bus = InProcessRouter(BusName.WORLD).bus(Inbox())
     context = Context("record", setup, tmp_path, bus, bus, Inbox(), threading.Event(), lambda: bus)
     return RecordRole(context)
 

@@ -12,8 +12,8 @@ from cpnet import scenario as scenarios
 from player.frames import Frames
 from player.role import PlayerRole
 from protocol import messages as m
+from protocol.in_process import InProcessRouter
 from protocol.inbox import Envelope, Inbox
-from protocol.local import LocalNetwork
 from protocol.process import Context
 from protocol.topics import BusName
 from protocol.wire import encode
@@ -120,7 +120,7 @@ class Rig:
             mesh_vertices=np.zeros((0, 3), np.float32),
             mesh_triangles=np.zeros((0, 3), np.int32),
         )
-        self.v2x, self.world = LocalNetwork(), LocalNetwork(BusName.WORLD)
+        self.v2x, self.world = InProcessRouter(), InProcessRouter(BusName.WORLD)
         self.inbox, self.heard = Inbox(), Inbox()
         self.ear = self.v2x.bus(self.heard)
         self.mouth = self.world.bus(self.heard)

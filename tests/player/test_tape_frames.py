@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from player.frames import Frames
-from protocol.horizon import AHEAD
+from protocol.sequence_window import AHEAD
 
 
 @given(st.integers(0, 5000), st.integers(1, 300), st.randoms(use_true_random=False))

@@ -6,7 +6,7 @@ import pytest
 import zenoh
 
 from protocol.access import Members, access_control, members_of
-from protocol.topics import ALIVE, ASKED, LOOKERS, TOPICS, BusName
+from protocol.topics import ALIVE, PRESENCE_WATCHERS, QUERIED, TOPICS, BusName
 
 MEMBERS = members_of(
     {"processes": {"vehicle": 2}, "roadside_mounts": [{"id": "rsu-0"}], "region": "r0"}
@@ -60,8 +60,8 @@ def test_each_may_say_and_hear_what_the_table_says_and_say_it_under_its_own_id(
     for author, _ in EVERYBODY:
         key = topic.key(process=author, **PARTS)
         own = "{process}" not in topic.template or author == process_id
-        want = {"say": role in topic.speakers and own, "hear": role in topic.hearers}
-        for verb, flows in (ASKS if name in ASKED else SENDS).items():
+        want = {"say": role in topic.publishers and own, "hear": role in topic.subscribers}
+        for verb, flows in (ASKS if name in QUERIED else SENDS).items():
             for flow, message in flows:
                 assert may(topic.bus, process_id, flow, message, key) == want[verb], (flow, message)
         other = BusName.V2X if topic.bus is BusName.WORLD else BusName.WORLD
@@ -72,14 +72,14 @@ def test_each_may_say_and_hear_what_the_table_says_and_say_it_under_its_own_id(
 @pytest.mark.parametrize("process_id", ["view", "tape"])
 def test_onlookers_may_ask_for_all_before_they_know_the_region(process_id):
     for topic in TOPICS.values():
-        if topic.name not in ASKED:
+        if topic.name not in QUERIED:
             assert may(topic.bus, process_id, "ingress", "declare_subscriber", topic.key())
 
 
 @pytest.mark.parametrize(("process_id", "role"), EVERYBODY)
 def test_nothing_that_one_says_can_be_taken_for_what_it_may_not_say(process_id, role):
     for topic in TOPICS.values():
-        if role not in topic.speakers:
+        if role not in topic.publishers:
             heard = zenoh.KeyExpr(topic.key(region="r0", tls="J"))
             said = allowed(topic.bus, process_id, "ingress", "put")
             assert not any(key.intersects(heard) for key in said), topic.name
@@ -90,7 +90,7 @@ def test_each_shows_itself_alone_and_few_see_who_is_there(process_id, role):
     for bus in BusName:
         shown = [str(key) for key in allowed(bus, process_id, "ingress", TOKEN)]
         assert shown == [f"{ALIVE}/{role}/{process_id}"]
-        looks = role in LOOKERS[bus]
+        looks = role in PRESENCE_WATCHERS[bus]
         sees = may(bus, process_id, "egress", TOKEN, f"{ALIVE}/vehicle/vehicle-0")
         asks = may(bus, process_id, "ingress", "declare_liveliness_subscriber", f"{ALIVE}/*/*")
         assert (sees, asks) == (looks, looks)

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from protocol.access import members_of
-from protocol.bus import Endpoint, ZenohBus, open_bus, roomy
+from protocol.access import Keys, members_of
+from protocol.bus import Endpoint, ZenohBus, open_bus, with_send_buffer
 from protocol.errors import BusError
 from protocol.inbox import Envelope, Inbox, Presence
-from protocol.keys import Keys
 from protocol.messages import End
 from protocol.tcpinfo import _socket_at
 from protocol.topics import BusName
@@ -51,7 +50,7 @@ def router(folder: Path, place: str, edge_inbox: Inbox) -> Iterator[ZenohBus]:
 
 def guest(folder: Path, place: str, process_id: str) -> ZenohBus:
     endpoint = Endpoint(f"tls/{place}", listen=False, keys=Keys.of(folder, process_id))
-    return open_bus(BusName.V2X, roomy(endpoint), Inbox(), TIMEOUT_MS)
+    return open_bus(BusName.V2X, with_send_buffer(endpoint), Inbox(), TIMEOUT_MS)
 
 
 def test_a_scan_crosses_tls_and_its_bytes_are_counted(router, folder, place, edge_inbox):

@@ -3,9 +3,9 @@
 import re
 from pathlib import Path
 
-from protocol.topics import ASKED, ROLES, TOPICS
+from protocol.topics import QUERIED, ROLES, TOPICS
 
-ONLOOKERS = frozenset({"view", "tape"})
+OBSERVERS = frozenset({"view", "tape"})
 PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
 
 
@@ -17,8 +17,8 @@ def test_the_topic_table_of_the_page_is_that_of_the_code():
     )
     want = [
         (
-            (t.name, t.template, t.name in ASKED, t.message.__name__, t.bus.value),
-            (t.delivery.value, t.speakers, t.hearers),
+            (t.name, t.template, t.name in QUERIED, t.message.__name__, t.bus.value),
+            (t.delivery.value, t.publishers, t.subscribers),
         )
         for t in TOPICS.values()
     ]
@@ -30,5 +30,5 @@ def test_the_topic_table_of_the_page_is_that_of_the_code():
 
 def roles(cell: str) -> frozenset[str]:
     """Reads a cell of the table: roles, or a word for several."""
-    several = {"all": ROLES, "agents": frozenset({"vehicle", "infra"}), "onlookers": ONLOOKERS}
+    several = {"all": ROLES, "agents": frozenset({"vehicle", "infra"}), "onlookers": OBSERVERS}
     return frozenset().union(*(several.get(name, {name}) for name in cell.split(", ")))

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from cpnet.endpoints import free_locator
 from protocol.bus import Endpoint, open_bus
 from protocol.gathering import Gathering
-from protocol.inbox import Envelope, Inbox, Presence, Sealed
+from protocol.inbox import Envelope, Inbox, Presence, RawMessage
 from protocol.messages import Message
 from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
@@ -53,9 +53,9 @@ class Pipe(deque[Said]):
         return self.popleft() if self else None
 
 
-def sealed(said: Said, arrived_ns: int) -> Sealed | None:
+def sealed(said: Said, arrived_ns: int) -> RawMessage | None:
     key = f"cpnet/v1/{said.name}/J/lanes"
-    return Sealed(TOPICS["lanes"], key, b"", arrived_ns) if said.name else None
+    return RawMessage(TOPICS["lanes"], key, b"", arrived_ns) if said.name else None
 
 
 def names(gathering: Gathering) -> list[str]:
@@ -97,7 +97,7 @@ def stamp_of(said: Said) -> float:
 
 def test_an_inbox_reads_two_buses_in_one_order_and_what_came_meanwhile_next_time():
     inbox = Inbox()
-    inbox.leave_closed()
+    inbox.keep_encoded()
     inbox.gather()
     now_ns = time.monotonic_ns()
     scripts = [[(now_ns - 4, "a"), (now_ns + 10**15, "d")], [(now_ns - 3, "b"), (now_ns - 2, "c")]]

@@ -1,11 +1,11 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.horizon import AHEAD, Horizon
+from protocol.sequence_window import AHEAD, SequenceWindow
 
 
 def test_before_any_frame_is_known_the_lowest_counts():
-    horizon = Horizon()
+    horizon = SequenceWindow()
     assert horizon.admits(1 << 39)
     assert horizon.admits(0)
     assert not horizon.admits(1 << 39)
@@ -13,7 +13,7 @@ def test_before_any_frame_is_known_the_lowest_counts():
 
 
 def test_a_frame_that_was_finished_moves_the_horizon_and_nothing_moves_it_back():
-    horizon = Horizon()
+    horizon = SequenceWindow()
     horizon.reach(100)
     horizon.reach(50)
     assert horizon.admits(100 + AHEAD)
@@ -23,7 +23,7 @@ def test_a_frame_that_was_finished_moves_the_horizon_and_nothing_moves_it_back()
 
 @given(st.integers(0, 1 << 40))
 def test_states_of_consecutive_frames_are_believed_and_a_single_one_is_not(start: int):
-    horizon = Horizon()
+    horizon = SequenceWindow()
     horizon.reach(0)
     horizon.follow(start + 1000)
     assert horizon.newest == 0

@@ -6,22 +6,30 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.inbox import Envelope, Inbox, Presence, Sealed
+from protocol.inbox import (
+    EXTRA_QUOTAS,
+    LEAST_PER_S,
+    MOST_SENDERS,
+    Envelope,
+    Inbox,
+    Presence,
+    RawMessage,
+    SenderQuotas,
+)
 from protocol.messages import AgentPose, Equipment, Roster
-from protocol.shares import BESIDES, LEAST_PER_S, MOST_SENDERS, Shares
 from protocol.topics import TOPICS
 from protocol.wire import encode
 
 SECOND_NS = 1_000_000_000
 
 
-def roster(process: str, frame: int = 1, at_ns: int = 0) -> Sealed:
+def roster(process: str, frame: int = 1, at_ns: int = 0) -> RawMessage:
     said = Roster(frame=frame, process=process, agents=[], scanning=[])
     key = TOPICS["roster"].key(region="r0", process=process)
-    return Sealed(TOPICS["roster"], key, encode(said), at_ns)
+    return RawMessage(TOPICS["roster"], key, encode(said), at_ns)
 
 
-def pose(process: str, agent: str, at_ns: int = 0) -> Sealed:
+def pose(process: str, agent: str, at_ns: int = 0) -> RawMessage:
     said = AgentPose(
         frame=1,
         sim_time_ns=1,
@@ -34,12 +42,12 @@ def pose(process: str, agent: str, at_ns: int = 0) -> Sealed:
         position_std_m=0.1,
     )
     key = TOPICS["pose"].key(region="r0", process=process, agent=agent)
-    return Sealed(TOPICS["pose"], key, encode(said), at_ns)
+    return RawMessage(TOPICS["pose"], key, encode(said), at_ns)
 
 
 def shared(capacity: int = 40, *processes: str, is_paced: bool = False) -> Inbox:
     inbox = Inbox(capacity)
-    inbox.share_out(is_paced=is_paced)
+    inbox.set_quotas(is_paced=is_paced)
     for process in processes:
         inbox.put(Presence("vehicle", process, alive=True))
         assert isinstance(inbox.get(), Presence)
@@ -61,7 +69,7 @@ def test_a_flood_under_many_agents_names_leaves_the_others_their_share():
         inbox.put(roster("good", number))
     came = senders(inbox)
     assert came.count("good") == 10
-    assert came.count("bad") == 40 // (2 + BESIDES)
+    assert came.count("bad") == 40 // (2 + EXTRA_QUOTAS)
     assert inbox.drops == {"rate_limited": 490}
 
 
@@ -73,7 +81,7 @@ def test_a_flood_under_many_processes_names_has_one_share():
         inbox.put(roster("good", number))
     came = senders(inbox)
     assert came.count("good") == 10
-    assert len(came) == 10 + 40 // (1 + BESIDES)
+    assert len(came) == 10 + 40 // (1 + EXTRA_QUOTAS)
 
 
 def test_what_is_read_makes_room_again():
@@ -89,7 +97,7 @@ def test_what_is_read_makes_room_again():
 def test_a_large_message_takes_a_share_of_the_bytes():
     size = len(encode(Roster(frame=1, process="one", agents=[], scanning=[])))
     inbox = Inbox(100, max_bytes=6 * size)
-    inbox.share_out(is_paced=False)
+    inbox.set_quotas(is_paced=False)
     inbox.put(Presence("vehicle", "one", alive=True))
     for _ in range(5):
         inbox.put(roster("one"))
@@ -127,7 +135,7 @@ def test_without_a_clock_nobody_is_too_fast():
 
 @given(st.lists(st.tuples(st.sampled_from("abcde"), st.integers(1, 9), st.booleans()), max_size=90))
 def test_shares_never_exceed_the_whole(steps: list[tuple[str, int, bool]]) -> None:
-    shares, held = Shares(12, 60, is_paced=False), dict.fromkeys([*"abcde", ""], 0)
+    shares, held = SenderQuotas(12, 60, is_paced=False), dict.fromkeys([*"abcde", ""], 0)
     sizes: dict[str, list[int]] = {name: [] for name in held}
     for process in "abc":
         shares.show(process, alive=True)
@@ -144,7 +152,7 @@ def test_shares_never_exceed_the_whole(steps: list[tuple[str, int, bool]]) -> No
 
 @pytest.mark.parametrize("count", [MOST_SENDERS + 10])
 def test_only_so_many_have_a_share_of_their_own(count: int) -> None:
-    shares = Shares(1000, 1000, is_paced=False)
+    shares = SenderQuotas(1000, 1000, is_paced=False)
     for number in range(count):
         shares.show(f"p{number}", alive=True)
     assert shares.sender_of("p0") == "p0"
@@ -153,7 +161,7 @@ def test_only_so_many_have_a_share_of_their_own(count: int) -> None:
 
 def test_who_shows_itself_late_keeps_what_waits_and_leaves_nothing_behind():
     inbox = Inbox(40)
-    inbox.share_out(is_paced=False)
+    inbox.set_quotas(is_paced=False)
     inbox.limit("roster", 2)
     for frame in range(2):
         inbox.put(roster("late", frame))

@@ -50,13 +50,13 @@ def test_an_empty_id_cannot_stand_in_a_key():
 
 def test_everybody_who_speaks_or_hears_has_a_role():
     for topic in TOPICS.values():
-        assert topic.speakers
-        assert topic.hearers
-        assert topic.speakers | topic.hearers <= ROLES
+        assert topic.publishers
+        assert topic.subscribers
+        assert topic.publishers | topic.subscribers <= ROLES
 
 
 def test_whoever_shares_a_topic_with_others_has_a_key_of_its_own():
-    shared = {name for name, topic in TOPICS.items() if len(topic.speakers) > 1}
+    shared = {name for name, topic in TOPICS.items() if len(topic.publishers) > 1}
     assert shared - {"sighting"} == {
         name for name, topic in TOPICS.items() if "{process}" in topic.template
     }

@@ -32,14 +32,14 @@ def test_a_message_comes_back_as_it_was(message):
 @pytest.mark.parametrize("message", EXAMPLES, ids=lambda e: type(e).__name__)
 def test_the_moment_of_a_message_can_be_read_alone(message):
     moment = getattr(message, "frame", None), getattr(message, "sim_time_ns", None)
-    assert wire.peek_moment(wire.encode(message), type(message)) == moment
+    assert wire.peek_frame_time(wire.encode(message), type(message)) == moment
 
 
 @given(st.binary(max_size=300), st.sampled_from(list(m.MESSAGES.values())))
 def test_a_moment_is_read_from_any_header_or_one_kind_of_error_raised(header, expected):
     prefix = wire.PREFIX.pack(wire.MAGIC, wire.VERSION, expected.kind, len(header), 0)
     try:
-        found = wire.peek_moment(prefix + header, expected)
+        found = wire.peek_frame_time(prefix + header, expected)
     except MessageError:
         return
     assert all(value is None or type(value) is int for value in found)
@@ -48,12 +48,12 @@ def test_a_moment_is_read_from_any_header_or_one_kind_of_error_raised(header, ex
 @pytest.mark.parametrize("odd", [1.5, None, "now", [1]])
 def test_a_time_that_is_no_integer_is_none(odd):
     data = packed(m.Tick, {"frame": 1, "sim_time_ns": odd})
-    assert wire.peek_moment(data, m.Tick) == (1, None)
+    assert wire.peek_frame_time(data, m.Tick) == (1, None)
 
 
 def test_a_time_that_takes_too_much_room_is_refused():
     with pytest.raises(MessageError, match="header"):
-        wire.peek_moment(packed(m.Tick, {"sim_time_ns": [[]] * 20_000}), m.Tick)
+        wire.peek_frame_time(packed(m.Tick, {"sim_time_ns": [[]] * 20_000}), m.Tick)
 
 
 @pytest.mark.parametrize("message", EXAMPLES, ids=lambda e: type(e).__name__)

@@ -10,8 +10,8 @@ import pytest
 
 from protocol import messages as m
 from protocol.errors import ConfigError, CpnetError
+from protocol.in_process import InProcessRouter
 from protocol.inbox import Inbox
-from protocol.local import LocalNetwork
 from protocol.process import Context
 from protocol.topics import BusName
 from recorder.pulse import OPEN_FRAMES
@@ -52,7 +52,7 @@ class Rig:
     """A record role on local buses, and the others' mouths."""
 
     def __init__(self, run_dir: Path, **record: object) -> None:
-        world, v2x = LocalNetwork(BusName.WORLD), LocalNetwork()
+        world, v2x = InProcessRouter(BusName.WORLD), InProcessRouter()
         self.inbox, self.seen = Inbox(), Inbox()
         self.stop = threading.Event()
         self.world, self.v2x = world.bus(self.seen), v2x.bus(self.seen)

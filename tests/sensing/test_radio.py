@@ -1,5 +1,5 @@
+from protocol.in_process import InProcessBus, InProcessRouter
 from protocol.inbox import Inbox
-from protocol.local import LocalBus, LocalNetwork
 from protocol.messages import NEVER_NS
 from sensing.link_channel import on_air_bytes
 from sensing.link_config import LinkConfig
@@ -10,15 +10,15 @@ MS = 1_000_000
 
 def radio(kind: AgentKind = "vehicle", mode: str = "lockstep", **link: object) -> Radio:
     scenario = {"mode": mode, "seed": 1, "frame_period_s": 0.1}
-    bus = LocalNetwork().bus(Inbox())
+    bus = InProcessRouter().bus(Inbox())
     return radio_of(scenario, LinkConfig.model_validate(link), kind, "a", bus)
 
 
-class FullBus(LocalBus):
+class FullBus(InProcessBus):
     """A bus whose link takes 1000 bytes a frame."""
 
     def __init__(self) -> None:
-        super().__init__(LocalNetwork(), Inbox())
+        super().__init__(InProcessRouter(), Inbox())
         self.sent, self.waiting = 0, 0
 
     def wire_bytes(self) -> int:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from protocol import messages as m
+from protocol.in_process import InProcessRouter
 from protocol.inbox import Envelope, Inbox, Presence
-from protocol.local import LocalNetwork
 from protocol.process import Context
 from protocol.topics import BusName
 from signal_controller.role import SignalRole
@@ -33,7 +33,7 @@ class Rig:
             mesh_vertices=np.zeros((0, 3), np.float32),
             mesh_triangles=np.zeros((0, 3), np.int32),
         )
-        world, v2x = LocalNetwork(BusName.WORLD), LocalNetwork()
+        world, v2x = InProcessRouter(BusName.WORLD), InProcessRouter()
         self.inbox, self.seen = Inbox(), Inbox()
         self.others = v2x.bus(self.seen)
         self.others.subscribe("request")

@@ -12,8 +12,8 @@ import pytest
 
 from protocol import messages as m
 from protocol.errors import BusError
+from protocol.in_process import InProcessBus, InProcessRouter
 from protocol.inbox import Envelope, Inbox
-from protocol.local import LocalBus, LocalNetwork
 from protocol.process import Context
 from protocol.topics import BusName
 from sim_host.role import SimRole
@@ -41,7 +41,7 @@ class Rig:
             "processes": {"vehicle": 2},
         }
         setup = build_setup({**scenario, **more}, run_dir)
-        world, v2x = LocalNetwork(BusName.WORLD), LocalNetwork()
+        world, v2x = InProcessRouter(BusName.WORLD), InProcessRouter()
         self.inbox, self.seen = Inbox(), Inbox()
         self.stop = threading.Event()
         own_world, own_v2x = world.bus(self.inbox), v2x.bus(self.inbox)
@@ -49,7 +49,7 @@ class Rig:
         for topic in ("tick", "truth", "trips", "end", "metrics"):
             self.listener_world.subscribe(topic)
         self.listener_v2x.subscribe("state")
-        self.others: dict[str, list[LocalBus]] = {}
+        self.others: dict[str, list[InProcessBus]] = {}
         self.networks = (world, v2x)
         context = Context(
             "sim", setup, run_dir, own_world, own_v2x, self.inbox, self.stop, lambda: own_v2x

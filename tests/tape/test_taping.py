@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
+from protocol.in_process import InProcessRouter
 from protocol.inbox import Envelope, Inbox, Presence
-from protocol.local import LocalNetwork
 from protocol.onlooker import ALL_TOPICS
 from protocol.process import Context, loop
 from protocol.topics import TOPICS, BusName
@@ -39,7 +39,7 @@ def context_in(folder, record) -> Context:
     scenario = {"name": "n", "mode": "lockstep", "seed": 1, "region": "r0", "record": record}
     made = asked.model_copy(update={"scenario": scenario})
     inbox, stop = Inbox(), threading.Event()
-    world, v2x = (LocalNetwork(name).bus(inbox) for name in (BusName.WORLD, BusName.V2X))
+    world, v2x = (InProcessRouter(name).bus(inbox) for name in (BusName.WORLD, BusName.V2X))
     return Context("tape", made, folder, world, v2x, inbox, stop, lambda: v2x)
 
 

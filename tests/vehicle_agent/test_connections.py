@@ -3,8 +3,8 @@ import threading
 import pytest
 
 from protocol.errors import BusError
+from protocol.in_process import InProcessBus, InProcessRouter
 from protocol.inbox import Inbox
-from protocol.local import LocalBus, LocalNetwork
 from tests.waiting import wait_until
 from vehicle_agent.role import Connections
 
@@ -13,10 +13,10 @@ class Network:
     """Opens a bus when it is let."""
 
     def __init__(self) -> None:
-        self.local = LocalNetwork()
+        self.local = InProcessRouter()
         self.may_open = threading.Event()
 
-    def open(self) -> LocalBus:
+    def open(self) -> InProcessBus:
         assert self.may_open.wait(10)
         return self.local.bus(Inbox())
 
@@ -54,7 +54,7 @@ def test_in_lockstep_a_connection_is_waited_for_and_each_agent_has_its_own():
 
 
 def test_a_connection_that_cannot_be_opened_is_an_error():
-    def refuse() -> LocalBus:
+    def refuse() -> InProcessBus:
         raise BusError("nothing answers")
 
     connections = Connections(refuse, wait=True)

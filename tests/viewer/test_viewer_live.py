@@ -4,7 +4,7 @@ import threading
 
 from protocol import messages as m
 from protocol.courtesy import Budget
-from protocol.inbox import Inbox, Presence, Sealed
+from protocol.inbox import Inbox, Presence, RawMessage
 from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
 from tests.messages import lane_counts
@@ -29,8 +29,8 @@ class Drawn:
         raise AssertionError(account)
 
 
-def sealed(topic: str, key: str, message: m.Message) -> Sealed:
-    return Sealed(TOPICS[topic], key, encode(message), 0)
+def sealed(topic: str, key: str, message: m.Message) -> RawMessage:
+    return RawMessage(TOPICS[topic], key, encode(message), 0)
 
 
 def test_a_lost_v2x_bus_is_not_the_end_and_a_lost_world_is() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from protocol.errors import BusError
-from protocol.hub import Hub, HubBus
+from protocol.in_process import InProcessBus, InProcessRouter
 from protocol.inbox import Inbox, Presence
 from protocol.messages import Plan, Roster
 from protocol.topics import BusName
@@ -15,14 +15,14 @@ ROSTER = Roster(frame=1, process="vehicle-0", agents=["a"], scanning=[])
 [PLAN] = [example for example in EXAMPLES if isinstance(example, Plan)]
 
 
-def access(hub: Hub) -> tuple[HubBus, Inbox]:
+def access(router: InProcessRouter) -> tuple[InProcessBus, Inbox]:
     inbox = Inbox()
-    return hub.open(inbox), inbox
+    return router.bus(inbox), inbox
 
 
 def test_a_message_reaches_all_who_asked_for_its_topic_and_nobody_else():
-    hub = Hub(BusName.V2X)
-    (one, first), (two, second), (_, third) = access(hub), access(hub), access(hub)
+    router = InProcessRouter(BusName.V2X)
+    (one, first), (two, second), (_, third) = access(router), access(router), access(router)
     one.subscribe("roster")
     two.subscribe("roster", region="r0")
     size = one.publish("roster", ROSTER, region="r0", process="vehicle-0")
@@ -35,8 +35,8 @@ def test_a_message_reaches_all_who_asked_for_its_topic_and_nobody_else():
 
 
 def test_parts_that_are_given_must_be_the_same():
-    hub = Hub(BusName.V2X)
-    bus, inbox = access(hub)
+    router = InProcessRouter(BusName.V2X)
+    bus, inbox = access(router)
     bus.subscribe("plan", region="r0", agent="a")
     bus.publish("plan", PLAN, region="r0", agent="b")
     assert inbox.get() is None
@@ -45,8 +45,8 @@ def test_parts_that_are_given_must_be_the_same():
 
 
 def test_messages_keep_their_order():
-    hub = Hub(BusName.V2X)
-    bus, inbox = access(hub)
+    router = InProcessRouter(BusName.V2X)
+    bus, inbox = access(router)
     bus.subscribe("roster")
     for frame in range(20):
         roster = ROSTER.model_copy(update={"frame": frame})
@@ -55,8 +55,8 @@ def test_messages_keep_their_order():
 
 
 def test_presence_comes_and_goes_and_those_already_there_are_told():
-    hub = Hub(BusName.WORLD)
-    (early, heard), (late, heard_late), (comer, _) = access(hub), access(hub), access(hub)
+    router = InProcessRouter(BusName.WORLD)
+    (early, heard), (late, heard_late), (comer, _) = access(router), access(router), access(router)
     early.watch()
     comer.announce("vehicle", "vehicle-0")
     late.watch()
@@ -68,8 +68,8 @@ def test_presence_comes_and_goes_and_those_already_there_are_told():
 
 
 def test_a_closed_bus_hears_no_more():
-    hub = Hub(BusName.V2X)
-    (gone, inbox), (other, _) = access(hub), access(hub)
+    router = InProcessRouter(BusName.V2X)
+    (gone, inbox), (other, _) = access(router), access(router)
     gone.subscribe("roster")
     gone.close()
     other.publish("roster", ROSTER, region="r0", process="vehicle-0")
@@ -77,7 +77,7 @@ def test_a_closed_bus_hears_no_more():
 
 
 def test_a_topic_of_the_other_bus_is_refused():
-    bus, _ = access(Hub(BusName.WORLD))
+    bus, _ = access(InProcessRouter(BusName.WORLD))
     with pytest.raises(BusError, match="roster belongs to the v2x bus"):
         bus.publish("roster", ROSTER, region="r0", process="vehicle-0")
     with pytest.raises(BusError, match="roster belongs to the v2x bus"):

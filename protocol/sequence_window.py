@@ -1,4 +1,4 @@
-"""Which frames can be real: one absurd frame number must not pass for the present."""
+"""The sequence window: which frame numbers can be real, so that an absurd one is refused."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _STEPS = 3  # states of so many consecutive frames are believed, wherever they a
 _TRAIL = 16
 
 
-class Horizon:
+class SequenceWindow:
     """Keeps the newest frame that is known to be real.
 
     That is one that was finished, or one that the signal's states reached step by step: a process

@@ -1,6 +1,6 @@
-"""Both buses within one process: for runs that need no network, and repeat what one would give.
+"""Both buses within one process, without a network: for in-process runs and for tests.
 
-Messages are encoded, checked and decoded as they are on their way through Zenoh.
+Messages are encoded, checked and decoded as on their way through Zenoh.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from protocol.bus import Bus
 from protocol.errors import BusError
-from protocol.inbox import Inbox, Presence, Sealed
+from protocol.inbox import Inbox, Presence, RawMessage
 from protocol.messages import Message
 from protocol.topics import TOPICS, BusName, Topic
 from protocol.wire import encode
@@ -27,17 +27,18 @@ class _Subscription:
 
 
 @dataclass(slots=True, eq=False)
-class Hub:
-    """One bus's router: who subscribes to what, who is there, who wants to know of that."""
+class InProcessRouter:
+    """One bus's router: who subscribes to what, which processes are present, who watches them."""
 
-    name: BusName
+    name: BusName = BusName.V2X
     subscriptions: dict[str, list[_Subscription]] = field(default_factory=dict)
     present: list[Presence] = field(default_factory=list)
     watching: list[Inbox] = field(default_factory=list)
+    buses: list[InProcessBus] = field(default_factory=list)
 
-    def open(self, inbox: Inbox) -> HubBus:
+    def bus(self, inbox: Inbox) -> InProcessBus:
         """Returns one process's access; what arrives goes to its inbox."""
-        return HubBus(self, inbox)
+        return InProcessBus(self, inbox)
 
     def topic(self, name: str) -> Topic:
         """Returns a topic of this bus.
@@ -50,17 +51,18 @@ class Hub:
             raise BusError(f"topic {name} belongs to the {topic.bus.value} bus")
         return topic
 
-    def tell(self, presence: Presence) -> None:
-        """Tells those who watch."""
+    def notify(self, presence: Presence) -> None:
+        """Passes on to those who watch that a process appeared or left."""
         for inbox in self.watching:
             inbox.put(presence)
 
 
-class HubBus:
+class InProcessBus:
     """See `protocol.bus.Bus`. Nothing is ever lost, late or counted by a transport."""
 
-    def __init__(self, hub: Hub, inbox: Inbox) -> None:
-        self._hub = hub
+    def __init__(self, router: InProcessRouter, inbox: Inbox) -> None:
+        router.buses.append(self)
+        self._router = router
         self._inbox = inbox
         self._own: list[tuple[str, _Subscription]] = []
         self._announced: list[Presence] = []
@@ -68,38 +70,38 @@ class HubBus:
 
     def publish(self, topic_name: str, message: Message, **parts: str) -> int:
         """See `Bus.publish`."""
-        topic = self._hub.topic(topic_name)
+        topic = self._router.topic(topic_name)
         key, data = topic.key(**parts), encode(message)
-        sealed = Sealed(topic, key, data, time.monotonic_ns())
-        for subscription in self._hub.subscriptions.get(topic_name, ()):
+        raw = RawMessage(topic, key, data, time.monotonic_ns())
+        for subscription in self._router.subscriptions.get(topic_name, ()):
             if subscription.takes(parts):
-                subscription.inbox.put(sealed)
+                subscription.inbox.put(raw)
         return len(data)
 
     def subscribe(self, topic_name: str, **parts: str) -> None:
         """See `Bus.subscribe`."""
-        self._hub.topic(topic_name)
+        self._router.topic(topic_name)
         subscription = _Subscription(parts, self._inbox)
-        self._hub.subscriptions.setdefault(topic_name, []).append(subscription)
+        self._router.subscriptions.setdefault(topic_name, []).append(subscription)
         self._own.append((topic_name, subscription))
 
     def announce(self, role: str, process_id: str) -> None:
         """See `Bus.announce`."""
-        presence = Presence(role, process_id, True, self._hub.name)
-        self._hub.present.append(presence)
+        presence = Presence(role, process_id, True, self._router.name)
+        self._router.present.append(presence)
         self._announced.append(presence)
-        self._hub.tell(presence)
+        self._router.notify(presence)
 
     def watch(self) -> None:
         """See `Bus.watch`."""
         self._watches = True
-        self._hub.watching.append(self._inbox)
-        for presence in self._hub.present:
+        self._router.watching.append(self._inbox)
+        for presence in self._router.present:
             self._inbox.put(presence)
 
     def router(self) -> str:
         """See `Bus.router`."""
-        return self._hub.name.value
+        return self._router.name.value
 
     def wire_bytes(self) -> int:
         """See `Bus.wire_bytes`."""
@@ -111,14 +113,15 @@ class HubBus:
 
     def close(self) -> None:
         """See `Bus.close`."""
+        self._router.buses.remove(self)
         for topic_name, subscription in self._own:
-            self._hub.subscriptions[topic_name].remove(subscription)
+            self._router.subscriptions[topic_name].remove(subscription)
         if self._watches:
-            self._hub.watching.remove(self._inbox)
+            self._router.watching.remove(self._inbox)
         for presence in self._announced:
-            self._hub.present.remove(presence)
-            self._hub.tell(Presence(presence.role, presence.id, False, self._hub.name))
+            self._router.present.remove(presence)
+            self._router.notify(Presence(presence.role, presence.id, False, self._router.name))
         self._own, self._announced, self._watches = [], [], False
 
 
-_: type[Bus] = HubBus  # types are checked: it is all that a role needs
+_: type[Bus] = InProcessBus  # types are checked: it is all that a role needs

@@ -1,0 +1,224 @@
+"""Messages on the V2X bus: what agents upload, what the edge publishes, the signal's state."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Self
+
+from pydantic import Field, model_validator
+
+from protocol.messages.fields import (
+    BOUNDED,
+    AgentId,
+    Boxes,
+    BoxRows,
+    Bytes,
+    Count,
+    DelayNs,
+    Equipment,
+    Floats32,
+    FrameNumber,
+    Id,
+    Ids,
+    Lights,
+    Message,
+    NetId,
+    Pose,
+    Sites,
+    Text,
+    Texts,
+    TimeNs,
+    Weights,
+    check_lengths,
+)
+
+
+class Roster(Message):
+    """Which agents a process speaks for in a frame, and which of them send a scan."""
+
+    kind: ClassVar[int] = 8
+    frame: FrameNumber
+    process: Id
+    agents: Ids
+    scanning: Ids
+
+
+class AgentPose(Message):
+    """Where an agent believes it is (footprint centre on the ground), and how large it is."""
+
+    kind: ClassVar[int] = 9
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    agent: AgentId
+    equipment: Equipment
+    pose: Pose
+    length_m: float = Field(ge=0, le=60)
+    width_m: float = Field(ge=0, le=10)
+    height_m: float = Field(ge=0, le=10)
+    position_std_m: float = Field(ge=0, le=1000)
+    arrival_sim_ns: TimeNs | None = None
+
+
+class Scan(Message):
+    """One chunk of an encoded scan. `sensor_pose` is `map_SE3_sensor` as the agent believes it.
+
+    Chunks are numbered from 0 and sent in this order. `plan_frame` is the frame of the plan that
+    the chunks were cut by, -1 for none. `ground_free` says that the agent has taken away what
+    belongs to the ground and to the static scene.
+    """
+
+    kind: ClassVar[int] = 10
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    agent: AgentId
+    chunk: int = Field(ge=0)
+    chunks: int = Field(ge=1, le=64)
+    points: Count
+    plan_frame: int = Field(-1, ge=-1, lt=1 << 40)
+    ground_free: bool = False
+    sensor_pose: Pose
+    sense_start_ns: TimeNs
+    sense_end_ns: TimeNs
+    encode_end_ns: TimeNs
+    arrival_sim_ns: TimeNs | None = None
+    payload: Bytes
+
+    @model_validator(mode="after")
+    def _is_one_of_its_chunks(self) -> Self:
+        if self.chunk >= self.chunks:
+            raise ValueError(f"chunk {self.chunk} of {self.chunks}: counting begins with 0")
+        return self
+
+
+class Objects(Message):
+    """What an agent that detects for itself found, in the place of a scan.
+
+    Boxes are as in `Detections`, in the map frame as the agent believes it.
+    """
+
+    kind: ClassVar[int] = 16
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    agent: AgentId
+    boxes: Boxes
+    scores: Floats32
+    sense_start_ns: TimeNs
+    sense_end_ns: TimeNs
+    detect_end_ns: TimeNs
+    arrival_sim_ns: TimeNs | None = None
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        check_lengths(self, "boxes", "scores")
+        return self
+
+
+class Detections(Message):
+    """Vehicles of a frame.
+
+    Boxes are x, y, z of the centre, length, width, height in m and yaw in rad. `distances_m` is
+    the way to the stop bar, negative behind it. `sources` is "lidar" or the agent whose own pose
+    it is. `lanes` holds an empty string where a box is on no lane.
+    """
+
+    kind: ClassVar[int] = 11
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    agents: Ids
+    boxes: BoxRows
+    scores: Floats32
+    lanes: Texts
+    distances_m: Floats32
+    sources: Texts
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        check_lengths(self, "boxes", "scores", "lanes", "distances_m", "sources")
+        return self
+
+
+Counts = Annotated[dict[NetId, Count], *BOUNDED]
+CoverageShares = Annotated[dict[NetId, Annotated[float, Field(ge=0, le=1)]], *BOUNDED]
+
+
+class LaneCounts(Message):
+    """Vehicles per lane: within the reach upstream of the stop bar and downstream behind it.
+
+    Those of them that stand still are counted once more, as `queued`. `seen` is the share of a
+    lane's reach that lay within sight of a LiDAR whose scan was used, so that 0 is "nobody saw it";
+    empty where nobody can know: agents send boxes of their own, or none has a LiDAR.
+    """
+
+    kind: ClassVar[int] = 12
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    tls: NetId
+    agents: Ids
+    complete: bool
+    upstream: Counts
+    downstream: Counts
+    queued_upstream: Counts = Field({})
+    queued_downstream: Counts = Field({})
+    seen_upstream: CoverageShares = Field({})
+    seen_downstream: CoverageShares = Field({})
+    delay_sim_ns: DelayNs | None = None
+
+
+class Plan(Message):
+    """What an agent shall send: its part of the scene from `frame` on, until a newer plan comes.
+
+    The parts are cells of a power diagram: a place x, y belongs to the agent with the least
+    |place - site|^2 - weight, ties to the first of the list. `sites` are in m in the map frame, in
+    the order of `agents`; `weights_m2` holds for each agent the tight, the plain and the wide
+    weight. All agents of a frame get the same arrays; without cells they are empty.
+
+    `mbps` is what the agent's uplink carries as the edge believes, 0 if it does not know. Of
+    `enough` and the frames before it no more chunks are needed; where links are virtual,
+    `enough_sim_ns` says since when.
+    """
+
+    kind: ClassVar[int] = 15
+    frame: FrameNumber
+    agent: Id
+    mbps: float = Field(ge=0, le=1e6)
+    enough: int = Field(ge=-1, lt=1 << 40)
+    enough_sim_ns: TimeNs | None = None
+    agents: Ids
+    sites: Sites
+    weights_m2: Weights
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        check_lengths(self, "agents", "sites", "weights_m2")
+        return self
+
+
+class SignalState(Message):
+    """Signal phase and timing (SPaT). `stage` is green, yellow or all_red; `source` who asked."""
+
+    kind: ClassVar[int] = 6
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    tls: NetId
+    state: Lights
+    stage: Text
+    green: Text
+    source: Text
+    earliest_change_ns: TimeNs
+
+
+class SignalRequest(Message):
+    """A policy's wish: the green state to be shown, one character per link.
+
+    `policy` is what decided, "plan" where the policy knew too little and fell back on the fixed
+    plan. `unknown` are the lanes that nobody saw, whose vehicles were reckoned.
+    """
+
+    kind: ClassVar[int] = 7
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    tls: NetId
+    state: Text
+    policy: Text
+    pressures: Annotated[list[float], *BOUNDED] = Field([])
+    unknown: Annotated[list[NetId], *BOUNDED] = Field([])
+    delay_sim_ns: DelayNs | None = None
