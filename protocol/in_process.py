@@ -70,13 +70,17 @@ class InProcessBus:
 
     def publish(self, topic_name: str, message: Message, **parts: str) -> int:
         """See `Bus.publish`."""
+        data = encode(message)
+        self.deliver(topic_name, data, **parts)
+        return len(data)
+
+    def deliver(self, topic_name: str, data: bytes, **parts: str) -> None:
+        """Hands bytes, whatever they are, to all who subscribe to the topic and these parts."""
         topic = self._router.topic(topic_name)
-        key, data = topic.key(**parts), encode(message)
-        raw = RawMessage(topic, key, data, time.monotonic_ns())
+        raw = RawMessage(topic, topic.key(**parts), data, time.monotonic_ns())
         for subscription in self._router.subscriptions.get(topic_name, ()):
             if subscription.takes(parts):
                 subscription.inbox.put(raw)
-        return len(data)
 
     def subscribe(self, topic_name: str, **parts: str) -> None:
         """See `Bus.subscribe`."""

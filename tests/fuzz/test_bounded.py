@@ -141,7 +141,7 @@ def test_an_inbox_holds_no_more_than_its_messages_whatever_their_keys():
         assert len(inbox._waiting) <= CAPACITY
         while inbox._queue.qsize():
             inbox.get()
-    assert len(inbox._complaints._told) == 1
+    assert len(inbox._complaints._logged) == 1
     assert len(inbox.drops) < 8
     assert growth.mib < CAPACITY * MAX_KEY >> 20
 

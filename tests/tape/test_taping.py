@@ -46,7 +46,7 @@ def context_in(folder, record) -> Context:
 def said(context, topic: str) -> None:
     bus = context.world if TOPICS[topic].bus is BusName.WORLD else context.v2x
     item = envelope(topic, 0)
-    bus.deliver(TOPICS[topic].key(**item.parts | {"region": "r0"}), item.data)
+    bus.deliver(topic, item.data, **item.parts | {"region": "r0"})
 
 
 @pytest.mark.parametrize("truth", [True, False])
@@ -68,8 +68,8 @@ def test_another_regions_messages_are_not_kept(tmp_path):
     context = context_in(tmp_path, {"tape": True})
     taping = role.build(context)
     item = envelope("detections", 0)
-    context.v2x.deliver(TOPICS["detections"].key(region="r1"), item.data)
-    context.v2x.deliver(TOPICS["detections"].key(region="r0"), item.data)
+    context.v2x.deliver("detections", item.data, region="r1")
+    context.v2x.deliver("detections", item.data, region="r0")
     found = [one for one in iter(context.inbox.get, None) if isinstance(one, Envelope)]
     assert [one.parts for one in found] == [{"region": "r0"}]
     taping.close()
@@ -98,11 +98,10 @@ def test_the_tape_says_at_its_end_what_came_of_it(tmp_path):
 def test_what_nobody_could_read_is_not_kept_and_the_rest_as_it_came(tmp_path):
     context = context_in(tmp_path, {"tape": True})
     taping = role.build(context)
-    key = TOPICS["detections"].key(region="r0")
     good = envelope("detections", 0).data
     odd = good[:24] + b"\xc1" + good[25:]  # no msgpack
     for data in (b"junk", good[:-8], odd, good):
-        context.v2x.deliver(key, data)
+        context.v2x.deliver("detections", data, region="r0")
     said(context, "end")
     loop(taping, context.inbox, context.stop)
     taping.close()
