@@ -121,8 +121,8 @@ def bench_edge_command(
     show_measured(measure_edge(bench), bench.rows, print_edge, as_json=as_json)
 
 
-@bench_app.command("plausibility")
-def bench_plausibility_command(
+@bench_app.command("misbehaviour")
+def bench_misbehaviour_command(
     *,
     cav_rates: Annotated[
         list[float] | None, typer.Option(help="share of CAVs; may be given several times")
@@ -132,10 +132,9 @@ def bench_plausibility_command(
     overrides: Override = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure how soon the edge finds out an agent that errs or lies, and whom else it doubts."""
+    """Measure how soon the edge detects an agent that errs or lies, and its false alarms."""
     from cpnet.scenario import load
-    from studies.bench_misbehaviour import measure_plausibility
-    from studies.misbehaviour_table import print_plausibility
+    from studies.bench_misbehaviour import measure_misbehaviour, print_misbehaviour
 
     scenarios = []
     for rate in cav_rates or [0.05, 0.3]:
@@ -148,7 +147,7 @@ def bench_plausibility_command(
         scenario = load("t_junction", keys)
         keys["record.snapshot_period_s"] = scenario.frame_period_s
         scenarios.append(load("t_junction", keys).model_dump(mode="json"))
-    show_measured(measure_plausibility(scenarios), None, print_plausibility, as_json=as_json)
+    show_measured(measure_misbehaviour(scenarios), None, print_misbehaviour, as_json=as_json)
 
 
 @bench_app.command("looking")

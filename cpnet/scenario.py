@@ -37,6 +37,9 @@ RENAMED_KEYS: dict[str, str] = {
     "signal.reckon_s": "signal.estimator_timeout_s",
     "signal.reckon_saturation_vph": "signal.estimator_saturation_vph",
     "traffic.reach_m": "traffic.radius_m",
+    "edge.plausibility": "edge.misbehaviour",
+    "edge.coverage_range_m": "edge.coverage_range_m",
+    "edge.stationary_mps": "edge.stationary_mps",
 }
 
 

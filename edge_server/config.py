@@ -44,17 +44,17 @@ class PlanConfig(Section):
     )
 
 
-class PlausibilityConfig(Section):
-    """Whether agents are believed."""
+class MisbehaviourConfig(Section):
+    """Which agents are excluded."""
 
     enabled: bool = Field(
-        True, description="ours: what cannot be so is left out, agent by agent; see reliability.md"
+        True, description="ours: agents whose data cannot be so are excluded; see reliability.md"
     )
     threshold: float = Field(
         0.4,
         gt=0,
         lt=0.8,
-        description="an agent whose score falls below this is left out, until it is 0.2 higher",
+        description="an agent whose score falls below this is excluded until it is 0.2 higher",
     )
 
 
@@ -77,18 +77,18 @@ class EdgeConfig(DetectionConfig):
     )
     upstream_m: float = Field(200.0, gt=0, description="vehicles so far before the stop bar count")
     downstream_m: float = Field(100.0, gt=0, description="vehicles so far behind it count")
-    sight_m: float = Field(
+    coverage_range_m: float = Field(
         100.0,
         gt=0,
         le=500,
-        description="ours: how far a LiDAR is trusted to see vehicles; what of a lane is farther "
-        "from all LiDARs is told to the controller as unseen",
+        description="ours: how far a LiDAR detects vehicles reliably; the part of a lane that is "
+        "farther from all LiDARs is published to the controller as not covered",
     )
-    standing_mps: float = Field(
+    stationary_mps: float = Field(
         1.4, gt=0, le=10, description="ours: a slower vehicle counts as queued; 5 km/h"
     )
     plan: PlanConfig = Field(PlanConfig(), description="who uploads which part of the scene")
     fusion: FusionConfig = Field(FusionConfig(), description="duplicates")
-    plausibility: PlausibilityConfig = Field(
-        PlausibilityConfig(), description="which agents are believed"
+    misbehaviour: MisbehaviourConfig = Field(
+        MisbehaviourConfig(), description="which agents are excluded"
     )

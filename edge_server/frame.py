@@ -1,27 +1,46 @@
-"""What the edge knows of one frame, decoded, in an order that does not depend on arrival."""
+"""One frame on its way through the edge: its chunks, its state, and what a stage is.
+
+Chunks and frames are ordered by agent, not by arrival. A stage works on one chunk, in any thread as
+soon as the chunk has arrived, or on the state of a whole frame.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
-from edge_server.views import View
-from perception.arrays import Floats, Floats32
+from edge_server.lanes import LanePositions
+from perception.arrays import Bytes, Floats, Floats32
+from perception.detector import Cloud, Vehicles
 from perception.roadway import Placed
-from protocol.codec import decode
-from protocol.messages import AgentPose, Objects, Scan
+from protocol.messages import (
+    AgentPose,
+    AgentScore,
+    Detections,
+    LaneCounts,
+    Objects,
+    Scan,
+    Span,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chunk:
-    """One decoded chunk of a scan: points (N, 3) in the sensor frame, until they are placed.
+    """One chunk of a scan; each chunk stage returns it with more filled in.
 
-    `sensor_pose` (6,) is `map_SE3_sensor` as the agent believes it. For `plan_frame` and
-    `ground_free` see `protocol.messages.Scan`; `size_bytes` is that of the payload, `returns` how
-    many points it had. One that `is_spoilt` came, but nobody can tell what it showed.
+    `points` (N, 3) are in the sensor frame, from the decoding of the `payload` on until they are
+    `placed` in the map frame.
+    `sensor_pose` (6,) is `map_SE3_sensor` as the agent estimates it. For `plan_frame` and
+    `ground_free` see `protocol.messages.Scan`. `size_bytes` is that of the payload, `returns` the
+    number of points it held. `spans` are those of the stages that it has passed, in their order. A
+    chunk that `is_undecodable` did arrive, but it shows nothing.
     """
 
     frame: int
@@ -32,33 +51,49 @@ class Chunk:
     sensor_pose: Floats
     points: Floats32
     received_ns: int
-    decode_start_ns: int
-    decode_end_ns: int
+    payload: Bytes | None = None
     plan_frame: int = -1
     ground_free: bool = False
     arrival_sim_ns: int | None = None
     size_bytes: int = 0
     placed: Placed | None = None
-    view: View | None = None
-    placed_ns: int = 0
     returns: int = 0
     is_undecodable: bool = False
+    spans: tuple[Span, ...] = ()
 
-    def with_placed(self, placed: Placed, view: View | None) -> Chunk:
-        """Returns the piece with its points on the road, map frame, and when that was done.
+    @classmethod
+    def of(cls, scan: Scan, received_ns: int) -> Chunk:
+        """Returns a chunk as it arrived, not decoded yet."""
+        return cls(
+            frame=scan.frame,
+            sim_time_ns=scan.sim_time_ns,
+            agent=scan.agent,
+            index=scan.chunk,
+            chunk_count=scan.chunks,
+            sensor_pose=scan.sensor_pose,
+            points=np.zeros((0, 3), np.float32),
+            received_ns=received_ns,
+            payload=scan.payload,
+            plan_frame=scan.plan_frame,
+            ground_free=scan.ground_free,
+            arrival_sim_ns=scan.arrival_sim_ns,
+            size_bytes=scan.payload.size,
+        )
 
-        `view` is what they show to be taken and to be free, if anybody will ask.
+    @classmethod
+    def undecodable(cls, scan: Scan, received_ns: int) -> Chunk:
+        """Returns a chunk without points in place of one that cannot be decoded."""
+        return replace(cls.of(scan, received_ns), payload=None, is_undecodable=True)
 
-        All others are let go: the next scan is decoded into memory that is still near.
-        """
-        nothing = np.zeros((0, 3), np.float32)
-        now_ns = time.monotonic_ns()
-        return replace(self, points=nothing, placed=placed, view=view, placed_ns=now_ns)
+    @property
+    def decoded_ns(self) -> int:
+        """When its first stage, decoding, ended."""
+        return self.spans[0].end_ns if self.spans else self.received_ns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgentDetections:
-    """Boxes that an agent found for itself, and when they came."""
+    """Boxes that an agent detected by itself, and when they arrived."""
 
     objects: Objects
     received_ns: int
@@ -70,17 +105,17 @@ class AgentDetections:
 
     @property
     def arrival_sim_ns(self) -> int | None:
-        """When they came over a virtual link."""
+        """When they arrived over a virtual link."""
         return self.objects.arrival_sim_ns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A frame as far as it came. `complete` says whether all that is needed is there.
+    """A frame as far as it arrived. `complete` says whether all that is needed is there.
 
-    `agents`, `poses` and `found` are sorted by agent, `pieces` by agent and chunk. The first part
-    came at `first_ns`; waiting ended at `ready_ns`. `scanning` are the agents, sorted, that
-    announced a scan, be it here or not. `delay_sim_ns` is known where links are virtual.
+    `agents`, `poses` and `found` are sorted by agent, `chunks` by agent and index. The first part
+    arrived at `first_ns`; waiting ended at `ready_ns`. `scanning` are the agents, sorted, that
+    announced a scan, whether it arrived or not. `delay_sim_ns` is known where links are virtual.
     """
 
     frame: int
@@ -95,39 +130,79 @@ class Frame:
     found: Sequence[AgentDetections] = ()
     delay_sim_ns: int | None = None
 
+    def without(self, excluded: set[str]) -> Frame:
+        """Returns the frame without all that some agents sent."""
+        if not excluded:
+            return self
+        return replace(
+            self,
+            agents=[agent for agent in self.agents if agent not in excluded],
+            poses=[pose for pose in self.poses if pose.agent not in excluded],
+            chunks=[chunk for chunk in self.chunks if chunk.agent not in excluded],
+            found=[one for one in self.found if one.agent not in excluded],
+        )
 
-def decode_chunk(scan: Scan, received_ns: int) -> Chunk:
-    """Decodes a chunk.
 
-    Raises:
-        CodecError: the payload is not a scan.
+@dataclass(slots=True, eq=False)
+class FrameState:
+    """What the stages know of one frame; each reads what earlier ones have filled in.
+
+    A field that no stage has filled in yet raises AttributeError. `frame` begins with all that
+    arrived; `excluded` counts the agents that were excluded from it, by reason, and `scores` are
+    those to be published.
     """
-    start_ns = time.monotonic_ns()
-    points = np.ascontiguousarray(decode(scan.payload).points, np.float32)
-    return _chunk(scan, points, received_ns, start_ns)
+
+    frame: Frame
+    excluded: Counter[str] = field(default_factory=Counter)
+    scores: list[AgentScore] = field(default_factory=list)
+    spans: list[Span] = field(default_factory=list)
+    cloud: Cloud = field(init=False)
+    found: Vehicles = field(init=False)
+    vehicles: Vehicles = field(init=False)
+    positions: LanePositions = field(init=False)
+    detections: Detections = field(init=False)
+    counts: LaneCounts = field(init=False)
+
+    @property
+    def points(self) -> int:
+        """How many points the chunks held that were used."""
+        return sum(chunk.returns for chunk in self.frame.chunks)
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        """Records a span of what happens inside, or the parts that it is divided into inside."""
+        start_ns, already = time.monotonic_ns(), len(self.spans)
+        yield
+        if len(self.spans) == already:
+            self.spans.append(Span(stage=name, start_ns=start_ns, end_ns=time.monotonic_ns()))
 
 
-def undecodable_scan(scan: Scan, received_ns: int) -> Chunk:
-    """Returns a chunk without points in place of one that does not decode: it did come."""
-    points = np.zeros((0, 3), np.float32)
-    return replace(_chunk(scan, points, received_ns, time.monotonic_ns()), is_undecodable=True)
+class ChunkStage(ABC):
+    """A stage that needs one chunk and nothing of others; has no memory, any thread may run it."""
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def run(self, chunk: Chunk) -> Chunk:
+        """Returns the chunk with this stage's part filled in."""
 
 
-def _chunk(scan: Scan, points: Floats32, received_ns: int, start_ns: int) -> Chunk:
-    return Chunk(
-        frame=scan.frame,
-        sim_time_ns=scan.sim_time_ns,
-        agent=scan.agent,
-        index=scan.chunk,
-        chunk_count=scan.chunks,
-        sensor_pose=scan.sensor_pose,
-        points=points,
-        received_ns=received_ns,
-        decode_start_ns=start_ns,
-        decode_end_ns=time.monotonic_ns(),
-        plan_frame=scan.plan_frame,
-        ground_free=scan.ground_free,
-        arrival_sim_ns=scan.arrival_sim_ns,
-        size_bytes=scan.payload.size,
-        returns=len(points),
-    )
+class FrameStage(ABC):
+    """A stage that needs the whole frame. Its memory, if any, is its own.
+
+    Frames pass in the order of their time, one after the other.
+    """
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def run(self, state: FrameState) -> None:
+        """Fills in this stage's part."""
+
+
+Stage = ChunkStage | FrameStage
+
+
+def sensor_places(chunks: Sequence[Chunk]) -> Floats:
+    """Returns where the sensors of chunks stand (S, 3), map frame."""
+    return np.array([chunk.sensor_pose[:3] for chunk in chunks]).reshape(-1, 3)

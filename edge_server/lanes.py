@@ -233,12 +233,12 @@ class LaneCoverage:
             _Side(road_map.outgoing, *behind),
         ]
 
-    def shares(self, sensors_m: Floats, sight_m: float) -> tuple[CoverageShares, CoverageShares]:
+    def shares(self, sensors_m: Floats, range_m: float) -> tuple[CoverageShares, CoverageShares]:
         """Returns by lane the share within sight of any sensor (S, 2), upstream and downstream.
 
         What stands in between is not asked: a queue hides some of what is behind it.
         """
-        upstream, downstream = (side.shares(sensors_m, sight_m) for side in self._sides)
+        upstream, downstream = (side.shares(sensors_m, range_m) for side in self._sides)
         return upstream, downstream
 
 
@@ -252,10 +252,10 @@ class _Side:
         self._owner = np.array([number[owner] for owner in owners], np.int64)
         self._total = np.bincount(self._owner, minlength=len(names))
 
-    def shares(self, sensors_m: Floats, sight_m: float) -> CoverageShares:
+    def shares(self, sensors_m: Floats, range_m: float) -> CoverageShares:
         x_m, y_m = self._places_m.T[:, :, None]
         apart_m2 = (x_m - sensors_m[:, 0]) ** 2 + (y_m - sensors_m[:, 1]) ** 2
-        near: Bools = (apart_m2 <= sight_m**2).any(axis=1)
+        near: Bools = (apart_m2 <= range_m**2).any(axis=1)
         seen = np.bincount(self._owner[near], minlength=len(self._names))
         known = zip(self._names, seen.tolist(), self._total.tolist(), strict=True)
         return {name: round(one / all_of, 3) for name, one, all_of in known if all_of}

@@ -1,4 +1,4 @@
-"""Whether an agent is where it can have come to since it was last believed."""
+"""Motion check: whether an agent can have moved to its claimed pose since it was last plausible."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ MOST_STD_M = 3.0  # that an agent may claim to its own advantage
 SENSOR_STD_M = 1.0  # of a vehicle's place, where its sensor's alone is known
 LANE_M = 4.0  # SUMO's vehicles change lanes at once
 TURN_RAD = math.radians(45.0)  # between two frames, whatever the noise
-TURN_M = 3.0  # of way per radian, beyond that
-POST_M = 0.5  # a post may be resurveyed, not moved
-POST_RAD = math.radians(3.0)
+TURN_M = 3.0  # driven per radian, beyond that
+RSU_M = 0.5  # a roadside unit may be surveyed anew, not moved
+RSU_RAD = math.radians(3.0)
 MOUNT_M = 0.5  # by how much a sensor may move on its vehicle
 MOUNT_RAD = math.radians(3.0)
 FORGET_NS = 3_000_000_000  # after so long an agent may have turned any way
-STEADY_FRAMES = 20  # in a new place, before an agent is believed to be there
+STEADY_FRAMES = 20  # in a new place, before it is accepted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClaimedPose:
-    """Where an agent says that it stands (6,), or its post's sensor; how sure of it, and since.
+    """Pose (6,) that an agent claims, of a roadside unit its sensor's, and its standard deviation.
 
     `mount` (6,) is by how much its sensor stands ahead, to the left, over and turned of its own
     place, None where it sent no scan.
@@ -38,34 +38,34 @@ class ClaimedPose:
     sim_time_ns: int
     pose: Floats
     std_m: float
-    is_post: bool
+    is_rsu: bool
     mount: Floats | None = None
 
     @classmethod
-    def of_post(cls, sim_time_ns: int, sensor_pose: Floats) -> Self:
-        """Returns the stand of a post."""
-        return cls(sim_time_ns, sensor_pose, 0.0, is_post=True)
+    def of_rsu(cls, sim_time_ns: int, sensor_pose: Floats) -> Self:
+        """Returns the pose of a roadside unit."""
+        return cls(sim_time_ns, sensor_pose, 0.0, is_rsu=True)
 
     @classmethod
     def of(
         cls, sim_time_ns: int, pose: AgentPose | None, sensor_pose: Floats | None
     ) -> Self | None:
-        """Returns the stand of a vehicle that told its pose, its sensor's, or both."""
+        """Returns the pose of a vehicle that sent its own, its sensor's, or both; else None."""
         if pose is None:
             if sensor_pose is None:
                 return None
-            return cls(sim_time_ns, sensor_pose, SENSOR_STD_M, is_post=False)
+            return cls(sim_time_ns, sensor_pose, SENSOR_STD_M, is_rsu=False)
         std_m = min(pose.position_std_m, MOST_STD_M)
         if sensor_pose is None:
-            return cls(sim_time_ns, pose.pose, std_m, is_post=False)
+            return cls(sim_time_ns, pose.pose, std_m, is_rsu=False)
         mount = np.array(sensor_pose - pose.pose)
         mount[:2] = _turned(pose.pose[5], *mount[:2])
-        return cls(sim_time_ns, pose.pose, std_m, is_post=False, mount=mount)
+        return cls(sim_time_ns, pose.pose, std_m, is_rsu=False, mount=mount)
 
     def leads_to(self, later: ClaimedPose, fast_mps: float) -> bool:
         """Whether who stood here can stand there a while later."""
-        if self.is_post or later.is_post:
-            return self.is_post and later.is_post and _is_near(self.pose, later.pose, POST_M)
+        if self.is_rsu or later.is_rsu:
+            return self.is_rsu and later.is_rsu and _is_near(self.pose, later.pose, RSU_M)
         took_ns = max(later.sim_time_ns - self.sim_time_ns, 0)
         may_go_m = fast_mps * took_ns / 1e9 + CERTAIN * math.hypot(self.std_m, later.std_m)
         return self._is_mounted_as(later) and self._reaches(later, may_go_m, took_ns)
@@ -125,7 +125,7 @@ def _wrapped(turn_rad: float) -> float:
     return abs(math.remainder(turn_rad, math.tau))
 
 
-def _is_near(pose: Floats, other: Floats, far_m: float, far_rad: float = POST_RAD) -> bool:
+def _is_near(pose: Floats, other: Floats, far_m: float, far_rad: float = RSU_RAD) -> bool:
     x, y, z, *turns = (other - pose).tolist()
     near = math.hypot(x, y, z) <= far_m
     return near and all(_wrapped(turn_rad) <= far_rad for turn_rad in turns)

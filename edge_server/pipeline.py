@@ -1,211 +1,282 @@
-"""From scans and poses to counts per lane, as in Chen et al. 2022. Knows no network."""
+"""The way of a frame, from payloads to counts per lane (Chen et al. 2022), as a list of stages.
+
+    decode, place      each chunk by itself, in any thread, as soon as it has arrived
+    check              excludes agents whose data cannot be so; remembers scores
+    merge              one cloud of all that are left
+    detect             a detector's vehicles; it names parts of its own, such as ground
+    fuse               with agents' poses and detections; no duplicates, none off the road
+    count              per lane; remembers where vehicles were, to tell which are stationary
+
+Each stage is entered once and fills in its part of the frame's state. A stage is added by adding it
+to the list; its span follows from its name. Nothing here knows a network.
+"""
 
 from __future__ import annotations
 
+import time
 import zlib
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from edge_server.config import EdgeConfig
-from edge_server.frame import Chunk, Frame, decode_chunk
+from edge_server.frame import (
+    Chunk,
+    ChunkStage,
+    Frame,
+    FrameStage,
+    FrameState,
+    Stage,
+    sensor_places,
+)
 from edge_server.fusion import fuse
-from edge_server.lanes import CoverageShares, LaneCoverage, LaneIndex, LanePositions
-from edge_server.merge import sensor_in_map
-from edge_server.misbehaviour import Judged, Plausibility
-from edge_server.spans import Spans
+from edge_server.lanes import CoverageShares, LaneCoverage, LaneIndex
+from edge_server.misbehaviour import Check
+from edge_server.placing import Decode, Place, PlaceByReference
 from edge_server.stationary import StationaryVehicles
 from perception.arrays import Floats
-from perception.detector import Cloud, DetectorMaker, Vehicles
+from perception.detector import Cloud, Detector, DetectorMaker, Vehicles
 from perception.registry import detector_of
-from perception.roadway import Placed, Roadway
-from protocol.messages import Detections, Doubt, LaneCounts, Scan, Span
+from perception.roadway import Roadway
+from protocol.messages import Detections, LaneCounts, Scan, Span
 from protocol.roadmap import RoadMap
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Result:
-    """What a frame gave: messages to publish, the time of each stage, the points merged.
-
-    `left_out` counts by reason the agents that were not believed.
-    """
-
-    detections: Detections
-    counts: LaneCounts
-    spans: list[Span]
-    points: int
-    left_out: Counter[str] = field(default_factory=Counter)
-    doubts: list[Doubt] = field(default_factory=list)
-
-
 class Pipeline:
-    """The stages and what they know about the road.
+    """Runs stages in their order: those of chunks, then those of the frame."""
 
-    No frame depends on another, except for which of its vehicles stand still and which of its
-    agents are believed. `posts` are x, y and yaw (3,) of the mounts that are known.
-    """
+    def __init__(self, stages: Sequence[Stage]) -> None:
+        """Takes the stages.
 
-    def __init__(
-        self,
+        Raises:
+            ValueError: two have one name, or a chunk's stage follows a frame's.
+        """
+        names = [stage.name for stage in stages]
+        self.stages = tuple(stages)
+        self._of_chunk = [stage for stage in stages if isinstance(stage, ChunkStage)]
+        self._of_frame = [stage for stage in stages if isinstance(stage, FrameStage)]
+        if len(set(names)) < len(names) or [*self._of_chunk, *self._of_frame] != [*stages]:
+            raise ValueError(f"stages {names}: each name once, stages of chunks first")
+
+    @classmethod
+    def of(
+        cls,
         road_map: RoadMap,
         config: EdgeConfig,
         *,
         seed: int,
         detector: DetectorMaker = detector_of,
         has_lidars: bool = True,
-        posts: Mapping[str, Floats] | None = None,
-    ) -> None:
-        """Prepares for a road; `has_lidars` says whether agents send what they see at all."""
-        self._map = road_map
-        self._has_lidars = has_lidars
-        self._config = config
-        self._seed = [seed, zlib.crc32(b"ground")]
-        self._roadway = Roadway.of(road_map, margin_m=config.geofence.margin_m)
-        self._detector = detector(config, self._roadway)
-        self._lanes = LaneIndex(road_map)
-        self._sight = LaneCoverage(
-            road_map, self._lanes, upstream_m=config.upstream_m, downstream_m=config.downstream_m
+        mounts: Mapping[str, Floats] | None = None,
+    ) -> Pipeline:
+        """Returns the pipeline of a scenario; for the arguments see `stages_of`."""
+        stages = stages_of(
+            road_map, config, seed=seed, detector=detector, has_lidars=has_lidars, mounts=mounts
         )
-        self._standing = StationaryVehicles(config.standing_mps)
-        self._centre = np.array(road_map.centre)
-        self._posts = posts or {}
-        self._plausibility = (
-            Plausibility(road_map, self._roadway, config.plausibility, self._posts)
-            if config.plausibility.enabled
-            else None
-        )
-
-    def run(self, frame: Frame) -> Result:
-        """Finds and counts the vehicles of one frame."""
-        config, spans = self._config, Spans()
-        rng = np.random.default_rng([*self._seed, frame.frame])
-        with spans.stage("merge"):
-            judged = self._judged(frame)
-            frame = judged.frame
-            near, bare = (
-                [p.placed for p in frame.chunks if p.placed and p.ground_free is is_bare]
-                for is_bare in (False, True)
-            )
-        found = self._detector.detect(Cloud(near, bare, _sensors(frame.chunks)), rng, spans.stage)
-        with spans.stage("fuse"):
-            for objects in (one.objects for one in frame.found):
-                found += Vehicles.from_lidar(
-                    objects.boxes.astype(np.float64), objects.scores.astype(np.float64)
-                )
-            vehicles = fuse(found, frame.poses, centre=self._centre, config=config.fusion)
-            place = self._lanes.locate(
-                vehicles.boxes, margin_m=config.geofence.margin_m + vehicles.position_std_m
-            )
-            on_road = place.lane >= 0
-            vehicles, place = vehicles.take(on_road), place.take(on_road)
-        with spans.stage("count"):
-            detections = self._detections(frame, vehicles, place)
-            still = self._standing.mark(frame.sim_time_ns, vehicles.boxes[:, :2])
-            counts = self._counts(frame, place, place.take(still))
-        points = sum(chunk.returns for chunk in frame.chunks)
-        return Result(detections, counts, spans.done, points, judged.left_out, judged.doubts)
+        return cls(stages)
 
     def open(self, scan: Scan, received_ns: int) -> Chunk:
-        """Decodes a chunk and places it, if that needs nothing of others; for any thread.
+        """Runs the stages of one chunk; for any thread.
 
         Raises:
             CodecError: the payload is not a scan.
         """
-        return self.place_early(decode_chunk(scan, received_ns))
+        return self.prepare(Chunk.of(scan, received_ns))
 
-    def place_early(self, chunk: Chunk) -> Chunk:
-        """Places a piece while others are still under way, if that needs nothing of theirs."""
-        if self._config.merge != "se3":
-            return chunk
-        placed, checks = self.place(chunk, chunk.sensor_pose), self._plausibility
-        view = None if checks is None else checks.view([placed], chunk.sensor_pose)
-        return chunk.with_placed(placed, view)
+    def prepare(self, chunk: Chunk) -> Chunk:
+        """Runs those stages of a chunk that it has not passed."""
+        for stage in self._of_chunk[len(chunk.spans) :]:
+            start_ns = time.monotonic_ns()
+            chunk = stage.run(chunk)
+            span = Span(
+                stage=stage.name,
+                agent=chunk.agent,
+                start_ns=start_ns,
+                end_ns=time.monotonic_ns(),
+            )
+            chunk = replace(chunk, spans=(*chunk.spans, span))
+        return chunk
 
-    def place(self, chunk: Chunk, reference_pose: Floats) -> Placed:
-        """Moves a piece's points into the map and leaves out what is off the road."""
-        if chunk.placed is not None:
-            return chunk.placed
-        map_SE3_sensor = sensor_in_map(
-            chunk.sensor_pose, method=self._config.merge, reference_pose=reference_pose
+    def run(self, frame: Frame) -> FrameState:
+        """Runs the stages of a frame, after those that its chunks have not passed."""
+        chunks = [self.prepare(chunk) for chunk in frame.chunks]
+        state = FrameState(replace(frame, chunks=chunks))
+        for stage in self._of_frame:
+            with state.timed(stage.name):
+                stage.run(state)
+        return state
+
+
+def stages_of(
+    road_map: RoadMap,
+    config: EdgeConfig,
+    *,
+    seed: int,
+    detector: DetectorMaker = detector_of,
+    has_lidars: bool = True,
+    mounts: Mapping[str, Floats] | None = None,
+) -> list[Stage]:
+    """Returns the stages of a scenario.
+
+    Args:
+        road_map: the region's roads.
+        config: the scenario's section `edge`.
+        seed: of the scenario.
+        detector: makes the detector.
+        has_lidars: whether any agent is meant to send what its LiDAR measures.
+        mounts: by agent x, y and yaw (3,) of the roadside units' mounts, map frame.
+    """
+    mounts = mounts or {}
+    roadway = Roadway.of(road_map, margin_m=config.geofence.margin_m)
+    lanes = LaneIndex(road_map)
+    place = Place(roadway, config.geofence)
+    check = [Check(road_map, roadway, config.misbehaviour, mounts)]
+    return [
+        Decode(),
+        place if config.merge == "se3" else PlaceByReference(place),
+        *(check if config.misbehaviour.enabled else []),
+        Merge(),
+        Detect(detector(config, roadway), seed),
+        Fuse(lanes, config, np.array(road_map.centre)),
+        Count(road_map, lanes, config, mounts, has_lidars=has_lidars),
+    ]
+
+
+class Merge(FrameStage):
+    """Brings all chunks together, those with ground in them and those without apart."""
+
+    name = "merge"
+
+    def run(self, state: FrameState) -> None:
+        """See `FrameStage.run`."""
+        near, bare = (
+            [c.placed for c in state.frame.chunks if c.placed and c.ground_free is is_bare]
+            for is_bare in (False, True)
         )
-        fence = self._config.geofence
-        return self._roadway.place(
-            chunk.points, map_SE3_sensor, below_m=fence.below_m, above_m=fence.above_m
+        state.cloud = Cloud(near, bare, sensor_places(state.frame.chunks))
+
+
+class Detect(FrameStage):
+    """Finds vehicles in the cloud; a detector divides this stage into parts that it names."""
+
+    name = "detect"
+
+    def __init__(self, detector: Detector, seed: int) -> None:
+        self._detector = detector
+        self._seed = [seed, zlib.crc32(b"ground")]
+
+    def run(self, state: FrameState) -> None:
+        """See `FrameStage.run`."""
+        rng = np.random.default_rng([*self._seed, state.frame.frame])
+        state.found = self._detector.detect(state.cloud, rng, state.timed)
+
+
+class Fuse(FrameStage):
+    """Joins detections of the cloud, of agents, and agents' poses; keeps vehicles on the road."""
+
+    name = "fuse"
+
+    def __init__(self, lanes: LaneIndex, config: EdgeConfig, centre: Floats) -> None:
+        self._lanes = lanes
+        self._config = config
+        self._centre = centre
+
+    def run(self, state: FrameState) -> None:
+        """See `FrameStage.run`."""
+        config, found = self._config, state.found
+        for objects in (one.objects for one in state.frame.found):
+            found += Vehicles.from_lidar(
+                objects.boxes.astype(np.float64), objects.scores.astype(np.float64)
+            )
+        vehicles = fuse(found, state.frame.poses, centre=self._centre, config=config.fusion)
+        positions = self._lanes.locate(
+            vehicles.boxes, margin_m=config.geofence.margin_m + vehicles.position_std_m
         )
+        on_road = positions.lane >= 0
+        state.vehicles, state.positions = vehicles.take(on_road), positions.take(on_road)
 
-    def _judged(self, frame: Frame) -> Judged:
-        """Returns the frame with its pieces placed, without the agents that are not believed."""
-        reference = _reference(frame)
-        chunks = [replace(chunk, placed=self.place(chunk, reference)) for chunk in frame.chunks]
-        frame = replace(frame, chunks=chunks)
-        if self._plausibility is None:
-            return Judged(frame, Counter(), [])
-        return self._plausibility.judge(frame)
 
-    def _detections(self, frame: Frame, vehicles: Vehicles, place: LanePositions) -> Detections:
+class Count(FrameStage):
+    """Counts vehicles and queues per lane, says what sensors cover; remembers recent positions."""
+
+    name = "count"
+
+    def __init__(
+        self,
+        road_map: RoadMap,
+        lanes: LaneIndex,
+        config: EdgeConfig,
+        mounts: Mapping[str, Floats],
+        *,
+        has_lidars: bool,
+    ) -> None:
+        self._tls = road_map.signal.tls
+        self._lanes = lanes
+        self._config = config
+        self._mounts = mounts
+        self._has_lidars = has_lidars
+        self._coverage = LaneCoverage(
+            road_map, lanes, upstream_m=config.upstream_m, downstream_m=config.downstream_m
+        )
+        self._stationary = StationaryVehicles(config.stationary_mps)
+
+    def run(self, state: FrameState) -> None:
+        """See `FrameStage.run`."""
+        state.detections = self._detections(state)
+        state.counts = self._counts(state)
+
+    def _detections(self, state: FrameState) -> Detections:
+        frame, vehicles = state.frame, state.vehicles
         return Detections(
             frame=frame.frame,
             sim_time_ns=frame.sim_time_ns,
             agents=frame.agents,
             boxes=vehicles.boxes.astype(np.float32),
             scores=vehicles.scores.astype(np.float32),
-            lanes=self._lanes.names(place),
-            distances_m=self._lanes.distances_m(place).astype(np.float32),
+            lanes=self._lanes.names(state.positions),
+            distances_m=self._lanes.distances_m(state.positions).astype(np.float32),
             sources=vehicles.sources,
         )
 
-    def _counts(self, frame: Frame, place: LanePositions, queued: LanePositions) -> LaneCounts:
-        reach = self._config.upstream_m, self._config.downstream_m
+    def _counts(self, state: FrameState) -> LaneCounts:
+        frame, config = state.frame, self._config
+        stationary = self._stationary.mark(frame.sim_time_ns, state.vehicles.boxes[:, :2])
         (upstream, downstream), (queued_upstream, queued_downstream) = (
-            self._lanes.count(part, upstream_m=reach[0], downstream_m=reach[1])
-            for part in (place, queued)
+            self._lanes.count(part, upstream_m=config.upstream_m, downstream_m=config.downstream_m)
+            for part in (state.positions, state.positions.take(stationary))
         )
-        seen_upstream, seen_downstream = self._seen(frame)
+        coverage_upstream, coverage_downstream = self._covered(frame)
         return LaneCounts(
             frame=frame.frame,
             sim_time_ns=frame.sim_time_ns,
-            tls=self._map.signal.tls,
+            tls=self._tls,
             agents=frame.agents,
             complete=frame.complete,
             upstream=upstream,
             downstream=downstream,
             queued_upstream=queued_upstream,
             queued_downstream=queued_downstream,
-            seen_upstream=seen_upstream,
-            seen_downstream=seen_downstream,
+            coverage_upstream=coverage_upstream,
+            coverage_downstream=coverage_downstream,
             delay_sim_ns=frame.delay_sim_ns,
         )
 
-    def _seen(self, frame: Frame) -> tuple[CoverageShares, CoverageShares]:
-        """Returns what of each lane was within sight of those whose scan or boxes came.
+    def _covered(self, frame: Frame) -> tuple[CoverageShares, CoverageShares]:
+        """Returns how much of each lane was covered by sensors whose scan or boxes arrived.
 
-        Where there are LiDARs, a frame to which none contributed is one that nobody sees. Where
-        there are none, vehicles report themselves alone: then sight means nothing.
+        Where there are LiDARs, a frame to which none contributed covers nothing. Where there are
+        none, vehicles report themselves alone, and coverage means nothing.
         """
         if not self._has_lidars:
             return {}, {}
-        seeing = [chunk for chunk in frame.chunks if not chunk.is_undecodable]
-        places_m = np.concatenate([_sensors(seeing)[:, :2], self._finders(frame)])
-        return self._sight.shares(places_m, self._config.sight_m)
+        scans = sensor_places([chunk for chunk in frame.chunks if not chunk.is_undecodable])
+        places_m = np.concatenate([scans[:, :2], self._detecting_agents(frame)])
+        return self._coverage.shares(places_m, self._config.coverage_range_m)
 
-    def _finders(self, frame: Frame) -> Floats:
-        """Returns where those (N, 2) stand who sent boxes, as far as that is known."""
-        places = {name: place[:2] for name, place in self._posts.items()}
+    def _detecting_agents(self, frame: Frame) -> Floats:
+        """Returns where the agents stand (N, 2) that sent boxes, as far as that is known."""
+        places = {name: place[:2] for name, place in self._mounts.items()}
         places |= {pose.agent: pose.pose[:2] for pose in frame.poses}
         known = [places[one.agent] for one in frame.found if one.agent in places]
         return np.array(known).reshape(-1, 2)
-
-
-def _sensors(chunks: Sequence[Chunk]) -> Floats:
-    return np.array([chunk.sensor_pose[:3] for chunk in chunks]).reshape(-1, 3)
-
-
-def _reference(frame: Frame) -> Floats:
-    """Returns the pose of the paper's reference LiDAR: a roadside one, else the first."""
-    if not frame.chunks:
-        return np.zeros(6)
-    driving = {pose.agent for pose in frame.poses}
-    standing = [chunk for chunk in frame.chunks if chunk.agent not in driving]
-    return (standing or frame.chunks)[0].sensor_pose

@@ -1,24 +1,22 @@
-"""What becomes of memory that a frame no longer needs."""
+"""The edge role: subscribes to scans and poses, publishes detections, lane counts and plans.
+
+Input and output around the assembly of frames (`assembler`), the pipeline and the planner.
+"""
 
 from __future__ import annotations
 
-import ctypes
 import time
 from collections import Counter
 from dataclasses import replace
-from typing import Any
-
-import numpy as np
 
 from edge_server.assembler import MAX_OPEN_FRAMES, Assembler
-from edge_server.completion import VirtualDeadline
 from edge_server.config import EdgeConfig
 from edge_server.decoding import DecoderPool, PendingChunk
-from edge_server.frame import AgentDetections, Chunk, Frame, undecodable_scan
+from edge_server.frame import AgentDetections, Chunk, Frame, FrameState
 from edge_server.owners import AgentOwners
-from edge_server.pipeline import Pipeline, Result
+from edge_server.pipeline import Pipeline
 from edge_server.planner import Planner
-from perception.arrays import Floats
+from edge_server.scenario import expected_agents, has_lidars, mounts_of, virtual_deadline
 from protocol.errors import CodecError
 from protocol.inbox import Envelope, Presence
 from protocol.messages import (
@@ -32,30 +30,6 @@ from protocol.messages import (
     Span,
 )
 from protocol.process import Context
-from protocol.roadmap import RoadMap
-from sensing.config import Mount, UploadConfig
-from sensing.link_config import LinkConfig
-from sensing.upload_policies import policy_of
-
-# Of malloc.h: the free memory on top of the heap that goes back to the kernel, the size of what
-# gets pages of its own, and how many heaps there may be.
-_TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8
-_LARGEST_BYTES = 32 << 20  # glibc takes no more
-_KEPT_BYTES = 512 << 20
-
-
-def keep_freed_memory() -> None:
-    """Has the process keep what it frees, for the next frame, whichever thread works on it.
-
-    A frame's arrays are large enough for glibc to give them back each time; to be given the same
-    pages anew, zeroed, can take a fourth of a frame's time. Other C libraries are left as they are.
-    """
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    if mallopt is not None:
-        mallopt(_MMAP_THRESHOLD, _LARGEST_BYTES)
-        mallopt(_TRIM_THRESHOLD, _KEPT_BYTES)
-        mallopt(_ARENA_MAX, 1)
-
 
 _TOLD_BYTES = 200 << 10  # of a frame's times in one message
 _TIMES_BYTES = 200  # of one part, besides its agent's id, which stands there three times
@@ -74,12 +48,12 @@ class EdgeRole:
         self._region: str = scenario["region"]
         self._tls = context.setup.road_map.signal.tls
         road_map = context.setup.road_map
-        self._pipeline = Pipeline(
+        self._pipeline = Pipeline.of(
             road_map,
             config,
             seed=scenario["seed"],
             has_lidars=has_lidars(scenario),
-            posts=mounts_of(scenario, road_map),
+            mounts=mounts_of(scenario, road_map),
         )
         self._decoders = DecoderPool(self._pipeline.open, context.inbox.wake)
         expected = expected_agents(scenario)
@@ -88,16 +62,16 @@ class EdgeRole:
         self._lockstep = scenario["mode"] == "lockstep"
         wait_s = config.lockstep_timeout_s if self._lockstep else config.deadline_ms / 1000
         self._planner = Planner(scenario, config.plan, context.setup.road_map)
-        self._punctuality = punctuality(scenario, config)
+        self._virtual_deadline = virtual_deadline(scenario, config)
         self._covers = self._planner.covers if self._planner.ends_early else None
         self._assembler = Assembler(
             wait_ns=round(wait_s * 1e9),
             expected=expected,
-            covers=None if self._punctuality else self._covers,
+            covers=None if self._virtual_deadline else self._covers,
         )
         mounts = scenario["roadside_mounts"]
-        posts = {mount["id"]: f"infra-{n}" for n, mount in enumerate(mounts)}
-        self._owners = AgentOwners(posts, self._assembler.drops)
+        units = {mount["id"]: f"infra-{n}" for n, mount in enumerate(mounts)}
+        self._owners = AgentOwners(units, self._assembler.drops)
 
     @classmethod
     def build(cls, context: Context) -> EdgeRole:
@@ -166,9 +140,9 @@ class EdgeRole:
         if frame is not None:
             cut = self._cut(frame)
             self._publish_plans(frame, cut)
-            result = self._pipeline.run(cut)
-            self._assembler.drops.update(result.left_out)
-            self._publish(cut, result)
+            state = self._pipeline.run(cut)
+            self._assembler.drops.update(state.excluded)
+            self._publish(cut, state)
 
     def close(self) -> None:
         """Ends the threads."""
@@ -183,9 +157,9 @@ class EdgeRole:
 
     def _cut(self, frame: Frame) -> Frame:
         """Leaves out, over virtual links, what has not arrived in simulated time."""
-        if self._punctuality is None:
+        if self._virtual_deadline is None:
             return frame
-        cut, late = self._punctuality.cut(frame, self._covers)
+        cut, late = self._virtual_deadline.cut(frame, self._covers)
         self._assembler.drops["late"] += late
         return cut
 
@@ -216,7 +190,7 @@ class EdgeRole:
             chunk = pending.chunk()
         except CodecError as error:
             self._context.inbox.refuse("scan", error, f"scan of {scan.agent}")
-            chunk = undecodable_scan(scan, pending.received_ns)
+            chunk = Chunk.undecodable(scan, pending.received_ns)
         except (ValueError, LookupError, TypeError) as error:
             self._context.inbox.fail("scan", error)
             self._assembler.forgo(scan)
@@ -228,70 +202,30 @@ class EdgeRole:
 
         In lockstep an agent waits for it before it begins the next frame.
         """
-        enough_sim_ns = self._punctuality.end_ns(cut) if self._punctuality else None
+        enough_sim_ns = self._virtual_deadline.end_ns(cut) if self._virtual_deadline else None
         for plan in self._planner.plans(frame, enough_sim_ns):
             self._context.v2x.publish("plan", plan, region=self._region, agent=plan.agent)
 
-    def _publish(self, frame: Frame, result: Result) -> None:
+    def _publish(self, frame: Frame, state: FrameState) -> None:
         bus = self._context.v2x
-        bus.publish("lanes", result.counts, region=self._region, tls=self._tls)
-        bus.publish("detections", result.detections, region=self._region)
-        told = _told(frame)
-        self._assembler.drops["untold"] += len(frame.chunks) - len(told.chunks)
+        bus.publish("lanes", state.counts, region=self._region, tls=self._tls)
+        bus.publish("detections", state.detections, region=self._region)
+        published = _within_message(frame)
+        self._assembler.drops["untold"] += len(frame.chunks) - len(published.chunks)
         metrics = Metrics(
             process=self._context.id,
             frame=frame.frame,
             sim_time_ns=frame.sim_time_ns,
-            spans=_waits(told) + result.spans,
-            arrivals=_arrivals(told),
-            points=result.points,
-            doubts=result.doubts,
+            spans=_waits(published) + state.spans,
+            arrivals=_arrivals(published),
+            points=state.points,
+            scores=state.scores,
             drops=dict(+(Counter(self._context.inbox.drops) + self._assembler.drops)),
         )
         self._context.world.publish("metrics", metrics, process=self._context.id)
 
 
-def expected_agents(scenario: dict[str, Any]) -> dict[str, str]:
-    """Returns the agent processes that a scenario starts with, and their roles."""
-    vehicles = scenario["processes"]["vehicle"]
-    posts = len(scenario["roadside_mounts"])
-    return {f"vehicle-{n}": "vehicle" for n in range(vehicles)} | {
-        f"infra-{n}": "infra" for n in range(posts)
-    }
-
-
-def has_lidars(scenario: dict[str, Any]) -> bool:
-    """Whether agents with a LiDAR belong to a scenario, be they there yet, that send what they see.
-
-    The scenario says so, not what came: what never arrives must not pass for what does not exist.
-    """
-    upload = UploadConfig.model_validate(scenario.get("upload", {}))
-    is_there = {
-        "roadside": bool(scenario["roadside_mounts"]),
-        "vehicle": bool(scenario.get("recording")) or scenario["traffic"]["cav_rate"] > 0,
-    }
-    return any(
-        is_there[kind] and policy_of(upload.of(kind).policy).sends != "nothing"
-        for kind in ("roadside", "vehicle")
-    )
-
-
-def mounts_of(scenario: dict[str, Any], road_map: RoadMap) -> dict[str, Floats]:
-    """Returns by agent x, y and yaw (3,) of the posts in the scenario, in the map frame."""
-    mounts = [Mount.model_validate(mount) for mount in scenario["roadside_mounts"]]
-    x_m, y_m = road_map.centre[:2]
-    return {m.id: np.array([x_m + m.x_m, y_m + m.y_m, np.radians(m.yaw_deg)]) for m in mounts}
-
-
-def punctuality(scenario: dict[str, Any], config: EdgeConfig) -> VirtualDeadline | None:
-    """Returns the rule by which virtual links drop what is late; None where links are real."""
-    link = LinkConfig.of(scenario)
-    if link.channel(scenario["mode"]) != "virtual":
-        return None
-    return VirtualDeadline(round(config.deadline_ms * 1e6), round(link.edge_compute_ms * 1e6))
-
-
-def _told(frame: Frame) -> Frame:
+def _within_message(frame: Frame) -> Frame:
     """Returns the frame with so many of its parts as have room in one message."""
     left = _TOLD_BYTES
     chunks, found = list[Chunk](), list[AgentDetections]()
@@ -305,7 +239,7 @@ def _told(frame: Frame) -> Frame:
 
 
 def _arrivals(frame: Frame) -> list[Arrival]:
-    chunks = [(p.agent, p.index, p.received_ns, p.decode_end_ns) for p in frame.chunks]
+    chunks = [(p.agent, p.index, p.received_ns, p.decoded_ns) for p in frame.chunks]
     boxes = [(one.agent, 0, one.received_ns, one.received_ns) for one in frame.found]
     return [
         Arrival(agent=agent, chunk=chunk, received_ns=received_ns, decoded_ns=decoded_ns)
@@ -314,12 +248,6 @@ def _arrivals(frame: Frame) -> list[Arrival]:
 
 
 def _waits(frame: Frame) -> list[Span]:
-    spans = [Span(stage="wait", start_ns=frame.first_ns, end_ns=frame.ready_ns)]
-    for chunk in frame.chunks:
-        done_ns, agent = chunk.decode_end_ns, chunk.agent
-        spans.append(
-            Span(stage="decode", agent=agent, start_ns=chunk.decode_start_ns, end_ns=done_ns)
-        )
-        if chunk.placed is not None:
-            spans.append(Span(stage="place", agent=agent, start_ns=done_ns, end_ns=chunk.placed_ns))
-    return spans
+    """Returns how long the frame was waited for, and the stages of its chunks."""
+    wait = Span(stage="wait", start_ns=frame.first_ns, end_ns=frame.ready_ns)
+    return [wait, *(span for chunk in frame.chunks for span in chunk.spans)]

@@ -23,7 +23,7 @@ from recorder.tables import AccountRow
 
 LONGEST_NS = 60_000_000_000
 SENDER_STAGES = ("sense", "select", "encode", "send")
-EDGE_STAGES = ("merge", "ground", "detect", "fuse", "count")
+EDGE_STAGES = ("check", "merge", "ground", "detect", "fuse", "count")
 HERE = (0, 0)
 
 

@@ -161,7 +161,7 @@ class RecordRole:
             took_ns = note.end_to_end_ns(self._clocks)
             self._glance.end_to_end_ns = took_ns or self._glance.end_to_end_ns
         self._database.add(tables.StageRow, rows.stage_rows(metrics))
-        self._database.add(tables.DoubtRow, rows.doubt_rows(metrics))
+        self._database.add(tables.AgentScoreRow, rows.agent_score_rows(metrics))
 
     def _on_clock(self, reading: m.ClockReading, _: int) -> None:
         if reading.process not in self._clocks and len(self._clocks) >= MAX_PROCESSES:

@@ -17,10 +17,10 @@ from protocol.messages import (
     Truth,
 )
 from recorder.tables import (
+    AgentScoreRow,
     CloudRow,
     CountRow,
     DetectionRow,
-    DoubtRow,
     PhaseRow,
     RequestRow,
     SightingRow,
@@ -115,20 +115,19 @@ def stage_rows(message: Metrics) -> Iterator[StageRow]:
     )
 
 
-def doubt_rows(message: Metrics) -> Iterator[DoubtRow]:
+def agent_score_rows(message: Metrics) -> Iterator[AgentScoreRow]:
     """Returns a row per agent that the edge told of."""
     return (
-        DoubtRow(
+        AgentScoreRow(
             message.frame,
             one.agent,
             one.score,
-            int(one.believed),
+            int(one.trusted),
             one.motion,
             one.place,
             one.ground,
-            one.mutual,
         )
-        for one in message.doubts
+        for one in message.scores
     )
 
 

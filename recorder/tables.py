@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, get_args, get_type_hints
 
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 _SQL_TYPES = {int: "INTEGER", float: "REAL", str: "TEXT", bytes: "BLOB"}
 
 
@@ -79,6 +79,7 @@ class AccountRow(NamedTuple):
     decode_ns: int
     place_ns: int
     wait_ns: int
+    check_ns: int
     merge_ns: int
     ground_ns: int
     detect_ns: int
@@ -176,8 +177,8 @@ class SightingRow(NamedTuple):
     points: str
 
 
-class DoubtRow(NamedTuple):
-    """How far the edge believed an agent; told when it changed, and while it was left out.
+class AgentScoreRow(NamedTuple):
+    """How far the edge trusts an agent; a row when it changed, and while the agent is excluded.
 
     `score` is a mean over frames; the others are of this frame alone, NULL where nothing speaks.
     """
@@ -185,11 +186,10 @@ class DoubtRow(NamedTuple):
     frame: int
     agent: str
     score: float
-    believed: int
+    trusted: int
     motion: float | None
     place: float | None
     ground: float | None
-    mutual: float | None
 
 
 class TripRow(NamedTuple):
@@ -315,7 +315,7 @@ TABLES: dict[type, Table] = {
         Table("requests", RequestRow, 2, is_result=True),
         Table("truth", TruthRow, 2, is_result=True),
         Table("sightings", SightingRow, 2, is_result=True),
-        Table("doubts", DoubtRow, 2, is_result=True),
+        Table("agent_scores", AgentScoreRow, 2, is_result=True),
         Table("trips", TripRow, 1, is_result=True),
         Table("clocks", ClockRow, 1),
         Table("drops", DropRow, 2),

@@ -25,8 +25,8 @@ class SignalConfig(Section):
     unseen: Literal["alike", "empty"] = Field(
         "alike",
         description="what max_pressure assumes of the part of a lane that no LiDAR has within "
-        "sight (edge.sight_m): alike, it is as full as the rest of the lane, and of a lane that "
-        "no LiDAR covers the number is estimated; empty, as in Chen et al. 2022",
+        "range (edge.coverage_range_m): alike, it is as full as the rest of the lane, and of a "
+        "lane that no LiDAR covers the number is estimated; empty, as in Chen et al. 2022",
     )
     estimator_inflow_vph: float = Field(
         500,
@@ -48,7 +48,7 @@ class SignalConfig(Section):
     weight: Literal["vehicles", "queued"] = Field(
         "vehicles",
         description="what max_pressure counts: vehicles, as in Chen et al. 2022, or those that "
-        "stand still (edge.standing_mps); how far from the stop bar, edge.upstream_m and "
+        "stand still (edge.stationary_mps); how far from the stop bar, edge.upstream_m and "
         "edge.downstream_m say",
     )
     stale_after_s: float = Field(

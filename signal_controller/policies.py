@@ -53,8 +53,8 @@ def max_pressure(
     greens = signal.greens
     before, behind = weighted_counts(counts, weight)
     if unseen == "alike":
-        before = extrapolated(before, counts.seen_upstream)
-        behind = extrapolated(behind, counts.seen_downstream)
+        before = extrapolated(before, counts.coverage_upstream)
+        behind = extrapolated(behind, counts.coverage_downstream)
     estimated = estimated or {}
     before = {**before, **estimated}
     pressures = [pressure(signal, green, before, behind) for green in greens]

@@ -81,8 +81,8 @@ class QueueEstimator:
         """Takes a frame's counts, with the signal state of that time as the clock; once a frame."""
         passed_ns = self._passed_ns(shown)
         before, _ = weighted_counts(counts, self._config.weight)
-        uncovered = set(uncovered_lanes(self._lanes, counts.seen_upstream))
-        known = extrapolated(before, counts.seen_upstream)
+        uncovered = set(uncovered_lanes(self._lanes, counts.coverage_upstream))
+        known = extrapolated(before, counts.coverage_upstream)
         for name, lane in self._lanes.items():
             count = known.get(name, 0)
             if name in uncovered:

@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 
 from edge_server.config import EdgeConfig
-from edge_server.decoding import DecoderPool
+from edge_server.decoding import DecoderPool, keep_freed_memory
 from edge_server.frame import Frame
 from edge_server.pipeline import Pipeline
-from edge_server.role import keep_freed_memory
 from perception.config import DetectionConfig, DetectorName
 from perception.detector import Detector
 from perception.registry import detector_of
@@ -44,7 +43,7 @@ from studies.bench_traffic import (
 TOTAL = "total"
 MOST_AGENTS = 16
 WARM_UP = 3  # frames: loops are read from their cache, buffers grow
-STAGES = ("decode", "place", "merge", "ground", "detect", "fuse", "count", TOTAL)
+STAGES = ("decode", "place", "check", "merge", "ground", "detect", "fuse", "count", TOTAL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +121,7 @@ def _measure(traffic: Path, detector: str, agents: int) -> list[EdgeRow]:
         setup = build_setup({}, Path(scratch))
     road_map = setup.road_map
     config = EdgeConfig.model_validate({"detector": detector})
-    pipeline = Pipeline(road_map, config, seed=SEED, detector=_detector_of)
+    pipeline = Pipeline.of(road_map, config, seed=SEED, detector=_detector_of)
     pool = DecoderPool(pipeline.open)
     recording = Recording(traffic)
     chosen = [POST, *(name for name in recording.agents if name != POST)][:agents]
@@ -186,9 +185,8 @@ def _run(
         first_ns=0,
         ready_ns=0,
     )
-    result = pipeline.run(frame)
+    state = pipeline.run(frame)
     spent = {TOTAL: (time.monotonic_ns() - begin_ns) / 1e6}
-    spent["decode"] = sum(p.decode_end_ns - p.decode_start_ns for p in chunks) / 1e6
-    spent["place"] = sum(p.placed_ns - p.decode_end_ns for p in chunks if p.placed) / 1e6
-    spent |= {span.stage: (span.end_ns - span.start_ns) / 1e6 for span in result.spans}
-    return spent, result.points
+    for span in [*(span for chunk in chunks for span in chunk.spans), *state.spans]:
+        spent[span.stage] = spent.get(span.stage, 0.0) + (span.end_ns - span.start_ns) / 1e6
+    return spent, state.points

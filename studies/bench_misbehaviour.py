@@ -1,7 +1,7 @@
-"""How well the edge tells honest agents from others: false alarms, and how soon it is right.
+"""Bench of misbehaviour detection: attacks detected, time until then, false alarms; and its table.
 
-Honest runs are recorded once, scan by scan; then one agent after the other is made to say what is
-not so, all others staying as they were.
+Honest runs are recorded once, scan by scan; then one agent after the other is made to send false
+data, all others staying as they were.
 """
 
 from __future__ import annotations
@@ -13,13 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
 
 from edge_server.config import EdgeConfig
-from edge_server.frame import Frame
-from edge_server.misbehaviour import Plausibility
-from edge_server.role import mounts_of
+from edge_server.frame import Chunk, Frame, FrameState
+from edge_server.misbehaviour import Check
+from edge_server.placing import Place
+from edge_server.scenario import mounts_of
 from perception.roadway import Roadway
-from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 from recorder.run import Run
 from studies.attacks import (
@@ -33,6 +36,7 @@ from studies.attacks import (
 )
 from studies.in_process import run_in_process
 from studies.playback import frames_of
+from studies.whole_table import print_whole
 
 HONEST = "none"
 WINDOW_S = 6.0  # of an attack
@@ -45,11 +49,11 @@ Attacks = dict[str, Callable[[int], Attack]]
 
 
 @dataclass(frozen=True, slots=True)
-class PlausibilityRow:
-    """An attack, at a share of CAVs: how often it was found out, and after how long (median).
+class MisbehaviourRow:
+    """An attack, at a share of CAVs: how often it was detected, and after how long (median).
 
-    `others_s` is for how long honest agents were left out meanwhile; `hours` is how many agents
-    were watched for how long, together.
+    `others_s` is for how long honest agents were excluded meanwhile; `hours` is the time for which
+    agents were checked, of all together.
     """
 
     cav_rate: float
@@ -90,7 +94,7 @@ def _displaced(keys: dict[str, Any]) -> Callable[[int], Attack]:
     return lambda _: Displaced(**keys)
 
 
-class Stage:
+class RecordedRun:
     """A run's frames, thinned, on which attacks are tried."""
 
     def __init__(self, run_dir: Path) -> None:
@@ -102,20 +106,21 @@ class Stage:
         with Run(run_dir) as run:
             scenario, self.road_map = run.scenario, run.setup.road_map
         self._config = EdgeConfig.model_validate(scenario["edge"])
-        self._posts = mounts_of(scenario, self.road_map)
+        self._mounts = mounts_of(scenario, self.road_map)
         self._roadway = Roadway.of(self.road_map, margin_m=self._config.geofence.margin_m)
+        self._place = Place(self._roadway, self._config.geofence)
         self.cav_rate = float(scenario["traffic"]["cav_rate"])
         self.period_s = float(scenario["frame_period_s"])
         self.frames = [_thinned(frame) for frame in frames_of(run_dir)]
 
-    def honest(self) -> PlausibilityRow:
+    def honest(self) -> MisbehaviourRow:
         """Judges all frames as they were."""
         out = sum(len(lost) for _, lost in self._judge(self.frames, None, ""))
         spoken = sum(len(frame.agents) for frame in self.frames)
         hours = spoken * self.period_s / 3600
-        return PlausibilityRow(self.cav_rate, HONEST, 0, 0, None, out * self.period_s, hours)
+        return MisbehaviourRow(self.cav_rate, HONEST, 0, 0, None, out * self.period_s, hours)
 
-    def tried(self, name: str, make: Callable[[int], Attack]) -> PlausibilityRow:
+    def tried(self, name: str, make: Callable[[int], Attack]) -> MisbehaviourRow:
         """Tries an attack by one agent after the other."""
         seen, window = self._victims(name), round(WINDOW_S / self.period_s)
         after_s, others, spoken = [], 0, 0
@@ -135,50 +140,44 @@ class Stage:
         middle = float(np.median(after_s)) if after_s else None
         hours = spoken * self.period_s / 3600
         lost_s = others * self.period_s
-        return PlausibilityRow(self.cav_rate, name, len(seen), len(after_s), middle, lost_s, hours)
+        return MisbehaviourRow(self.cav_rate, name, len(seen), len(after_s), middle, lost_s, hours)
 
     def _judge(
         self, frames: Sequence[Frame], attack: Attack | None, victim: str
     ) -> Iterator[tuple[int, set[str]]]:
-        """Yields each frame's number and who was left out of it."""
-        edge = Plausibility(self.road_map, self._roadway, self._config.plausibility, self._posts)
+        """Yields each frame's number and the agents excluded from it."""
+        check = Check(self.road_map, self._roadway, self._config.misbehaviour, self._mounts)
         for honest in frames:
             frame = self._placed(honest)
             if attack is not None:
                 frame = self._placed(attack.apply(frame, victim))
-            judged = edge.judge(frame)
-            yield frame.frame, set(frame.agents) - set(judged.frame.agents)
+            state = FrameState(frame)
+            check.run(state)
+            yield frame.frame, set(frame.agents) - set(state.frame.agents)
 
     def _victims(self, name: str) -> list[tuple[str, int]]:
         """Returns agents that scan all through a window, and the first frame of it."""
         if "ghost" in name:
-            chosen = sorted(self._posts)
+            chosen = sorted(self._mounts)
             starts = np.linspace(0, len(self.frames) - 1, 5).astype(int)[:-1]
             return [(post, int(start)) for post in chosen for start in starts]
         need = round((WINDOW_S + WAIT_S) / self.period_s)
         need += round(REPLAY_S / self.period_s) if "ago" in name else 0
         present: dict[str, list[int]] = {}
         for frame in self.frames:
-            for agent in {chunk.agent for chunk in frame.chunks} - self._posts.keys():
+            for agent in {chunk.agent for chunk in frame.chunks} - self._mounts.keys():
                 present.setdefault(agent, []).append(frame.frame)
         fit = [(agent, at) for agent, at in sorted(present.items()) if len(at) >= need]
         every = max(-(-len(fit) // MOST_VICTIMS), 1)
         return [(agent, at[(len(at) - need) // 2]) for agent, at in fit[::every]]
 
     def _placed(self, frame: Frame) -> Frame:
-        fence = self._config.geofence
-        chunks = []
-        for chunk in frame.chunks:
-            if chunk.placed is None:
-                placed = self._roadway.place(
-                    chunk.points,
-                    SE3.from_pose(chunk.sensor_pose),
-                    below_m=fence.below_m,
-                    above_m=fence.above_m,
-                )
-                chunk = replace(chunk, placed=placed)
-            chunks.append(chunk)
+        chunks = [c if c.placed is not None else self._placed_chunk(c) for c in frame.chunks]
         return replace(frame, chunks=chunks)
+
+    def _placed_chunk(self, chunk: Chunk) -> Chunk:
+        """Places a chunk but keeps its points in the sensor frame: an attack may move them."""
+        return replace(self._place.run(chunk), points=chunk.points)
 
 
 def _thinned(frame: Frame) -> Frame:
@@ -187,7 +186,7 @@ def _thinned(frame: Frame) -> Frame:
     return replace(frame, chunks=chunks)
 
 
-def measure_plausibility(scenarios: Sequence[dict[str, Any]]) -> Iterator[PlausibilityRow]:
+def measure_misbehaviour(scenarios: Sequence[dict[str, Any]]) -> Iterator[MisbehaviourRow]:
     """Yields the rows of each scenario, honest agents first; scenarios keep every scan.
 
     Raises:
@@ -199,13 +198,37 @@ def measure_plausibility(scenarios: Sequence[dict[str, Any]]) -> Iterator[Plausi
             yield from measure_run(Path(name))
 
 
-def measure_run(run_dir: Path) -> Iterator[PlausibilityRow]:
+def measure_run(run_dir: Path) -> Iterator[MisbehaviourRow]:
     """Yields the rows of a run that kept every scan.
 
     Raises:
         ConfigError: the folder is no run.
     """
-    stage = Stage(run_dir)
-    yield stage.honest()
-    for name, make in attacks_on(stage.road_map, stage.period_s).items():
-        yield stage.tried(name, make)
+    run = RecordedRun(run_dir)
+    yield run.honest()
+    for name, make in attacks_on(run.road_map, run.period_s).items():
+        yield run.tried(name, make)
+
+
+def print_misbehaviour(rows: list[MisbehaviourRow], console: Console) -> None:
+    """Prints a line for each attack at each share of CAVs; honest agents first."""
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column("what an agent sends", no_wrap=True)
+    for head in ("CAVs", "tried", "detected", "after s", "others excluded, s", "agent-hours"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for row in rows:
+        is_honest = row.attack == HONEST
+        table.add_row(
+            "the truth" if is_honest else row.attack,
+            f"{row.cav_rate:g}",
+            "" if is_honest else str(row.tried),
+            "" if is_honest else str(row.found),
+            "" if row.after_s is None else f"{row.after_s:.1f}",
+            f"{row.others_s:.1f}",
+            f"{row.hours:.3f}",
+        )
+    print_whole(table, console)
+    console.print(
+        "detected: excluded within 6 s, after so long (median); others: honest agents, summed",
+        style="dim",
+    )

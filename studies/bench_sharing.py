@@ -59,7 +59,7 @@ class _Sharing:
         self._post = post_pose(setup.road_map, Terrain(setup.road_map, SceneConfig(), SEED))
         self._setup = setup
         self._pipelines = {  # each vehicle's own: it remembers whom it trusts
-            agent: Pipeline(setup.road_map, EdgeConfig(), seed=SEED)
+            agent: Pipeline.of(setup.road_map, EdgeConfig(), seed=SEED)
             for agent in self._recording.agents
             if agent != POST
         }

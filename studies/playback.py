@@ -78,8 +78,6 @@ def _piece(scenario: dict[str, Any], row: CloudRow) -> Chunk:
         sensor_pose=np.array(row[4:10]),
         points=np.ascontiguousarray(points, np.float32),
         received_ns=0,
-        decode_start_ns=0,
-        decode_end_ns=0,
         ground_free="foreground" in filters,
         returns=len(points),
     )

@@ -20,7 +20,6 @@ from rich.table import Table
 from protocol.errors import ConfigError
 from recorder.run import Run
 from recorder.tables import DropRow
-from studies.doubted import doubted
 from studies.ecvpr import score
 from studies.latency import STAGES, clock_error_ms, latencies
 from studies.uplink import by_agent, total_mbps
@@ -32,7 +31,10 @@ _VEHICLES = """
            (SELECT count(*) FROM (SELECT vehicle FROM trips UNION SELECT vehicle FROM truth)),
            count(arrive_s), total(teleported) FROM trips
 """
-
+_AGENT_SCORES = """
+    SELECT agent, min(score), total(trusted = 0) FROM agent_scores GROUP BY agent
+    ORDER BY total(trusted = 0) DESC, min(score), agent
+"""
 _GREENS = "SELECT tls, state FROM phases WHERE stage = 'green' ORDER BY tls, frame"
 
 
@@ -52,7 +54,7 @@ def summarise(run_dir: Path) -> Summary:
             "ended": run.meta.get("end_reason"),
             **_pace(run, period_s),
             "agents": by_agent(run, period_s),
-            "doubted": doubted(run),
+            "scores": agent_scores(run),
             "uplink_mbps": total_mbps(run, period_s),
             "latency_ms": latencies(run),
             "clock_error_ms": clock_error_ms(run),
@@ -151,7 +153,7 @@ def print_report(summary: Summary, console: Console) -> None:
     console.print(Columns([_result_table(summary), _latency_table(summary)]))
     if summary["clock_error_ms"]:
         console.print(f"latencies between machines: ± {summary['clock_error_ms']:.2f} ms")
-    if summary["agents"] or summary["doubted"]:
+    if summary["agents"] or summary["scores"]:
         console.print(_agent_table(summary))
     if summary["drops"]:
         console.print(_drop_table(summary))
@@ -213,7 +215,7 @@ def _latency_table(summary: Summary) -> Table:
 
 def _agent_table(summary: Summary) -> Table:
     table = _numeric("agent", "frames", "points", "kB/frame", "Mbit/s", "by TCP", "score")
-    doubted = summary["doubted"]
+    scores = summary["scores"]
     agents = sorted(summary["agents"].items(), key=lambda item: (-item[1]["frames"], item[0]))
     for agent, figures in agents[:_MAX_AGENTS]:
         table.add_row(
@@ -223,25 +225,35 @@ def _agent_table(summary: Summary) -> Table:
             _number(figures["bytes_per_frame"] / 1e3, 1),
             _number(figures["mbps"], 2),
             _number(figures["wire_mbps"], 2),
-            _score_text(doubted.get(agent)),
+            _score_text(scores.get(agent)),
         )
     if len(agents) > _MAX_AGENTS:
         rest = agents[_MAX_AGENTS:]
         table.add_row(f"and {len(rest)} more", str(sum(a["frames"] for _, a in rest)))
-    for agent in [name for name in doubted if name not in summary["agents"]][:_MAX_AGENTS]:
-        table.add_row(escape(agent), "", "", "", "", "", _score_text(doubted[agent]))
+    for agent in [name for name in scores if name not in summary["agents"]][:_MAX_AGENTS]:
+        table.add_row(escape(agent), "", "", "", "", "", _score_text(scores[agent]))
     total = summary["uplink_mbps"]
     table.add_row("all together", "", "", "mean", _number(total["mean"], 2), style="bold")
     table.add_row("", "", "", "peak", _number(total["peak"], 2), style="bold")
     return table
 
 
-def _score_text(doubt: dict[str, float] | None) -> str:
-    """Returns the least score that an agent had, and in how many frames it was left out."""
-    if doubt is None:
+def agent_scores(run: Run) -> dict[str, dict[str, float]]:
+    """Returns by agent its least score and the number of frames it was excluded from, worst first.
+
+    Agents that were fully trusted all along are not among them.
+    """
+    return {
+        agent: {"least_score": score, "frames_excluded": int(frames)}
+        for agent, score, frames in run.query(_AGENT_SCORES)
+    }
+
+
+def _score_text(found: dict[str, float] | None) -> str:
+    if found is None:
         return "1.00"
-    out = doubt["frames_left_out"]
-    return f"{doubt['least_score']:.2f}" + (f", {out} out" if out else "")
+    out = found["frames_excluded"]
+    return f"{found['least_score']:.2f}" + (f", {out} excluded" if out else "")
 
 
 def _drop_table(summary: Summary) -> Table:

@@ -122,7 +122,7 @@ EXAMPLES: list[m.Message] = [
         sim_time_ns=1,
         spans=[m.Span(stage="merge", start_ns=1, end_ns=2)],
         arrivals=[m.Arrival(agent="a", chunk=0, received_ns=1, decoded_ns=2)],
-        doubts=[m.Doubt(agent="a", score=0.35, believed=False, motion=0, place=1, ground=None)],
+        scores=[m.AgentScore(agent="a", score=0.35, trusted=False, motion=0, place=1, ground=None)],
     ),
     m.Progress(
         frame=1,

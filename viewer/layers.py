@@ -100,8 +100,8 @@ def lane_counts(message: LaneCounts, places_of: Mapping[tuple[str, str], Floats]
     """
     places, texts, colours = [], [], []
     sides = (
-        ("upstream", message.upstream, message.seen_upstream, palette.TEXT),
-        ("downstream", message.downstream, message.seen_downstream, palette.FAINT),
+        ("upstream", message.upstream, message.coverage_upstream, palette.TEXT),
+        ("downstream", message.downstream, message.coverage_downstream, palette.FAINT),
     )
     for side, counts, seen, colour in sides:
         for name, count in counts.items():

@@ -19,7 +19,7 @@ GROUPS = {
     "link": ("link",),
     "decode": ("decode", "place"),
     "wait": ("wait",),
-    "ground": ("merge", "ground"),
+    "ground": ("check", "merge", "ground"),
     "detect": ("detect",),
     "fuse to signal": ("fuse", "count", "decide", "actuate"),
     "other": ("other",),

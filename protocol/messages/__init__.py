@@ -10,7 +10,15 @@ at `NEVER_NS` was taken off the link before it left.
 """
 
 from protocol.messages.fields import MAX_DELAY_NS, MAX_ITEMS, NEVER_NS, Equipment, Message, Part
-from protocol.messages.metrics import Arrival, Doubt, Metrics, Progress, Span, Upload, WireCount
+from protocol.messages.metrics import (
+    AgentScore,
+    Arrival,
+    Metrics,
+    Progress,
+    Span,
+    Upload,
+    WireCount,
+)
 from protocol.messages.v2x import (
     AgentPose,
     Detections,
@@ -42,10 +50,10 @@ __all__ = [
     "MESSAGES",
     "NEVER_NS",
     "AgentPose",
+    "AgentScore",
     "Arrival",
     "ClockReading",
     "Detections",
-    "Doubt",
     "End",
     "Equipment",
     "LaneCounts",

@@ -75,26 +75,25 @@ class Arrival(Part):
 Score = Annotated[float, Field(ge=0, le=1)]
 
 
-class Doubt(Part):
-    """How far the edge believes an agent, 0 to 1; if it does not, the frame is without it.
+class AgentScore(Part):
+    """How far the edge trusts an agent, 0 to 1; one that is not trusted is excluded from the frame.
 
-    Of this frame alone: its motion, its place on the road, the ground in its cloud, and what
-    others see of the same places; None where nothing speaks for it or against it.
+    Of this frame alone: its motion, its place on the road, the ground in its cloud; None where
+    nothing speaks for it or against it.
     """
 
     agent: Id
     score: Score
-    believed: bool
+    trusted: bool
     motion: Score | None = None
     place: Score | None = None
     ground: Score | None = None
-    mutual: Score | None = None
 
 
 class Metrics(Message):
     """What one process did in one frame. `drops` counts since its start, by reason.
 
-    `doubts` tells of agents that are left out, and of those whose score has changed.
+    `scores` are of agents that are excluded, and of those whose score has changed.
 
     `wire` settles earlier frames: only when the next upload begins has TCP sent all of the last.
     """
@@ -107,7 +106,7 @@ class Metrics(Message):
     uploads: Annotated[list[Upload], *BOUNDED] = Field([])
     wire: Annotated[list[WireCount], *BOUNDED] = Field([])
     arrivals: Annotated[list[Arrival], *BOUNDED] = Field([])
-    doubts: Annotated[list[Doubt], *BOUNDED] = Field([])
+    scores: Annotated[list[AgentScore], *BOUNDED] = Field([])
     points: Count = 0
     drops: Annotated[dict[Id, Total], *BOUNDED] = Field({})
 

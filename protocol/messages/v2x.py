@@ -143,9 +143,9 @@ CoverageShares = Annotated[dict[NetId, Annotated[float, Field(ge=0, le=1)]], *BO
 class LaneCounts(Message):
     """Vehicles per lane: within the reach upstream of the stop bar and downstream behind it.
 
-    Those of them that stand still are counted once more, as `queued`. `seen` is the share of a
-    lane's reach that lay within sight of a LiDAR whose scan was used, so that 0 is "nobody saw it";
-    empty where nobody can know: agents send boxes of their own, or none has a LiDAR.
+    Stationary ones are counted once more, as `queued`. `coverage` is the share of a lane's reach
+    within the range of a LiDAR whose scan was used, so that 0 is "not observed"; empty where it is
+    unknown: agents send boxes of their own, or none has a LiDAR.
     """
 
     kind: ClassVar[int] = 12
@@ -158,8 +158,8 @@ class LaneCounts(Message):
     downstream: Counts
     queued_upstream: Counts = Field({})
     queued_downstream: Counts = Field({})
-    seen_upstream: CoverageShares = Field({})
-    seen_downstream: CoverageShares = Field({})
+    coverage_upstream: CoverageShares = Field({})
+    coverage_downstream: CoverageShares = Field({})
     delay_sim_ns: DelayNs | None = None
 
 

@@ -45,7 +45,7 @@ def pose(agent: str, frame: int = 0) -> AgentPose:
 
 def chunk(agent: str, chunk: int = 0, chunks: int = 1, frame: int = 0) -> Chunk:
     points = np.zeros((10, 3), np.float32)
-    return Chunk(frame, frame * 100, agent, chunk, chunks, np.zeros(6), points, 5, 5, 6, returns=10)
+    return Chunk(frame, frame * 100, agent, chunk, chunks, np.zeros(6), points, 5, returns=10)
 
 
 def give(to: Assembler, part: Roster | AgentPose | Chunk, at_ns: int = 5) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from edge_server.decoding import PER_THREAD, DecoderPool
-from edge_server.frame import Chunk, undecodable_scan
+from edge_server.frame import Chunk
 from protocol.codec.payload import Form, Head
 from protocol.errors import CodecError
 from protocol.inbox import Inbox
@@ -61,7 +61,7 @@ def test_scans_are_opened_at_the_same_time(make: Callable[..., DecoderPool]) -> 
 
     def meet(scan: Scan, received_ns: int) -> Chunk:
         both.wait(PATIENCE_S)
-        return undecodable_scan(scan, received_ns)
+        return Chunk.undecodable(scan, received_ns)
 
     pool = make(meet)
     for agent in "ab":
@@ -78,7 +78,7 @@ def test_they_come_back_in_the_order_in_which_they_were_put(
         if scan.agent == "a":
             assert gate.wait(PATIENCE_S)
         opened.append(scan.agent)
-        return undecodable_scan(scan, received_ns)
+        return Chunk.undecodable(scan, received_ns)
 
     pool = make(first_last)
     for agent in "abc":
@@ -94,7 +94,7 @@ def test_a_scan_that_does_not_decode_harms_no_other(make: Callable[..., DecoderP
     def picky(scan: Scan, received_ns: int) -> Chunk:
         if scan.agent == "b":
             raise CodecError("no scan")
-        return undecodable_scan(scan, received_ns)
+        return Chunk.undecodable(scan, received_ns)
 
     pool = make(picky)
     for agent in "abc":
@@ -111,7 +111,7 @@ def test_who_puts_more_than_threads_can_do_waits(make: Callable[..., DecoderPool
 
     def slow(scan: Scan, received_ns: int) -> Chunk:
         assert gate.wait(PATIENCE_S)
-        return undecodable_scan(scan, received_ns)
+        return Chunk.undecodable(scan, received_ns)
 
     pool = make(slow)
     most = THREADS * PER_THREAD
@@ -127,7 +127,7 @@ def test_who_puts_more_than_threads_can_do_waits(make: Callable[..., DecoderPool
 
 
 def test_together_scans_claim_no_more_points_than_one_may(make: Callable[..., DecoderPool]) -> None:
-    pool = make(undecodable_scan)
+    pool = make(Chunk.undecodable)
     assert pool.put(scan_of("a", MAX_POINTS), 3) == []
     assert names(pool.put(scan_of("b", MAX_POINTS // 2), 3)) == ["a"]
     assert pool.put(scan_of("c", MAX_POINTS // 2), 3) == []
@@ -138,7 +138,7 @@ def test_together_scans_claim_no_more_points_than_one_may(make: Callable[..., De
 def test_what_is_no_payload_claims_nothing(
     make: Callable[..., DecoderPool], payload: bytes
 ) -> None:
-    pool = make(undecodable_scan)
+    pool = make(Chunk.undecodable)
     scan = scan_of("a").model_copy(update={"payload": np.frombuffer(payload, np.uint8)})
     for _ in range(THREADS * PER_THREAD):
         assert pool.put(scan, 3) == []
@@ -146,7 +146,7 @@ def test_what_is_no_payload_claims_nothing(
 
 def test_whoever_waits_for_messages_is_woken(make: Callable[..., DecoderPool]) -> None:
     inbox = Inbox()
-    pool = make(undecodable_scan, inbox.wake)
+    pool = make(Chunk.undecodable, inbox.wake)
     for agent in "ab":
         pool.put(scan_of(agent), 3)
         wait_until(lambda: inbox.get(PATIENCE_S) is None and len(list(pool.done())) == 1)
@@ -161,7 +161,7 @@ def test_what_nobody_has_begun_with_is_given_up_at_the_end(
     def slow(scan: Scan, received_ns: int) -> Chunk:
         begun.append(scan.agent)
         assert gate.wait(PATIENCE_S)
-        return undecodable_scan(scan, received_ns)
+        return Chunk.undecodable(scan, received_ns)
 
     pool = make(slow)
     for agent in "abcd":

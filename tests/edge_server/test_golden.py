@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from edge_server.config import EdgeConfig
-from edge_server.frame import Frame, decode_chunk
+from edge_server.frame import Frame
 from edge_server.pipeline import Pipeline
 from protocol.messages import Scan, Setup
 from protocol.wire import decode
@@ -29,10 +29,10 @@ def replay() -> list[dict[str, object]]:
     """Returns what the pipeline makes of the recorded scans, frame by frame."""
     setup = decode(SETUP.read_bytes(), Setup)
     config = EdgeConfig.model_validate(setup.scenario["edge"])
-    pipeline = Pipeline(setup.road_map, config, seed=setup.scenario["seed"])
+    pipeline = Pipeline.of(setup.road_map, config, seed=setup.scenario["seed"])
     results = []
     for number, scans in groupby(recorded(), key=lambda scan: scan.frame):
-        chunks = [decode_chunk(scan, 0) for scan in scans]
+        chunks = [pipeline.open(scan, 0) for scan in scans]
         agents = [chunk.agent for chunk in chunks]
         frame = Frame(number, 0, agents, [], chunks, complete=True, first_ns=0, ready_ns=0)
         result = pipeline.run(frame)

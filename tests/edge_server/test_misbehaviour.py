@@ -1,4 +1,4 @@
-"""What agents say is believed unless it cannot be so."""
+"""Agents are trusted unless their data cannot be so."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edge_server.config import EdgeConfig, PlausibilityConfig
-from edge_server.frame import AgentDetections, Chunk, Frame
-from edge_server.misbehaviour import MOST_DOUBTS, MOST_KNOWN, Judged, Plausibility
+from edge_server.config import EdgeConfig, MisbehaviourConfig
+from edge_server.frame import AgentDetections, Chunk, Frame, FrameState
+from edge_server.misbehaviour import MAX_PUBLISHED, MAX_REMEMBERED, Check
 from edge_server.pipeline import Pipeline
 from perception.arrays import Floats
 from perception.roadway import Roadway
@@ -19,9 +19,9 @@ from protocol.geometry import SE3
 from protocol.messages import AgentPose, Equipment, Objects
 from protocol.roadmap import RoadMap
 
-POST, POST_POSE = "rsu-0", np.array([0, 0, 3.0, 0, 0, 0.7])
+RSU, RSU_POSE = "rsu-0", np.array([0, 0, 3.0, 0, 0, 0.7])
 CARS = [(-35, 1.75), (-24, -1.75), (-12, 1.75), (14, -1.75), (24, 1.75), (35, -1.75)]
-POSTS = {POST: np.array([0, 0, 0.7])}
+MOUNTS = {RSU: np.array([0, 0, 0.7])}
 FRAMES = 40
 
 
@@ -61,7 +61,7 @@ class Scene:
             poses.append(pose_of(number, agent, said))
             chunks.append(self.chunk(number, agent, true_pose, said, 2.4))
         off = moved.get("rsu", np.zeros(6))
-        chunks.append(self.chunk(number, POST, POST_POSE, POST_POSE + off, 0.0))
+        chunks.append(self.chunk(number, RSU, RSU_POSE, RSU_POSE + off, 0.0))
         return frame_of(number, poses, chunks)
 
     def chunk(self, number: int, agent: str, true: Floats, said: Floats, up_m: float) -> Chunk:
@@ -72,12 +72,21 @@ class Scene:
     def placed(self, number: int, agent: str, sensor: Floats, points: Any) -> Chunk:
         pose = SE3.from_pose(sensor)
         placed = self.roadway.place(points, pose, below_m=2.0, above_m=5.0)
-        one = Chunk(number, number * 10**8, agent, 0, 1, sensor, points, 0, 0, 0)
+        one = Chunk(number, number * 10**8, agent, 0, 1, sensor, points, 0)
         return replace(one, placed=placed, returns=len(points))
 
-    def judge(self, frames: Sequence[Frame]) -> list[Judged]:
-        edge = Plausibility(self.road_map, self.roadway, PlausibilityConfig(), POSTS)
-        return [edge.judge(frame) for frame in frames]
+    def check(self, frames: Sequence[Frame]) -> list[FrameState]:
+        stage = self.stage()
+        return [checked(stage, frame) for frame in frames]
+
+    def stage(self) -> Check:
+        return Check(self.road_map, self.roadway, MisbehaviourConfig(), MOUNTS)
+
+
+def checked(stage: Check, frame: Frame) -> FrameState:
+    state = FrameState(frame)
+    stage.run(state)
+    return state
 
 
 def pose_of(
@@ -101,8 +110,8 @@ def frame_of(number: int, poses: list[AgentPose], chunks: list[Chunk]) -> Frame:
     return Frame(number, number * 10**8, agents, poses, chunks, True, 0, 0)
 
 
-def outcasts(frames: Sequence[Frame], judged: Sequence[Judged]) -> set[str]:
-    """Returns who was left out of the last frame, and nobody else ever was."""
+def excluded(frames: Sequence[Frame], judged: Sequence[FrameState]) -> set[str]:
+    """Returns who was excluded from the last frame, and nobody else ever was."""
     lost = [set(f.agents) - set(j.frame.agents) for f, j in zip(frames, judged, strict=True)]
     assert set().union(*lost) == lost[-1]
     return lost[-1]
@@ -113,85 +122,48 @@ def scene(road_map: RoadMap, shell: Callable[..., Any], ground: Callable[..., An
     return Scene(road_map, shell, ground)
 
 
-def test_honest_agents_are_believed_and_nothing_is_told_of_them(scene: Scene):
+def test_honest_agents_are_trusted_and_no_score_is_published(scene: Scene):
     frames = [scene.frame(number) for number in range(FRAMES)]
-    judged = scene.judge(frames)
-    assert outcasts(frames, judged) == set()
-    assert not any(one.doubts or one.left_out for one in judged)
+    judged = scene.check(frames)
+    assert excluded(frames, judged) == set()
+    assert not any(one.scores or one.excluded for one in judged)
 
 
 @pytest.mark.parametrize(
     "off",
     [
-        pytest.param((0, 3.5, 0, 0, 0, 0), id="a lane to the left"),
-        pytest.param((5, 0, 0, 0, 0, 0), id="5 m ahead"),
         pytest.param((0, 0, 1, 0, 0, 0), id="raised"),
-        pytest.param((0, 0, 0, 0.09, 0, 0), id="tilted"),
-        pytest.param((0, 0, 0, 0, 0, 0.26), id="turned"),
+        pytest.param((0, 0, 0, 0, 0.09, 0), id="pitched"),
         pytest.param((0, 12, 0, 0, 0, 0), id="off the road"),
     ],
 )
-def test_a_vehicle_in_the_wrong_place_is_left_out_and_nobody_else(
+def test_a_vehicle_in_the_wrong_place_is_excluded_and_nobody_else(
     scene: Scene, off: tuple[float, ...]
 ) -> None:
     frames = [scene.frame(number, a=np.array(off, float)) for number in range(FRAMES)]
-    judged = scene.judge(frames)
-    assert outcasts(frames, judged) == {"a"}
+    judged = scene.check(frames)
+    assert excluded(frames, judged) == {"a"}
     last = judged[-1]
     assert [pose.agent for pose in last.frame.poses] == ["b"]
     assert "a" not in {chunk.agent for chunk in last.frame.chunks}
-    assert sum(last.left_out.values()) == 1
-    assert all(reason.startswith("implausible_") for reason in last.left_out)
-    assert [(one.agent, one.believed) for one in last.doubts] == [("a", False)]
+    assert sum(last.excluded.values()) == 1
+    assert all(reason.startswith("implausible_") for reason in last.excluded)
+    assert [(one.agent, one.trusted) for one in last.scores] == [("a", False)]
 
 
-def test_a_post_that_moves_is_left_out(scene: Scene):
+def test_a_roadside_unit_that_moves_is_excluded(scene: Scene):
     off = np.array([3.0, 0, 0, 0, 0, 0])
     frames = [scene.frame(number, rsu=off * (number > 5)) for number in range(FRAMES)]
-    judged = scene.judge(frames)
-    assert POST in outcasts(frames, judged)
+    judged = scene.check(frames)
+    assert RSU in excluded(frames, judged)
 
 
-def test_a_vehicle_is_believed_again_once_it_is_right_again(scene: Scene):
-    off = np.array([0, 3.5, 0, 0, 0, 0])
+def test_a_vehicle_returns_once_its_data_are_plausible_again(scene: Scene):
+    off = np.array([0, 0, 1.0, 0, 0, 0])
     frames = [scene.frame(number, a=off * (number < 20)) for number in range(120)]
-    judged = scene.judge(frames)
+    judged = scene.check(frames)
     assert "a" not in judged[19].frame.agents
     assert "a" in judged[-1].frame.agents
-
-
-def test_word_against_word_leaves_nobody_out(scene: Scene):
-    off = np.array([5.0, 0, 0, 0, 0, 0])
-    frames = []
-    for number in range(FRAMES):
-        whole = scene.frame(number, a=off)
-        chunks = [chunk for chunk in whole.chunks if chunk.agent != POST]
-        frames.append(frame_of(number, whole.poses, chunks))
-    assert outcasts(frames, scene.judge(frames)) == set()
-
-
-@pytest.mark.parametrize("std_m", [0.05, 1.5])
-def test_a_vehicle_where_others_see_the_road_is_a_ghost(scene: Scene, std_m: float) -> None:
-    frames = []
-    for number in range(FRAMES):
-        whole = scene.frame(number)
-        place = np.array([-18.0, 1.75, 0, 0, 0, 0])
-        if std_m > 1:
-            place[:2] = (7.0, 1.75)
-        ghost = pose_of(number, "ghost", place, Equipment.CV, std_m)
-        frames.append(frame_of(number, [*whole.poses, ghost], whole.chunks))
-    assert outcasts(frames, scene.judge(frames)) == ({"ghost"} if std_m < 1 else set())
-
-
-def test_a_vehicle_with_a_radio_alone_that_is_there_is_believed(scene: Scene):
-    rng = np.random.default_rng(3)
-    frames = []
-    for number in range(FRAMES):
-        whole = scene.frame(number)
-        place = np.array([*(CARS[1] + rng.normal(0, 1.5, 2)), 0, 0, 0, 0])
-        seen = pose_of(number, "cv", place, Equipment.CV, 1.5)
-        frames.append(frame_of(number, [*whole.poses, seen], whole.chunks))
-    assert outcasts(frames, scene.judge(frames)) == set()
 
 
 def test_a_whole_scan_without_a_point_on_the_road_is_no_scan(scene: Scene):
@@ -202,23 +174,23 @@ def test_a_whole_scan_without_a_point_on_the_road_is_no_scan(scene: Scene):
             number, "a", whole.chunks[0].sensor_pose, np.zeros((0, 3), np.float32)
         )
         frames.append(frame_of(number, whole.poses, [nothing, *whole.chunks[1:]]))
-    judged = scene.judge(frames)
-    assert outcasts(frames, judged) == {"a"}
-    assert judged[-1].left_out == {"implausible_ground": 1}
+    judged = scene.check(frames)
+    assert excluded(frames, judged) == {"a"}
+    assert judged[-1].excluded == {"implausible_ground": 1}
 
 
-def test_a_scan_that_does_not_decode_is_held_against_nobody(scene: Scene):
+def test_an_undecodable_scan_lowers_no_score(scene: Scene):
     frames = []
     for number in range(FRAMES):
         whole = scene.frame(number)
         points = np.zeros((0, 3), np.float32)
-        spoilt = scene.placed(number, "a", whole.chunks[0].sensor_pose, points)
-        chunks = [replace(spoilt, is_undecodable=True), *whole.chunks[1:]]
+        undecodable = scene.placed(number, "a", whole.chunks[0].sensor_pose, points)
+        chunks = [replace(undecodable, is_undecodable=True), *whole.chunks[1:]]
         frames.append(frame_of(number, whole.poses, chunks))
-    assert outcasts(frames, scene.judge(frames)) == set()
+    assert excluded(frames, scene.check(frames)) == set()
 
 
-def test_whoever_is_not_sure_of_its_place_is_neither_confirmed_nor_contradicted(scene: Scene):
+def test_a_vehicle_with_a_poor_position_is_trusted_within_its_error(scene: Scene):
     rng = np.random.default_rng(5)
     frames = []
     for number in range(FRAMES):
@@ -226,9 +198,9 @@ def test_whoever_is_not_sure_of_its_place_is_neither_confirmed_nor_contradicted(
         whole = scene.frame(number, a=off)
         poses = [pose.model_copy(update={"position_std_m": 0.5}) for pose in whole.poses]
         frames.append(replace(whole, poses=poses))
-    judged = scene.judge(frames)
-    assert outcasts(frames, judged) == set()
-    assert not any(one.doubts for one in judged)
+    judged = scene.check(frames)
+    assert excluded(frames, judged) == set()
+    assert not any(one.scores for one in judged)
 
 
 def test_chunks_from_two_places_are_not_of_one_scan(scene: Scene):
@@ -237,35 +209,35 @@ def test_chunks_from_two_places_are_not_of_one_scan(scene: Scene):
         whole = scene.frame(number)
         other = replace(whole.chunks[0], index=1, sensor_pose=whole.chunks[0].sensor_pose + 2.0)
         frames.append(frame_of(number, whole.poses, [*whole.chunks, other]))
-    judged = scene.judge(frames)
-    assert outcasts(frames, judged) == {"a"}
-    assert judged[-1].left_out == {"implausible_motion": 1}
+    judged = scene.check(frames)
+    assert excluded(frames, judged) == {"a"}
+    assert judged[-1].excluded == {"implausible_motion": 1}
 
 
 def test_scores_do_not_depend_on_the_order_of_agents(scene: Scene):
-    off = np.array([0, 3.5, 0, 0, 0, 0])
+    off = np.array([0, 0, 1.0, 0, 0, 0])
     frames = [scene.frame(number, a=off) for number in range(12)]
     turned = [
         replace(f, agents=f.agents[::-1], poses=f.poses[::-1], chunks=f.chunks[::-1])
         for f in frames
     ]
-    for one, other in zip(scene.judge(frames), scene.judge(turned), strict=True):
-        assert one.doubts == other.doubts
+    for one, other in zip(scene.check(frames), scene.check(turned), strict=True):
+        assert one.scores == other.scores
 
 
 def test_what_is_remembered_is_bounded(scene: Scene):
-    edge = Plausibility(scene.road_map, scene.roadway, PlausibilityConfig(), POSTS)
+    stage = scene.stage()
     for number in range(20):
         place = np.array([-20.0, 0, 0, 0, 0, 0])
         poses = [pose_of(number, f"{number}-{n}", place, Equipment.CV) for n in range(100)]
-        edge.judge(frame_of(number, poses, []))
-    assert len(edge._known) == MOST_KNOWN
+        checked(stage, frame_of(number, poses, []))
+    assert len(stage._remembered) == MAX_REMEMBERED
 
 
-def test_boxes_of_an_agent_that_is_not_believed_do_not_count(road_map: RoadMap):
+def test_boxes_of_an_excluded_agent_do_not_count(road_map: RoadMap):
     boxes = np.array([[-30, -1.75, 0.75, 4.5, 1.8, 1.5, 0]], np.float32)
     counts = []
-    pipeline = Pipeline(road_map, EdgeConfig(), seed=1)
+    pipeline = Pipeline.of(road_map, EdgeConfig(), seed=1)
     for number in range(10):
         off_m = 0.0 if number == 0 else 60.0 * (number % 2)
         pose = pose_of(number, "a", np.array([-60.0 - off_m, -1.75, 0, 0, 0, 0]))
@@ -285,20 +257,20 @@ def test_boxes_of_an_agent_that_is_not_believed_do_not_count(road_map: RoadMap):
 
 
 def test_the_check_can_be_turned_off(road_map: RoadMap):
-    config = EdgeConfig(plausibility=PlausibilityConfig(enabled=False))
-    pipeline = Pipeline(road_map, config, seed=1)
+    config = EdgeConfig(misbehaviour=MisbehaviourConfig(enabled=False))
+    pipeline = Pipeline.of(road_map, config, seed=1)
     for number in range(10):
         pose = pose_of(number, "a", np.array([-60.0 * (number % 2), -1.75, 0, 0, 0, 0]))
         result = pipeline.run(frame_of(number, [pose], []))
-    assert (result.counts.agents, result.doubts) == (["a"], [])
+    assert (result.counts.agents, result.scores) == (["a"], [])
 
 
-def test_of_many_that_are_doubted_some_are_told_in_each_frame(scene: Scene):
-    edge = Plausibility(scene.road_map, scene.roadway, PlausibilityConfig(), POSTS)
+def test_of_many_low_scores_some_are_published_in_each_frame(scene: Scene):
+    stage = scene.stage()
     told = []
     for number in range(6):
         place = np.array([-20.0 + 50 * (number % 2), 0, 0, 0, 0, 0])
         poses = [pose_of(number, f"{n}", place, Equipment.CV) for n in range(300)]
-        told.append(len(edge.judge(frame_of(number, poses, [])).doubts))
+        told.append(len(checked(stage, frame_of(number, poses, [])).scores))
     assert told[0] == 0
-    assert max(told) == MOST_DOUBTS
+    assert max(told) == MAX_PUBLISHED

@@ -16,11 +16,11 @@ FAST_MPS = fastest_mps([13.9])
 
 def stand(frame: int, x_m: float, *, yaw_deg: float = 0.0, std_m: float = 0.05) -> ClaimedPose:
     pose = np.array([x_m, 0, 0, 0, 0, np.radians(yaw_deg)])
-    return ClaimedPose(frame * PERIOD_NS, pose, std_m, is_post=False)
+    return ClaimedPose(frame * PERIOD_NS, pose, std_m, is_rsu=False)
 
 
 @given(st.floats(0, 20), st.floats(0, 3), st.integers(1, 40))
-def test_whoever_drives_is_believed_also_over_gaps(
+def test_whoever_drives_is_trusted_also_over_gaps(
     speed_mps: float, std_m: float, every: int
 ) -> None:
     motion, rng = MotionCheck(), np.random.default_rng(1)
@@ -51,11 +51,11 @@ def test_nobody_turns_on_the_spot():
 
 
 @pytest.mark.parametrize(("moved_m", "score"), [(0.1, 1.0), (2.0, 0.0)])
-def test_a_post_stays_where_it_is(moved_m: float, score: float) -> None:
+def test_a_roadside_unit_stays_where_it_is(moved_m: float, score: float) -> None:
     motion = MotionCheck()
     for frame, x_m in enumerate((0.0, moved_m)):
         pose = np.array([x_m, 0, 3, 0, 0, 0])
-        result = motion.score(ClaimedPose(frame * PERIOD_NS, pose, 0.0, is_post=True), FAST_MPS)
+        result = motion.score(ClaimedPose(frame * PERIOD_NS, pose, 0.0, is_rsu=True), FAST_MPS)
     assert result == score
 
 
@@ -72,20 +72,20 @@ def test_one_odd_frame_costs_no_trust_and_one_in_four_does():
     trust = TrustScore(0.4)
     for frame in range(200):
         trust.add(0.0 if frame == 100 else 1.0)
-        assert trust.is_believed
+        assert trust.is_trusted
     for frame in range(40):
         trust.add(0.0 if frame % 4 == 0 else 1.0)
-    assert not trust.is_believed
+    assert not trust.is_trusted
 
 
 def test_trust_comes_back_slowly():
     trust = TrustScore(0.4)
     for _ in range(10):
         trust.add(0.0)
-    assert not trust.is_believed
+    assert not trust.is_trusted
     for _ in range(10):
         trust.add(1.0)
-    assert not trust.is_believed
+    assert not trust.is_trusted
     for _ in range(30):
         trust.add(1.0)
-    assert trust.is_believed
+    assert trust.is_trusted

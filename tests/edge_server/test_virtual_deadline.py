@@ -10,7 +10,7 @@ import pytest
 from edge_server.completion import VirtualDeadline
 from edge_server.config import EdgeConfig
 from edge_server.frame import Chunk, Frame
-from edge_server.role import punctuality
+from edge_server.scenario import virtual_deadline
 from protocol.messages import NEVER_NS, AgentPose, Equipment
 
 MS = 1_000_000
@@ -35,7 +35,7 @@ def pose(agent: str, after_ms: int | None) -> AgentPose:
 
 def chunk(agent: str, chunk: int, after_ms: int) -> Chunk:
     points = np.zeros((1, 3), np.float32)
-    made = Chunk(1, NOW, agent, chunk, 2, np.zeros(6), points, 5, 5, 6)
+    made = Chunk(1, NOW, agent, chunk, 2, np.zeros(6), points, 5)
     return replace(made, arrival_sim_ns=NOW + after_ms * MS)
 
 
@@ -77,7 +77,7 @@ def test_what_names_no_arrival_came_at_once() -> None:
     ],
 )
 def test_only_virtual_links_have_this_rule(mode: str, link: object, expected: object) -> None:
-    assert punctuality({"mode": mode, "link": link}, EdgeConfig()) == expected
+    assert virtual_deadline({"mode": mode, "link": link}, EdgeConfig()) == expected
 
 
 def test_chunks_are_needed_only_until_they_cover_the_scene() -> None:

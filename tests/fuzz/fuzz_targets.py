@@ -22,7 +22,8 @@ from fuzz_mutate import (
     split_parts,
 )
 
-from edge_server.frame import decode_chunk
+from edge_server.frame import Chunk
+from edge_server.placing import Decode
 from protocol.bus import Endpoint
 from protocol.clock import Exchange, OffsetFilter
 from protocol.codec import decode as decode_scan
@@ -113,7 +114,7 @@ def _read_scan(data: bytes) -> None:
 
 
 def _read_scan_message(data: bytes) -> None:
-    chunk = decode_chunk(decode(data, Scan), 0)
+    chunk = Decode().run(Chunk.of(decode(data, Scan), 0))
     assert chunk.returns == len(chunk.points)
 
 

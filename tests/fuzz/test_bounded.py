@@ -21,9 +21,9 @@ from edge_server.assembler import (
 )
 from edge_server.decoding import PER_THREAD, DecoderPool
 from edge_server.frame import Chunk, Frame
-from edge_server.misbehaviour import MOST_DOUBTS
+from edge_server.misbehaviour import MAX_PUBLISHED
 from edge_server.planner import MAX_SITES, MAX_UPLINKS, Bandwidth, SensorSites
-from edge_server.role import _arrivals, _told, _waits
+from edge_server.role import _arrivals, _waits, _within_message
 from perception.parallel import threads
 from protocol import messages as m
 from protocol.errors import MessageError
@@ -93,9 +93,11 @@ def objects(agent: str, boxes: int, frame: int = 0) -> m.Objects:
 def chunk(agent: str, frame: int = 0) -> Chunk:
     points = np.zeros((0, 3), np.float32)
     late_ns = 1 << 60
-    return Chunk(
-        frame, frame, agent, 0, 1, np.zeros(6), points, late_ns, late_ns, late_ns, returns=1
+    spans = tuple(
+        m.Span(stage=stage, agent=agent, start_ns=late_ns, end_ns=late_ns)
+        for stage in ("decode", "place")
     )
+    return Chunk(frame, frame, agent, 0, 1, np.zeros(6), points, late_ns, returns=1, spans=spans)
 
 
 def metrics(process: str, frame: int, spans: int, agents: int = 0) -> m.Metrics:
@@ -195,19 +197,19 @@ def test_what_is_said_of_the_fullest_frame_fits_into_its_messages():
     names = part.named()
     assert len(names) == MAX_AGENTS
     frame = Frame(0, 0, names, [], [*part.chunks.values()], complete=True, first_ns=0, ready_ns=1)
-    told = _told(frame)
+    told = _within_message(frame)
     spans, arrivals = _waits(told), _arrivals(told)
-    doubts = [
-        m.Doubt(agent=name, score=0.1, believed=False, motion=1, place=1, ground=1, mutual=0.1)
-        for name in names[:MOST_DOUBTS]
+    scores = [
+        m.AgentScore(agent=name, score=0.1, trusted=False, motion=1, place=1, ground=1)
+        for name in names[:MAX_PUBLISHED]
     ]
     said = m.Metrics(
-        process="edge", frame=0, sim_time_ns=0, spans=spans, arrivals=arrivals, doubts=doubts
+        process="edge", frame=0, sim_time_ns=0, spans=spans, arrivals=arrivals, scores=scores
     )
     assert len(encode(said)) > 1 << 16
     assert 300 < len(told.chunks) < len(frame.chunks)
     few = Frame(0, 0, names, [], frame.chunks[:200], complete=True, first_ns=0, ready_ns=1)
-    assert _told(few).chunks == few.chunks
+    assert _within_message(few).chunks == few.chunks
     lidar, own = ["lidar"] * MAX_BOXES, names
     found = m.Detections(
         frame=0,

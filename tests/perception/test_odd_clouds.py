@@ -188,7 +188,9 @@ def test_an_agent_that_sends_them_changes_nothing_of_what_others_see(
     name: str, ground_free: bool, shell: Callable[..., Any], ground: Callable[..., Any]
 ) -> None:
     need(name)
-    pipeline = Pipeline(junction_road(0.035), EdgeConfig.model_validate({"detector": name}), seed=1)
+    pipeline = Pipeline.of(
+        junction_road(0.035), EdgeConfig.model_validate({"detector": name}), seed=1
+    )
     frame = frame_of(shell, ground)
     bad = replace(frame.chunks[0], agent="bad", points=hostile(), ground_free=ground_free)
     honest, spoilt = (

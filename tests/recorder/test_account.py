@@ -66,9 +66,9 @@ def evidence(link_ms: Mapping[str, float] | None = None) -> Evidence:
                 span("place", came + 2, came + 3, agent),
             ]
     made.spans["edge"].append(span("wait", 20, 40))
-    ends = [40, 42, 46, 51, 52, 53]
+    ends = [40, 41, 42, 46, 51, 52, 53]
     for stage, start, end in zip(
-        ("merge", "ground", "detect", "fuse", "count"), ends, ends[1:], strict=False
+        ("check", "merge", "ground", "detect", "fuse", "count"), ends, ends[1:], strict=False
     ):
         made.spans["edge"].append(span(stage, start, end))
     made.spans["signal"].append(span("decide", 54, 55))
@@ -86,8 +86,8 @@ def test_the_stages_of_a_frame_sum_to_its_end_to_end_time() -> None:
     assert (a.frame, a.agent, b.agent) == (7, "a", "b")
     assert in_ms(a) == {
         "sense": 4, "select": 1, "encode": 4, "send": 2, "link": 12, "decode": 2, "place": 1,
-        "wait": 12, "merge": 2, "ground": 4, "detect": 5, "fuse": 1, "count": 1, "decide": 1,
-        "actuate": 3, "other": 5, "end_to_end": 60, "clock_error": 0,
+        "wait": 12, "check": 1, "merge": 1, "ground": 4, "detect": 5, "fuse": 1, "count": 1,
+        "decide": 1, "actuate": 3, "other": 5, "end_to_end": 60, "clock_error": 0,
     }  # fmt: skip
     assert stage_sum_ns(b) == b.end_to_end_ns == 60 * MS
 

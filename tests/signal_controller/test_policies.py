@@ -104,7 +104,7 @@ def test_completing_never_takes_vehicles_away(cars: int, share: float) -> None:
 
 
 def test_unseen_parts_may_turn_the_decision():
-    given_counts = counts(4, 5).model_copy(update={"seen_upstream": {"main": 0.5, "side": 1.0}})
+    given_counts = counts(4, 5).model_copy(update={"coverage_upstream": {"main": 0.5, "side": 1.0}})
     assert max_pressure(SIGNAL, given_counts, None, unseen="empty").state == SIDE
     assert max_pressure(SIGNAL, given_counts, None, unseen="alike").state == MAIN
 

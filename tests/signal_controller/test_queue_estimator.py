@@ -28,7 +28,7 @@ def counts(main: int, side: int, /, **seen: float) -> LaneCounts:
         complete=True,
         upstream={"main": main, "side": side},
         downstream={},
-        seen_upstream=seen,
+        coverage_upstream=seen,
     )
 
 

@@ -58,7 +58,7 @@ class Rig:
             complete=True,
             upstream={"main": main, "side": side},
             downstream={"out": 0},
-            seen_upstream={} if seen is None else {"main": seen, "side": seen},
+            coverage_upstream={} if seen is None else {"main": seen, "side": seen},
         )
         self.others.publish("lanes", counts, region="r0", tls="j")
 

@@ -1,4 +1,4 @@
-"""`cpnet bench plausibility` on a short run."""
+"""`cpnet bench misbehaviour` on a short run."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from rich.console import Console
 
 from cpnet import scenario as scenarios
 from studies.attacks import GHOST, Displaced, Emptied, GhostReport, Peopled, Replayed
-from studies.bench_misbehaviour import HONEST, Stage, attacks_on
+from studies.bench_misbehaviour import HONEST, RecordedRun, attacks_on, print_misbehaviour
 from studies.in_process import run_in_process
-from studies.misbehaviour_table import print_plausibility
 
 SHORT = {
     "duration_s": 12,
@@ -29,32 +28,34 @@ SHORT = {
 
 
 @pytest.fixture(scope="module")
-def stage(tmp_path_factory: pytest.TempPathFactory) -> Stage:
+def recorded_run(tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
     folder = tmp_path_factory.mktemp("run")
     run_in_process(scenarios.load("t_junction", SHORT).model_dump(mode="json"), folder)
-    return Stage(folder)
+    return RecordedRun(folder)
 
 
-def test_honest_agents_are_never_left_out_and_a_jump_is_seen_at_once(stage: Stage):
-    honest = stage.honest()
+def test_honest_agents_are_never_left_out_and_a_jump_is_seen_at_once(recorded_run: RecordedRun):
+    honest = recorded_run.honest()
     assert (honest.attack, honest.others_s) == (HONEST, 0)
     assert honest.hours > 0
-    jump = stage.tried("jumps 10 m along", attacks_on(stage.road_map, 0.2)["jumps 10 m along"])
+    jump = recorded_run.tried(
+        "jumps 10 m along", attacks_on(recorded_run.road_map, 0.2)["jumps 10 m along"]
+    )
     assert jump.found == jump.tried > 0
     assert jump.after_s is not None
     assert jump.after_s < 1
     said = io.StringIO()
-    print_plausibility([honest, jump], Console(file=said, width=60))
+    print_misbehaviour([honest, jump], Console(file=said, width=60))
     assert "the truth" in said.getvalue()
     assert set(jump.as_json()) >= {"cav_rate", "attack", "tried", "found", "after_s"}
 
 
-def test_an_attack_changes_what_its_victim_says_and_nothing_else(stage: Stage):
-    frame = stage.frames[20]
+def test_an_attack_changes_what_its_victim_says_and_nothing_else(recorded_run: RecordedRun):
+    frame = recorded_run.frames[20]
     victim = next(p.agent for p in frame.chunks if p.agent != "rsu-0")
     replay = Replayed(1)
-    replay.apply(stage.frames[19], victim)
-    for attack in (Displaced(up_m=1.0), Emptied(), Peopled(stage.road_map, 2), replay):
+    replay.apply(recorded_run.frames[19], victim)
+    for attack in (Displaced(up_m=1.0), Emptied(), Peopled(recorded_run.road_map, 2), replay):
         changed = attack.apply(frame, victim)
         others = [p for p in changed.chunks if p.agent != victim]
         before = [p for p in frame.chunks if p.agent != victim]
@@ -63,11 +64,11 @@ def test_an_attack_changes_what_its_victim_says_and_nothing_else(stage: Stage):
         (was,) = [p for p in frame.chunks if p.agent == victim]
         differs = not np.array_equal(own.points, was.points)
         assert differs or not np.array_equal(own.sensor_pose, was.sensor_pose)
-    ghost = GhostReport(stage.road_map, 0.5).apply(frame, "rsu-0")
+    ghost = GhostReport(recorded_run.road_map, 0.5).apply(frame, "rsu-0")
     assert set(ghost.agents) - set(frame.agents) == {GHOST}
 
 
 def test_a_run_that_kept_no_scan_has_no_frames(tmp_path: Path):
     keys = SHORT | {"duration_s": 1, "record.snapshot_period_s": 0}
     run_in_process(scenarios.load("t_junction", keys).model_dump(mode="json"), tmp_path)
-    assert Stage(tmp_path).frames == []
+    assert RecordedRun(tmp_path).frames == []

@@ -53,11 +53,11 @@ def text(board: Board, width: int = 100) -> str:
 
 
 def test_agents_have_their_points_rates_and_scores() -> None:
-    doubted = measured(0, "edge", doubts=[m.Doubt(agent="b", score=0.2, believed=False)])
-    board = fed(tick(0), sent(0, "a", 12_500), sent(0, "b", 25_000), doubted)
-    rows = [(r.agent, r.points, round(r.mbps, 2), r.score, r.believed) for r in board.agents()]
+    scored = measured(0, "edge", scores=[m.AgentScore(agent="b", score=0.2, trusted=False)])
+    board = fed(tick(0), sent(0, "a", 12_500), sent(0, "b", 25_000), scored)
+    rows = [(r.agent, r.points, round(r.mbps, 2), r.score, r.trusted) for r in board.agents()]
     assert rows == [("b", 1, 2.0, 0.2, False), ("a", 1, 1.0, 1.0, True)]
-    assert "b is not believed (score 0.20)" in board.alerts(0)
+    assert "b is excluded (score 0.20)" in board.alerts(0)
 
 
 def test_the_signal_is_told_with_the_time_since_its_last_change() -> None:
@@ -76,7 +76,7 @@ def test_alerts_tell_of_the_dead_the_incomplete_and_the_dropped() -> None:
     counts = m.LaneCounts(
         frame=1, sim_time_ns=1, tls="J", agents=[], complete=False,
         upstream={"south_0": 4}, downstream={"north_0": 1}, queued_upstream={"south_0": 2},
-        seen_upstream={"south_0": 0.5},
+        coverage_upstream={"south_0": 0.5},
     )  # fmt: skip
     board = fed(
         tick(0),
@@ -154,7 +154,7 @@ def test_in_a_narrow_terminal_names_are_cut_and_numbers_are_whole() -> None:
     side = {f"a_lane_with_a_long_name_{n}": n for n in (12, 3456)}
     lanes = m.LaneCounts(
         frame=0, sim_time_ns=0, tls="J", agents=[], complete=True, upstream=side, downstream={},
-        queued_upstream=side, seen_upstream=dict.fromkeys(side, 1.0),
+        queued_upstream=side, coverage_upstream=dict.fromkeys(side, 1.0),
     )  # fmt: skip
     lines = text(fed(lanes), 30).splitlines()
     assert all(len(line) <= 30 for line in lines)

@@ -76,7 +76,7 @@ def test_counts_stand_at_their_lanes_with_a_mark_where_nobody_sees() -> None:
     counts = m.LaneCounts(
         frame=1, sim_time_ns=1, tls="J", agents=[], complete=True,
         upstream={"south_0": 3, "gone_0": 1}, downstream={"east_0": 0},
-        seen_downstream={"east_0": 0.0},
+        coverage_downstream={"east_0": 0.0},
     )  # fmt: skip
     found = layers.lane_counts(counts, count_places(CROSSING))
     assert found.texts == ["3", "0?"]

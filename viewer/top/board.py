@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from protocol.inbox import Envelope, Presence
 from protocol.messages import (
-    Doubt,
+    AgentScore,
     End,
     LaneCounts,
     Message,
@@ -36,13 +36,13 @@ _STAGES = (Tick, Metrics, LaneCounts)
 
 @dataclass(frozen=True, slots=True)
 class AgentRow:
-    """An agent that uploads; `score` is how far the edge believes it, 0 to 1."""
+    """An agent that uploads; `score` is how far the edge trusts it, 0 to 1."""
 
     agent: str
     points: int
     mbps: float
     score: float
-    believed: bool
+    trusted: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ class Board:
         self._stages = Stages(period_ns)
         self._accounts: deque[Account] = deque(maxlen=AVERAGED_FRAMES)
         self._points: dict[str, int] = {}
-        self._doubts: dict[str, Doubt] = {}
+        self._scores: dict[str, AgentScore] = {}
         self._drops = Drops()
         self._dropped: dict[tuple[str, str], int] = {}
         self._shown: _Shown | None = None
@@ -153,7 +153,7 @@ class Board:
         rates = self._rates.mbps(self.sim_time_ns)
         self._points = {agent: self._points.get(agent, 0) for agent in rates}
         rows = [
-            AgentRow(agent, self._points[agent], mbps, *_belief(self._doubts.get(agent)))
+            AgentRow(agent, self._points[agent], mbps, *_score_of(self._scores.get(agent)))
             for agent, mbps in rates.items()
         ]
         return sorted(rows, key=lambda row: (-row.mbps, row.agent))
@@ -178,7 +178,7 @@ class Board:
             return []
         counts: Mapping[str, int] = getattr(self.counts, side)
         queued: Mapping[str, int] = getattr(self.counts, f"queued_{side}")
-        seen: Mapping[str, float] = getattr(self.counts, f"seen_{side}")
+        seen: Mapping[str, float] = getattr(self.counts, f"coverage_{side}")
         return [LaneRow(n, counts[n], queued.get(n, 0), seen.get(n)) for n in counts]
 
     def signal(self) -> tuple[SignalState, float] | None:
@@ -210,9 +210,9 @@ class Board:
                 f"({self._frames.incomplete} since this began)"
             )
         found += [
-            f"{agent} is not believed (score {doubt.score:.2f})"
-            for agent, doubt in sorted(self._doubts.items())
-            if not doubt.believed
+            f"{agent} is excluded (score {score.score:.2f})"
+            for agent, score in sorted(self._scores.items())
+            if not score.trusted
         ]
         drops = sorted(self._dropped.items(), key=lambda one: (-one[1], one[0]))
         found += [f"{process} dropped {n} × {reason}" for (process, reason), n in drops if n]
@@ -257,15 +257,15 @@ class Board:
         for upload in metrics.uploads:
             sent[upload.agent] = sent.get(upload.agent, 0) + upload.points
         self._points |= sent
-        for doubt in metrics.doubts:
-            if doubt.agent in self._doubts or len(self._doubts) < MAX_AGENTS:
-                self._doubts[doubt.agent] = doubt
+        for score in metrics.scores:
+            if score.agent in self._scores or len(self._scores) < MAX_AGENTS:
+                self._scores[score.agent] = score
         self._drops.heard(metrics.process, metrics.drops)
         self._dropped |= {(r.process, r.reason): r.times for r in self._drops.take_changed()}
 
 
-def _belief(doubt: Doubt | None) -> tuple[float, bool]:
-    return (1.0, True) if doubt is None else (doubt.score, doubt.believed)
+def _score_of(score: AgentScore | None) -> tuple[float, bool]:
+    return (1.0, True) if score is None else (score.score, score.trusted)
 
 
 def _mean(values: list[float]) -> float:

@@ -47,7 +47,7 @@ def _head(board: Board) -> RenderableType:
 def _agents(rows: list[AgentRow]) -> Table:
     table = _table("agent", "points", "Mbit/s", "score")
     for row in rows[:MAX_AGENTS]:
-        style = "" if row.believed else "red"
+        style = "" if row.trusted else "red"
         table.add_row(
             _name(row.agent, style or "cyan"),
             f"{row.points}",
