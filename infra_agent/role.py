@@ -1,4 +1,4 @@
-"""The infra role: one LiDAR on a post, whose place was surveyed."""
+"""The infra role: a roadside unit with one LiDAR, whose pose was surveyed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sensing.station import Station
 
 
 class InfraRole:
-    """Plays the mount whose place in the scenario's list is the number in the process's id."""
+    """Runs the mount of the scenario's list whose index is the number in the process's id."""
 
     def __init__(self, context: Context) -> None:
         number = int(context.id.rpartition("-")[2])
@@ -30,19 +30,19 @@ class InfraRole:
         self._station.take(item)
 
     def poll(self) -> None:
-        """Plays the newest frame."""
+        """Senses and publishes for the newest tick."""
         if tick := self._station.pop():
-            self._play(tick)
+            self._run_frame(tick)
         self._station.report(tick)
 
     def close(self) -> None:
-        """Accounts for the last frame and hangs up."""
+        """Reports on the last frame and closes the connection."""
         self._station.close_uplink(self._uplink.agent)
         self._station.report()
         self._sensors.close()
         self._bus.close()
 
-    def _play(self, tick: Tick) -> None:
+    def _run_frame(self, tick: Tick) -> None:
         agent, pose = self._uplink.agent, self._map_SE3_sensor
         self._station.begin(tick)
         scans = self._station.uploads and self._station.admits(self._uplink.radio, tick)

@@ -88,7 +88,7 @@ class Shaper:
 
     async def _relay(self, agent: socket.socket, number: int) -> None:
         """Passes on what arrives on the connection of this number, both ways, and closes it."""
-        path = self._draw(number)
+        channel = self._draw(number)
         edge: socket.socket | None = None
         directions: list[asyncio.Task[None]] = []
         try:
@@ -97,8 +97,8 @@ class Shaper:
                 end.setblocking(False)
                 end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             directions = [
-                self._loop.create_task(self._pass_on(agent, edge, path, limited=True)),
-                self._loop.create_task(self._pass_on(edge, agent, path, limited=False)),
+                self._loop.create_task(self._pass_on(agent, edge, channel, limited=True)),
+                self._loop.create_task(self._pass_on(edge, agent, channel, limited=False)),
             ]
             await asyncio.wait(directions, return_when=asyncio.FIRST_COMPLETED)
         except OSError as error:
@@ -124,12 +124,12 @@ class Shaper:
         return edge
 
     async def _pass_on(
-        self, source: socket.socket, sink: socket.socket, path: Channel, *, limited: bool
+        self, source: socket.socket, sink: socket.socket, channel: Channel, *, limited: bool
     ) -> None:
         line: asyncio.Queue[tuple[int, bytes]] = asyncio.Queue(LINE_CHUNKS)
         delivery = self._loop.create_task(self._deliver(line, sink))
         try:
-            await self._read(source, line, path, limited=limited)
+            await self._read(source, line, channel, limited=limited)
             await line.join()
         finally:
             delivery.cancel()
@@ -138,21 +138,21 @@ class Shaper:
         self,
         source: socket.socket,
         line: asyncio.Queue[tuple[int, bytes]],
-        path: Channel,
+        channel: Channel,
         *,
         limited: bool,
     ) -> None:
         free_ns = arrival_ns = self._now_ns()
         while True:
-            size = path.bytes_in(self._now_ns(), CHUNK_NS) if limited else MOST_BYTES
+            size = channel.bytes_in(self._now_ns(), CHUNK_NS) if limited else MOST_BYTES
             data, waited = await self._receive(source, min(max(size, SEGMENT_BYTES), MOST_BYTES))
             if not data:
                 return
             now_ns = self._now_ns()
             # What was here already goes on from where the last chunk ended: the link was not idle.
             start_ns = max(free_ns, now_ns if waited else now_ns - SLACK_NS)
-            free_ns = path.departure_ns(start_ns, len(data)) if limited else now_ns
-            arrival_ns = max(arrival_ns, free_ns + path.delay_ns(free_ns))
+            free_ns = channel.departure_ns(start_ns, len(data)) if limited else now_ns
+            arrival_ns = max(arrival_ns, free_ns + channel.delay_ns(free_ns))
             await line.put((arrival_ns, data))
             if limited:
                 await self._sleep_until(free_ns)
@@ -182,10 +182,10 @@ class Shaper:
         return time.monotonic_ns() - self._since_ns
 
 
-def _buffer_bytes(path: Channel) -> int:
+def _buffer_bytes(channel: Channel) -> int:
     """Returns what a channel takes in `BUFFER_NS` on average, within what a buffer can be."""
-    period_ns = path.rate_bps.period_ns
-    mean = path.bytes_in(0, period_ns) * BUFFER_NS // period_ns
+    period_ns = channel.rate_bps.period_ns
+    mean = channel.bytes_in(0, period_ns) * BUFFER_NS // period_ns
     return min(max(mean, LEAST_BUFFER_BYTES), MOST_BUFFER_BYTES)
 
 

@@ -1,4 +1,4 @@
-"""Which rays may hit which body: kernels that keep Embree from being asked in vain.
+"""Candidate rays by vehicle body: kernels that select the rays that Embree has to cast.
 
 A body is a unit-sized mesh under an affine map. Its rays are moved into the mesh's own frame, where
 one search tree serves all bodies of that mesh; a hit's parameter along the ray stays the same.

@@ -40,7 +40,7 @@ def scan_of(measured: Floats32, pattern: ScanPattern) -> RangeScan:
     """Returns the scan of points (N, 4): x, y, z in CARLA's sensor frame, intensity.
 
     Each point goes to the beam that its direction is nearest to, and of several the nearest counts;
-    what lies more than half a ring beyond the pattern is left out.
+    what lies more than half a ring beyond the pattern is dropped.
     """
     points = measured[:, :3].astype(np.float64) * [1, -1, 1]
     range_m = np.linalg.norm(points, axis=1)
@@ -87,17 +87,17 @@ def load_carla() -> ModuleType:
 
 
 class CarlaServer:
-    """A connection of this process, with bodies of its own. Other processes have theirs.
+    """This process's connection to a CARLA server, with bodies of its own.
 
-    Those of all processes but the one whose `turn` it is are out of sight. So it does not matter
-    who put up what, and each casts in a world that it has set up alone.
+    During a `turn`, the bodies of all other processes are hidden, so that each process casts in a
+    world that it has set up alone.
     """
 
     def __init__(self, config: CarlaConfig, tick_s: float) -> None:
         """Connects, loads the town and makes the world wait for ticks.
 
         Raises:
-            ConfigError: nobody answers, or a server of another version or without that town.
+            ConfigError: no answer, or the server is of another version or lacks the town.
         """
         self.carla = load_carla()
         self._config = config
@@ -139,13 +139,13 @@ class CarlaServer:
         return found
 
     def transform(self, pose: Floats | tuple[float, ...]) -> Any:  # noqa: ANN401 - the same
-        """Returns CARLA's own form of what `sensing.carla.carla_pose` returned."""
+        """Returns the `carla.Transform` of a pose in CARLA's frame, see `carla_pose`."""
         x, y, z, roll, pitch, yaw = map(float, pose)
         rotation = self.carla.Rotation(pitch=pitch, yaw=yaw, roll=roll)
         return self.carla.Transform(self.carla.Location(x=x, y=y, z=z), rotation)
 
     def place(self, poses: Mapping[str, Floats], looks: Mapping[str, str]) -> None:
-        """Has exactly these bodies stand at these poses of CARLA's, by id; new ones by their looks.
+        """Places exactly these bodies at these poses in CARLA's frame; spawns new ones by `looks`.
 
         Raises:
             BusError: the server refuses a body.
@@ -174,11 +174,11 @@ class CarlaServer:
         self._send([command(actor, where) for actor, where in sorted(transforms.items())])
 
     def hide(self) -> None:
-        """Puts all bodies out of sight."""
+        """Hides all bodies."""
         self.move(dict.fromkeys(self._bodies.values(), self._sky(0)))
 
     def clear(self) -> None:
-        """Takes all bodies away."""
+        """Destroys all bodies."""
         self._send([self.carla.command.DestroyActor(actor) for actor in self._bodies.values()])
         self._bodies = {}
 
@@ -214,7 +214,7 @@ class CarlaServer:
 
 
 def _is_left(actor: Any) -> bool:  # noqa: ANN401 - CARLA is untyped
-    """Whether a process that has died has left an actor behind."""
+    """Whether an actor was left behind by a process that no longer runs."""
     role, _, process = actor.attributes.get("role_name", "").partition("-")
     return role == _ROLE and not Path(f"/proc/{process}").exists()
 
@@ -231,7 +231,7 @@ _AWAY = np.array([0.0, 0, 1000, 0, 0, 0])
 
 
 class CarlaSource:
-    """One sensor for all agents of one kind of a process: it goes from agent to agent.
+    """Scans of CARLA's ray-cast LiDAR: one sensor for all agents of one kind of a process.
 
     Each scan is one tick of CARLA's, in which the sensor turns round once while everything stands
     still. The body that carries the sensor is away meanwhile.
@@ -240,7 +240,7 @@ class CarlaSource:
     def __init__(
         self, config: CarlaConfig, lidar: LidarConfig, types: Sequence[VehicleType], seed: int
     ) -> None:
-        """Connects and puts the sensor up.
+        """Connects and spawns the sensor.
 
         Raises:
             ConfigError: the server cannot be used.
@@ -262,7 +262,7 @@ class CarlaSource:
             self._sensor.listen(self._take)
 
     def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> Sensed:  # noqa: ARG002 - CARLA draws its noise
-        """See `sensing.source.ScanSource.scan`; whose points these are, CARLA does not say.
+        """See `sensing.source.ScanSource.scan`; CARLA does not tell which bodies the points lie on.
 
         Raises:
             BusError: the server is lost.
@@ -284,14 +284,14 @@ class CarlaSource:
         return Sensed(scan_of(points, self._pattern), np.zeros(0, np.int64))
 
     def close(self) -> None:
-        """Takes the sensor and the bodies away; CARLA's world goes on waiting for ticks."""
+        """Destroys the sensor and the bodies; CARLA's world remains in synchronous mode."""
         with self._server.turn():
             self._sensor.stop()
             self._sensor.destroy()
             self._server.clear()
 
     def _take(self, measurement: Any) -> None:  # noqa: ANN401 - CARLA is untyped
-        if self._casting:  # else it is another process's tick, and nobody would ever ask for it
+        if self._casting:  # else it is another process's tick
             self._measured.put(measurement)
 
     def _measured_at(self, frame: int) -> Floats32:
@@ -300,6 +300,6 @@ class CarlaSource:
             try:
                 measurement = self._measured.get(timeout=self._config.timeout_s)
             except queue.Empty:
-                raise BusError(f"CARLA's LiDAR said nothing of its frame {frame}") from None
+                raise BusError(f"CARLA's LiDAR sent no measurement of its frame {frame}") from None
             if measurement.frame == frame:
                 return np.frombuffer(measurement.raw_data, np.float32).reshape(-1, 4)

@@ -85,7 +85,7 @@ class LidarConfig(Section):
 
 
 class Mount(Section):
-    """A roadside sensor's place, relative to the centre of the junction."""
+    """Position of a roadside unit's LiDAR, relative to the centre of the junction."""
 
     id: str = Field(
         "rsu-0", pattern=r"^[A-Za-z0-9_.-]+$", max_length=64, description="Name of the agent."
@@ -119,14 +119,14 @@ class SceneConfig(Section):
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """A policy and all that is left out, the policy's own filters included."""
+    """An upload policy and all filters, the policy's own included."""
 
     policy: PolicyName
     filters: frozenset[Filter]
 
 
 class PoseErrorConfig(Section):
-    """How far agents' knowledge of their own pose is from the truth."""
+    """Errors of agents' own pose estimates."""
 
     position_std_m: float = Field(
         0.05, ge=0, le=10, description="CAV: standard deviation along x and y, m."
@@ -148,7 +148,7 @@ class PoseErrorConfig(Section):
 
 
 class UploadChoice(Section):
-    """What one kind of agent sends, where that is not what the others do."""
+    """Upload policy and filters of one kind of agent, where they differ from the others'."""
 
     policy: PolicyName | None = Field(None, description="As upload.policy; null: the same.")
     filters: list[Filter] | None = Field(None, description="As upload.filters; null: the same.")
@@ -175,8 +175,8 @@ class UploadConfig(Section):
     plugin: PluginSettings = Field({})
     filters: list[Filter] = Field(
         [],
-        description="What is left out besides. roi: what is off the map's road; foreground: the "
-        "ground and what a standing sensor has learnt to be always there; of the rest, "
+        description="Further filters. roi: removes what is off the map's road; foreground: removes "
+        "the ground and what a stationary sensor has learnt as background; of the rest, "
         "beams that crowd on near surfaces are thinned to one every `thin_m`.",
     )
     thin_m: float = Field(
@@ -189,7 +189,7 @@ class UploadConfig(Section):
     roadside: UploadChoice = Field(UploadChoice(), description="Roadside LiDARs' own choice.")
 
     def of(self, kind: Literal["vehicle", "roadside"]) -> Chosen:
-        """Returns what agents of a kind send."""
+        """Returns policy and filters of a kind of agent."""
         choice = self.vehicle if kind == "vehicle" else self.roadside
         policy = self.policy if choice.policy is None else choice.policy
         filters = self.filters if choice.filters is None else choice.filters

@@ -136,7 +136,7 @@ class Caster:
 
 @cache
 def _library() -> ctypes.CDLL:
-    """Opens Embree and says what its calls take.
+    """Loads Embree and declares its functions.
 
     Raises:
         ConfigError: the installed embreex does not ship it.

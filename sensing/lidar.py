@@ -1,4 +1,4 @@
-"""From a clean distance to a LiDAR's return: CARLA's model of intensity, loss and noise."""
+"""LiDAR model: casts a pattern into scene and vehicles, adds CARLA's intensity, loss and noise."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ class RayHits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensed:
-    """A scan, and how many of its points lie on each body (N,); empty where nobody can know."""
+    """A scan, and how many of its points lie on each body (N,); empty where that is unknown."""
 
     scan: RangeScan
     points_on: Ints
@@ -214,7 +214,7 @@ class Lidar:
         types: Sequence[str],
         own: int | None,
     ) -> RayHits:
-        """Returns what is there, before any loss and noise; see `scan`."""
+        """Returns what the rays hit, before loss and noise; see `scan`."""
         distance_m = self._static_view(map_SE3_sensor).copy()
         view = RayHits(distance_m, np.full(distance_m.shape, -1, np.int32))
         if len(poses):

@@ -22,7 +22,7 @@ from sensing.noise import stream
 class StepFunction:
     """`values[i]` holds from `starts_ns[i]` until the next start; all repeats after `period_ns`.
 
-    Times may be any integer: the pattern goes on in both directions.
+    Times may be any integer: the pattern repeats in both directions.
     """
 
     def __init__(self, starts_ns: Sequence[int], values: Sequence[int], period_ns: int) -> None:
@@ -145,14 +145,14 @@ _STEP_NS = 100_000_000  # rate and delay keep for this long: coherence of a fadi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Channel:
-    """Bit rate and round trip over time; time 0 is the link's own."""
+    """Bit rate and round trip of one agent's link over time; time 0 is the link's own."""
 
     rate_bps: StepFunction | InterruptedSteps
     rtt_ns: StepFunction
 
     @classmethod
     def draw(cls, profile: LinkProfile, seed: int, agent: str) -> Channel:
-        """Returns the path of an agent; the same for the same arguments, on any machine."""
+        """Returns the channel of an agent; the same for the same arguments, on any machine."""
         rate = profile.rate
         bps: StepFunction | InterruptedSteps
         if isinstance(rate, TraceRate):
@@ -276,10 +276,10 @@ class Transmission:
 
 
 class VirtualLink:
-    """Says when messages arrive that are sent in simulated time; no clock is read."""
+    """A first-in, first-out queue before a channel, in simulated time; no clock is read."""
 
-    def __init__(self, path: Channel) -> None:
-        self._path = path
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
         self._last: Transmission | None = None
         self._before: list[
             Transmission | None
@@ -291,8 +291,8 @@ class VirtualLink:
         Messages keep their order, also where a later one would have the shorter delay.
         """
         first_bit_ns = now_ns if self._last is None else max(now_ns, self._last.last_bit_ns)
-        last_bit_ns = self._path.departure_ns(first_bit_ns, size_bytes)
-        arrival_ns = self._path.arrival_ns(first_bit_ns, last_bit_ns)
+        last_bit_ns = self._channel.departure_ns(first_bit_ns, size_bytes)
+        arrival_ns = self._channel.arrival_ns(first_bit_ns, last_bit_ns)
         if self._last is not None:
             arrival_ns = max(arrival_ns, self._last.arrival_ns)
         if recallable:
@@ -305,9 +305,9 @@ class VirtualLink:
         return self._last
 
     def recall(self, time_ns: int) -> list[Transmission]:
-        """Takes back what had not begun to leave then and may be taken back, the last one first.
+        """Recalls recallable messages that had not begun to leave by then, the last one first.
 
-        What is left counts as sent for good.
+        All others count as sent for good.
         """
         recalled = []
         while self._before and self._last is not None and self._last.first_bit_ns >= time_ns:
@@ -321,5 +321,5 @@ class VirtualLink:
         return 0 if self._last is None else max(0, self._last.last_bit_ns - now_ns)
 
     def delay_ns(self, time_ns: int) -> int:
-        """Returns how long a small message takes that goes the other way then."""
-        return self._path.delay_ns(time_ns)
+        """Returns the one-way delay of a small message from the edge at a time."""
+        return self._channel.delay_ns(time_ns)

@@ -214,7 +214,7 @@ def _fixed(text: str, match: re.Match[str]) -> LinkProfile:
         )
     return LinkProfile(
         name=text[:80],
-        source="asked for by the user",
+        source="given by the user",
         rate=VaryingRate(mean_mbps=mbps),
         rtt=RoundTrip.steady(rtt_ms),
     )

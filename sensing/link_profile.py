@@ -1,7 +1,7 @@
 """Link profiles: rate over time, round trip and outages of an uplink; the built-in ones.
 
 Each built-in profile names its source. Where a source gives no fluctuation or no tail, the figure
-is this project's choice and says so.
+is this project's choice, stated as such.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class TraceRate(Section):
     rtt_us: list[int] = Field(
         [], max_length=MAX_STEPS, description="round trips, as many; empty for none"
     )
-    period_us: int = Field(1_000_000, gt=0, description="when it begins anew")
+    period_us: int = Field(1_000_000, gt=0, description="when it repeats")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -76,7 +76,7 @@ class TraceRate(Section):
 def _check_times(edges_us: list[int]) -> None:
     if edges_us[-1] > MAX_PERIOD_US:
         raise ValueError(
-            f"the trace begins anew after {edges_us[-1] / 1e6:g} s, limit {MAX_PERIOD_US / 1e6:g}"
+            f"the trace repeats after {edges_us[-1] / 1e6:g} s, limit {MAX_PERIOD_US / 1e6:g}"
         )
     if edges_us[0] != 0 or any(b - a < MIN_STEP_US for a, b in pairwise(edges_us)):
         raise ValueError(
@@ -120,7 +120,7 @@ class Outages(Section):
 
 
 class LinkProfile(Section):
-    """One kind of link. `source` says where its figures come from."""
+    """A link profile; `source` names where its figures come from."""
 
     name: str = Field("own", min_length=1, max_length=80, description="as reports call it")
     source: str = Field("", description="where the figures come from")
@@ -132,7 +132,7 @@ class LinkProfile(Section):
 
     @field_validator("rate", mode="before")
     @classmethod
-    def _varying_unless_said(cls, value: object) -> object:
+    def _default_kind(cls, value: object) -> object:
         return {"kind": "varying", **value} if isinstance(value, dict) else value
 
 

@@ -75,7 +75,7 @@ def extrude(
         bottom_m: where the walls begin.
         top_m: where they end.
         taper: scales the outline at the top about its middle.
-        roof: triangles of the outline's corners; left out, the outline must be convex.
+        roof: triangles of the outline's corners; without, the outline must be convex.
     """
     base = np.asarray(outline, np.float64)
     count = len(base)

@@ -1,4 +1,4 @@
-"""Random streams that depend on what they are for, never on who draws first."""
+"""Random streams by purpose: independent of the order in which they are drawn."""
 
 from __future__ import annotations
 

@@ -52,9 +52,9 @@ def decompress(data: bytes, size: int) -> bytes:
 
 def _repeat(out: bytearray, start: int, length: int) -> None:
     """Appends what stands at `start`, which may run into what is being appended."""
-    piece = bytes(out[start : start + length])
-    turns = -(-length // len(piece))  # what is there is one period, if it is too short
-    out += (piece * turns)[:length]
+    period = bytes(out[start : start + length])
+    turns = -(-length // len(period))  # what is there is one period, if it is too short
+    out += (period * turns)[:length]
 
 
 _AXES = ("x", "y", "z")
@@ -86,7 +86,7 @@ def point_files(paths: Iterable[Path]) -> list[Path]:
 
 
 def read_points(path: Path) -> PointCloud:
-    """Reads a cloud (N, 3) in the sensor frame; points that are not finite are left out.
+    """Reads a cloud (N, 3) in the sensor frame; points that are not finite are dropped.
 
     Intensities are scaled so that the largest is at most 1; zeros if the file has none.
 

@@ -49,7 +49,7 @@ class RealRadio:
         self._bus = bus
         self._sent_bytes = bus.wire_bytes()
 
-    def begin(self, sim_time_ns: int, enough_sim_ns: int | None) -> int:  # noqa: ARG002 - asked of virtual links
+    def begin(self, sim_time_ns: int, enough_sim_ns: int | None) -> int:  # noqa: ARG002 - for virtual links
         """Does nothing: in realtime the outbox drops chunks."""
         return 0
 

@@ -49,7 +49,7 @@ class _About(Section):
 
 
 class Recording:
-    """The reading side; scans stay on disk until they are asked for."""
+    """Reads recorded traffic and scans; scans stay on disk until they are needed."""
 
     def __init__(self, folder: Path) -> None:
         """Opens a recording.
@@ -93,7 +93,7 @@ class Recording:
         return truths
 
     def place(self, frame: int) -> int:
-        """Returns which recorded frame is played as a frame: there and back, again and again."""
+        """Returns which recorded frame is played as a frame: forwards and backwards in turn."""
         turn = max(2 * len(self.truths) - 2, 1)
         return min(frame % turn, turn - frame % turn) if turn > 1 else 0
 
@@ -159,7 +159,7 @@ def _steps(scan: RangeScan) -> npt.NDArray[np.uint16]:
 
 
 def check_recording(scenario: dict[str, Any]) -> None:
-    """Finds before the start what would keep the roles from playing a scenario's recording.
+    """Checks before the start that the roles can play a scenario's recorded scans.
 
     Raises:
         ConfigError: it cannot be read, or does not fit the scenario's LiDARs or mounts.

@@ -108,7 +108,7 @@ def from_polygons(
     terrain: Terrain,
     road_map: RoadMap,
 ) -> list[TriangleMesh]:
-    """Returns the user's buildings; an outline that covers a lane is no building, and left out."""
+    """Returns the user's buildings; outlines that cover a lane are dropped."""
     on_lanes = np.concatenate([lane.points[:, :2] for lane in road_map.lanes])
     meshes = []
     for corners, height_m in zip(polygons, heights_m, strict=True):

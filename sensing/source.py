@@ -17,13 +17,13 @@ from sensing.scene import scene_of
 
 
 class ScanSource(Protocol):
-    """Serves all agents of one kind of a process."""
+    """Source of scans for all agents of one kind of a process."""
 
     def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> Sensed:
-        """Returns what an agent's sensor there sees; `own` is the body that carries it."""
+        """Returns the scan of an agent's sensor; `own` is the index of the body that carries it."""
 
     def close(self) -> None:
-        """Lets go of what it holds."""
+        """Releases what it holds."""
 
 
 class ModelSource:
@@ -57,7 +57,7 @@ class RecordedSource:
 
 
 def source_of(setup: Setup, config: LidarConfig) -> ScanSource:
-    """Returns the source that a scenario asks for.
+    """Returns the scan source of a scenario.
 
     Raises:
         ConfigError: its recording cannot be read, or its CARLA server cannot be used.

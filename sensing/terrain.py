@@ -206,7 +206,7 @@ _NONE, _COARSE, _FINE = 0, 1, 2
 
 
 def ground(terrain: Terrain, road: RoadArea) -> TriangleMesh:
-    """Returns the ground's mesh; blocks of cells that no sensor on the road sees are left out."""
+    """Returns the ground's mesh; blocks that no sensor on the road sees are omitted."""
     rows, columns = terrain.nodes.shape
     blocks = _levels(terrain, road, ((rows - 1) // _BLOCK, (columns - 1) // _BLOCK))
     triangles = [_fine_triangles(blocks, columns), _coarse_triangles(blocks, columns)]

@@ -37,7 +37,7 @@ class Located:
 
 
 def locate(scan: RangeScan, map_SE3_sensor: SE3, roadway: Roadway) -> Located:
-    """Places every return of a scan, as the agent believes to stand."""
+    """Locates every return of a scan by the agent's estimated pose."""
     beams = scan.range_m.size
     located = Located(np.empty((beams, 2), np.float32), np.empty(beams, np.float32))
     motion = np.column_stack([map_SE3_sensor.rotation, map_SE3_sensor.translation])
@@ -114,14 +114,14 @@ def driving_foreground(located: Located) -> Bytes:
 
 
 class Background:
-    """What one standing sensor has learnt, beam by beam."""
+    """Background that a stationary sensor has learnt, beam by beam."""
 
     def __init__(self, beams: int) -> None:
         self._range_m = np.zeros(beams, np.float32)
         self._frames = np.zeros(beams, np.uint8)
 
     def foreground(self, range_m: Floats32, located: Located) -> Bytes:
-        """Learns from a scan's ranges (B,); returns 1 for the beams (B,) that met something new.
+        """Learns from a scan's ranges (B,); returns 1 for the beams (B,) that hit foreground.
 
         Until a beam's background is learnt, low returns count as the ground.
         """

@@ -28,7 +28,7 @@ class Policy:
     Attributes:
         about: one line for people.
         sends: chunks of its scan, boxes of what it detects, or no more than its pose.
-        filters: what is left out whatever else the scenario says.
+        filters: apply whatever else the scenario says.
         cells: whether the edge's plan says which part of the scene is the agent's.
         weighted: whether cells follow estimated bandwidths.
         chunks: into how many chunks a scan is cut. By a plan, the last is the whole rest if there

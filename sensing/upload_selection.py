@@ -72,8 +72,8 @@ def _cut(xy: Floats32, chunk: Bytes, sites: Floats, weights_m2: Floats, own: int
                 continue
             dx, dy = x - sites[other, 0], y - sites[other, 1]
             far = dx * dx + dy * dy
-            # Exactly one of two agents owns a place: what one says at its tight border, the other
-            # denies at its wide one.
+            # Exactly one of two agents owns a place: what one claims at its tight border, the other
+            # gives up at its wide one.
             if _owns(near - own_tight, far - weights_m2[other, 2], own < other):
                 continue
             border = max(border, PLAIN)
@@ -87,7 +87,7 @@ def _cut(xy: Floats32, chunk: Bytes, sites: Floats, weights_m2: Floats, own: int
 
 
 class Chooser(Protocol):
-    """Chooses for one agent, scan by scan; it may learn from one scan to the next."""
+    """Chooses beams for one agent, scan by scan; it may learn from one scan to the next."""
 
     def choose(self, scan: RangeScan, map_SE3_sensor: SE3) -> Bytes:
         """Returns the chunk (channels, columns) of each beam, 255 for those that are not sent.
@@ -98,22 +98,22 @@ class Chooser(Protocol):
         Args:
             scan: range in m and intensity by ring and column; a range of 0 is no return. It must
                 not be changed.
-            map_SE3_sensor: where the agent believes its sensor to be, map frame, m.
+            map_SE3_sensor: estimated pose of the sensor, map frame, m.
         """
 
 
 ChooserMaker = Callable[[UploadConfig, Roadway, ScanPattern], Chooser]
 """Makes the chooser of one agent; the settings of a plug-in are `plugin` of the configuration.
 
-The roadway is the map's road with `upload.roi_margin_m` around it. A ValueError says that the
-settings cannot be.
+The roadway is the map's road with `upload.roi_margin_m` around it. A ValueError refuses
+the settings.
 """
 
 
 def chooser_of(
     name: str, config: UploadConfig, roadway: Roadway, pattern: ScanPattern
 ) -> Chooser | None:
-    """Returns what chooses for one agent; None if the policy takes no choice of its own.
+    """Returns the chooser of one agent; None if the policy has none.
 
     Raises:
         ConfigError: the plug-in cannot be imported, refuses its settings or makes no chooser.
@@ -128,7 +128,7 @@ def chooser_of(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CheckedChooser:
-    """Holds a plug-in to what every chooser promises, scan by scan."""
+    """Checks each choice of a plug-in."""
 
     plugin: Plugin
     chooser: Chooser
@@ -181,7 +181,7 @@ class Selection:
 
 
 class Selector:
-    """Chooses for one agent. A standing sensor's selector learns from scan to scan."""
+    """Chooses for one agent. That of a stationary sensor learns from scan to scan."""
 
     def __init__(
         self,
@@ -211,7 +211,7 @@ class Selector:
     def select(
         self, scan: RangeScan, map_SE3_sensor: SE3, agent: str, plan: Plan | None
     ) -> Selection:
-        """Returns the chunks of a scan from a sensor that believes to be there.
+        """Returns the chunks of a scan from a sensor at an estimated pose.
 
         Without a plan that knows the agent, all that the filters leave goes into one chunk.
         """

@@ -22,10 +22,10 @@ from sensing.station import Station
 
 
 class Connections:
-    """Opens a connection when an agent first asks.
+    """The V2X connections of a process's CAVs, one each, opened on first use.
 
     Over a mobile network that takes several round trips: with `wait` false it is done in the
-    background, so that a newcomer does not hold up the other agents of its process.
+    background, so that a new agent does not delay the others of its process.
     """
 
     def __init__(self, open_v2x: Callable[[], Bus], *, wait: bool) -> None:
@@ -38,7 +38,7 @@ class Connections:
         """Returns the agent's connection, None while it is being opened.
 
         Raises:
-            BusError: nothing answers.
+            BusError: there is no answer.
         """
         if agent not in self._buses:
             self._buses[agent] = self._workers.submit(self._open_v2x)
@@ -46,12 +46,12 @@ class Connections:
         return opening.result() if self._wait or opening.done() else None
 
     def close_all_but(self, agents: Iterable[str]) -> None:
-        """Hangs up the connections of all agents that are not named."""
+        """Closes the connections of all agents that are not named."""
         for agent in sorted(self._buses.keys() - set(agents)):
             self._buses.pop(agent).add_done_callback(_close)
 
     def close(self) -> None:
-        """Hangs up all; those still being opened as soon as they are."""
+        """Closes all connections; those that are still being opened as soon as they are."""
         self.close_all_but(())
         self._workers.shutdown()
 
@@ -62,7 +62,7 @@ def _close(opened: Future[Bus]) -> None:
 
 
 class VehicleRole:
-    """Plays every CAV and CV whose host is this process."""
+    """Runs every CAV and CV that the world assigned to this process."""
 
     def __init__(self, context: Context) -> None:
         scenario = context.setup.scenario
@@ -92,19 +92,19 @@ class VehicleRole:
         self._station.take(item)
 
     def poll(self) -> None:
-        """Plays the newest frame."""
+        """Senses and publishes for the newest tick."""
         if tick := self._station.pop():
-            self._play(tick)
+            self._run_frame(tick)
         self._station.report(tick)
 
     def close(self) -> None:
-        """Accounts for the last frame and hangs up every agent's connection."""
+        """Reports on the last frame and closes every agent's connection."""
         self._forget_all_but(set())
         self._station.report()
         self._sensors.close()
         self._connections.close()
 
-    def _play(self, tick: Tick) -> None:
+    def _run_frame(self, tick: Tick) -> None:
         hosted = self._hosted(tick)
         connected = [i for i in hosted if self._connect(tick, i)]
         self._station.begin(tick)
@@ -150,9 +150,9 @@ class VehicleRole:
         return pose
 
     def _connect(self, tick: Tick, index: int) -> bool:
-        """Gives a newcomer its connection and radio; false while the connection is being opened.
+        """Gives a new agent its connection and radio; False while the connection is being opened.
 
-        CVs share the process's own connection, unless links are emulated: those lie in connections.
+        CVs share the process's own connection, unless relays emulate links: they shape connections.
         """
         agent, is_cav = tick.ids[index], tick.equipment[index] == Equipment.CAV
         if agent in self._radios:

@@ -54,7 +54,7 @@ def test_a_csv_trace_keeps_rate_and_round_trip(tmp_path):
         ("time_s,rate_mbps\n0,1\n0.0009,2\n", "line 3: time_s must be 1 ms later"),
         ("time_s,rate_mbps\n0,1\n1,100001\n", "line 3: rate_mbps is '100001'.*to 100000"),
         ("time_s,rate_mbps,rtt_ms\n0,1,60001\n", "line 2: rtt_ms is '60001'.*to 60000"),
-        ("time_s,rate_mbps\n0,1\n1e6,1\n", "begins anew after 2e.06 s, limit 86400"),
+        ("time_s,rate_mbps\n0,1\n1e6,1\n", "repeats after 2e.06 s, limit 86400"),
         ("time_s,rate_mbps\n0,0.00001\n", "the mean rate is 10 bit/s, needs 1000"),
         pytest.param(WIDE_CSV, "line 3: field larger than field limit", id="wide"),
         pytest.param(LONG_CSV, "limit 200000", id="long"),
@@ -72,7 +72,7 @@ def test_a_csv_that_is_no_trace_is_refused_with_file_and_line(tmp_path, text, me
         ("1\n2\nx\n", "line 3: 'x' is not a whole millisecond"),
         ("5\n4\n", "line 2: 4 ms comes after 5 ms"),
         ("0\n0\n", "line 2: the trace has no length"),
-        ("1\n999999999999\n", "the trace begins anew after 1e.09 s, limit 86400"),
+        ("1\n999999999999\n", "the trace repeats after 1e.09 s, limit 86400"),
         pytest.param("1\n" * 8400, "rates_bps are from 100800000000.*to 100000000000", id="fast"),
     ],
 )
