@@ -152,12 +152,19 @@ def report_command(
     ] = None,
 ) -> None:
     """Print the summary of a run, write it as a page, or compare its results with another run's."""
-    from cpnet.run_report import write_page
+    from cpnet.again import command_of
     from recorder.compare import differences
+    from recorder.run import Run
+    from studies.page.write import check_target, save_html
+    from studies.run_page import run_page
     from studies.summary import print_report, summarise, to_json
 
     if html is not None:
-        console.print(f"wrote {write_page(run, html)}", highlight=False, soft_wrap=True)
+        check_target(html, "--html")
+        with Run(run) as recorded:
+            command = command_of(recorded.scenario)
+        save_html(run_page(run, command), html)
+        console.print(f"wrote {html}", highlight=False, soft_wrap=True)
         return
     if against is not None:
         found = differences(run, against)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import signal
 import sys
 from collections.abc import Iterator
@@ -18,14 +19,16 @@ from cpnet.cli_options import AsJson, Override, assigned, console, errors
 from edge_server.config import EdgeConfig
 from perception.registry import check
 from protocol.errors import ConfigError
-from studies.page.write import check_target
+from studies.page.model import Page, Section
+from studies.page.write import check_target, save_html, save_markdown
 from studies.sweep.cells import Cell, ResultStore, cells_of
-from studies.sweep.study_file import Study, read_study
+from studies.sweep.study_file import Accuracy, Study, read_study
 
 if TYPE_CHECKING:
     from studies.sweep.engine import Failure
 
 study_app = typer.Typer()
+REPORT = "report.html"  # in the folder of results
 
 
 @study_app.command("study")
@@ -70,7 +73,6 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
         raise ConfigError(f"{what}: {error}") from None
     _check_detectors(study, cells)
     with _explained_if_missing():
-        from cpnet.study_report import write_reports
         from studies.sweep.results import table, write_table
     store = ResultStore.at(out or Path("runs") / f"study-{study.name}")
     with _stopped_by_signals() as stop:
@@ -84,7 +86,12 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
     _print_results(frame, cells, failures, path, as_json=as_json)
     scenario = _resolved(file.scenario, study.settings | {"seed": study.seeds[0]})
     gaps = tuple(cell.title for cell in cells if store.row(cell.id) is None)
-    for report in write_reports(study, scenario, frame, gaps, store.folder, markdown):
+    page = _page(study, scenario, frame, gaps, store.folder)
+    reports = {store.folder / REPORT: save_html}
+    if markdown is not None:
+        reports[markdown] = save_markdown
+    for report, save in reports.items():
+        save(page, report)
         if not as_json:
             console.print(f"wrote {report}", highlight=False, soft_wrap=True)
     raise typer.Exit(1 if failures else 0)
@@ -162,6 +169,49 @@ def _print_results(
     if failures:
         console.print(f"{len(failures)} cells failed; the same command tries them again")
     console.print(f"wrote {path}", highlight=False, soft_wrap=True)
+
+
+def _page(
+    study: Study,
+    scenario: dict[str, Any],
+    frame: Any,  # noqa: ANN401 - polars may not be installed
+    missing: tuple[str, ...],
+    folder: Path,
+) -> Page:
+    """Returns the report of a study, with what was set on the command line.
+
+    Args:
+        study: as it was run.
+        scenario: what its cells have in common, with every key.
+        frame: the study's table.
+        missing: titles of cells that it lacks.
+        folder: of its results.
+
+    Raises:
+        ConfigError: a detector cannot be had here.
+    """
+    from recorder.versions import versions
+    from studies.paper_page import paper_page
+    from studies.study_page import bandwidth_page, plain_page
+    from studies.study_tables import StudyResults
+
+    pages = {"plain": plain_page, "paper": paper_page, "bandwidth": bandwidth_page}
+    command = shlex.join(["cpnet", *sys.argv[1:]])
+    results = StudyResults(study, frame, command, versions(), scenario, missing)
+    return pages[study.page](results, _accuracy_sections(study.accuracy, scenario, folder))
+
+
+def _accuracy_sections(
+    spec: Accuracy | None, scenario: dict[str, Any], folder: Path
+) -> tuple[Section, ...]:
+    if spec is None:
+        return ()
+    from studies.accuracy.kept import accuracy_of
+    from studies.accuracy.scenes import scenes_section
+    from studies.accuracy.table import accuracy_section
+
+    rows = accuracy_of(scenario, spec.detectors, spec.samples, folder)
+    return accuracy_section(rows), scenes_section(scenario, spec.detectors[-1])
 
 
 def _resolved(name: str, settings: dict[str, Any]) -> dict[str, Any]:

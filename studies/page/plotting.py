@@ -20,6 +20,7 @@ from studies import palette
 from studies.page.model import Chart, Colours, Figure, MapChart, Numbers, Series, Timeline
 
 _WIDTH = 0.8  # of all bars of a category
+_WHISKERS = {"ecolor": palette.INK_FAINT, "elinewidth": 1.2, "capsize": 2}
 _MAX_LEVEL_LETTERS = 70  # of all category labels together; beyond that they are tilted
 _DASHES = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
 
@@ -105,7 +106,14 @@ def _bars(chart: Chart, axes: Axes, colours: Colours) -> None:
         colour = series.colour or colours[series.name]
         errors = _whiskers(series)
         axes.bar(
-            x + shift, y, width, bottom=bottom, color=colour, yerr=errors, capsize=2, label="-"
+            x + shift,
+            y,
+            width,
+            bottom=bottom,
+            color=colour,
+            yerr=errors,
+            error_kw=_WHISKERS,
+            label="-",
         )
         for at, height in zip(x.tolist(), np.nan_to_num(y).tolist(), strict=True):
             floor[at] = floor.get(at, 0.0) + height
