@@ -10,7 +10,7 @@ from protocol.config import Section
 from protocol.plugins import Catalogue, PluginSettings
 
 POLICIES = Catalogue("cpnet.signal_policies", "signal policy", ("max_pressure", "fixed"))
-"""Every policy by its name; what an installed one must be, `signal_controller.policies` says."""
+"""Every policy by its name; `signal_controller.policies` defines what a plug-in must be."""
 
 
 class SignalConfig(Section):
@@ -19,7 +19,7 @@ class SignalConfig(Section):
     policy: Annotated[str, AfterValidator(POLICIES.checked)] = Field(
         "max_pressure",
         description="max_pressure: the phase with most vehicles before it and fewest behind it, "
-        "as in Chen et al. 2022; fixed: the plan that the net brings; or the name of a plug-in",
+        "as in Chen et al. 2022; fixed: the net's own plan; or the name of a plug-in",
     )
     plugin: PluginSettings = Field({})
     unseen: Literal["alike", "empty"] = Field(
@@ -43,7 +43,7 @@ class SignalConfig(Section):
         gt=0,
         le=3600,
         description="simulated time for which numbers are estimated without any lane before "
-        "the stop bar being seen; then the fixed plan is asked for, until one is",
+        "the stop bar being seen; then the fixed plan is requested, until one is",
     )
     weight: Literal["vehicles", "queued"] = Field(
         "vehicles",

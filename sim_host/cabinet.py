@@ -2,8 +2,8 @@
 
 A change from one green to another runs through yellow and all-red, which nothing cuts short.
 Links that are green before and after it keep their green through it, as in real cabinets; so
-"all-red" holds for the links that lost their green. While a change runs its goal stands: a request
-that comes meanwhile waits until the new green has lasted its minimum.
+"all-red" holds for the links that lost their green. While a change runs its goal is kept: a
+request that arrives meanwhile waits until the new green has lasted its minimum.
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ class Interval:
 def programme(signal: Signal, config: CabinetConfig) -> list[Interval]:
     """Returns the greens of the plan in its order, with the cabinet's times between them.
 
-    A green goes on while its loops see vehicles, as the actuated programs of SUMO do.
+    A green continues while its loops detect vehicles, as the actuated programs of SUMO do.
 
     Raises:
         ConfigError: there is only one green.

@@ -90,7 +90,7 @@ class CabinetConfig(Section):
     all_red_s: float = Field(1, description="red before the next green", ge=0, le=20)
     control: Literal["requests", "actuated"] = Field(
         "requests",
-        description="requests: shows what is asked for, where it is safe; actuated: SUMO's own "
+        description="requests: shows what is requested, where it is safe; actuated: SUMO's own "
         "control with loop detectors before the stop bars, which ignores requests",
     )
     max_green_s: float = Field(

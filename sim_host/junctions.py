@@ -27,7 +27,7 @@ def write_plain_net(
 ) -> Path:
     """Writes `NAME.net.xml` into the folder, by way of netconvert.
 
-    The same parts give the same bytes: netconvert's header, which tells the hour, is cut off.
+    The same parts give the same bytes: netconvert's header, which holds the time, is removed.
 
     Args:
         folder: holds the plain files as well.

@@ -76,7 +76,7 @@ class Fleet:
     """Assigns CAVs and CVs to the live vehicle processes, each kind by itself.
 
     A newcomer goes to the process that has the fewest of its kind, ties by process id; it stays
-    there until it leaves or the process dies.
+    there until it leaves or the process fails.
     """
 
     def __init__(self) -> None:

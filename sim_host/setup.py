@@ -45,7 +45,7 @@ class Mesh:
 def load_meshes(folder: Path) -> dict[str, Mesh]:
     """Reads the shapes for sensors from the wheel's folder `data/3D`, plus a plain box.
 
-    The wheel's tram is left out: its 30 000 triangles would cost more than a street of cars.
+    The wheel's tram is not used: its 30 000 triangles would cost more than a street of cars.
 
     Raises:
         ConfigError: a file is missing.
