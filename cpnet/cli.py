@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import logging
-import re
 import sys
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 import yaml
@@ -20,27 +19,16 @@ from cpnet.cli_keys import keys_app
 from cpnet.cli_learn import learn_app
 from cpnet.cli_options import (
     AsJson,
-    Connect,
-    Insecure,
-    Listen,
-    Log,
-    Only,
-    Out,
     Override,
-    ServeMetrics,
-    UsedKeys,
-    View,
     assigned,
     console,
     errors,
 )
-from cpnet.cli_replay import replay_app
+from cpnet.cli_replay import run_app
 from cpnet.cli_study import study_app
 from cpnet.cli_tape import tape_app
 from cpnet.cli_view import view_app
-from cpnet.conclusion import conclude
 from protocol.errors import CpnetError
-from protocol.logs import LogStyle
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -51,7 +39,7 @@ app.add_typer(doctor_app)
 app.add_typer(learn_app)
 app.add_typer(study_app)
 app.add_typer(keys_app)
-app.add_typer(replay_app)
+app.add_typer(run_app)
 app.add_typer(tape_app)
 app.add_typer(view_app)
 app.add_typer(bench_app, name="bench")
@@ -70,73 +58,6 @@ def _options(
     ] = False,
 ) -> None:
     """Cooperative perception for traffic signals: real bytes, real detection, real delay."""
-
-
-@app.command("up")
-def up_command(  # noqa: PLR0913 - one parameter per option of the command
-    scenario: Annotated[str, typer.Argument(help="built-in name or YAML file")] = "t_junction",
-    *,
-    mode: Annotated[str | None, typer.Option(help="lockstep or realtime")] = None,
-    duration: Annotated[float | None, typer.Option(help="simulated s after warm-up")] = None,
-    seed: Annotated[int | None, typer.Option(help="of traffic, CAVs, scene and noise")] = None,
-    cav_rate: Annotated[float | None, typer.Option(help="share of vehicles with LiDAR")] = None,
-    cv_rate: Annotated[float | None, typer.Option(help="share that reports its pose only")] = None,
-    net: Annotated[Path | None, typer.Option(help="your own .net.xml")] = None,
-    sumocfg: Annotated[Path | None, typer.Option(help="your own .sumocfg")] = None,
-    tls: Annotated[str | None, typer.Option(help="id of the signal in that net")] = None,
-    link: Annotated[
-        str | None, typer.Option(help="uplink of vehicles: 5g-urban, lte, 5mbit,20ms, a trace file")
-    ] = None,
-    set_: Override = None,
-    out: Out = None,
-    only: Only = None,
-    listen: Listen = None,
-    connect: Connect = None,
-    record: Annotated[
-        bool, typer.Option("--record", help="keep all that is said in RUN/run.mcap, to play again")
-    ] = False,
-    restart: Annotated[
-        bool, typer.Option("--restart", help="start processes again that die; realtime only")
-    ] = False,
-    metrics: ServeMetrics = None,
-    view: View = None,
-    log: Log = LogStyle.TEXT,
-    keys: UsedKeys = None,
-    insecure: Insecure = False,
-) -> None:
-    """Run the loop: world, sensors, edge, signal, record; then print the summary."""
-    from cpnet.preparation import Options
-    from cpnet.up import up
-
-    named = {
-        "mode": mode,
-        "duration_s": duration,
-        "seed": seed,
-        "traffic.cav_rate": cav_rate,
-        "traffic.cv_rate": cv_rate,
-        "link.profile": link,
-        "traffic.net": _absolute(net),
-        "traffic.sumocfg": _absolute(sumocfg),
-        "traffic.tls": tls,
-        "record.tape": True if record else None,
-    }
-    own = net or sumocfg
-    if own is not None:
-        named["name"] = _run_name(own)
-    overrides: dict[str, Any] = {k: v for k, v in named.items() if v is not None}
-    overrides |= assigned(set_)
-    places = listen or [], connect or []
-    options = Options(
-        scenario, overrides, only, *places, out, restart, metrics, log, keys, insecure, view
-    )
-    status, run_dir = up(options, console)
-    conclude(run_dir)
-    raise typer.Exit(status)
-
-
-def _run_name(file: Path) -> str:
-    """Returns a name for runs of a file: what of its own a scenario's name may hold."""
-    return re.sub(r"[^A-Za-z0-9_-]", "_", file.name.split(".")[0])[:80] or "own"
 
 
 @app.command("report")
@@ -209,7 +130,3 @@ def main() -> None:
     except CpnetError as error:
         errors.print(f"[bold red]error[/] {escape(str(error))}", highlight=False, soft_wrap=True)
         sys.exit(2)
-
-
-def _absolute(path: Path | None) -> str | None:
-    return str(path.resolve()) if path is not None else None

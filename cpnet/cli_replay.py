@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -24,11 +25,78 @@ from cpnet.cli_options import (
 from protocol.errors import ConfigError
 from protocol.logs import LogStyle
 
-replay_app = typer.Typer(pretty_exceptions_enable=False)
+run_app = typer.Typer(pretty_exceptions_enable=False)
 _SCANS = "Scans from elsewhere"
 
 
-@replay_app.command("replay")
+@run_app.command("up")
+def up_command(  # noqa: PLR0913 - one parameter per option of the command
+    scenario: Annotated[str, typer.Argument(help="built-in name or YAML file")] = "t_junction",
+    *,
+    mode: Annotated[str | None, typer.Option(help="lockstep or realtime")] = None,
+    duration: Annotated[float | None, typer.Option(help="simulated s after warm-up")] = None,
+    seed: Annotated[int | None, typer.Option(help="of traffic, CAVs, scene and noise")] = None,
+    cav_rate: Annotated[float | None, typer.Option(help="share of vehicles with LiDAR")] = None,
+    cv_rate: Annotated[float | None, typer.Option(help="share that reports its pose only")] = None,
+    net: Annotated[Path | None, typer.Option(help="your own .net.xml")] = None,
+    sumocfg: Annotated[Path | None, typer.Option(help="your own .sumocfg")] = None,
+    tls: Annotated[str | None, typer.Option(help="id of the signal in that net")] = None,
+    link: Annotated[
+        str | None, typer.Option(help="uplink of vehicles: 5g-urban, lte, 5mbit,20ms, a trace file")
+    ] = None,
+    set_: Override = None,
+    out: Out = None,
+    only: Only = None,
+    listen: Listen = None,
+    connect: Connect = None,
+    record: Annotated[
+        bool, typer.Option("--record", help="keep all that is said in RUN/run.mcap, to play again")
+    ] = False,
+    restart: Annotated[
+        bool, typer.Option("--restart", help="start processes again that die; realtime only")
+    ] = False,
+    metrics: ServeMetrics = None,
+    view: View = None,
+    log: Log = LogStyle.TEXT,
+    keys: UsedKeys = None,
+    insecure: Insecure = False,
+) -> None:
+    """Run the loop: world, sensors, edge, signal, record; then print the summary."""
+    from cpnet.preparation import Options
+    from cpnet.up import print_results, up
+
+    named = {
+        "mode": mode,
+        "duration_s": duration,
+        "seed": seed,
+        "traffic.cav_rate": cav_rate,
+        "traffic.cv_rate": cv_rate,
+        "link.profile": link,
+        "traffic.net": _absolute(net),
+        "traffic.sumocfg": _absolute(sumocfg),
+        "traffic.tls": tls,
+        "record.tape": True if record else None,
+    }
+    own = net or sumocfg
+    if own is not None:
+        named["name"] = _run_name(own)
+    overrides: dict[str, Any] = {k: v for k, v in named.items() if v is not None}
+    overrides |= assigned(set_)
+    places = listen or [], connect or []
+    options = Options(
+        scenario, overrides, only, *places, out, restart, metrics, log, keys, insecure, view
+    )
+    status, run_dir = up(options, console)
+    print_results(run_dir, console)
+    raise typer.Exit(status)
+
+
+def _run_name(file: Path) -> str:
+    """Returns a name for runs of a file: what of its own a scenario's name may hold."""
+    return re.sub(r"[^A-Za-z0-9_-]", "_", file.name.split(".")[0])[:80] or "own"
+
+
+@run_app.command("replay")
 def replay_command(  # noqa: PLR0913 - one parameter per option of the command
     tape: Annotated[
         Path | None, typer.Argument(help="run folder with a tape, or an MCAP file")
@@ -87,10 +155,9 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
     ] = None,
 ) -> None:
     """Play a recorded run to live processes: another detector, policy or link, the same scans."""
-    from cpnet.conclusion import conclude
     from cpnet.preparation import Options
     from cpnet.replay import Pace, played_tape
-    from cpnet.up import up
+    from cpnet.up import print_results, up
 
     pace, overrides = Pace.of(speed, lockstep=lockstep), assigned(set_)
     if (tape is None) == (scans is None):
@@ -121,5 +188,9 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
         metrics=metrics, log=log, keys=keys, insecure=insecure, view=view,
     )  # fmt: skip
     status, run_dir = up(options, console, played)
-    conclude(run_dir)
+    print_results(run_dir, console)
     raise typer.Exit(status)
+
+
+def _absolute(path: Path | None) -> str | None:
+    return str(path.resolve()) if path is not None else None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 
 PATIENCE_NS = 3_000_000_000
 
@@ -44,11 +43,3 @@ class Stillness:
         news += [f"{name} goes on" for name in self._stopped - now]
         self._stopped = now
         return sorted(news)
-
-
-def is_stopped(pid: int) -> bool:
-    """Whether a process is stopped by a signal; one that a debugger holds is not."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b") ")[2].startswith(b"T")
-    except OSError:
-        return False

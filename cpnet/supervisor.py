@@ -16,7 +16,6 @@ from cpnet.nursery import Offspring, renew, start
 from cpnet.processes import AGENTS, RELAY, ProcessEntry
 from cpnet.restarts import Restarts
 from cpnet.run_folder import written
-from cpnet.stillness import is_stopped
 from protocol.bus import Endpoint
 from protocol.errors import CpnetError
 from protocol.logs import LogStyle
@@ -272,3 +271,11 @@ def _await(children: list[Child], grace_s: float) -> list[Child]:
         for child in children
         if child.process.wait(max(0.0, (give_up_ns - time.monotonic_ns()) / 1e9)) is None
     ]
+
+
+def is_stopped(pid: int) -> bool:
+    """Whether a process is stopped by a signal; one that a debugger holds is not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b") ")[2].startswith(b"T")
+    except OSError:
+        return False

@@ -40,7 +40,7 @@ SMALL = [
 ]
 """Sensors that are cheap to cast."""
 
-_PRELOAD = ["tests.cpnet.commands", "cpnet.cli", "cpnet.up", "cpnet.conclusion", "sim_host.setup"]
+_PRELOAD = ["tests.cpnet.commands", "cpnet.cli", "cpnet.up", "sim_host.setup"]
 _SETTINGS = {"COLUMNS": "120", "PYTHONWARNINGS": "error"}
 
 

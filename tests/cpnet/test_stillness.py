@@ -7,7 +7,8 @@ import sys
 
 import pytest
 
-from cpnet.stillness import Stillness, is_stopped
+from cpnet.stillness import Stillness
+from cpnet.supervisor import is_stopped
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.process
