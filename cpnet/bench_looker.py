@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from cpnet.discovery import RunLocation, find_run
 from cpnet.looking import FPS
-from cpnet.running import Running, find
 from cpnet.taping import keep
 from cpnet.viewing import CONNECT_MS, budget
 from protocol.courtesy import step_back
@@ -35,7 +35,7 @@ def main() -> None:
     way, run_dir, scratch = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
     if way != "record":
         step_back()  # a tape does so when Zenoh's threads are there: see `cpnet.taping`
-    found = find(run_dir, [], None)
+    found = find_run(run_dir, [], None)
     setup = _setup(found)
     step_back()
     with (_tape if way == "record" else _view)(found, setup, scratch, way) as look:
@@ -59,13 +59,13 @@ def _tell_ready() -> None:
     sys.stdout.flush()
 
 
-def _setup(found: Running) -> Setup:
+def _setup(found: RunLocation) -> Setup:
     with Onlooker(found.v2x, found.world, (), timeout_ms=CONNECT_MS) as onlooker:
         return onlooker.setup()
 
 
 @contextmanager
-def _tape(found: Running, setup: Setup, scratch: Path, way: str) -> Iterator[_Look]:
+def _tape(found: RunLocation, setup: Setup, scratch: Path, way: str) -> Iterator[_Look]:
     path = scratch / f"{way}.mcap"
 
     def look(stop: threading.Event) -> None:
@@ -79,7 +79,7 @@ def _tape(found: Running, setup: Setup, scratch: Path, way: str) -> Iterator[_Lo
 
 
 @contextmanager
-def _view(found: Running, setup: Setup, scratch: Path, way: str) -> Iterator[_Look]:
+def _view(found: RunLocation, setup: Setup, scratch: Path, way: str) -> Iterator[_Look]:
     from viewer.log import Log
     from viewer.sinks import free_port, opened
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cpnet.running import FILE_NAME, find
+from cpnet.discovery import FILE_NAME, find_run
 from cpnet.scenario import Scenario, load
 from cpnet.viewing import needs_extra
 from perception.arrays import Ints
@@ -92,7 +92,7 @@ def _watched(bench: LookingBench, way: str, turn: int, duration_s: float) -> Wat
 
 def _stretches(run: subprocess.Popen[bytes], run_dir: Path, frames: int) -> Iterator[int]:
     """Yields the number of each stretch of frames when it begins, but for what had begun before."""
-    found, newest = find(run_dir, [], None), None
+    found, newest = find_run(run_dir, [], None), None
     with Onlooker(found.v2x, found.world, ["tick"]) as onlooker:
         while run.poll() is None:
             item = onlooker.next()

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from cpnet.deaths import how, tail
+from cpnet.exit_report import describe_status, log_tail
 from protocol.errors import ConfigError
 
 _GRACE_S = 8.0
@@ -65,5 +65,6 @@ def _tell(viewer: subprocess.Popen[str], log: Path, console: Console) -> None:
     for line in viewer.stdout or ():
         console.print(line.rstrip(), highlight=False, markup=False, soft_wrap=True)
     if viewer.wait() > 0:  # not by a signal, nor well
-        said = f"the viewer {how(viewer.returncode)}; the run goes on without it:\n{tail(log)}"
+        how = describe_status(viewer.returncode)
+        said = f"the viewer {how}; the run goes on without it:\n{log_tail(log)}"
         console.print(said, highlight=False, markup=False, soft_wrap=True)

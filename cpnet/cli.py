@@ -14,8 +14,6 @@ from rich.markup import escape
 
 from cpnet import scenario as scenarios
 from cpnet.cli_bench import bench_app
-from cpnet.cli_doctor import doctor_app
-from cpnet.cli_keys import keys_app
 from cpnet.cli_learn import learn_app
 from cpnet.cli_options import (
     AsJson,
@@ -24,7 +22,8 @@ from cpnet.cli_options import (
     console,
     errors,
 )
-from cpnet.cli_replay import run_app
+from cpnet.cli_run import run_app
+from cpnet.cli_setup import doctor_app, keys_app
 from cpnet.cli_study import study_app
 from cpnet.cli_tape import tape_app
 from cpnet.cli_view import view_app
@@ -73,7 +72,7 @@ def report_command(
     ] = None,
 ) -> None:
     """Print the summary of a run, write it as a page, or compare its results with another run's."""
-    from cpnet.again import command_of
+    from cpnet.reproduce import command_of
     from recorder.compare import differences
     from recorder.run import Run
     from studies.page.write import check_target, save_html

@@ -37,12 +37,12 @@ def record_command(
     ] = False,
 ) -> None:
     """Keep all that a running system says in an MCAP file, until its end or Ctrl-C."""
-    from cpnet.running import find
+    from cpnet.discovery import find_run
     from cpnet.taping import tape_run
     from tape.taping import Choice
 
     choice = Choice(truth=not no_truth, foxglove=not no_foxglove)
-    tape_run(find(run, connect or [], keys), choice, out, duration, console)
+    tape_run(find_run(run, connect or [], keys), choice, out, duration, console)
 
 
 @tape_app.command("foxglove")

@@ -20,10 +20,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from cpnet.deaths import signal_name
 from cpnet.endpoints import address_of, connecting, resolve
-from cpnet.key_check import check_key
+from cpnet.exit_report import signal_name
 from cpnet.processes import ROLES
+from cpnet.security import check_key
 from protocol.access import AUTHORITY
 from protocol.bus import SEND_BUFFER_BYTES, Endpoint, ZenohBus, open_bus
 from protocol.clock import BURST, Exchange, OffsetFilter, this_machine

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from rich.console import Console
 
-from cpnet.running import Running
+from cpnet.discovery import RunLocation
 
 TELL_AFTER_S = 2.0
 FPS = 10.0
@@ -16,7 +16,7 @@ FPS = 10.0
 
 
 @contextmanager
-def looking_for(run: Running, console: Console) -> Iterator[None]:
+def looking_for(run: RunLocation, console: Console) -> Iterator[None]:
     """Says what is looked for, if that takes a while."""
     where = f"{run.v2x.locator} and {run.world.locator}"
 

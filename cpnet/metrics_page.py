@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, start_http_server
 
-from cpnet.crowd import Who
 from cpnet.processes import ProcessEntry
+from cpnet.watch import ProcessKey
 from protocol.errors import ConfigError
 from protocol.inbox import Envelope, Presence
 from protocol.messages import Metrics, Progress, Span
@@ -73,8 +73,8 @@ class RunMetrics:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
-        self._expected: set[Who] = set()
-        self._present: set[Who] = set()
+        self._expected: set[ProcessKey] = set()
+        self._present: set[ProcessKey] = set()
         self._processes = LabelSet(MAX_PROCESSES)
         self._reasons = LabelSet(MAX_REASONS)
         self._stages = LabelSet(MAX_STAGES)
@@ -103,7 +103,7 @@ class RunMetrics:
         self._restarts = self._counter("process_restarts", "Starts after an end", ["process"])
         self._up = self._gauge("process_up", "Whether it is connected", ["role", "process"])
 
-    def expect(self, entries: Iterable[ProcessEntry], elsewhere: Iterable[Who] = ()) -> None:
+    def expect(self, entries: Iterable[ProcessEntry], elsewhere: Iterable[ProcessKey] = ()) -> None:
         """Shows processes as down until they connect; reserves labels for those elsewhere."""
         here = [self._who(entry.role.role, entry.id) for entry in entries]
         for role, process in here:
@@ -215,7 +215,7 @@ class RunMetrics:
             self._drops.labels(process, reason).inc(max(0, count - last[reason]))
             last[reason] = max(count, last[reason])
 
-    def _who(self, role: str, process: str) -> Who:
+    def _who(self, role: str, process: str) -> ProcessKey:
         return role if role in ROLES else OTHER, self._processes.label(process)
 
     def _counter(self, name: str, text: str, labels: Iterable[str] = ()) -> Counter:

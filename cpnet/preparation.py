@@ -12,21 +12,21 @@ from rich.console import Console
 
 from cpnet import scenario as scenarios
 from cpnet.beside import Viewing
+from cpnet.discovery import connected_to_world
 from cpnet.endpoints import Endpoints, connecting
-from cpnet.joining import joined
-from cpnet.nursery import prepare
+from cpnet.fork_server import preload
 from cpnet.processes import (
     TAPE,
-    Choice,
     ProcessEntry,
-    certain,
-    choose,
+    RoleSelection,
     in_replay,
+    parse_only,
     processes_of,
+    processes_without_scenario,
     relays_of,
 )
 from cpnet.run_folder import RunFolder, written
-from cpnet.security import check_keys, secured
+from cpnet.security import check_keys, secured_endpoints
 from perception.registry import check
 from protocol.bus import Endpoint
 from protocol.errors import ConfigError
@@ -62,7 +62,7 @@ class Options:
 
 
 @dataclass(frozen=True, slots=True)
-class Played:
+class Replay:
     """A replay: what its run is called, and what makes its setup, given the run folder."""
 
     name: str
@@ -70,7 +70,7 @@ class Played:
 
 
 @dataclass(frozen=True, slots=True)
-class Prepared:
+class PreparedRun:
     """A run that lacks nothing but its processes; `relays` start before the others."""
 
     scenario: scenarios.Scenario
@@ -80,7 +80,7 @@ class Prepared:
     processes: list[ProcessEntry]
 
 
-def prepared(options: Options, console: Console, played: Played | None) -> Prepared:
+def prepare_run(options: Options, console: Console, played: Replay | None) -> PreparedRun:
     """Makes the run folder and all that stands in it before the first frame.
 
     Raises:
@@ -88,12 +88,16 @@ def prepared(options: Options, console: Console, played: Played | None) -> Prepa
         MessageError: the roads are too large for a message.
         BusError: the other side cannot be reached.
     """
-    choice = choose(options.only)
+    choice = parse_only(options.only)
     if played is not None and "sim" not in choice.names:
         raise ConfigError("--only: a replay is begun where the role sim runs, which plays the tape")
     hosted = {row.hosts for row in choice.roles if row.hosts}
-    endpoints = secured(options.listen, options.connect, hosted, options.keys, options.insecure)
-    check_keys(options.keys, certain(choice))  # the others' once the scenario is known
+    endpoints = secured_endpoints(
+        options.listen, options.connect, hosted, options.keys, options.insecure
+    )
+    check_keys(
+        options.keys, processes_without_scenario(choice)
+    )  # the others' once the scenario is known
     asked = None
     if played is None and "sim" in choice.names:
         asked = _simulated(options)
@@ -108,7 +112,7 @@ def prepared(options: Options, console: Console, played: Played | None) -> Prepa
     try:
         run_dir = folder.make()
         with written(run_dir):  # imports while the setup is being made
-            prepare(modules, run_dir / "logs" / "nursery.log")
+            preload(modules, run_dir / "logs" / "nursery.log")
         if played is not None:
             setup = played.setup(run_dir)
             scenario = scenarios.validate(setup.scenario, "the replay")
@@ -131,10 +135,10 @@ def prepared(options: Options, console: Console, played: Played | None) -> Prepa
     started = [process.id if choice.ids else process.role.role for process in processes]
     here = ", ".join(dict.fromkeys(started))
     console.print(f"{scenario.name}: {here} → {run_dir}", markup=False, soft_wrap=True)
-    return Prepared(scenario, endpoints, run_dir, relays, processes)
+    return PreparedRun(scenario, endpoints, run_dir, relays, processes)
 
 
-def _check(choice: Choice, options: Options, scenario: scenarios.Scenario) -> None:
+def _check(choice: RoleSelection, options: Options, scenario: scenarios.Scenario) -> None:
     """Finds before the start what would keep the roles of this machine from taking part."""
     if scenario.replay is None:
         _check_scans(choice.names, scenario.model_dump(mode="json"))
@@ -184,7 +188,7 @@ def _setup(
         with written(run_dir):
             return build_setup(asked.model_dump(mode="json"), run_dir), asked
     place = connecting(endpoints[BusName.WORLD])
-    with joined(place, console, lasting=restart) as world:
+    with connected_to_world(place, console, lasting=restart) as world:
         setup = world.setup()
     return setup, scenarios.validate(setup.scenario, "the scenario of the other side")
 
@@ -193,7 +197,7 @@ def _refuse_twins(
     world: Endpoint, processes: list[ProcessEntry], restart: bool, console: Console
 ) -> None:
     if not world.listen:  # else nobody can be there yet
-        with joined(connecting(world), console, lasting=restart) as found:
+        with connected_to_world(connecting(world), console, lasting=restart) as found:
             found.refuse_twins(process.id for process in processes)
 
 

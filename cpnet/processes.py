@@ -52,7 +52,7 @@ class ProcessEntry:
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class RoleSelection:
     """What runs on this machine: roles, some of them with certain processes only."""
 
     roles: tuple[RoleEntry, ...]
@@ -78,7 +78,7 @@ class Choice:
         return named or [f"{row.role}-{n}" for n in range(count)]
 
 
-def certain(choice: Choice) -> list[ProcessEntry]:
+def processes_without_scenario(choice: RoleSelection) -> list[ProcessEntry]:
     """Returns the processes that run here whatever the scenario is: those of agents if named."""
     return [
         ProcessEntry(name, row)
@@ -88,7 +88,7 @@ def certain(choice: Choice) -> list[ProcessEntry]:
     ]
 
 
-def choose(only: str | None) -> Choice:
+def parse_only(only: str | None) -> RoleSelection:
     """Reads `--only ROLE,...` and `--only vehicle-1,...`; all roles without it.
 
     Raises:
@@ -105,7 +105,7 @@ def choose(only: str | None) -> Choice:
         )
     whole = roles.intersection(wanted)
     kept = frozenset(name for name in ids if name.rpartition("-")[0] not in whole)
-    return Choice(tuple(row for row in ROLES if row.role in roles), kept)
+    return RoleSelection(tuple(row for row in ROLES if row.role in roles), kept)
 
 
 def in_replay(row: RoleEntry) -> RoleEntry:
@@ -113,7 +113,7 @@ def in_replay(row: RoleEntry) -> RoleEntry:
     return replace(row, module=PLAYER) if row.role in _TAPED else row
 
 
-def relays_of(choice: Choice, scenario: Scenario) -> list[ProcessEntry]:
+def relays_of(choice: RoleSelection, scenario: Scenario) -> list[ProcessEntry]:
     """Returns the relays that the agents of this machine need on it."""
     link = scenario.link
     if link.channel(scenario.mode) != "emulated":
@@ -123,7 +123,7 @@ def relays_of(choice: Choice, scenario: Scenario) -> list[ProcessEntry]:
     return [ProcessEntry(f"relay-{kind}", RELAY) for kind in kinds if profiles[kind] is not None]
 
 
-def processes_of(choice: Choice, scenario: Scenario) -> list[ProcessEntry]:
+def processes_of(choice: RoleSelection, scenario: Scenario) -> list[ProcessEntry]:
     """Returns the processes of this machine in this scenario, in starting order.
 
     Vehicle processes beyond the scenario's join it; a roadside process needs a mount, and a tape

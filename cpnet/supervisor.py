@@ -1,4 +1,4 @@
-"""Starts a run's processes, notices when one dies, and leaves none behind."""
+"""Supervisor: starts the processes of one machine, notices exits, restarts, and ends them all."""
 
 from __future__ import annotations
 
@@ -6,20 +6,39 @@ import json
 import logging
 import signal
 import time
+from collections import defaultdict, deque
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cpnet.deaths import WELL, Death, how, tail
 from cpnet.endpoints import Endpoints, connecting, free_locator
-from cpnet.nursery import Offspring, renew, start
+from cpnet.exit_report import CLEAN_STATUSES, ExitReport, describe_status, log_tail
+from cpnet.fork_server import ChildProcess, ensure_fork_server, start_process
 from cpnet.processes import AGENTS, RELAY, ProcessEntry
-from cpnet.restarts import Restarts
 from cpnet.run_folder import written
 from protocol.bus import Endpoint
 from protocol.errors import CpnetError
 from protocol.logs import LogStyle
 from protocol.topics import BusName
+
+MAX_RESTARTS = 5
+WITHIN_NS = 30_000_000_000
+
+
+class Restarts:
+    """Remembers when each process was started again; dying all the time is no life."""
+
+    def __init__(self) -> None:
+        self._at_ns: dict[str, deque[int]] = defaultdict(lambda: deque(maxlen=MAX_RESTARTS))
+
+    def admits(self, process: str, now_ns: int) -> bool:
+        """Whether a process may be started once more now; if so, that counts."""
+        times_ns = self._at_ns[process]
+        if len(times_ns) == MAX_RESTARTS and now_ns - times_ns[0] < WITHIN_NS:
+            return False
+        times_ns.append(now_ns)
+        return True
+
 
 _log = logging.getLogger(__name__)
 
@@ -28,15 +47,15 @@ STOPPED_NS = 5_000_000_000  # then it is as good as dead
 GRACE_S = 2.0  # then for all others, until SIGKILL: both within the 5 s that users wait
 WRITERS = ("record", "tape")
 LIST_NAME = "processes.json"
-NURSERY = "nursery"
+FORK_SERVER = "nursery"
 
 
 @dataclass(slots=True, eq=False)
-class Child:
+class SupervisedProcess:
     """A running process with its log."""
 
     entry: ProcessEntry
-    process: Offspring
+    process: ChildProcess
     log_path: Path
     still_since_ns: int | None = None
 
@@ -49,10 +68,14 @@ class Child:
         return now_ns - self.still_since_ns
 
     @property
-    def death(self) -> Death | None:
+    def death(self) -> ExitReport | None:
         """How it ended, if it has."""
         status = self.process.poll()
-        return None if status is None else Death(self.entry.id, how(status), tail(self.log_path))
+        return (
+            None
+            if status is None
+            else ExitReport(self.entry.id, describe_status(status), log_tail(self.log_path))
+        )
 
 
 class Supervisor:
@@ -70,7 +93,7 @@ class Supervisor:
         self._endpoints = endpoints
         self._log_style = log_style
         self._uplinks: dict[str, str] = {}
-        self._children: list[Child] = []
+        self._children: list[SupervisedProcess] = []
         self._orphans: set[int] = set()
         self._is_listed = True
         self._restarts = Restarts()
@@ -96,7 +119,7 @@ class Supervisor:
             self._children.append(self._spawn(entry))
         self._list()
 
-    def revive(self) -> tuple[list[Death], list[Death]]:
+    def revive(self) -> tuple[list[ExitReport], list[ExitReport]]:
         """Starts again what has ended too early; returns who that was, and who stays dead.
 
         Who was stopped by a signal and does not go on is ended first.
@@ -122,16 +145,16 @@ class Supervisor:
         now_ns = time.monotonic_ns()
         return [c.entry.id for c in self._children if c.stopped_ns(now_ns) >= for_ns]
 
-    def _end_stopped(self, child: Child) -> Death | None:
+    def _end_stopped(self, child: SupervisedProcess) -> ExitReport | None:
         stopped_ns = child.stopped_ns(time.monotonic_ns())
         if stopped_ns < STOPPED_NS:
             return None
         child.process.send_signal(signal.SIGKILL)
         child.process.wait(GRACE_S)
         stood = f"was stopped (SIGSTOP) for {stopped_ns / 1e9:.0f} s"
-        return Death(child.entry.id, stood, tail(child.log_path))
+        return ExitReport(child.entry.id, stood, log_tail(child.log_path))
 
-    def _again(self, number: int, death: Death) -> Death:
+    def _again(self, number: int, death: ExitReport) -> ExitReport:
         """Starts a child again; returns its death with what became of it."""
         child = self._children[number]
         child.process.release()
@@ -141,18 +164,18 @@ class Supervisor:
             return replace(death, how=f"{death.how}; {error}")
         return replace(death, how=f"{death.how}; started again")
 
-    def bereft(self) -> Death | None:
+    def bereft(self) -> ExitReport | None:
         """Returns the death of the fork server, once, if processes have outlived it."""
         orphans = {c.process.pid for c in self._children if c.process.orphaned}
         if orphans <= self._orphans:
             return None
         self._orphans = orphans
         gone = "was killed or crashed, the fork server that starts all others"
-        return Death(NURSERY, gone, tail(self._nursery_log))
+        return ExitReport(FORK_SERVER, gone, log_tail(self._nursery_log))
 
     @property
     def _nursery_log(self) -> Path:
-        return self._run_dir / "logs" / f"{NURSERY}.log"
+        return self._run_dir / "logs" / f"{FORK_SERVER}.log"
 
     def _list(self) -> None:
         """Writes which process is which, for whoever looks after them from outside.
@@ -173,13 +196,15 @@ class Supervisor:
                 with suppress(OSError):
                     left.unlink(missing_ok=True)
 
-    def _spawn(self, entry: ProcessEntry) -> Child:
+    def _spawn(self, entry: ProcessEntry) -> SupervisedProcess:
         path = self._run_dir / "logs" / f"{entry.id}.log"
         if self._orphans:
-            renew(self._nursery_log)
-        return Child(entry, start(entry.role.module, self._arguments(entry), path), path)
+            ensure_fork_server(self._nursery_log)
+        return SupervisedProcess(
+            entry, start_process(entry.role.module, self._arguments(entry), path), path
+        )
 
-    def death(self, *, at_end: bool) -> Death | None:
+    def death(self, *, at_end: bool) -> ExitReport | None:
         """Returns a process that failed, or, before the run's end, that ended at all.
 
         Of several the one that a signal killed comes first: it is the cause, not a consequence.
@@ -187,23 +212,24 @@ class Supervisor:
         dead = [
             (status, child)
             for child in self._children
-            if (status := child.process.poll()) is not None and not (at_end and status in WELL)
+            if (status := child.process.poll()) is not None
+            and not (at_end and status in CLEAN_STATUSES)
         ]
         if not dead:
             return None
         status, child = min(dead, key=lambda one: one[0])
-        return Death(child.entry.id, how(status), tail(child.log_path))
+        return ExitReport(child.entry.id, describe_status(status), log_tail(child.log_path))
 
-    def dismiss(self, role: str, *, at_end: bool) -> Death | None:
+    def dismiss(self, role: str, *, at_end: bool) -> ExitReport | None:
         """Returns a process of this role that is dead as in `death`, and no longer asks for it."""
         for child in self._children:
             status = child.process.poll()
-            is_dead = status is not None and not (at_end and status in WELL)
+            is_dead = status is not None and not (at_end and status in CLEAN_STATUSES)
             if child.entry.role.role == role and status is not None and is_dead:
                 self._children.remove(child)
                 self._list()
                 child.process.release()
-                return Death(child.entry.id, how(status), tail(child.log_path))
+                return ExitReport(child.entry.id, describe_status(status), log_tail(child.log_path))
         return None
 
     def holds(self, process: str) -> bool:
@@ -258,12 +284,12 @@ class Supervisor:
         return endpoint if hosts else connecting(endpoint)
 
 
-def _interrupt(children: list[Child]) -> None:
+def _interrupt(children: list[SupervisedProcess]) -> None:
     for child in children:
         child.process.send_signal(signal.SIGINT)
 
 
-def _await(children: list[Child], grace_s: float) -> list[Child]:
+def _await(children: list[SupervisedProcess], grace_s: float) -> list[SupervisedProcess]:
     """Waits for the end of all; returns those that still run when the time is over."""
     give_up_ns = time.monotonic_ns() + int(grace_s * 1e9)
     return [

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from cpnet.follow import Interruption
+from cpnet.discovery import RunLocation
 from cpnet.looking import looking_for
-from cpnet.running import Running
+from cpnet.run_monitor import StopSignals
 from protocol.config import is_file, is_folder, is_free
 from protocol.courtesy import step_back
 from protocol.errors import ConfigError, CpnetError
@@ -27,7 +27,11 @@ STEM, FOXGLOVE_STEM = "record", "foxglove"
 
 
 def tape_run(
-    running: Running, choice: Choice, out: Path | None, duration_s: float | None, console: Console
+    running: RunLocation,
+    choice: Choice,
+    out: Path | None,
+    duration_s: float | None,
+    console: Console,
 ) -> None:
     """Tapes a run until it is over, the duration has passed or a signal comes.
 
@@ -48,7 +52,7 @@ def tape_run(
             setup = onlooker.setup()
         step_back()  # but for Zenoh's own threads: who is waited for must not be slow to take
         onlooker.hear(choice.topics)
-        stop = stack.enter_context(Interruption()).event
+        stop = stack.enter_context(StopSignals()).event
         taping = Taping(setup, next_path, onlooker.inbox, choice, stop)
         console.print(
             f"taping to {taping.writer.files[0]}; Ctrl-C ends it", markup=False, soft_wrap=True

@@ -12,19 +12,19 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from cpnet.beside import check_viewing, viewed
-from cpnet.crowd import everybody
+from cpnet.discovery import discoverable
 from cpnet.endpoints import connecting
-from cpnet.follow import Attendant, Interruption
-from cpnet.preparation import Options, Played, prepared
-from cpnet.running import noted
+from cpnet.preparation import Options, Replay, prepare_run
+from cpnet.run_monitor import RunMonitor, StopSignals
 from cpnet.supervisor import Supervisor
+from cpnet.watch import all_processes
 from protocol.topics import BusName
 
 if TYPE_CHECKING:
     from cpnet.metrics_page import MetricsAddress, RunMetrics
 
 
-def up(options: Options, console: Console, played: Played | None = None) -> tuple[int, Path]:
+def up(options: Options, console: Console, played: Replay | None = None) -> tuple[int, Path]:
     """Runs the roles of this machine to the end; returns the exit status and the run folder.
 
     A replay takes the place of the scenario in the options.
@@ -36,17 +36,17 @@ def up(options: Options, console: Console, played: Played | None = None) -> tupl
     """
     check_viewing(options.view)
     address = _metrics_address(options.metrics)
-    run = prepared(options, console, played)
+    run = prepare_run(options, console, played)
     with (
         _serving(address, console) as metrics,
-        Interruption() as interruption,
-        noted(run.run_dir, run.endpoints, options.keys),
+        StopSignals() as interruption,
+        discoverable(run.run_dir, run.endpoints, options.keys),
         Supervisor(run.run_dir, run.endpoints, options.log, options.keys) as supervisor,
     ):
         if metrics is not None:
-            metrics.expect(run.relays + run.processes, everybody(run.scenario))
+            metrics.expect(run.relays + run.processes, all_processes(run.scenario))
         supervisor.start(run.relays + run.processes)
-        attendant = Attendant(
+        attendant = RunMonitor(
             supervisor, run.scenario, interruption, console, options.restart, metrics
         )
         with viewed(run.run_dir, options.view, console):

@@ -13,10 +13,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from cpnet.deaths import how
-from cpnet.follow import Interruption
+from cpnet.discovery import RunLocation, find_run
+from cpnet.exit_report import describe_status
 from cpnet.looking import looking_for
-from cpnet.running import Running, find
+from cpnet.run_monitor import StopSignals
 from protocol.courtesy import Budget, step_back
 from protocol.errors import ConfigError, CpnetError
 from protocol.messages import Setup
@@ -55,7 +55,7 @@ def view(
         from viewer.log import Log
         from viewer.sinks import check, opened
     check(screen.port, screen.save)
-    found = find(run, connect, keys)
+    found = find_run(run, connect, keys)
     with _attached(found, live.TOPICS, console) as (onlooker, setup, interruption):
         scene = Scene(setup)
         with opened(screen.port, screen.save, scene) as sink:
@@ -74,7 +74,9 @@ def view(
                 if sink.stays:
                     raise CpnetError("Rerun, which served the page, has ended; view the run again")
                 if status:  # else somebody closed the window
-                    raise CpnetError(f"Rerun's window {how(status)}; --web shows a page")
+                    raise CpnetError(
+                        f"Rerun's window {describe_status(status)}; --web shows a page"
+                    )
 
 
 def top(
@@ -87,7 +89,7 @@ def top(
         BusError: the run does not answer.
     """
     step_back()
-    found = find(run, connect, keys)
+    found = find_run(run, connect, keys)
     with _attached(found, board.TOPICS, console) as (onlooker, setup, interruption):
         filled = board.Board(setup)
         if once:
@@ -103,8 +105,8 @@ def budget() -> Budget:
 
 @contextmanager
 def _attached(
-    run: Running, topics: Iterable[str], console: Console
-) -> Iterator[tuple[Onlooker, Setup, Interruption]]:
+    run: RunLocation, topics: Iterable[str], console: Console
+) -> Iterator[tuple[Onlooker, Setup, StopSignals]]:
     """Until it is attached a signal ends the command as any other; there is nothing to close."""
     with ExitStack() as stack:
         with looking_for(run, console):
@@ -119,7 +121,7 @@ def _attached(
                 )
             )
             setup = onlooker.setup(SETUP_S)
-        yield onlooker, setup, stack.enter_context(Interruption())
+        yield onlooker, setup, stack.enter_context(StopSignals())
 
 
 def _stop_without(server: subprocess.Popen[bytes], stop: threading.Event) -> None:

@@ -1,4 +1,4 @@
-"""What the supervisor hears of a run over the world bus: progress, its end, who is there."""
+"""What the supervisor receives over the world bus: progress, the end, who is present."""
 
 from __future__ import annotations
 
@@ -7,14 +7,51 @@ import time
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from cpnet.crowd import Crowd, Who
+from cpnet.scenario import Scenario
 from protocol.bus import Endpoint, open_bus
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Progress
 from protocol.topics import BusName
+from sim_host.presence import expected_processes
 
 if TYPE_CHECKING:
     from cpnet.metrics_page import RunMetrics  # prometheus_client: only runs with --metrics need it
+
+
+ProcessKey = tuple[str, str]
+"""Role and id of a process."""
+
+MAX_UNEXPECTED = 256  # anybody may invent tokens, where buses are not secured
+
+
+def all_processes(scenario: Scenario) -> set[ProcessKey]:
+    """Returns all processes that a scenario names, on whatever machine they run."""
+    ids = ["sim", *expected_processes(scenario.model_dump(mode="json"))]
+    return {(name.rpartition("-")[0] or name, name) for name in ids}
+
+
+class PresenceTable:
+    """Those who are there, and those expected who have left; strangers are forgotten then."""
+
+    def __init__(self, expected: Iterable[ProcessKey]) -> None:
+        self._expected = frozenset(expected)
+        self._strangers = 0
+        self.present: set[ProcessKey] = set()
+        self.left: set[ProcessKey] = set()
+
+    def hear(self, presence: Presence) -> None:
+        """Notes who came or went; of too many strangers no more are noted."""
+        who = (presence.role, presence.id)
+        if who in self._expected:
+            (self.present.add if presence.alive else self.present.discard)(who)
+            (self.left.discard if presence.alive else self.left.add)(who)
+        elif presence.alive and who not in self.present and self._strangers < MAX_UNEXPECTED:
+            self.present.add(who)
+            self._strangers += 1
+        elif not presence.alive and who in self.present:
+            self.present.remove(who)
+            self._strangers -= 1
+
 
 CONNECT_TIMEOUT_MS = 300
 CLOSE_S = 1.0
@@ -22,11 +59,11 @@ MAX_BATCH = 256  # so that a flood cannot keep the supervisor from its processes
 METRICS_WAITING = 64  # of each process
 
 
-class Watch:
+class WorldWatch:
     """A listener that disturbs nobody; a context manager."""
 
     def __init__(
-        self, world: Endpoint, expected: Iterable[Who], metrics: RunMetrics | None = None
+        self, world: Endpoint, expected: Iterable[ProcessKey], metrics: RunMetrics | None = None
     ) -> None:
         """Connects; `metrics` takes all that comes, if there are any.
 
@@ -38,7 +75,7 @@ class Watch:
         self._bus = open_bus(BusName.WORLD, world, self._inbox, CONNECT_TIMEOUT_MS)
         self.progress: Progress | None = None
         self.end: End | None = None
-        self._crowd = Crowd(expected)
+        self._crowd = PresenceTable(expected)
         for topic in ("progress", "end"):
             self._bus.subscribe(topic)
         if metrics is not None:
@@ -46,7 +83,7 @@ class Watch:
             self._bus.subscribe("metrics")
         self._bus.watch()
 
-    def __enter__(self) -> Watch:
+    def __enter__(self) -> WorldWatch:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -78,7 +115,7 @@ class Watch:
         """Whether a process of this role lives on any machine."""
         return any(present == role for present, _ in self._crowd.present)
 
-    def lost(self) -> list[Who]:
+    def lost(self) -> list[ProcessKey]:
         """Returns role and id of the expected processes that have left."""
         return sorted(self._crowd.left)
 

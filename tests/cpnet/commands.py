@@ -24,7 +24,7 @@ from unittest.mock import patch
 
 from cpnet.__main__ import main
 from cpnet.endpoints import free_locator
-from cpnet.nursery import ONE_THREAD
+from cpnet.fork_server import ONE_THREAD
 from recorder.account import stage_sum_ns
 from recorder.run import Run
 from recorder.tables import AccountRow, FrameRow

@@ -10,11 +10,10 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from cpnet.cli_keys import keys_command
+from cpnet.cli_setup import keys_command
 from cpnet.endpoints import free_locator
-from cpnet.key_check import check_key
-from cpnet.router_config import ROUTER, router_config
-from cpnet.security import secured
+from cpnet.keys import ROUTER, router_config
+from cpnet.security import check_key, secured_endpoints
 from protocol.access import Keys
 from protocol.bus import Endpoint, open_bus
 from protocol.errors import ConfigError
@@ -178,8 +177,8 @@ def test_keys_that_are_surely_needed_are_missed_before_anybody_is_asked(
 @pytest.mark.parametrize("place", ["0.0.0.0:7447", "[::]:7447", "192.0.2.1:7447", "edge.city:7447"])
 def test_a_bus_without_keys_stays_on_loopback(place):
     with pytest.raises(ConfigError, match=NOBODY_ELSE):
-        secured([], [place], set(), None, insecure=False)
-    assert len(secured([], [place], set(), None, insecure=True)) == 2
+        secured_endpoints([], [place], set(), None, insecure=False)
+    assert len(secured_endpoints([], [place], set(), None, insecure=True)) == 2
 
 
 def test_listening_to_a_network_without_keys_is_refused(shell: Shell):
@@ -192,11 +191,11 @@ def test_listening_to_a_network_without_keys_is_refused(shell: Shell):
 
 @pytest.mark.parametrize("place", ["127.0.0.1:7447", "127.9.9.9:7447", "[::1]:7447", "localhost:1"])
 def test_loopback_needs_no_keys(place):
-    assert len(secured([], [place], set(), None, insecure=False)) == 2
+    assert len(secured_endpoints([], [place], set(), None, insecure=False)) == 2
 
 
 def test_keys_make_every_place_one_of_tls_for_the_supervisor_too(made):
-    places = secured([], [], BUSES, made, insecure=False)
+    places = secured_endpoints([], [], BUSES, made, insecure=False)
     for endpoint in places.values():
         assert endpoint.locator.startswith("tls/127.0.0.1:")
         assert endpoint.keys is not None
@@ -205,7 +204,7 @@ def test_keys_make_every_place_one_of_tls_for_the_supervisor_too(made):
 
 def test_keys_and_insecure_contradict_each_other(made):
     with pytest.raises(ConfigError, match="has no meaning with --keys"):
-        secured([], [], BUSES, made, insecure=True)
+        secured_endpoints([], [], BUSES, made, insecure=True)
 
 
 def test_the_settings_of_another_router_hold_the_rules_of_the_certificates(shell: Shell, folder):

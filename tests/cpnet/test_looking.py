@@ -7,12 +7,12 @@ from rich.console import Console
 
 from cpnet import looking
 from cpnet.beside import Viewing, viewed
+from cpnet.discovery import RunLocation
 from cpnet.looking import looking_for
-from cpnet.running import Running
 from protocol.bus import Endpoint
 from tests.waiting import wait_until
 
-RUN = Running(Endpoint("tcp/far:1", listen=False), Endpoint("tcp/far:2", listen=False))
+RUN = RunLocation(Endpoint("tcp/far:1", listen=False), Endpoint("tcp/far:2", listen=False))
 
 
 def test_a_wait_that_lasts_is_told_of(monkeypatch):

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from cpnet import scenario as scenarios
 from cpnet.cli import app
-from cpnet.replay import Pace, played_tape, setup_of
+from cpnet.replay import Pace, replay_of_recording, setup_of
 from protocol.errors import ConfigError
 from recorder.compare import differences
 from recorder.run import Run
@@ -116,7 +116,7 @@ def test_of_a_tape_that_was_cut_off_all_are_told_and_it_is_counted_once(tmp_path
     whole = (taped / "run.mcap").read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) * 3 // 4])
-    setup = played_tape(cut, {}, Pace(), Console()).setup(tmp_path)
+    setup = replay_of_recording(cut, {}, Pace(), Console()).setup(tmp_path)
     frames = round(setup.scenario["duration_s"] * 10)
     said = f"cut off: 1 part cannot be read; {frames} frames are played"
     assert said in capsys.readouterr().out
@@ -126,7 +126,7 @@ def test_of_a_tape_that_was_cut_off_all_are_told_and_it_is_counted_once(tmp_path
     counts = [reasons.get("damaged_on_tape", 0) for reasons in summary["drops_by_reason"].values()]
     assert sum(counts) == 1
     assert summary["frames"] == frames
-    played_tape(taped, {}, Pace(), Console())
+    replay_of_recording(taped, {}, Pace(), Console())
     assert capsys.readouterr().out == ""
 
 

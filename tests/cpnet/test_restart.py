@@ -9,8 +9,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from cpnet.endpoints import free_locator
-from cpnet.restarts import MAX_RESTARTS, WITHIN_NS, Restarts
-from cpnet.supervisor import LIST_NAME
+from cpnet.supervisor import LIST_NAME, MAX_RESTARTS, WITHIN_NS, Restarts
 from protocol.bus import Endpoint
 from tests.cpnet.commands import Command, Shell, children_of
 from tests.soak.campaign import hurt_once

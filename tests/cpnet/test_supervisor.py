@@ -8,12 +8,18 @@ from pathlib import Path
 
 import pytest
 
-from cpnet.deaths import tail
 from cpnet.endpoints import resolve
-from cpnet.processes import ROLES, ProcessEntry, RoleEntry, certain, choose, processes_of
-from cpnet.restarts import MAX_RESTARTS
+from cpnet.exit_report import log_tail
+from cpnet.processes import (
+    ROLES,
+    ProcessEntry,
+    RoleEntry,
+    parse_only,
+    processes_of,
+    processes_without_scenario,
+)
 from cpnet.scenario import Scenario
-from cpnet.supervisor import LIST_NAME, Supervisor
+from cpnet.supervisor import LIST_NAME, MAX_RESTARTS, Supervisor
 from protocol.errors import ConfigError
 from protocol.topics import BusName
 from tests.waiting import wait_until
@@ -207,10 +213,10 @@ def test_a_full_disk_ends_no_run_for_want_of_its_list(supervisor, tmp_path, monk
 def test_an_empty_log_on_a_full_disk_says_why_it_is_empty(tmp_path, monkeypatch):
     log = tmp_path / "record.log"
     log.touch()
-    assert tail(log) == "(its log is empty)"
+    assert log_tail(log) == "(its log is empty)"
     usage = shutil.disk_usage(tmp_path)._replace(free=4096)
     monkeypatch.setattr("shutil.disk_usage", lambda _: usage)
-    assert tail(log) == f"(its log is empty: the disk that holds {tmp_path} is full)"
+    assert log_tail(log) == f"(its log is empty: the disk that holds {tmp_path} is full)"
 
 
 def test_a_folder_that_cannot_be_written_is_a_plain_mistake(tmp_path):
@@ -227,13 +233,13 @@ def test_the_scenario_says_how_many_processes_there_are():
     scenario = Scenario.model_validate(
         {"processes": {"vehicle": 3}, "roadside_mounts": [{"id": "a"}, {"id": "b"}]}
     )
-    ids = [p.id for p in processes_of(choose("vehicle,infra"), scenario)]
+    ids = [p.id for p in processes_of(parse_only("vehicle,infra"), scenario)]
     assert ids == ["infra-0", "infra-1", "vehicle-0", "vehicle-1", "vehicle-2"]
 
 
 def test_an_unknown_role_is_refused_with_the_allowed_ones():
     with pytest.raises(ConfigError, match="no role 'edgy'; allowed: edge, sim, record"):
-        choose("edge,edgy")
+        parse_only("edge,edgy")
 
 
 def test_every_role_is_a_package_with_a_main_module():
@@ -243,5 +249,8 @@ def test_every_role_is_a_package_with_a_main_module():
 
 
 def test_what_was_named_runs_whatever_the_scenario_is():
-    found = [process.id for process in certain(choose("edge,tape,infra,vehicle-7,vehicle-1"))]
+    found = [
+        process.id
+        for process in processes_without_scenario(parse_only("edge,tape,infra,vehicle-7,vehicle-1"))
+    ]
     assert found == ["edge", "vehicle-1", "vehicle-7"]

@@ -14,7 +14,7 @@ pytest.importorskip("mcap", reason="needs the extra `tape`")
 from rich.console import Console
 
 from cpnet import taping
-from cpnet.running import Running
+from cpnet.discovery import RunLocation
 from protocol.bus import Endpoint
 from protocol.errors import ConfigError, CpnetError
 from protocol.inbox import Inbox
@@ -50,7 +50,7 @@ def test_a_full_disk_leaves_what_can_be_read_and_says_so(tmp_path, monkeypatch):
     said = io.StringIO()
     before = signal.getsignal(signal.SIGTSTP)
     try:
-        run = Running(NOWHERE, NOWHERE, tmp_path)
+        run = RunLocation(NOWHERE, NOWHERE, tmp_path)
         with pytest.raises(CpnetError, match="No space left"):
             taping.tape_run(run, PLAIN, None, None, Console(file=said, width=200))
     finally:
@@ -66,5 +66,5 @@ def test_what_cannot_be_a_new_file_is_refused_before_all_else(tmp_path, monkeypa
     (tmp_path / "there.mcap").touch()
     with pytest.raises(ConfigError, match="--out"):
         taping.tape_run(
-            Running(NOWHERE, NOWHERE), PLAIN, tmp_path / Path(name), None, Console(quiet=True)
+            RunLocation(NOWHERE, NOWHERE), PLAIN, tmp_path / Path(name), None, Console(quiet=True)
         )

@@ -12,8 +12,7 @@ from rich.console import Console
 
 pytest.importorskip("mcap", reason="needs the extra `tape`")
 
-from cpnet.replay import Pace
-from cpnet.replay_scans import Scans, played_scans
+from cpnet.replay import Pace, Scans, replay_of_scans
 from player.scans.agents import Source, agents_of
 from player.scans.taping import Imported
 from protocol.errors import ConfigError
@@ -27,7 +26,7 @@ CARS = [(9.0, 3.0, 0.1), (-8.0, -5.0, 0.0)]
 
 
 def played(folder: Path, asked: Scans) -> Path:
-    made = played_scans(asked, Pace(), Console())
+    made = replay_of_scans(asked, Pace(), Console())
     folder.mkdir()
     run_setup_in_process(made.setup(folder), folder)
     return folder
@@ -126,7 +125,7 @@ def two_agents(folder: Path, times: str) -> Source:
 def test_agents_that_were_timed_by_other_clocks_are_refused(tmp_path):
     source = two_agents(tmp_path, "a,5,0,0,2\na,5.1,0,0,2\nb,5.04,9,0,2\nb,5.16,9,0,2\n")
     with pytest.raises(ConfigError, match=r"p\.csv: agents a and b have other times in frame 1"):
-        played_scans(Scans(source, None, {}), Pace(), Console())
+        replay_of_scans(Scans(source, None, {}), Pace(), Console())
 
 
 def test_the_times_are_those_of_an_agent_that_has_them(tmp_path):
@@ -139,11 +138,11 @@ def test_the_times_are_those_of_an_agent_that_has_them(tmp_path):
 def test_a_first_cloud_without_a_point_is_refused_and_later_ones_are_counted(tmp_path, capsys):
     source = two_agents(tmp_path, "a,5,0,0,2\nb,5,9,0,2\n")
     places.write_bin(tmp_path / "all" / "b" / "1.bin", np.full((3, 3), np.nan))
-    played_scans(Scans(source, None, {}), Pace(), Console()).setup(tmp_path)
+    replay_of_scans(Scans(source, None, {}), Pace(), Console()).setup(tmp_path)
     assert "1 of 4 clouds hold no point" in capsys.readouterr().out
     places.write_bin(tmp_path / "all" / "b" / "0.bin", np.full((3, 3), np.inf))
     with pytest.raises(ConfigError, match=r"0\.bin: holds no point"):
-        played_scans(Scans(source, None, {}, height_m=2.0), Pace(), Console())
+        replay_of_scans(Scans(source, None, {}, height_m=2.0), Pace(), Console())
 
 
 @pytest.mark.parametrize(
@@ -159,7 +158,7 @@ def test_a_first_cloud_without_a_point_is_refused_and_later_ones_are_counted(tmp
 def test_what_scans_cannot_be_played_with_is_refused(tmp_path, asked, said):
     source = two_agents(tmp_path, "a,5,0,0,2\nb,5,9,0,2\n")
     with pytest.raises(ConfigError, match=said):
-        played_scans(Scans(source, None, **{"overrides": {}} | asked), Pace(), Console())
+        replay_of_scans(Scans(source, None, **{"overrides": {}} | asked), Pace(), Console())
 
 
 def test_a_folder_whose_name_no_agent_can_have_is_named(tmp_path):

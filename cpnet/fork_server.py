@@ -1,7 +1,7 @@
-"""Processes forked off one that has imported what they all need, so that they begin at once.
+"""Fork server: one process imports what all roles need, and each role is forked off it.
 
 Imports are most of what a process does before it can take part: a second or two each, on every
-core. Here one process does it for all, and each of them begins where that one stands.
+core. Forked, a process starts with them done; `cpnet.fork_server_preload` is imported last.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
 UNKNOWN_STATUS = 255  # what multiprocessing says where the fork server that would tell has gone
-TOLD_WITHIN_S = 1.0  # the fork server hears of an end at once, if it lives
+STATUS_WAIT_S = 1.0  # the fork server hears of an end at once, if it lives
 
 
-class Offspring:
+class ChildProcess:
     """A process whose standard input is its lifeline: it ends when that is closed.
 
     Whether it lives is asked of the kernel; the fork server, which may die before it, only tells
@@ -68,7 +68,7 @@ class Offspring:
     def wait(self, timeout_s: float | None = None) -> int | None:
         """Returns the same once it has ended, or when the time is over."""
         if self._status is None and (self._pidfd is None or wait([self._pidfd], timeout_s)):
-            self._process.join(TOLD_WITHIN_S)
+            self._process.join(STATUS_WAIT_S)
             told = self._process.exitcode
             self._status = UNKNOWN_STATUS if told is None else told
         return self._status
@@ -87,18 +87,20 @@ class Offspring:
             self._pidfd = None
 
 
-def prepare(modules: Iterable[str], log: Path) -> None:
+def preload(modules: Iterable[str], log: Path) -> None:
     """Begins to import these modules, and what they import, in the process that all are forked off.
 
     It ends with this process, not before: Ctrl-C does not reach it.
     """
     os.environ.update(ONE_THREAD)
-    multiprocessing.set_forkserver_preload(["cpnet.__main__", *modules, "cpnet.forebear"])
+    multiprocessing.set_forkserver_preload(
+        ["cpnet.__main__", *modules, "cpnet.fork_server_preload"]
+    )
     log.parent.mkdir(parents=True, exist_ok=True)
-    renew(log)
+    ensure_fork_server(log)
 
 
-def renew(log: Path) -> None:
+def ensure_fork_server(log: Path) -> None:
     """Starts the fork server if it is not there; it imports what it was last told to.
 
     Raises:
@@ -114,29 +116,29 @@ def renew(log: Path) -> None:
         signal.signal(signal.SIGINT, before)
 
 
-def start(module: str, arguments: list[str], log: Path) -> Offspring:
+def start_process(module: str, arguments: list[str], log: Path) -> ChildProcess:
     """Starts `python -m MODULE ARGUMENTS`; what it prints is added to the log.
 
     Raises:
         CpnetError: the fork server does not answer, or too many files are open.
     """
     try:
-        return _start(module, arguments, log)
+        return _fork(module, arguments, log)
     except (OSError, EOFError) as error:
         raise CpnetError(
             f"{module} cannot be started: {error}; see the logs beside {log}"
         ) from None
 
 
-def _start(module: str, arguments: list[str], log: Path) -> Offspring:
+def _fork(module: str, arguments: list[str], log: Path) -> ChildProcess:
     theirs, ours = multiprocessing.Pipe(duplex=False)
     with theirs:
         process = ForkServerProcess(
-            target=_live, args=(module, arguments, str(log), theirs), name=module, daemon=True
+            target=_run_module, args=(module, arguments, str(log), theirs), name=module, daemon=True
         )
         try:
             process.start()
-            return Offspring(process, ours)
+            return ChildProcess(process, ours)
         except BaseException:
             ours.close()  # whoever was started after all ends by that
             raise
@@ -158,7 +160,7 @@ def _printing_to(log: Path) -> Iterator[None]:
         os.close(written)
 
 
-def _live(module: str, arguments: list[str], log: str, lifeline: Connection) -> None:
+def _run_module(module: str, arguments: list[str], log: str, lifeline: Connection) -> None:
     """Becomes that process."""
     os.setsid()  # Ctrl-C reaches the supervisor, which stops in order
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -1,4 +1,4 @@
-"""The command that makes a recorded run again."""
+"""The shortest `cpnet up` that reproduces a recorded run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `cpnet replay`."""
+"""The commands that run something: `cpnet up` and `cpnet replay`."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
 ) -> None:
     """Play a recorded run to live processes: another detector, policy or link, the same scans."""
     from cpnet.preparation import Options
-    from cpnet.replay import Pace, played_tape
+    from cpnet.replay import Pace, replay_of_recording
     from cpnet.up import print_results, up
 
     pace, overrides = Pace.of(speed, lockstep=lockstep), assigned(set_)
@@ -167,7 +167,7 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
         named = [poses, extrinsics, sensors, scenario, frames, height, width]
         if refine or any(option is not None for option in named):
             raise ConfigError("--poses and all that is for scans from elsewhere needs --scans DIR")
-        played = played_tape(tape, overrides, pace, console)
+        played = replay_of_recording(tape, overrides, pace, console)
     elif refine and extrinsics is None:
         raise ConfigError(
             "--refine needs --extrinsics FILE: a first guess of how sensors are mounted"
@@ -175,12 +175,12 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
     elif scans is None or poses is None:
         raise ConfigError("--scans needs --poses FILE: where the sensor was in each frame")
     else:
-        from cpnet.replay_scans import Scans, played_scans
+        from cpnet.replay import Scans, replay_of_scans
         from player.scans.agents import Source
 
         names = [name.strip() for name in sensors.split(",")] if sensors else []
         source = Source(scans, poses, extrinsics, names, refine=refine)
-        played = played_scans(
+        played = replay_of_scans(
             Scans(source, scenario, overrides, frames, height, width), pace, console
         )
     options = Options(

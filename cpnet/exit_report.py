@@ -1,22 +1,40 @@
-"""Processes that ended before their time: who, how, and what they said last."""
+"""Reports of processes that ended: id, exit status in words, the last lines of the log."""
 
 from __future__ import annotations
 
+import json
 import shutil
 import signal
 from dataclasses import dataclass
 from pathlib import Path
 
-from cpnet.log_lines import readable
-from cpnet.nursery import UNKNOWN_STATUS
+from cpnet.fork_server import UNKNOWN_STATUS
+
+
+def readable_line(line: str) -> str:
+    """Returns a line of JSON as it would stand in a log of text, any other line as it is."""
+    try:
+        record = json.loads(line)
+    except (ValueError, RecursionError):
+        return line
+    if not isinstance(record, dict) or not {"level", "message"} <= record.keys():
+        return line
+    words = (record.get(key) for key in ("time", "process", "level", "logger"))
+    head = " ".join(str(word) for word in words if word)
+    told = f"{head}: {record['message']}"
+    return f"{told}\n{record['exception']}" if record.get("exception") else told
+
 
 TAIL_LINES = 12
 FULL_BYTES = 1 << 20
-WELL = (0, UNKNOWN_STATUS)  # at the end; who outlived the fork server has nobody to tell of it
+CLEAN_STATUSES = (
+    0,
+    UNKNOWN_STATUS,
+)  # at the end; who outlived the fork server has nobody to tell of it
 
 
 @dataclass(frozen=True, slots=True)
-class Death:
+class ExitReport:
     """A process that ended before the run did."""
 
     id: str
@@ -24,7 +42,7 @@ class Death:
     tail: str
 
 
-def how(status: int) -> str:
+def describe_status(status: int) -> str:
     """Returns what an exit status says, as the end of a sentence."""
     if status == UNKNOWN_STATUS:
         return "ended, and the fork server that would know how had gone"
@@ -41,13 +59,13 @@ def signal_name(number: int) -> str:
         return f"signal {number}"
 
 
-def tail(path: Path, lines: int = TAIL_LINES) -> str:
+def log_tail(path: Path, lines: int = TAIL_LINES) -> str:
     """Returns the last lines of a log."""
     try:
         text = path.read_text("utf-8", errors="replace")
     except OSError as error:
         return f"(no log: {error})"
-    told = "\n".join(map(readable, text.splitlines()[-lines:]))
+    told = "\n".join(map(readable_line, text.splitlines()[-lines:]))
     return "\n".join(told.splitlines()[-lines:]) or _why_empty(path.parent)
 
 

@@ -5,8 +5,8 @@ import shlex
 import pytest
 
 from cpnet import scenario as scenarios
-from cpnet.again import command_of
 from cpnet.cli_options import assigned
+from cpnet.reproduce import command_of
 
 
 def recorded(**changes: object) -> dict:

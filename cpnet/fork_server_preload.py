@@ -1,4 +1,4 @@
-"""Imported last by the process that others are forked off, see `cpnet.nursery`, and by no other."""
+"""The last module that the fork server imports, see `cpnet.fork_server`; nobody else does."""
 
 import atexit
 import gc

@@ -1,29 +1,149 @@
-"""Attends a run: shows how it goes, notices deaths, and knows when it is over."""
+"""Follows a run to its end: shows progress, reports stalls and failures, gives the exit status."""
 
 from __future__ import annotations
 
 import signal
 import threading
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rich.console import Console
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
 from rich.markup import escape
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
 
-from cpnet.crowd import everybody
-from cpnet.deaths import Death
-from cpnet.display import Display
+from cpnet.exit_report import ExitReport
 from cpnet.processes import TAPE
 from cpnet.scenario import Scenario
-from cpnet.stillness import PATIENCE_NS, Stillness
 from cpnet.supervisor import Supervisor
-from cpnet.watch import Watch
+from cpnet.watch import WorldWatch, all_processes
 from protocol.bus import Endpoint
 from protocol.errors import BusError
+from protocol.messages import Progress
 
 if TYPE_CHECKING:
     from cpnet.metrics_page import RunMetrics  # prometheus_client: only runs with --metrics need it
+
+
+STALL_NS = 3_000_000_000
+
+
+class StallCheck:
+    """Turns what was last heard into what is to be said of it.
+
+    A run may be slow: only a silence longer than any before it is one.
+    """
+
+    def __init__(self) -> None:
+        self._frame: int | None = None
+        self._since_ns = 0
+        self._longest_ns = STALL_NS
+        self._is_still = False
+        self._stopped: set[str] = set()
+
+    def frames(self, frame: int | None, now_ns: int) -> str | None:
+        """Takes the newest frame heard of, None before the first."""
+        silent_ns = now_ns - self._since_ns
+        if frame != self._frame:
+            if self._frame is not None:
+                self._longest_ns = max(self._longest_ns, silent_ns)
+            was_still, self._is_still = self._is_still, False
+            self._frame, self._since_ns = frame, now_ns
+            return f"frames come again, after {silent_ns / 1e9:.0f} s" if was_still else None
+        if frame is None or self._is_still or silent_ns <= self._longest_ns:
+            return None
+        self._is_still = True
+        return f"no frame for {silent_ns / 1e9:.0f} s"
+
+    def stopped(self, processes: Iterable[str]) -> list[str]:
+        """Takes who has been stopped for longer than anybody waits."""
+        now = set(processes)
+        news = [
+            f"nothing heard from {name}: it is stopped (SIGSTOP)" for name in now - self._stopped
+        ]
+        news += [f"{name} goes on" for name in self._stopped - now]
+        self._stopped = now
+        return sorted(news)
+
+
+LINE_EVERY_NS = 5_000_000_000
+MAX_AGENTS = 12
+
+
+class Display:
+    """Shows each `Progress`; a context manager."""
+
+    def __init__(self, console: Console, scenario: Scenario) -> None:
+        self._console = console
+        self._scenario = scenario
+        self._live = Live(console=console, transient=True, auto_refresh=False)
+        self._told_ns = 0
+
+    def __enter__(self) -> Display:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()
+
+    def show(self, progress: Progress) -> None:
+        """Draws the newest state of the run, once a frame is whole; times leave out the warm-up."""
+        if not progress.end_to_end_ms:
+            return
+        time_s = (progress.frame + 1) * self._scenario.frame_period_s
+        if self._console.is_terminal:
+            self._live.update(_panel(progress, time_s, self._scenario.duration_s), refresh=True)
+        elif time.monotonic_ns() - self._told_ns >= LINE_EVERY_NS:
+            self._told_ns = time.monotonic_ns()
+            line = _line(progress, time_s)
+            self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def _line(progress: Progress, time_s: float) -> str:
+    total_mbps = sum(progress.mbps.values())
+    return (
+        f"{time_s:6.1f} s  x{progress.real_time_factor:.2f}  {progress.vehicles} vehicles  "
+        f"{progress.cavs} CAVs  {progress.detections} found  {total_mbps:.1f} Mbit/s  "
+        f"{progress.end_to_end_ms:.0f} ms  {progress.state}"
+    )
+
+
+def _panel(progress: Progress, time_s: float, duration_s: float) -> RenderableType:
+    table = Table.grid(padding=(0, 3))
+    table.add_row("frame", f"{progress.frame}", "simulated", f"{time_s:.1f} of {duration_s:g} s")
+    table.add_row(
+        "real-time factor",
+        f"{progress.real_time_factor:.2f}",
+        "end to end",
+        f"{progress.end_to_end_ms:.0f} ms",
+    )
+    table.add_row(
+        "vehicles",
+        f"{progress.vehicles} ({progress.cavs} CAVs, {progress.cvs} CVs)",
+        "detected",
+        f"{progress.detections}",
+    )
+    table.add_row("signal", _signal(progress.state), "dropped", f"{progress.drops}")
+    agents = Table.grid(padding=(0, 3))
+    for name, mbps in sorted(progress.mbps.items())[:MAX_AGENTS]:
+        agents.add_row(Text(name, "cyan"), f"{mbps:.2f} Mbit/s")
+    bar = Table.grid()
+    bar.add_row(ProgressBar(total=duration_s, completed=min(time_s, duration_s), width=60))
+    return Group(bar, table, Text("uplink", "bold"), agents)
+
+
+def _signal(state: str) -> Text:
+    colours = {"g": "green", "y": "yellow", "r": "red"}
+    text = Text()
+    for letter in state:
+        text.append("●", colours.get(letter.lower(), "white"))
+    return text
+
 
 POLL_S = 0.05
 OVERTAKEN_S = 2.0
@@ -31,14 +151,14 @@ OTHERS_LEAVE_S = 5.0
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-class Interruption:
+class StopSignals:
     """Turns the signals that ask for an end into an event while a run goes on."""
 
     def __init__(self) -> None:
         self.event = threading.Event()
         self.number = 0
 
-    def __enter__(self) -> Interruption:
+    def __enter__(self) -> StopSignals:
         self._before = {n: signal.signal(n, self._take) for n in STOP_SIGNALS}
         return self
 
@@ -52,7 +172,7 @@ class Interruption:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Attendant:
+class RunMonitor:
     """Follows a run whose processes were started here, to its end.
 
     With `restart`, what dies here is started again, and processes of other machines may come and
@@ -62,7 +182,7 @@ class Attendant:
 
     supervisor: Supervisor
     scenario: Scenario
-    interruption: Interruption
+    interruption: StopSignals
     console: Console
     restart: bool
     metrics: RunMetrics | None = None
@@ -70,9 +190,9 @@ class Attendant:
     def attend(self, world: Endpoint) -> int:
         """Returns the exit status."""
         death, reason = None, ""
-        tapes: list[Death] = []
+        tapes: list[ExitReport] = []
         watch = self._watch(world)
-        if isinstance(watch, Death):
+        if isinstance(watch, ExitReport):
             death = watch
         elif watch is not None:
             with watch, Display(self.console, self.scenario) as display:
@@ -83,7 +203,7 @@ class Attendant:
             self._tell("the tape is not whole: ", tape)
         return status or len(tapes)
 
-    def _conclude(self, death: Death | None, reason: str) -> int:
+    def _conclude(self, death: ExitReport | None, reason: str) -> int:
         if self.interruption.event.is_set():
             self.console.print(f"stopping ({signal.Signals(self.interruption.number).name})")
             return 128 + self.interruption.number
@@ -96,25 +216,27 @@ class Attendant:
             return 1
         return 0
 
-    def _tell(self, what: str, death: Death) -> None:
+    def _tell(self, what: str, death: ExitReport) -> None:
         name = escape(death.id)
         self.console.print(f"[bold red]{what}{name} {death.how}[/]; the last lines of its log:")
         self.console.print(death.tail, highlight=False, markup=False, soft_wrap=True)
 
-    def _watch(self, world: Endpoint) -> Watch | Death | None:
+    def _watch(self, world: Endpoint) -> WorldWatch | ExitReport | None:
         """Listens to the world as soon as its bus is there; a process may die before."""
         while not self.interruption.event.is_set():
             if death := self.supervisor.death(at_end=False):
                 return death
             try:
-                return Watch(world, everybody(self.scenario), self.metrics)
+                return WorldWatch(world, all_processes(self.scenario), self.metrics)
             except BusError:
                 self.interruption.event.wait(POLL_S)
         return None
 
-    def _follow(self, watch: Watch, display: Display, tapes: list[Death]) -> Death | None:
+    def _follow(
+        self, watch: WorldWatch, display: Display, tapes: list[ExitReport]
+    ) -> ExitReport | None:
         ended_ns = 0
-        stillness = Stillness()
+        stillness = StallCheck()
         while not self.interruption.event.is_set():
             if watch.update(POLL_S) and watch.progress:
                 display.show(watch.progress)
@@ -132,21 +254,21 @@ class Attendant:
                     return None
         return None
 
-    def _tell_stillness(self, stillness: Stillness, watch: Watch) -> None:
+    def _tell_stillness(self, stillness: StallCheck, watch: WorldWatch) -> None:
         has_begun = watch.progress is not None and watch.progress.end_to_end_ms > 0
         frame = watch.progress.frame if watch.progress and has_begun else None
-        news = stillness.stopped(self.supervisor.stopped(PATIENCE_NS))
+        news = stillness.stopped(self.supervisor.stopped(STALL_NS))
         for line in (*news, stillness.frames(frame, time.monotonic_ns())):
             if line is not None:
                 self.console.print(line, markup=False, highlight=False)
 
-    def _await_overtaken_end(self, watch: Watch) -> None:
+    def _await_overtaken_end(self, watch: WorldWatch) -> None:
         """Waits a little if a process has left and none failed: the end may be on its way."""
         has_left = self.supervisor.death(at_end=False) is not None
         if watch.end is None and has_left and self.supervisor.death(at_end=True) is None:
             watch.await_end(OVERTAKEN_S)
 
-    def _fatal(self, watch: Watch, tapes: list[Death]) -> Death | None:
+    def _fatal(self, watch: WorldWatch, tapes: list[ExitReport]) -> ExitReport | None:
         """Returns a death that ends the run; others are started again, or are a tape's."""
         self._await_overtaken_end(watch)
         at_end = watch.end is not None
@@ -169,14 +291,14 @@ class Attendant:
         is_tape = death is not None and death.id == TAPE.role and watch.progress is not None
         return None if is_tape else death  # a tape that died only now is dismissed next time
 
-    def _dismiss_tape(self, *, at_end: bool) -> list[Death]:
+    def _dismiss_tape(self, *, at_end: bool) -> list[ExitReport]:
         death = self.supervisor.dismiss(TAPE.role, at_end=at_end)
         if death is None:
             return []
         self.console.print(f"{death.id} {death.how}; the run goes on without it", markup=False)
         return [death]
 
-    def _revive(self) -> list[Death]:
+    def _revive(self) -> list[ExitReport]:
         found, lost = self.supervisor.revive()
         for death in found:
             self.console.print(f"{death.id} {death.how}", markup=False)
@@ -184,11 +306,11 @@ class Attendant:
                 self.metrics.restarted(death.id)
         return lost
 
-    def _lost_elsewhere(self, watch: Watch) -> Death | None:
+    def _lost_elsewhere(self, watch: WorldWatch) -> ExitReport | None:
         """Returns a process of another machine that left before the run's end, if that matters."""
         needed = {"sim"}
         if not self.restart:
-            needed.update(process for _, process in everybody(self.scenario))
+            needed.update(process for _, process in all_processes(self.scenario))
             needed.discard(TAPE.role)
         for who in watch.lost():
             process = who[1]
@@ -196,5 +318,5 @@ class Attendant:
                 watch.await_end(OVERTAKEN_S)  # it may still be on its way, or a link was broken
                 if watch.end is None and who in watch.lost():
                     how = "left another machine before the run ended"
-                    return Death(process, how, "(no log here)")
+                    return ExitReport(process, how, "(no log here)")
         return None
