@@ -12,15 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from perception.arrays import Bytes, Floats, Floats32, Ints32
 from perception.roadway import Roadway
 from protocol.geometry import SE3
 from protocol.scans import RangeScan
-
-Floats = npt.NDArray[np.float64]
-Floats32 = npt.NDArray[np.float32]
 
 BELOW_M, ABOVE_M = -2.0, 5.0  # what lies lower or higher over the road is not on it
 
@@ -92,9 +89,6 @@ def _locate(
         if BELOW_M <= over <= ABOVE_M:  # never off the road: there it is NaN
             above_m[beam] = over
 
-
-Bytes = npt.NDArray[np.uint8]
-Ints32 = npt.NDArray[np.int32]
 
 GROUND_M = 0.2  # over the ground; lower returns are the ground's
 TILE_M = 10.0

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from perception.arrays import Bools, Bytes, Floats, Floats32
 from perception.roadway import Roadway
 from perception.thin import thin
 from protocol.geometry import SE3
@@ -24,10 +24,6 @@ from protocol.scans import RangeScan, ScanPattern
 from sensing.config import UploadConfig
 from sensing.upload_filters import Background, driving_foreground, locate
 from sensing.upload_policies import NAMES, Filter, Policy, policy_of
-
-Floats = npt.NDArray[np.float64]
-Floats32 = npt.NDArray[np.float32]
-Bytes = npt.NDArray[np.uint8]
 
 TIGHT, PLAIN, WIDE, BEYOND = 0, 1, 2, 3
 NOT_SENT = 255
@@ -150,9 +146,6 @@ class _CheckedChooser:
                 f"chose chunk {beyond[0]}: it has 0 to {self.chunks - 1}, {NOT_SENT} is not sent"
             )
         return chunk
-
-
-Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
