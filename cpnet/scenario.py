@@ -38,8 +38,8 @@ RENAMED_KEYS: dict[str, str] = {
     "signal.reckon_saturation_vph": "signal.estimator_saturation_vph",
     "traffic.reach_m": "traffic.radius_m",
     "edge.plausibility": "edge.misbehaviour",
-    "edge.coverage_range_m": "edge.coverage_range_m",
-    "edge.stationary_mps": "edge.stationary_mps",
+    "edge.sight_m": "edge.coverage_range_m",
+    "edge.standing_mps": "edge.stationary_mps",
 }
 
 

@@ -152,6 +152,14 @@ def test_a_renamed_key_is_found_in_a_file_and_in_the_entries_of_a_list(renamed_k
         load(str(file), {})
 
 
-def test_no_key_of_today_stands_among_the_renamed():
-    data = Scenario().model_dump(mode="json")
-    assert scenarios.validate(data, "today") == Scenario()
+def keys_of(data: dict, path: str = "") -> set[str]:
+    inner = [
+        keys_of(value, f"{path}{key}.") for key, value in data.items() if isinstance(value, dict)
+    ]
+    return {path + key for key in data}.union(*inner)
+
+
+def test_each_renamed_key_is_gone_and_its_new_name_is_a_key_of_today():
+    today = keys_of(Scenario().model_dump(mode="json"))
+    assert not today & scenarios.RENAMED_KEYS.keys()
+    assert today >= set(scenarios.RENAMED_KEYS.values())
