@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from cpnet.cli_options import AsJson, console
-from protocol.access import MOST_VEHICLES, roles_of
+from protocol.access import MAX_VEHICLE_PROCESSES, roles_of
 from protocol.errors import ConfigError
 
 doctor_app = typer.Typer()
@@ -66,7 +66,9 @@ def keys_command(
         list[str] | None,
         typer.Option(metavar="NAME|IP", help="what others call the machines of edge and sim"),
     ] = None,
-    vehicles: Annotated[int, typer.Option(min=0, max=MOST_VEHICLES, help="vehicle processes")] = 2,
+    vehicles: Annotated[
+        int, typer.Option(min=0, max=MAX_VEHICLE_PROCESSES, help="vehicle processes")
+    ] = 2,
     posts: Annotated[int, typer.Option(min=0, max=1000, help="roadside processes")] = 1,
     days: Annotated[int, typer.Option(min=1, max=3650, help="how long they hold")] = 365,
     router_config: Annotated[

@@ -12,8 +12,8 @@ from typing import Any
 from edge_server.frame import Chunk
 from perception.parallel import threads
 from protocol.codec import claimed_points
+from protocol.limits import MAX_POINTS
 from protocol.messages import Scan
-from protocol.scans import MAX_POINTS
 
 PER_THREAD = 2  # scans: one that it opens, one that is next
 

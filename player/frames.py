@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from protocol.inbox import Envelope
-from protocol.sequence_window import AHEAD, SequenceWindow
+from protocol.limits import MAX_FRAMES_AHEAD
+from protocol.sequence_window import SequenceWindow
 
 CLOCK = "state"
 """The topic that tells which frames are real: one message a frame, from the world."""
@@ -14,9 +15,9 @@ CLOCK = "state"
 class Frames:
     """Is read on as frames are asked for, and never back, so that a long tape takes no memory.
 
-    A tape is in the order in which messages came: of a frame, some may lie as far behind as others
-    of the `AHEAD` frames after it. What lies farther is counted in `late`, and what is of a frame
-    that cannot be in `absurd`.
+    A tape is in the order in which messages came: of a frame, some may lie as far behind as
+    others of the `MAX_FRAMES_AHEAD` frames after it. What lies farther is counted in `late`,
+    and what is of a frame that cannot be in `absurd`.
     """
 
     def __init__(self, heard: Iterable[Envelope]) -> None:
@@ -50,7 +51,7 @@ class Frames:
         return self._waiting.pop(frame, [])
 
     def _read_beyond(self, frame: int) -> None:
-        while self._has_more and self._horizon.newest < frame + AHEAD:
+        while self._has_more and self._horizon.newest < frame + MAX_FRAMES_AHEAD:
             item = next(self._heard, None)
             if item is None:
                 self._has_more = False

@@ -56,7 +56,7 @@ class Keys:
         }
 
 
-MOST_VEHICLES = 64
+MAX_VEHICLE_PROCESSES = 64
 """Vehicle processes that can have keys: `vehicle-0` and on."""
 
 _SAY, _HEAR = "say", "hear"
@@ -64,12 +64,12 @@ _PUBLISH = {
     _SAY: (("ingress", ["put"]),),
     _HEAR: (("ingress", ["declare_subscriber"]), ("egress", ["put"])),
 }
-_ASK = {
+_QUERY = {
     _SAY: (("ingress", ["declare_queryable", "reply"]), ("egress", ["query"])),
     _HEAR: (("ingress", ["query"]), ("egress", ["declare_queryable", "reply"])),
 }
-_SHOW = (("ingress", ["liveliness_token"]),)
-_LOOK = (
+_DECLARE_TOKEN = (("ingress", ["liveliness_token"]),)
+_SUBSCRIBE_TOKENS = (
     ("ingress", ["declare_liveliness_subscriber", "liveliness_query"]),
     ("egress", ["liveliness_token"]),
 )
@@ -89,7 +89,7 @@ def members_of(scenario: dict[str, Any]) -> Members:
 
     Vehicle processes may join that the scenario does not start with.
     """
-    roles = roles_of(MOST_VEHICLES, len(scenario["roadside_mounts"]))
+    roles = roles_of(MAX_VEHICLE_PROCESSES, len(scenario["roadside_mounts"]))
     return Members(roles, scenario["region"])
 
 
@@ -131,13 +131,15 @@ def _rules(
             continue
         for verb, roles in ((_SAY, topic.publishers), (_HEAR, topic.subscribers)):
             if role in roles:
-                flows = (_ASK if topic.name in QUERIED else _PUBLISH)[verb]
+                flows = (_QUERY if topic.name in QUERIED else _PUBLISH)[verb]
                 own = {"process": process_id} if verb == _SAY else {}
                 key = topic.key(**place, **own)
                 yield from _allow(f"{process_id} {verb}s {topic.name}", flows, key)
-    yield from _allow(f"{process_id} shows itself", _SHOW, f"{ALIVE}/{role}/{quote(process_id)}")
+    yield from _allow(
+        f"{process_id} shows itself", _DECLARE_TOKEN, f"{ALIVE}/{role}/{quote(process_id)}"
+    )
     if role in PRESENCE_WATCHERS[bus]:
-        yield from _allow(f"{process_id} looks who is there", _LOOK, ALIVE_IN_ANY)
+        yield from _allow(f"{process_id} looks who is there", _SUBSCRIBE_TOKENS, ALIVE_IN_ANY)
 
 
 def _allow(name: str, flows: Flows, key: str) -> Iterable[dict[str, Any]]:

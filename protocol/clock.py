@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from protocol.errors import ProtocolError
+from protocol.limits import MAX_OFFSET_NS
 from protocol.messages import ClockReading, Message, TimeReply
 
 DRIFT = 100e-6  # 50 ppm a quartz, two of them
@@ -25,7 +26,6 @@ BURST = 8
 BURST_PERIOD_S = 0.02
 PERIOD_S = 2.0
 REPLY_TIMEOUT_S = 0.5
-MAX_OFFSET_NS = 1 << 61  # 73 years
 _log = logging.getLogger(__name__)
 M = TypeVar("M", bound=Message)
 

@@ -16,17 +16,22 @@ from dataclasses import dataclass, replace
 from operator import itemgetter
 
 from protocol.errors import MessageError, ProtocolError
+from protocol.limits import (
+    BURST_S,
+    EXTRA_QUOTAS,
+    MAX_DEBT_S,
+    MAX_INBOX_BYTES,
+    MAX_INBOX_ITEMS,
+    MAX_KEY_CHARS,
+    MAX_MESSAGES_PER_S,
+    MAX_SENDERS,
+    MIN_QUOTA_PER_S,
+)
 from protocol.logs import RateLimitedLog
 from protocol.messages import Message
 from protocol.topics import TOPICS, BusName, Topic
 from protocol.wire import decode
 
-MOST_SENDERS = 128  # with a share of their own
-EXTRA_QUOTAS = 2  # shares: of strangers, and of what no process signs
-TOTAL_PER_S = 8000.0  # messages of all senders that a role reads without being late
-LEAST_PER_S = 1000.0  # of one: what a process with twenty agents may send at 10 Hz
-BURST_S = 0.5  # so much of its rate may come at once
-MAX_DEBT_S = 1.0  # so much of its rate, at most, must be made up for
 STRANGERS, UNSIGNED = "", "/"  # no process has such an id
 
 
@@ -53,7 +58,7 @@ class SenderQuotas:
         if not alive:
             self._known.discard(process)
             self._forget(process)
-        elif len(self._known) < MOST_SENDERS:
+        elif len(self._known) < MAX_SENDERS:
             self._known.add(process)
 
     def sender_of(self, process: str | None) -> str:
@@ -90,7 +95,7 @@ class SenderQuotas:
 
     @property
     def _per_s(self) -> float:
-        return max(TOTAL_PER_S / (len(self._known) + EXTRA_QUOTAS), LEAST_PER_S)
+        return max(MAX_MESSAGES_PER_S / (len(self._known) + EXTRA_QUOTAS), MIN_QUOTA_PER_S)
 
     def _tokens(self, known: _Sender, now_ns: int) -> float:
         most = BURST_S * self._per_s
@@ -106,10 +111,7 @@ class SenderQuotas:
         return tokens >= 1.0
 
 
-CAPACITY = 16_384
-CAPACITY_BYTES = 256 << 20  # sixteen of the largest messages, or 8000 scans
 FETCH_S = 0.05  # so often does who waits look whether a transport has something
-MAX_KEY = 8 << 10  # characters: more than the longest ids take, percent-encoded
 
 
 class Envelope:
@@ -171,7 +173,7 @@ class Inbox:
     A bad message is dropped, counted in `drops`, and logged once a topic and kind of error.
     """
 
-    def __init__(self, capacity: int = CAPACITY, max_bytes: int = CAPACITY_BYTES) -> None:
+    def __init__(self, capacity: int = MAX_INBOX_ITEMS, max_bytes: int = MAX_INBOX_BYTES) -> None:
         self._queue: queue.Queue[_Entry] = queue.Queue(capacity)
         self._capacity = capacity
         self._max_bytes = max_bytes
@@ -225,7 +227,7 @@ class Inbox:
 
     def put(self, item: RawMessage | Presence) -> None:
         """Takes an item from a transport's thread; a full inbox counts and drops it."""
-        if isinstance(item, RawMessage) and len(item.key) > MAX_KEY:
+        if isinstance(item, RawMessage) and len(item.key) > MAX_KEY_CHARS:
             error = MessageError(f"its key has {len(item.key)} characters")
             self.refuse(item.topic.name, error, item.key)
             return

@@ -8,6 +8,8 @@ import threading
 from enum import StrEnum
 from types import TracebackType
 
+from protocol.limits import MAX_LOG_LINES, MAX_SHOWN_CHARS
+
 _log = logging.getLogger(__name__)
 
 
@@ -63,12 +65,8 @@ def _log_end_of_thread(ended: threading.ExceptHookArgs) -> None:
     )
 
 
-MAX_LINES = 64
-_MAX_SHOWN = 200  # characters of a key or a reason
-
-
 class RateLimitedLog:
-    """Logs one line for each topic and kind of error, and `MAX_LINES` in all.
+    """Logs one line for each topic and kind of error, and `MAX_LOG_LINES` in all.
 
     Keys and reasons do not count: a sender could invent new ones without end.
     """
@@ -90,14 +88,14 @@ class RateLimitedLog:
 
     def _rest(self, news: tuple[str, str]) -> str:
         """Returns what happens to later ones; empty if this one is not logged either."""
-        if news in self._logged or len(self._logged) >= MAX_LINES:
+        if news in self._logged or len(self._logged) >= MAX_LOG_LINES:
             return ""
         self._logged.add(news)
-        if len(self._logged) == MAX_LINES:
-            return f"line {MAX_LINES} of this kind, the last: all later ones are only counted"
+        if len(self._logged) == MAX_LOG_LINES:
+            return f"line {MAX_LOG_LINES} of this kind, the last: all later ones are only counted"
         return "later ones are only counted"
 
 
 def _printable(text: str) -> str:
     """Returns the beginning of what others wrote, so that it cannot break a line of the log."""
-    return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text[:_MAX_SHOWN])
+    return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text[:MAX_SHOWN_CHARS])

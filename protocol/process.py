@@ -25,13 +25,13 @@ from protocol.bus import Bus, Endpoint, ZenohBus, open_bus, with_send_buffer
 from protocol.clock import ClockWatch, time_reply
 from protocol.errors import CpnetError, ProtocolError
 from protocol.inbox import Envelope, Inbox, Presence
+from protocol.limits import MAX_BATCH
 from protocol.logs import LogStyle, configure
 from protocol.messages import Setup
 from protocol.topics import BusName
 from protocol.wire import decode
 
 POLL_S = 0.02
-MAX_BATCH = 256  # so that a flood cannot keep a role from acting
 WORLD_ID = "sim"  # tells setup and time, and has the clock that all others are held against
 _NOWHERE = Endpoint("", listen=False)  # of a role that is built without a network
 _log = logging.getLogger(__name__)

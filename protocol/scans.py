@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from protocol.errors import CodecError
+from protocol.limits import MAX_BEAMS, MAX_KEPT_BEAMS, MAX_KEPT_PATTERNS
 
 
 class Profile(StrEnum):
@@ -40,10 +41,6 @@ def profile_named(name: str) -> Profile:
 
 Floats = npt.NDArray[np.float64]
 Floats32 = npt.NDArray[np.float32]
-
-MAX_BEAMS = 1 << 19
-MAX_POINTS = 1 << 20  # two returns of each beam
-_KEPT_BEAMS = 1 << 18  # of a pattern whose directions are kept: those of 16 take 120 MB at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +80,7 @@ class ScanPattern:
     @property
     def _is_kept(self) -> bool:
         """Whether it is of a usual size: who sends others must not fill the memory."""
-        return self.channels * self.columns <= _KEPT_BEAMS
+        return self.channels * self.columns <= MAX_KEPT_BEAMS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +124,7 @@ def check_beams(channels: int, columns: int) -> None:
         raise CodecError(f"pattern {channels} x {columns}: 1 to {MAX_BEAMS} beams")
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=MAX_KEPT_PATTERNS)
 def _spin(pattern: ScanPattern) -> tuple[Floats, Floats]:
     elevation = np.radians(
         np.linspace(pattern.upper_fov_deg, pattern.lower_fov_deg, pattern.channels)
@@ -140,7 +137,7 @@ def _spin(pattern: ScanPattern) -> tuple[Floats, Floats]:
     return turns, azimuths
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=MAX_KEPT_PATTERNS)
 def _directions(pattern: ScanPattern) -> Floats32:
     turns, azimuths = pattern.spin
     flat = turns[:, :1]

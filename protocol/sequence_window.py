@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-AHEAD = 64  # frames beyond the newest real one that are still believed
+from protocol.limits import MAX_FRAMES_AHEAD
+
 _STEPS = 3  # states of so many consecutive frames are believed, wherever they are
 _TRAIL = 16
 
@@ -44,7 +45,7 @@ class SequenceWindow:
         """Whether a frame can be real."""
         if self._newest is None:
             self._lowest = frame if self._lowest is None else min(self._lowest, frame)
-        return frame <= self.newest + AHEAD
+        return frame <= self.newest + MAX_FRAMES_AHEAD
 
     def farthest(self, frames: Iterable[int]) -> int:
         """Returns the frame that is farthest from the newest real one."""

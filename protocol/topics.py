@@ -10,6 +10,7 @@ from urllib.parse import quote, unquote
 
 from protocol import messages as m
 from protocol.errors import MessageError
+from protocol.limits import MAX_ID_CHARS
 from protocol.wire import VERSION
 
 PREFIX = f"cpnet/v{VERSION}"
@@ -167,7 +168,6 @@ PRESENCE_WATCHERS = {
 }
 """Who sees, on each bus, which processes are there."""
 
-MAX_NAME = 128  # characters of a role or of an id, as in messages
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")  # none of these either
 
 
@@ -178,7 +178,7 @@ def alive_parts(key: str) -> tuple[str, str]:
         MessageError: no process of this system announces itself so.
     """
     names = key.removeprefix(f"{ALIVE}/").split("/")
-    is_long = max(map(len, names)) > MAX_NAME
+    is_long = max(map(len, names)) > MAX_ID_CHARS
     if len(names) != 2 or is_long or "*" in key or _CONTROL.search(key):
         raise MessageError(f"{key:.200} is no key of a liveliness token")
     return names[0], names[1]

@@ -18,17 +18,15 @@ import numpy as np
 from pydantic import ValidationError
 
 from protocol.errors import MessageError, VersionError
+from protocol.limits import MAX_BODY_BYTES, MAX_CONTAINERS, MAX_SHOWN_CHARS
 from protocol.messages import MESSAGES, Message
 from protocol.messages.fields import Array
 
 VERSION = 1
 MAGIC = b"CPNT"
 PREFIX = struct.Struct("<4sHHII")
-MAX_BODY_BYTES = 16 << 20
 _ALIGN = 8
-_MAX_SHOWN = 200  # characters of a text from the network
 _ODD = (ValueError, msgpack.UnpackException, RecursionError, OverflowError)
-_CONTAINERS = 1 << 13  # lists and maps of a header, and one more for every sixteen bytes
 
 M = TypeVar("M", bound=Message)
 
@@ -80,8 +78,10 @@ def decode(data: bytes, expected: type[M]) -> M:
         return expected.model_validate(header)
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-        where = ".".join([expected.__name__, *(str(part)[:_MAX_SHOWN] for part in first["loc"])])
-        raise MessageError(f"{where}: {first['msg'][:_MAX_SHOWN]}") from None
+        where = ".".join(
+            [expected.__name__, *(str(part)[:MAX_SHOWN_CHARS] for part in first["loc"])]
+        )
+        raise MessageError(f"{where}: {first['msg'][:MAX_SHOWN_CHARS]}") from None
 
 
 def peek_frame_time(data: bytes, expected: type[Message]) -> FrameTime:
@@ -152,7 +152,7 @@ def _read_prefix(data: bytes, expected: type[Message]) -> tuple[int, int]:
 
 def _unpacker(packed: bytes) -> msgpack.Unpacker:
     """Returns one that refuses what takes far more room than its bytes."""
-    room = _CONTAINERS + len(packed) // 16
+    room = MAX_CONTAINERS + len(packed) // 16
 
     def count(container: Any) -> Any:  # noqa: ANN401 - a list or a dict
         nonlocal room

@@ -18,8 +18,9 @@ from infra_agent.role import InfraRole
 from protocol.errors import BusError
 from protocol.in_process import InProcessRouter
 from protocol.inbox import Inbox
+from protocol.limits import MAX_BATCH
 from protocol.messages import Setup
-from protocol.process import MAX_BATCH, Context, Role, deliver
+from protocol.process import Context, Role, deliver
 from protocol.topics import BusName
 from protocol.wire import encode
 from recorder.role import RecordRole

@@ -20,7 +20,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Metadata
 
-from protocol.wire import MAX_BODY_BYTES
+from protocol.limits import MAX_BODY_BYTES
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 2 * MAX_BODY_BYTES  # one that is nearly full takes one more message

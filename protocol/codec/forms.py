@@ -23,8 +23,8 @@ from protocol.codec.payload import (
 )
 from protocol.codec.rings import RingImage, Rings, find_rings
 from protocol.errors import CodecError
+from protocol.limits import MAX_POINTS
 from protocol.scans import (
-    MAX_POINTS,
     Floats,
     Floats32,
     PointCloud,

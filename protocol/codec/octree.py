@@ -37,17 +37,19 @@ from protocol.codec.rans import (
 )
 from protocol.codec.symbols import pack_symbols, read_raw, unpack_symbols
 from protocol.errors import CodecError
+from protocol.limits import (
+    FREE_TREE_SYMBOLS,
+    MAX_TREE_DEPTH,
+    MAX_TREE_ORIGIN_M,
+    TREE_SYMBOLS_PER_WORD,
+)
 from protocol.scans import Floats, Floats32
 
 U8 = npt.NDArray[np.uint64]
 
-MAX_DEPTH = 20
 STRIDE = TAIL_ALPHABET
 _FIRST, _SECOND, _LONE, _COUNT = 0, 16, 32, 53
 CONTEXTS = 54
-
-
-_FREE_SYMBOLS, _SYMBOLS_OF_A_WORD = 1 << 20, 128
 
 
 @njit("int64(int64)", cache=True, nogil=True)
@@ -56,7 +58,7 @@ def most_symbols(words: int) -> int:
 
     One that is certain takes next to no bits, so that a few bytes could hold millions of them.
     """
-    return _FREE_SYMBOLS + _SYMBOLS_OF_A_WORD * words
+    return FREE_TREE_SYMBOLS + TREE_SYMBOLS_PER_WORD * words
 
 
 def symbol_room(points: int, depth: int) -> int:
@@ -286,7 +288,7 @@ def symbols_to_tree(
 
 
 _HEAD = struct.Struct("<dddB")
-_MOST_SYMBOLS_OF_A_CELL = 32
+_SYMBOLS_PER_CELL = 32
 
 
 def cell_edge_m(room_m: float) -> float:
@@ -305,10 +307,10 @@ def pack_tree(points: Floats, edge_m: float) -> tuple[list[bytes], npt.NDArray[n
     low = points.min(axis=0)
     cells = np.floor((points - low) / edge_m).astype(np.int64)
     depth = int(cells.max()).bit_length()
-    if depth > MAX_DEPTH:
+    if depth > MAX_TREE_DEPTH:
         raise CodecError(
             f"a coordinate lies {(points.max(axis=0) - low).max():.1f} m from another: at this "
-            f"bound the form ends at {edge_m * 2**MAX_DEPTH:.1f} m"
+            f"bound the form ends at {edge_m * 2**MAX_TREE_DEPTH:.1f} m"
         )
     keys = np.empty(len(points), np.uint64)
     morton_keys(cells, keys)
@@ -338,9 +340,13 @@ def unpack_tree(reader: Reader, points: int, edge_m: float) -> Floats32:
     if len(head) != _HEAD.size:
         raise CodecError(f"a tree has a head of {len(head)} bytes, needs {_HEAD.size}")
     *middle, depth = _HEAD.unpack(head)
-    if not (np.isfinite(middle).all() and np.abs(middle).max() < 1e9 and 1 <= depth <= MAX_DEPTH):
+    if not (
+        np.isfinite(middle).all()
+        and np.abs(middle).max() < MAX_TREE_ORIGIN_M
+        and 1 <= depth <= MAX_TREE_DEPTH
+    ):
         raise CodecError(f"a tree claims depth {depth} at {middle}")
-    stream = unpack_symbols(reader, CONTEXTS, _MOST_SYMBOLS_OF_A_CELL)
+    stream = unpack_symbols(reader, CONTEXTS, _SYMBOLS_PER_CELL)
     raw = read_raw(reader.section())
     keys = np.empty(points, np.uint64)
     status = symbols_to_tree(

@@ -15,7 +15,8 @@ import numpy.typing as npt
 import zstandard
 
 from protocol.errors import CodecError
-from protocol.scans import MAX_POINTS, Floats32, check_beams
+from protocol.limits import MAX_POINTS, MAX_STEP_M, MIN_STEP_M
+from protocol.scans import Floats32, check_beams
 
 MAGIC = b"SCAN"
 PREFIX = struct.Struct("<4sBBHIIffdII")
@@ -117,7 +118,7 @@ def read_payload(data: bytes) -> tuple[Head, Reader]:
         raise CodecError(f"scan begins with {magic!r}, form {form}, flags {flags}")
     if length != len(data) - PREFIX.size:
         raise CodecError(f"scan claims {length} bytes, {len(data) - PREFIX.size} are there")
-    if not (np.isfinite(step_m) and 1e-6 <= step_m <= 40):
+    if not (np.isfinite(step_m) and MIN_STEP_M <= step_m <= MAX_STEP_M):
         raise CodecError(f"scan claims a step of {step_m} m")
     if points > MAX_POINTS:
         raise CodecError(f"scan claims {points} points, limit {MAX_POINTS}")

@@ -17,7 +17,8 @@ from numba import njit
 
 from protocol.codec.rans import I8
 from protocol.errors import CodecError
-from protocol.scans import MAX_BEAMS, MAX_POINTS, Floats, Floats32
+from protocol.limits import MAX_BEAMS, MAX_CELL_EDGE_M, MAX_POINTS
+from protocol.scans import Floats, Floats32
 
 _NEAREST_M = 1e-3
 
@@ -157,7 +158,9 @@ class Rings:
         misfits, edge_m = _HEAD.unpack_from(section)
         elevations = np.frombuffer(section, "<f4", channels, _HEAD.size)
         azimuths = np.frombuffer(section, "<u2", channels, _HEAD.size + 4 * channels)
-        if not (np.isfinite(elevations).all() and 0 < edge_m < 100 and misfits <= MAX_POINTS):
+        if not (
+            np.isfinite(elevations).all() and 0 < edge_m < MAX_CELL_EDGE_M and misfits <= MAX_POINTS
+        ):
             raise CodecError(
                 f"rings that are not finite, or {misfits} points in cells of {edge_m} m"
             )

@@ -9,7 +9,8 @@ Where links are virtual, `arrival_sim_ns` says when, in simulated time, the edge
 at `NEVER_NS` was taken off the link before it left.
 """
 
-from protocol.messages.fields import MAX_DELAY_NS, MAX_ITEMS, NEVER_NS, Equipment, Message, Part
+from protocol.limits import MAX_DELAY_NS, MAX_ITEMS
+from protocol.messages.fields import NEVER_NS, Equipment, Message, Part
 from protocol.messages.metrics import (
     AgentScore,
     Arrival,

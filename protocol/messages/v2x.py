@@ -6,6 +6,15 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
+from protocol.limits import (
+    MAX_CHUNKS,
+    MAX_COUNT,
+    MAX_HEIGHT_M,
+    MAX_LENGTH_M,
+    MAX_MBPS,
+    MAX_POSITION_STD_M,
+    MAX_WIDTH_M,
+)
 from protocol.messages.fields import (
     BOUNDED,
     AgentId,
@@ -51,10 +60,10 @@ class AgentPose(Message):
     agent: AgentId
     equipment: Equipment
     pose: Pose
-    length_m: float = Field(ge=0, le=60)
-    width_m: float = Field(ge=0, le=10)
-    height_m: float = Field(ge=0, le=10)
-    position_std_m: float = Field(ge=0, le=1000)
+    length_m: float = Field(ge=0, le=MAX_LENGTH_M)
+    width_m: float = Field(ge=0, le=MAX_WIDTH_M)
+    height_m: float = Field(ge=0, le=MAX_HEIGHT_M)
+    position_std_m: float = Field(ge=0, le=MAX_POSITION_STD_M)
     arrival_sim_ns: TimeNs | None = None
 
 
@@ -71,9 +80,9 @@ class Scan(Message):
     sim_time_ns: TimeNs
     agent: AgentId
     chunk: int = Field(ge=0)
-    chunks: int = Field(ge=1, le=64)
+    chunks: int = Field(ge=1, le=MAX_CHUNKS)
     points: Count
-    plan_frame: int = Field(-1, ge=-1, lt=1 << 40)
+    plan_frame: int = Field(-1, ge=-1, lt=MAX_COUNT)
     ground_free: bool = False
     sensor_pose: Pose
     sense_start_ns: TimeNs
@@ -179,8 +188,8 @@ class Plan(Message):
     kind: ClassVar[int] = 15
     frame: FrameNumber
     agent: Id
-    mbps: float = Field(ge=0, le=1e6)
-    enough: int = Field(ge=-1, lt=1 << 40)
+    mbps: float = Field(ge=0, le=MAX_MBPS)
+    enough: int = Field(ge=-1, lt=MAX_COUNT)
     enough_sim_ns: TimeNs | None = None
     agents: Ids
     sites: Sites

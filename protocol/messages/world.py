@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import FailFast, Field, model_validator
 
+from protocol.limits import MAX_SETUP_HEADER_BYTES
 from protocol.messages.fields import (
     BOUNDED,
     Bytes,
@@ -58,7 +59,7 @@ class Setup(Message):
     """
 
     kind: ClassVar[int] = 1
-    max_header_bytes: ClassVar[int] = 16 << 20  # two recorded links take 9 MiB at most
+    max_header_bytes: ClassVar[int] = MAX_SETUP_HEADER_BYTES
     scenario: Annotated[dict[str, Any], FailFast()]
     road_map: RoadMap
     vehicle_types: Annotated[list[VehicleType], FailFast()]

@@ -14,8 +14,8 @@ from edge_server.frame import Chunk
 from protocol.codec.payload import Form, Head
 from protocol.errors import CodecError
 from protocol.inbox import Inbox
+from protocol.limits import MAX_POINTS
 from protocol.messages import Scan
-from protocol.scans import MAX_POINTS
 from tests.waiting import PATIENCE_S, wait_until
 
 THREADS = 2

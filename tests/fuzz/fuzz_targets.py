@@ -30,10 +30,10 @@ from protocol.codec import decode as decode_scan
 from protocol.codec.payload import Form
 from protocol.errors import BusError, CodecError, ConfigError, CpnetError, ProtocolError
 from protocol.inbox import Envelope, Inbox, Presence, RawMessage
+from protocol.limits import MAX_BODY_BYTES, MAX_POINTS
 from protocol.messages import MESSAGES, ClockReading, Message, Scan, TimeReply
-from protocol.scans import MAX_POINTS
 from protocol.topics import TOPICS, Topic, alive_parts
-from protocol.wire import MAX_BODY_BYTES, decode, encode, peek_frame_time
+from protocol.wire import decode, encode, peek_frame_time
 from sensing.link_config import read_trace
 from sensing.point_files import decompress, read_points
 from sensing.recorded_scans import Recording

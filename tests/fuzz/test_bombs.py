@@ -23,7 +23,8 @@ from protocol.codec.payload import Form, Head, compress
 from protocol.codec.rans import STATES, encode_symbols
 from protocol.codec.symbols import LEVELS, shares_of_levels, write_tables
 from protocol.errors import CodecError, ConfigError, MessageError
-from protocol.scans import MAX_BEAMS, MAX_POINTS, PointCloud, RangeScan, ScanPattern
+from protocol.limits import MAX_BEAMS, MAX_POINTS
+from protocol.scans import PointCloud, RangeScan, ScanPattern
 from sensing.point_files import read_points
 from sensing.recorded_scans import Recording
 

@@ -28,10 +28,10 @@ from perception.parallel import threads
 from protocol import messages as m
 from protocol.errors import MessageError
 from protocol.in_process import InProcessRouter
-from protocol.inbox import CAPACITY, CAPACITY_BYTES, MAX_KEY, Inbox, Presence, RawMessage
+from protocol.inbox import Inbox, Presence, RawMessage
+from protocol.limits import MAX_FRAMES_AHEAD, MAX_INBOX_BYTES, MAX_INBOX_ITEMS, MAX_KEY_CHARS
 from protocol.messages import MAX_ITEMS
 from protocol.process import Context
-from protocol.sequence_window import AHEAD
 from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
 from recorder.database import MAX_PENDING_ROWS
@@ -126,26 +126,26 @@ def test_an_inbox_holds_no_more_than_its_bytes():
     with Growth() as growth:
         for _ in range(6000):
             inbox.put(RawMessage(TOPICS["roster"], KEY, bytes(1 << 17), 0))
-    assert inbox._queue.qsize() == CAPACITY_BYTES >> 17
-    assert growth.mib < (CAPACITY_BYTES >> 20) + 8
+    assert inbox._queue.qsize() == MAX_INBOX_BYTES >> 17
+    assert growth.mib < (MAX_INBOX_BYTES >> 20) + 8
 
 
 def test_an_inbox_holds_no_more_than_its_messages_whatever_their_keys():
     inbox = Inbox()
     inbox.limit("roster", 4)
     with Growth() as growth:
-        for number in range(3 * CAPACITY):
+        for number in range(3 * MAX_INBOX_ITEMS):
             key = f"{KEY}{number:01000}"
             inbox.put(RawMessage(TOPICS["roster"], key, b"", 0))
             inbox.put(Presence("edge", f"{number:0100}", alive=True))
             inbox.put(RawMessage(TOPICS["roster"], key * 9, b"", 0))
-        assert inbox._queue.qsize() == CAPACITY
-        assert len(inbox._waiting) <= CAPACITY
+        assert inbox._queue.qsize() == MAX_INBOX_ITEMS
+        assert len(inbox._waiting) <= MAX_INBOX_ITEMS
         while inbox._queue.qsize():
             inbox.get()
     assert len(inbox._complaints._logged) == 1
     assert len(inbox.drops) < 8
-    assert growth.mib < CAPACITY * MAX_KEY >> 20
+    assert growth.mib < MAX_INBOX_ITEMS * MAX_KEY_CHARS >> 20
 
 
 def stuffed_frames(assembler: Assembler) -> None:
@@ -357,6 +357,6 @@ def test_a_recorder_knows_so_many_processes_and_agents(recorder: RecordRole):
 def test_absurd_frames_open_nothing():
     assembler = Assembler(wait_ns=1, expected={})
     assembler.add_pose(pose("a", 0), 5)
-    for frame in range(AHEAD + 1, 5000):
+    for frame in range(MAX_FRAMES_AHEAD + 1, 5000):
         assembler.add_pose(pose("a", frame), 5)
     assert list(assembler._open) == [0]

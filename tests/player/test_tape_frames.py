@@ -9,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from player.frames import Frames
-from protocol.sequence_window import AHEAD
+from protocol.limits import MAX_FRAMES_AHEAD
 
 
 @given(st.integers(0, 5000), st.integers(1, 300), st.randoms(use_true_random=False))
 def test_all_of_a_frame_comes_together_however_it_was_mixed(first, count, random):
     frames = range(first, first + count)
-    late = {frame: random.randrange(AHEAD // 2) for frame in frames}
+    late = {frame: random.randrange(MAX_FRAMES_AHEAD // 2) for frame in frames}
     heard = [(frame, state(frame)) for frame in frames]
     heard += [(frame + late[frame], scan(frame, "a")) for frame in frames]
     heard.sort(key=lambda pair: pair[0])
@@ -51,7 +51,7 @@ def test_of_a_long_tape_only_what_is_near_is_read():
             yield state(frame)
 
     Frames(heard()).take(100)
-    assert len(read) <= 100 + AHEAD + 2
+    assert len(read) <= 100 + MAX_FRAMES_AHEAD + 2
 
 
 def test_a_tape_that_begins_in_mid_frame_begins_with_the_first_whole_one():

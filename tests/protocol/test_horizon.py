@@ -1,7 +1,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.sequence_window import AHEAD, SequenceWindow
+from protocol.limits import MAX_FRAMES_AHEAD
+from protocol.sequence_window import SequenceWindow
 
 
 def test_before_any_frame_is_known_the_lowest_counts():
@@ -9,15 +10,15 @@ def test_before_any_frame_is_known_the_lowest_counts():
     assert horizon.admits(1 << 39)
     assert horizon.admits(0)
     assert not horizon.admits(1 << 39)
-    assert horizon.admits(AHEAD)
+    assert horizon.admits(MAX_FRAMES_AHEAD)
 
 
 def test_a_frame_that_was_finished_moves_the_horizon_and_nothing_moves_it_back():
     horizon = SequenceWindow()
     horizon.reach(100)
     horizon.reach(50)
-    assert horizon.admits(100 + AHEAD)
-    assert not horizon.admits(101 + AHEAD)
+    assert horizon.admits(100 + MAX_FRAMES_AHEAD)
+    assert not horizon.admits(101 + MAX_FRAMES_AHEAD)
     assert horizon.farthest([90, 101, 164]) == 164
 
 

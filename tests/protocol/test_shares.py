@@ -6,16 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.inbox import (
-    EXTRA_QUOTAS,
-    LEAST_PER_S,
-    MOST_SENDERS,
-    Envelope,
-    Inbox,
-    Presence,
-    RawMessage,
-    SenderQuotas,
-)
+from protocol.inbox import Envelope, Inbox, Presence, RawMessage, SenderQuotas
+from protocol.limits import EXTRA_QUOTAS, MAX_SENDERS, MIN_QUOTA_PER_S
 from protocol.messages import AgentPose, Equipment, Roster
 from protocol.topics import TOPICS
 from protocol.wire import encode
@@ -116,7 +108,7 @@ def test_who_sends_too_fast_is_not_heard_until_it_has_made_up_for_it():
             came = senders(inbox)
             heard += came.count("fast")
             assert came.count("slow") == 1
-    assert heard < 3 * LEAST_PER_S
+    assert heard < 3 * MIN_QUOTA_PER_S
     assert inbox.flooding(now_ns) == {"fast"}
     assert inbox.flooding(now_ns + 2 * SECOND_NS) == set()
     inbox.put(roster("fast", at_ns=now_ns + 2 * SECOND_NS))
@@ -150,7 +142,7 @@ def test_shares_never_exceed_the_whole(steps: list[tuple[str, int, bool]]) -> No
     assert sum(sum(waiting) for waiting in sizes.values()) <= 60
 
 
-@pytest.mark.parametrize("count", [MOST_SENDERS + 10])
+@pytest.mark.parametrize("count", [MAX_SENDERS + 10])
 def test_only_so_many_have_a_share_of_their_own(count: int) -> None:
     shares = SenderQuotas(1000, 1000, is_paced=False)
     for number in range(count):
