@@ -152,3 +152,44 @@ def test_who_knows_nothing_asks_for_the_plan():
         (MAIN, "plan", ("main",)),
         (SIDE, "plan", ("main",)),
     ]
+
+
+def test_what_was_counted_at_first_stands_until_the_clock_is_known():
+    known = estimator()
+    first = known.take(counts(0, 0, main=0.0, side=0.0), None)
+    assert first.vehicles == {"main": 0, "side": 0}
+    after = known.take(counts(0, 0, main=0.0, side=0.0), shown(7, SIDE))
+    assert after.vehicles == {"main": 0, "side": 0}
+
+
+def test_a_lane_without_a_count_is_empty_while_it_is_covered():
+    known = estimator()
+    silent = counts(0, 0, main=1.0, side=1.0).model_copy(update={"upstream": {}})
+    known.take(silent, shown(0, SIDE))
+    after = known.take(counts(0, 0, main=0.0, side=0.0), shown(10, SIDE))
+    assert after.vehicles == {"main": 1.0, "side": 0}
+
+
+def test_queues_are_estimated_where_queues_are_weighed():
+    known = estimator(weight="queued")
+    queued = counts(9, 9, main=1.0, side=1.0).model_copy(
+        update={"queued_upstream": {"main": 2, "side": 3}}
+    )
+    known.take(queued, shown(0, SIDE))
+    after = known.take(counts(0, 0, main=0.0, side=0.0), shown(10, SIDE))
+    assert after.vehicles == {"main": 3.0, "side": 0}
+
+
+def test_estimates_are_worth_nothing_from_exactly_the_timeout_on():
+    known = estimator(estimator_timeout_s=20)
+    known.take(counts(1, 1, main=1.0, side=1.0), shown(0))
+    uncovered = counts(0, 0, main=0.0, side=0.0)
+    assert not known.take(uncovered, shown(20 - 1e-9)).is_blind
+    assert known.take(uncovered, shown(20)).is_blind
+
+
+def test_a_permissive_green_lets_vehicles_leave():
+    known = estimator()
+    known.take(counts(9, 9, main=1.0, side=1.0), shown(0, "ggr"))
+    after = known.take(counts(0, 0, main=0.0, side=0.0), shown(10, "ggr"))
+    assert after.vehicles == pytest.approx({"main": 5, "side": 10})
