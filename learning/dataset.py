@@ -81,7 +81,7 @@ class Info(BaseModel):
     model_config = ConfigDict(frozen=True)
     version: int
     networks: int
-    samples: int = Field(validation_alias=AliasChoices("samples", "moments"))  # once its name
+    samples: int = Field(validation_alias=AliasChoices("samples", "moments"))  # its former name
     seed: int
 
 
@@ -135,7 +135,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 class Dataset:
-    """A dataset in a folder; clouds and labels are read when they are asked for.
+    """A dataset in a folder; clouds and labels are read on demand.
 
     Raises:
         ConfigError: here and from each method: a file is missing or not what it should be.
@@ -179,7 +179,7 @@ class Dataset:
         return _parsed(RoadMap, _text(path), str(path))
 
     def load(self, network: str, frame: int) -> SceneSample:
-        """Reads a sample; of its vehicles, those within reach of a sensor, sorted by id."""
+        """Reads a sample; of its vehicles, those within range of a sensor, sorted by id."""
         rows = self._samples.get((network, frame))
         if rows is None:
             raise ConfigError(f"{self._folder / POSES}: no scan of {network}, frame {frame}")
@@ -200,7 +200,7 @@ class Dataset:
 def sample_of(
     rows: Sequence[ScanRow], labels: Sequence[list[Label]], clouds: Sequence[Floats32]
 ) -> SceneSample:
-    """Puts a sample's scans together; their vehicles, sorted by id, stand in the map frame."""
+    """Puts a sample's scans together; their vehicles, sorted by id, are in the map frame."""
     boxes: dict[str, Floats] = {}
     for row, of_scan in zip(rows, labels, strict=True):
         placed = np.array([label.box for label in of_scan]).reshape(-1, 7)

@@ -20,7 +20,7 @@ from perception.roadway import Roadway
 from protocol.roadmap import RoadMap
 
 VEHICLE_IOU, NOTHING_IOU = 0.6, 0.45  # of Lang et al. 2019; in between an anchor does not count
-FAINT_IOU = 0.1  # of a vehicle too faint to be asked for
+FAINT_IOU = 0.1  # of a vehicle with too few points to be required
 NO_OWNER = -1
 
 
@@ -114,7 +114,7 @@ def _claim_best(
             is_vehicle[best[index]] = True
 
 
-SURE_POINTS = 3  # fewer on a vehicle tell too little to ask for it
+SURE_POINTS = 3  # with fewer, a vehicle is not required
 WIDE_M = 60.0  # how far beyond the lanes the road's height is known
 FENCE_M = 0.5
 OFF_M = 25.0  # a window's middle from what it was chosen for
@@ -138,7 +138,7 @@ class PlacedSample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Example:
-    """A window and what should be said of it."""
+    """A window and its targets."""
 
     pillars: Pillars
     targets: Targets
@@ -234,7 +234,7 @@ def _some_scans(count: int, rng: np.random.Generator) -> list[int]:
 def _middle(
     sample: PlacedSample, scans: list[int], seen: Floats, rng: np.random.Generator
 ) -> Floats:
-    """Returns where the window lies: around a vehicle that is seen, else around any point."""
+    """Returns the window's centre: near a vehicle that is seen, else near any point."""
     points = sample.points[scans[0]]
     place = np.zeros(2)
     if len(seen) and rng.random() < 0.85:

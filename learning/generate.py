@@ -53,8 +53,8 @@ def generate(
 ) -> None:
     """Writes the dataset into a folder that must be new or empty.
 
-    Networks are made by `jobs` processes, each one network at a time, and take their places in
-    the order of their numbers. `report` hears, after each, how many networks and scans there are.
+    Networks are made by `jobs` processes, each one network at a time, and are numbered in
+    order. `report` is called after each with the number of networks and of scans.
 
     Raises:
         ConfigError: a number is out of bounds, the folder holds something, or SUMO fails.
@@ -70,7 +70,7 @@ def generate(
 
 @contextmanager
 def _emptied_on_failure(folder: Path) -> Iterator[None]:
-    """Empties a folder again should what happens inside not come to its end."""
+    """Empties a folder again if the block does not finish."""
     try:
         yield
     except BaseException:
@@ -151,7 +151,7 @@ def _generated(parts: Path, spec: DatasetSpec, jobs: int) -> Iterator[tuple[Path
             yield future.result()
     except BrokenProcessPool:
         raise ConfigError(
-            "a process that makes networks was ended, perhaps for want of memory: fewer --jobs "
+            "a process that makes networks was killed, perhaps for lack of memory: fewer --jobs "
             "take less"
         ) from None
     finally:

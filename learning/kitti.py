@@ -50,7 +50,7 @@ class Label:
         """Reads a line.
 
         Raises:
-            ValueError: it is none of a vehicle; says why.
+            ValueError: it is no label of a vehicle.
         """
         words = line.split()
         if len(words) != FIELDS or words[0] != CLASS:
@@ -59,7 +59,7 @@ class Label:
         yaw = float(wrap_angle(-around - np.pi / 2))
         box = (ahead, -right, height / 2 - down, length, width, height, yaw)
         if not np.isfinite(box).all() or min(length, width, height) <= 0:
-            raise ValueError(f"a size or place is no number to work with: {line!r:.80}")
+            raise ValueError(f"a size or position is not a finite, positive number: {line!r:.80}")
         return cls(words[16], box, int(words[15]))
 
 

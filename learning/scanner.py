@@ -77,7 +77,7 @@ class JunctionScanner:
         }
 
     def scans(self) -> Iterator[LabelledScan]:
-        """Yields every sample's scans: posts first, then CAVs."""
+        """Yields every sample's scans: roadside units first, then CAVs."""
         for frame, bodies in enumerate(self._states):
             sizes_m = self._shapes.bodies(bodies.types).size_m
             for mount in self.mounts:
@@ -120,12 +120,12 @@ class JunctionScanner:
 
     def _scan(
         self,
-        who: tuple[int, str, Kind],
+        source: tuple[int, str, Kind],
         poses: tuple[SE3, SE3],
         bodies: TrafficState,
         sizes_m: Floats,
     ) -> LabelledScan:
-        frame, agent, kind = who
+        frame, agent, kind = source
         true, believed = poses
         own = bodies.ids.index(agent) if kind == "vehicle" else None
         rng = stream(self.site.seed, "scan", agent, frame)
@@ -172,7 +172,7 @@ def _rounded(pose: SE3) -> list[float]:
     return [round(value, 7) for value in pose.as_pose().tolist()]
 
 
-_WARM_UP_S = 60.0  # at least; then vehicles have come from all sides
+_WARM_UP_S = 60.0  # at least, so that vehicles have come from all sides
 
 
 def samples_on(
@@ -203,7 +203,7 @@ def samples_on(
 def scanner_of(scenario: dict[str, Any], samples: int) -> JunctionScanner:
     """Returns the junction of a scenario whose every key has its value, with its sensors.
 
-    Traffic runs on the fixed plan. Posts, LiDARs, pose errors and seed are the scenario's; who
+    Traffic runs on the fixed plan. Mounts, LiDARs, pose errors and seed are the scenario's; who
     carries a LiDAR is drawn anew at every moment, up to five vehicles near the junction.
 
     Raises:

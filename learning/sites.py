@@ -24,12 +24,12 @@ _TALL: dict[MeshName, tuple[tuple[float, float], ...]] = {  # ranges of length, 
 }
 _USUAL_FOV_DEG = (2.0, -24.9)
 _OTHER_FOVS_DEG = ((10.0, -30.0), (15.0, -25.0), (3.0, -25.0), (5.0, -20.0))
-_POSTS_M = (6.0, 45.0)  # from the junction's centre to a post beside the road
-_OFF_ROAD_M = 0.6
+_RSU_DISTANCE_M = (6.0, 45.0)  # from the junction's centre to a roadside unit
+_CLEARANCE_M = 0.6
 
 
 class Site(Section):
-    """A network but for its sensors' places, which depend on the roads."""
+    """A network without its sensors' mounts, which depend on the roads."""
 
     number: int
     seed: int
@@ -72,7 +72,7 @@ def draw_site(seed: int, number: int) -> Site:
 
 
 def draw_mounts(site: Site, road_map: RoadMap) -> list[Mount]:
-    """Draws one post or, one time in four, two: at the centre or beside the road."""
+    """Draws one roadside unit or, one time in four, two: at the centre or beside the road."""
     rng = stream(site.seed, "mounts")
     centre = np.array(road_map.centre[:2])
     area = RoadArea(road_map)
@@ -80,8 +80,8 @@ def draw_mounts(site: Site, road_map: RoadMap) -> list[Mount]:
         [edge.points + edge.outward * rng.uniform(0.9, 3.0) for edge in area.edges()]
     )
     away_m = np.linalg.norm(feet - centre, axis=1)
-    near = (away_m > _POSTS_M[0]) & (away_m < _POSTS_M[1])
-    feet = feet[near & (area.clearance_m(feet) > _OFF_ROAD_M)] - centre
+    near = (away_m > _RSU_DISTANCE_M[0]) & (away_m < _RSU_DISTANCE_M[1])
+    feet = feet[near & (area.clearance_m(feet) > _CLEARANCE_M)] - centre
     mounts = []
     for number in range(1 + int(rng.random() < 0.25)):
         central = number == 0 and rng.random() < 0.35
@@ -149,9 +149,9 @@ def _lidar(rng: np.random.Generator) -> LidarConfig:
 
 @dataclass(frozen=True, slots=True)
 class Sensors:
-    """LiDARs of posts and of CAVs: what they are, where they stand, how well CAVs know that.
+    """LiDARs of roadside units and CAVs, their mounts, and the pose errors of CAVs.
 
-    Without `mounts`, posts are drawn beside the road. `roof_m` is the range of the CAVs' sensor
+    Without `mounts`, roadside units are drawn at random. `roof_m` is the range of the CAVs' sensor
     heights.
     """
 
@@ -167,5 +167,5 @@ class Sensors:
         return cls(site.lidar, site.lidar, None, site.roof_m, PoseErrorConfig())
 
     def lidar(self, kind: Kind) -> LidarConfig:
-        """Returns the LiDAR of posts or of CAVs."""
+        """Returns the LiDAR of roadside units or of CAVs."""
         return self.roadside if kind == "roadside" else self.vehicle

@@ -71,7 +71,7 @@ _BETA = 1 / 9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Losses:
-    """Both parts, by vehicle anchor; their sum is what is lowered."""
+    """Both parts of the loss, per vehicle anchor."""
 
     score: Tensor
     box: Tensor
@@ -128,7 +128,7 @@ class SampleSource(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """All that decides the result, but for the data and the network's shape."""
+    """Hyperparameters; with data and network they decide the result."""
 
     steps: int
     windows: int = 4  # a step
@@ -286,7 +286,7 @@ class Training:
 
 
 def train(training: Training, console: Console) -> Path:
-    """Trains, or goes on with what lies in the folder; returns the weights' file.
+    """Trains, or resumes from the state in the folder; returns the weights' file.
 
     Raises:
         ConfigError: the data set or the folder's state cannot be read, or the folder be made.
@@ -310,7 +310,7 @@ def train(training: Training, console: Console) -> Path:
 
 
 def about_of(training: Training, samples: int) -> dict[str, object]:
-    """Returns what the weights' file says of its making."""
+    """Returns the description in the weights' file: network, recipe, dataset."""
     return {
         "network": training.network,
         "recipe": training.recipe.as_dict(),

@@ -44,7 +44,7 @@ def _window(road_map: RoadMap, aspect: float) -> tuple[Floats, Floats]:
     near = points[np.abs(points - centre).max(axis=1) <= _SHOWN_M]
     near = near if len(near) else centre[None]
     low, high = near.min(axis=0) - _VERGE_M, near.max(axis=0) + _VERGE_M
-    # towards an arm the picture ends with the reach, so that no verge is needed there
+    # an arm is cut at `_SHOWN_M`, so that no verge is needed there
     low, high = np.maximum(low, centre - _SHOWN_M), np.minimum(high, centre + _SHOWN_M)
     width, height = high - low
     half = np.array([max(width, height * aspect), max(height, width / aspect)]) / 2

@@ -41,7 +41,7 @@ def thinned_series(
     return Series(name, middles, mean, low, high, colour=colour)
 
 
-def note_on(series: tuple[Series, ...]) -> str:
+def thinning_note(series: tuple[Series, ...]) -> str:
     """Returns the note for a chart whose series are thinned, else nothing."""
     return NOTE if any(one.low is not None for one in series) else ""
 
@@ -79,5 +79,5 @@ def over_time(
     title: str, y_label: str, series: tuple[Series, ...], kind: ChartKind = "line", notes: str = ""
 ) -> Chart:
     """Returns a chart over simulated time; a note explains thinned series."""
-    text = " ".join(filter(None, (notes, note_on(series))))
+    text = " ".join(filter(None, (notes, thinning_note(series))))
     return Chart(title, TIME, y_label, series, kind, notes=text)

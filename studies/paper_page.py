@@ -163,7 +163,7 @@ PERFECT = "max pressure, perfect counts"
 
 
 def paper_page(findings: StudyResults, sections: Sequence[Section] = ()) -> Page:
-    """Returns the page; further sections, such as those of accuracy, stand before the tables."""
+    """Returns the page; further sections, such as those of accuracy, come before the tables."""
     study = findings.study
     duration_s, period_s = (
         float(findings.scenario.get(key, 0)) for key in ("duration_s", "frame_period_s")

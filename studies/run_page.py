@@ -14,7 +14,6 @@ from studies.latency import latency_section, latency_table
 from studies.over_time import FrameClock
 from studies.page.model import (
     DASH,
-    Beside,
     Block,
     Cell,
     Code,
@@ -22,6 +21,7 @@ from studies.page.model import (
     Fact,
     Page,
     Section,
+    SideBySide,
     Table,
     Text,
 )
@@ -92,7 +92,7 @@ def drop_table(summary: Summary) -> Table | None:
     return Table(columns, rows, "Dropped messages") if rows else None
 
 
-def lead(summary: Summary) -> str:
+def lead_sentence(summary: Summary) -> str:
     """Returns in a sentence which run this is and how it ended."""
     ended = summary["ended"] or "was cut off"
     words = {"finished": "came to its end", "was cut off": "was cut off"}
@@ -162,7 +162,7 @@ def run_page(run_dir: Path, command: str = "") -> Page:
             Section(
                 "Results",
                 (
-                    Beside((result_table(summary), latency_table(summary["latency_ms"]))),
+                    SideBySide((result_table(summary), latency_table(summary["latency_ms"]))),
                     _drops(summary),
                 ),
             ),
@@ -174,7 +174,7 @@ def run_page(run_dir: Path, command: str = "") -> Page:
             origin_section(run, command),
         )
         name = str(summary["scenario"] or run_dir.name)
-    return Page(name, lead(summary), sections, facts(summary))
+    return Page(name, lead_sentence(summary), sections, facts(summary))
 
 
 def _scores(run: Run) -> list[FrameScore]:

@@ -21,7 +21,6 @@ from studies.ecvpr import EvaluationArea, FrameScore, matches
 from studies.outlines import road_rings
 from studies.over_time import TIME, FrameClock, over_time, thinned_series
 from studies.page.model import (
-    Beside,
     Block,
     Chart,
     Column,
@@ -29,6 +28,7 @@ from studies.page.model import (
     Mark,
     Points,
     Section,
+    SideBySide,
     Span,
     Table,
     Text,
@@ -56,7 +56,7 @@ def vehicles_section(run: Run, clock: FrameClock, scores: list[FrameScore]) -> S
     else:
         blocks.append(Text("There is no truth to compare with, or no frame that was perceived."))
     if charts:
-        blocks.append(Beside(tuple(charts)))
+        blocks.append(SideBySide(tuple(charts)))
     blocks.append(_by_lane(counted) if counted else Text("No lane counts were recorded."))
     return Section("Vehicles", tuple(blocks))
 
@@ -128,7 +128,7 @@ _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
 class PhaseNames:
-    """Phases by a letter and the edges that they let go; the plan's come first."""
+    """Names of phases: a letter and the edges that have green; the plan's phases come first."""
 
     def __init__(self, run: Run) -> None:
         try:
@@ -181,7 +181,7 @@ def _spans(rows: list[PhaseRow], names: PhaseNames, clock: FrameClock) -> list[S
 def _of_signal(
     rows: list[PhaseRow], names: PhaseNames, clock: FrameClock, prefix: str
 ) -> list[Span]:
-    """Returns one signal's stages; yellow and all-red stand with the green that they end."""
+    """Returns one signal's stages; yellow and all-red belong to the green before them."""
     spans: list[Span] = []
     present = ""
     for (stage, green), group in groupby(rows, key=lambda row: (row.stage, row.green)):
@@ -285,7 +285,7 @@ def _vehicle_points(
 
 
 def _sensors(run: Run) -> list[Points]:
-    """Returns where the roadside sensors stand."""
+    """Returns the positions of the roadside sensors."""
     centre = run.setup.road_map.centre
     mounts = run.scenario.get("roadside_mounts", [])
     x_m = tuple(centre[0] + float(one.get("x_m", 0)) for one in mounts)

@@ -57,10 +57,10 @@ class Snapshot:
 
 
 def load_snapshot(run: Run, frame: int | None) -> Snapshot:
-    """Reads a frame whose uploads were kept; the last of them if `frame` is None.
+    """Reads a frame whose uploads were recorded; the last of them if `frame` is None.
 
     Raises:
-        ConfigError: no uploads of this frame were kept, or the folder lacks its setup.
+        ConfigError: no uploads of this frame were recorded, or the folder lacks its setup.
     """
     frame = _choose(run, frame)
     detections, truth = run.of_frame(DetectionRow, frame), run.of_frame(TruthRow, frame)
@@ -97,13 +97,13 @@ def _choose(run: Run, frame: int | None) -> int:
     kept = [n for (n,) in run.query("SELECT DISTINCT frame FROM clouds ORDER BY frame")]
     if not kept:
         raise ConfigError(
-            f"{run.dir} kept no scans to draw: no agent sent one in a frame that "
-            "record.snapshot_period_s keeps"
+            f"{run.dir} holds no scans to draw: no agent sent one in a frame that "
+            "record.snapshot_period_s selects"
         )
     if frame is not None and frame not in kept:
         more = " …" if len(kept) > _LISTED else ""
         known = ", ".join(map(str, kept[:_LISTED])) + more
-        raise ConfigError(f"{run.dir} kept no uploads of frame {frame}; it has {known}")
+        raise ConfigError(f"{run.dir} holds no uploads of frame {frame}; it has {known}")
     return kept[-1] if frame is None else frame
 
 
@@ -144,7 +144,7 @@ def draw_frame(run_dir: Path, frame: int | None, png_path: Path | None) -> Path:
 
     Args:
         run_dir: the run's folder.
-        frame: a frame whose uploads were kept; None for the last of them.
+        frame: a frame whose uploads were recorded; None for the last of them.
         png_path: the picture to write; None for `frame-N.png` in the run's folder.
 
     Raises:

@@ -6,7 +6,7 @@ from perception.config import DetectorName
 from studies.accuracy.maps import cloud_maps, fusion_maps, truth_map
 from studies.accuracy.measure import Scenario, junction_of
 from studies.accuracy.view import best_of, view_of
-from studies.page.model import Beside, Section, Text
+from studies.page.model import Section, SideBySide, Text
 
 LOOKED_AT = 12  # samples, of which one is shown
 
@@ -31,9 +31,9 @@ def scenes_section(scenario: Scenario, detector: DetectorName, samples: int = LO
                 f"sees it inside the geofence; all figures are of the part that is shown."
             ),
             Text("Figure 3: clouds before and after merging."),
-            Beside(cloud_maps(view)),
+            SideBySide(cloud_maps(view)),
             Text("Figure 5: detections before and after fusion."),
-            Beside(fusion_maps(view)),
+            SideBySide(fusion_maps(view)),
             Text("Figure 7: detected boxes over true boxes."),
             truth_map(view),
         ),

@@ -49,9 +49,9 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """Series over one x axis. With `x_categories`, x are places in them, from 0.
+    """Series over one x axis. With `x_categories`, x are indices into them.
 
-    Bars of several series stand side by side, or on each other if they are `stacked`.
+    Bars of several series are side by side, or on top of each other if `stacked`.
     """
 
     title: str
@@ -143,7 +143,7 @@ class Text:
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """Text whose lines and spaces count; `folded` hides it until it is asked for."""
+    """Text whose lines and spaces count; `folded` hides it until it is opened."""
 
     text: str
     title: str = ""
@@ -193,13 +193,13 @@ Figure: TypeAlias = Chart | MapChart | Timeline
 
 
 @dataclass(frozen=True, slots=True)
-class Beside:
+class SideBySide:
     """Blocks next to each other where the page is wide enough, else one below the other."""
 
     blocks: tuple[Block, ...]
 
 
-Block: TypeAlias = Text | Code | Table | Picture | Chart | MapChart | Timeline | Beside
+Block: TypeAlias = Text | Code | Table | Picture | Chart | MapChart | Timeline | SideBySide
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +221,7 @@ class Fact:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A whole page; `facts` stand at its top."""
+    """A whole page, with `facts` at its top."""
 
     title: str
     lead: str
@@ -233,23 +233,23 @@ class Page:
         return [
             block
             for section in self.sections
-            for block in flat(section.blocks)
+            for block in flattened(section.blocks)
             if isinstance(block, Chart | MapChart | Timeline)
         ]
 
 
-def flat(blocks: tuple[Block, ...]) -> list[Block]:
-    """Returns blocks with those that stand beside each other one after the other."""
+def flattened(blocks: tuple[Block, ...]) -> list[Block]:
+    """Returns blocks in one sequence, those side by side one after the other."""
     found: list[Block] = []
     for block in blocks:
-        found += flat(block.blocks) if isinstance(block, Beside) else [block]
+        found += flattened(block.blocks) if isinstance(block, SideBySide) else [block]
     return found
 
 
 DASH = "–"
 
 
-def written(cell: Cell, form: str) -> str:
+def text_of_cell(cell: Cell, form: str) -> str:
     """Returns a cell as text; a form that does not fit leaves it as it is."""
     if cell is None or cell != cell:  # noqa: PLR0124 - NaN, which is no figure either
         return DASH
@@ -261,16 +261,17 @@ def written(cell: Cell, form: str) -> str:
         return str(cell)
 
 
-def rows_of(table: Table) -> list[list[str]]:
+def text_rows(table: Table) -> list[list[str]]:
     """Returns a table's rows as text."""
     forms = [column.form for column in table.columns]
     return [
-        [written(cell, form) for cell, form in zip(row, forms, strict=True)] for row in table.rows
+        [text_of_cell(cell, form) for cell, form in zip(row, forms, strict=True)]
+        for row in table.rows
     ]
 
 
-def numeric(table: Table) -> list[bool]:
-    """Tells of each column whether it holds figures: then they stand on the right."""
+def numeric_columns(table: Table) -> list[bool]:
+    """Tells of each column whether it holds numbers, to be aligned right."""
     return [
         any(row[i] is not None for row in table.rows)
         and not any(isinstance(row[i], str) for row in table.rows)
@@ -291,7 +292,7 @@ class Colours:
     def of(cls, page: Page) -> Colours:
         """Gives each name, in reading order, the first colour that no neighbour has.
 
-        Neighbours stand in a chart together. Who has a colour of its own takes part in nothing.
+        Neighbours are in one chart. A name with a colour of its own is left aside.
         """
         neighbours: dict[str, set[str]] = {}
         for figure in page.figures():

@@ -26,7 +26,7 @@ _DASHES = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
 
 
 def draw_chart(chart: Chart, axes: Axes, colours: Colours) -> list[str]:
-    """Draws a chart; returns what its legend says."""
+    """Draws a chart; returns the names for its legend."""
     axes.set(xlabel=chart.x_label, ylabel=chart.y_label)
     axes.set_xscale("log" if chart.x_log else "linear")
     axes.set_yscale("log" if chart.y_log else "linear")
@@ -53,7 +53,7 @@ def draw_chart(chart: Chart, axes: Axes, colours: Colours) -> list[str]:
 
 
 def draw_timeline(timeline: Timeline, axes: Axes, colours: Colours) -> list[str]:
-    """Draws a timeline; returns what its legend says."""
+    """Draws a timeline; returns the names for its legend."""
     known, place = dict(timeline.colours), {row: i for i, row in enumerate(timeline.rows)}
     names = list(dict.fromkeys(span.name for span in timeline.spans))
     for name in names:
@@ -159,7 +159,7 @@ _CLOUD = 200  # points from which on they are a cloud
 
 
 def draw_map(chart: MapChart, axes: Axes, colours: Colours) -> list[str]:
-    """Draws a map; returns what its legend says."""
+    """Draws a map; returns the names for its legend."""
     axes.set(aspect="equal", xlabel="east, m", ylabel="north, m")
     axes.add_collection(PolyCollection(chart.surfaces, facecolors=palette.ROAD, edgecolors="none"))
     axes.add_collection(LineCollection(chart.lines, colors=palette.ROAD_EDGE, linewidths=0.6))
@@ -218,7 +218,7 @@ def draw(
     """Returns the picture of a chart; the same chart gives the same bytes.
 
     An SVG has no title, as the page around it shows one, and its letters are outlines: it needs no
-    font. Clouds of points stand in it as pixels. `is_half` draws it for half the page's width.
+    font. Clouds of points are pixels in it. `is_half` draws it for half the page's width.
     """
     with mpl.rc_context(_STYLE):
         canvas = Canvas(

@@ -18,7 +18,6 @@ from typing import Any, Literal
 from protocol.config import is_folder
 from protocol.errors import ConfigError
 from studies.page.model import (
-    Beside,
     Block,
     Chart,
     Code,
@@ -27,11 +26,12 @@ from studies.page.model import (
     MapChart,
     Page,
     Picture,
+    SideBySide,
     Table,
     Text,
     Timeline,
-    numeric,
-    rows_of,
+    numeric_columns,
+    text_rows,
 )
 
 _ENDS = {"--html": (".html", ".htm"), "--markdown": (".md",)}
@@ -122,7 +122,7 @@ class _HtmlBlocks:
 
     def view(self, block: Block, *, is_half: bool = False) -> dict[str, Any]:
         """Returns a block's kind and what it shows."""
-        if isinstance(block, Beside):
+        if isinstance(block, SideBySide):
             return {
                 "kind": "beside",
                 "blocks": [self.view(one, is_half=True) for one in block.blocks],
@@ -134,8 +134,8 @@ class _HtmlBlocks:
             return {
                 "kind": "table",
                 "table": block,
-                "rows": rows_of(block),
-                "on_right": numeric(block),
+                "rows": text_rows(block),
+                "on_right": numeric_columns(block),
             }
         if isinstance(block, Picture):
             return {"kind": "picture", "caption": block.caption, "data": _base64(block.data())}
@@ -153,7 +153,7 @@ def _asset(name: str) -> str:
 
 
 def to_markdown(page: Page, folder: Path, stem: str) -> str:
-    """Writes `STEM-N.png` into a folder and returns the text that shows them from beside it.
+    """Writes `STEM-N.png` into a folder and returns the text that shows them, for a file beside it.
 
     Raises:
         OSError: the folder cannot be written, or a picture's file cannot be read.
@@ -180,7 +180,7 @@ class _MarkdownBlocks:
 
     def text(self, block: Block) -> str:
         """Returns a block as Markdown and writes its picture, if it is one."""
-        if isinstance(block, Beside):
+        if isinstance(block, SideBySide):
             return "\n\n".join(self.text(one) for one in block.blocks)
         if isinstance(block, Chart | MapChart | Timeline):
             return self._figure(block)
@@ -202,7 +202,7 @@ class _MarkdownBlocks:
         return self._folder / f"{self._stem}-{next(self._numbers)}.png"
 
     def _shown(self, path: Path, caption: str) -> str:
-        """Links a picture as seen from the file that lies beside its folder."""
+        """Links a picture, relative to the folder that holds its folder."""
         return f"![{plain(caption)}]({self._folder.name}/{path.name})"
 
 
@@ -224,7 +224,9 @@ def _fenced(block: Code) -> str:
 
 def _markdown_table(table: Table) -> str:
     caption = f"**{plain(table.caption)}**\n\n" if table.caption else ""
-    return caption + _grid([c.name for c in table.columns], rows_of(table), numeric(table))
+    return caption + _grid(
+        [c.name for c in table.columns], text_rows(table), numeric_columns(table)
+    )
 
 
 def _grid(head: list[str], rows: list[list[str]], on_right: list[bool]) -> str:

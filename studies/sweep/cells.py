@@ -31,7 +31,7 @@ Resolve = Callable[[Settings], Scenario]
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One row of the table to come. Cells with equal ids are one run."""
+    """One row of the study's table. Cells with equal ids are one run."""
 
     grid: str
     labels: dict[str, Label]
@@ -50,7 +50,7 @@ def cells_of(study: Study, resolve: Resolve) -> list[Cell]:
     """Returns all cells in the order of the file: grids, axes, seeds.
 
     Raises:
-        ConfigError: a cell's scenario cannot be; says which.
+        ConfigError: a cell's scenario is invalid; names the cell.
     """
     return [cell for grid in study.grids for cell in _of_grid(study, grid, resolve)]
 

@@ -90,10 +90,10 @@ def _signals_held() -> Iterator[None]:
 
     A terminal sends Ctrl-C to all processes, but the parent ends the workers.
     """
-    came: list[int] = []
+    received: list[int] = []
     resource_tracker.ensure_running()  # if a later thread started it, this would unblock them there
     held = (signal.SIGINT, signal.SIGTERM)
-    before = {which: signal.signal(which, lambda n, _: came.append(n)) for which in held}
+    before = {which: signal.signal(which, lambda n, _: received.append(n)) for which in held}
     signal.pthread_sigmask(signal.SIG_BLOCK, held)
     try:
         yield
@@ -101,7 +101,7 @@ def _signals_held() -> Iterator[None]:
         for which, handler in before.items():
             signal.signal(which, handler)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, held)
-    for number in came[:1]:
+    for number in received[:1]:
         signal.raise_signal(number)
 
 

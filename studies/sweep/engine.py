@@ -81,7 +81,7 @@ class Engine:
 
         Raises:
             BusError: the scheduler was lost.
-            KeyboardInterrupt: `check` says so.
+            KeyboardInterrupt: raised by `check`.
         """
         todo = cells[::-1]
         failures = []

@@ -103,7 +103,7 @@ def check_axes(axes: dict[str, Axis]) -> None:
     """Checks names, labels and keys of axes.
 
     Raises:
-        ValueError: a name is taken, a label stands twice or is none, two axes set one key.
+        ValueError: a name is taken, a label is a duplicate or no text, two axes set one key.
     """
     setter: dict[str, str] = {}
     for name, axis in axes.items():
@@ -149,7 +149,7 @@ def _choices(name: str, axis: Axis) -> list[Choice]:
 
 
 def _label(value: object) -> Label:
-    """Returns a value as it stands in the table: numbers and texts as they are."""
+    """Returns a value as it is written into the table: numbers and texts unchanged."""
     is_plain = isinstance(value, (str, int, float)) and not isinstance(value, bool)
     return value if is_plain else json.dumps(value, default=str)  # type: ignore[return-value]
 
@@ -175,7 +175,7 @@ _NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)
 class Grid(Section):
     """A full product of axes."""
 
-    name: Name = Field(description="stands in the table's column `grid`")
+    name: Name = Field(description="value of the table's column `grid`")
     settings: Settings = Field({}, alias="set", description="of its cells: dotted scenario keys")
     axes: dict[str, Axis] = Field(
         {}, description="a scenario key and its values, or a name and what each label sets"
@@ -308,7 +308,7 @@ def read_study(what: str) -> StudyFile:
     """Reads a built-in study or a file.
 
     Raises:
-        ConfigError: there is no such study, or it cannot be what it says.
+        ConfigError: there is no such study, or it is invalid.
     """
     built_in = what in builtin_studies()
     path = (

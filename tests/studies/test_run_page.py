@@ -24,7 +24,7 @@ from recorder.tables import (
     TruthRow,
     UploadRow,
 )  # fmt: skip
-from studies.page.model import Chart, Code, MapChart, Page, Table, Text, Timeline, flat
+from studies.page.model import Chart, Code, MapChart, Page, Table, Text, Timeline, flattened
 from studies.run_page import run_page
 from tests.roads import WEST_TO_EAST
 from tests.studies.page.pages import HOSTILE
@@ -79,7 +79,7 @@ def make_run(
 
 
 def texts(page: Page) -> str:
-    blocks = [block for section in page.sections for block in flat(section.blocks)]
+    blocks = [block for section in page.sections for block in flattened(section.blocks)]
     return "\n".join(block.text for block in blocks if isinstance(block, Text))
 
 
@@ -89,7 +89,7 @@ def test_a_whole_run_has_all_figures(tmp_path: Path) -> None:
     kinds = [type(figure) for figure in page.figures()]
     assert (kinds.count(Chart), kinds.count(Timeline), kinds.count(MapChart)) == (8, 1, 1)
     assert "came to its end after 4.0 simulated seconds" in page.lead
-    blocks = [block for section in page.sections for block in flat(section.blocks)]
+    blocks = [block for section in page.sections for block in flattened(section.blocks)]
     assert [b.text for b in blocks if isinstance(b, Code) and not b.folded] == ["cpnet up demo"]
     assert ("numpy", "2") in [row for b in blocks if isinstance(b, Table) for row in b.rows]
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from studies.over_time import INTERVALS, MAX_POINTS, note_on, thinned_series
+from studies.over_time import INTERVALS, MAX_POINTS, thinned_series, thinning_note
 
 
 def test_a_peak_of_one_point_is_kept() -> None:
@@ -13,14 +13,14 @@ def test_a_peak_of_one_point_is_kept() -> None:
     thin = thinned_series("s", range(36_000), y)
     assert len(thin.x) == INTERVALS
     assert (max(thin.high or ()), min(thin.low or ())) == (9.0, -9.0)
-    assert note_on((thin,))
+    assert thinning_note((thin,))
 
 
 def test_a_short_series_is_as_it_was() -> None:
     thin = thinned_series("s", range(MAX_POINTS), [None, *range(1, MAX_POINTS)])
     assert thin.y == (None, *range(1, MAX_POINTS))
     assert thin.low is None
-    assert not note_on((thin,))
+    assert not thinning_note((thin,))
 
 
 def test_a_long_gap_stays_a_gap() -> None:

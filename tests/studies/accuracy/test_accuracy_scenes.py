@@ -11,7 +11,7 @@ from studies.accuracy.maps import SHOWN_POINTS, cloud_maps, fusion_maps, truth_m
 from studies.accuracy.scenes import scenes_section
 from studies.accuracy.view import best_of, view_of
 from studies.evaluate import Site
-from studies.page.model import MapChart, Page, Section, flat
+from studies.page.model import MapChart, Page, Section, flattened
 from studies.page.write import to_markdown
 from tests.roads import junction_road
 from tests.studies.accuracy.small import small
@@ -79,7 +79,7 @@ def section() -> Section:
 
 def test_the_same_scenario_gives_the_same_pictures(section: Section) -> None:
     assert scenes_section(small(), "fast", 2) == section
-    charts = [block for block in flat(section.blocks) if isinstance(block, MapChart)]
+    charts = [block for block in flattened(section.blocks) if isinstance(block, MapChart)]
     assert len(charts) == 5
     for chart in charts:
         assert chart.window == charts[0].window

@@ -1,7 +1,6 @@
 """A page with one of everything, some of it hostile."""
 
 from studies.page.model import (
-    Beside,
     Chart,
     Code,
     Column,
@@ -13,6 +12,7 @@ from studies.page.model import (
     Points,
     Section,
     Series,
+    SideBySide,
     Span,
     Table,
     Text,
@@ -66,7 +66,7 @@ def whole_page() -> Page:
                 "Text | one", (Text(HOSTILE), Code("a\n```\n<b>", HOSTILE), Code("x", "y", True))
             ),
             Section(HOSTILE, (Table(columns, rows, HOSTILE), Picture(PNG, HOSTILE))),
-            Section("Charts", (Beside(charts()[:2]), *charts()[2:])),
+            Section("Charts", (SideBySide(charts()[:2]), *charts()[2:])),
             Section("Places", (lamps, places)),
         ),
         (Fact("speed", "3 m/s", "mean"), Fact(HOSTILE, HOSTILE)),
