@@ -4,15 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 
 from edge_server.config import EdgeConfig
-from edge_server.frame import AgentDetections, Chunk, Frame
-from edge_server.pipeline import Pipeline
+from edge_server.frame import (
+    AgentDetections,
+    Chunk,
+    ChunkStage,
+    Frame,
+    FrameStage,
+    FrameState,
+)
+from edge_server.pipeline import Pipeline, stages_of
 from perception.config import GroundConfig
+from perception.detector import Vehicles
 from protocol.geometry import SE3
 from protocol.messages import AgentPose, Equipment, Objects
 from protocol.roadmap import RoadMap
@@ -141,3 +150,117 @@ def test_the_papers_settings_work_on_a_level_road(
     frame = Frame(0, 0, ["rsu-0"], [], [scan], True, 0, 0)
     result = Pipeline.of(road_map, config, seed=1).run(frame)
     assert (result.counts.upstream["in_0"], result.counts.downstream["out_0"]) == (2, 1)
+
+
+def pose_of(agent: str, x: float, y: float, number: int, std_m: float = 0.05) -> AgentPose:
+    return AgentPose(
+        frame=number,
+        sim_time_ns=number * 10**9,
+        agent=agent,
+        equipment=Equipment.CV,
+        pose=np.array([x, y, 0, 0, 0, 0]),
+        length_m=4.5,
+        width_m=1.8,
+        height_m=1.5,
+        position_std_m=std_m,
+    )
+
+
+def frame_of_poses(number: int, *poses: AgentPose) -> Frame:
+    agents = [pose.agent for pose in poses]
+    return Frame(number, number * 10**9, agents, [*poses], [], True, 0, 0)
+
+
+def test_stationary_vehicles_are_queued_and_moving_ones_are_not(road_map: RoadMap) -> None:
+    pipeline = Pipeline.of(road_map, EdgeConfig(), seed=1)
+    for number in range(2):
+        parked = [pose_of(f"p{n}", -15 - 10 * n, -1.75, number) for n in range(2)]
+        moving = pose_of("m", -90 + 10 * number, 1.75, number)
+        behind = pose_of("q", 30, -1.75, number)
+        counts = pipeline.run(frame_of_poses(number, moving, *parked, behind)).counts
+        queued = (
+            {"in_0": 2, "in_1": 0, "side_0": 0} if number else dict.fromkeys(counts.upstream, 0)
+        )
+        assert counts.upstream == {"in_0": 2, "in_1": 1, "side_0": 0}
+        assert counts.queued_upstream == {"in_0": 2 * number, "in_1": 0, "side_0": 0}
+        assert counts.queued_downstream == {"out_0": number, "out_1": 0}
+
+
+@pytest.mark.parametrize(("std_m", "counted"), [(0.05, 0), (1.5, 1)])
+def test_a_vehicle_beside_its_lane_counts_as_far_as_its_position_error_reaches(
+    road_map: RoadMap, std_m: float, counted: int
+) -> None:
+    off = pose_of("a", -50, 3.5 + 0.5 + 1.0, 0, std_m)  # 1 m beyond the margin of in_1
+    counts = Pipeline.of(road_map, EdgeConfig(), seed=1).run(frame_of_poses(0, off)).counts
+    assert counts.upstream["in_1"] == counted
+
+
+class Track(FrameStage):
+    """Between fuse and count: keeps vehicles that one frame before this one had as well."""
+
+    name = "track"
+
+    def __init__(self) -> None:
+        self.known: set[str] = set()
+
+    def run(self, state: FrameState) -> None:
+        seen = np.array([source in self.known for source in state.vehicles.sources], bool)
+        self.known = set(state.vehicles.sources)
+        state.vehicles, state.positions = state.vehicles.take(seen), state.positions.take(seen)
+
+
+def test_a_stage_is_added_by_adding_it_to_the_list(road_map: RoadMap) -> None:
+    stages = stages_of(road_map, EdgeConfig(), seed=1)
+    pipeline = Pipeline([*stages[:-1], Track(), stages[-1]])
+    assert [stage.name for stage in pipeline.stages] == [
+        "decode", "place", "check", "merge", "detect", "fuse", "track", "count",
+    ]  # fmt: skip
+    states = [pipeline.run(frame_of_poses(n, pose_of("a", -50, 1.75, n))) for n in range(2)]
+    assert [state.counts.upstream["in_1"] for state in states] == [0, 1]
+    assert [span.stage for span in states[1].spans][-3:] == ["fuse", "track", "count"]
+
+
+class Thin(ChunkStage):
+    """Keeps no point of a chunk."""
+
+    name = "thin"
+
+    def run(self, chunk: Chunk) -> Chunk:
+        return replace(chunk, points=chunk.points[:0])
+
+
+def test_a_stage_of_chunks_runs_as_they_arrive_and_has_a_span(
+    climbing_road: RoadMap, shell: Callable[..., Any], ground: Callable[..., Any]
+) -> None:
+    stages = stages_of(climbing_road, EdgeConfig(), seed=1)
+    pipeline = Pipeline([stages[0], Thin(), *stages[1:]])
+    frame = frame_of(shell, ground)
+    chunk = pipeline.prepare(frame.chunks[0])
+    assert [(span.stage, span.agent) for span in chunk.spans] == [
+        (name, "rsu-0") for name in ("decode", "thin", "place")
+    ]
+    assert pipeline.prepare(chunk) is chunk
+    assert pipeline.run(replace(frame, chunks=[chunk])).detections.sources == ["cav"]
+
+
+def test_a_list_of_stages_out_of_order_or_with_one_twice_is_refused(road_map: RoadMap) -> None:
+    stages = stages_of(road_map, EdgeConfig(), seed=1)
+    for wrong in ([*stages, stages[0]], [*stages, stages[-1]], [stages[-1], *stages[:-1]]):
+        with pytest.raises(ValueError, match="stages of chunks first"):
+            Pipeline(wrong)
+
+
+def test_a_detector_divides_its_stage_and_one_that_does_not_is_one_span(road_map: RoadMap) -> None:
+    class Silent:
+        def detect(self, cloud: Any, rng: Any, stage: Any) -> Vehicles:
+            return Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
+
+    pipeline = Pipeline.of(road_map, EdgeConfig(), seed=1, detector=lambda *_: Silent())
+    spans = pipeline.run(frame_of_poses(0)).spans
+    assert [span.stage for span in spans] == ["check", "merge", "detect", "fuse", "count"]
+    assert all(a.end_ns <= b.start_ns for a, b in pairwise(spans))
+
+
+def test_what_no_stage_has_filled_in_is_an_error() -> None:
+    with pytest.raises(AttributeError, match="cloud"):
+        FrameState(frame_of_poses(0)).cloud  # noqa: B018

@@ -23,8 +23,8 @@ def locate(
         (-30, 2.0, 0, "in_1", 20),
         (-200, 0.5, 0, "far_0", 190),
         (0, 1.75, 0, ":j_1", -10),
-        (50, -1.75, 0, "out_0", -54.5),
-        (170, -1.75, 0, "gone_0", -174.5),
+        (50, -1.75, 0, "out_0", -52.816),
+        (170, -1.75, 0, "gone_0", -172.816),
         (1.75, -40, np.pi / 2, "side_0", 30),
         (0, 40, 0, "", 0),
     ],
@@ -36,7 +36,7 @@ def test_a_vehicle_knows_its_lane_and_the_way_to_the_stop_bar(
     place = locate(index, (x, y, yaw))
     assert index.names(place) == [lane]
     # The exit is reached by the shorter of two ways through the junction.
-    assert index.distances_m(place)[0] == pytest.approx(distance_m, abs=4.5)
+    assert index.distances_m(place)[0] == pytest.approx(distance_m, abs=0.01)
 
 
 def test_inside_the_junction_the_vehicles_own_direction_decides(road_map: RoadMap) -> None:

@@ -109,6 +109,14 @@ def test_unseen_parts_may_turn_the_decision():
     assert max_pressure(SIGNAL, given_counts, None, unseen="alike").state == MAIN
 
 
+def test_unseen_parts_behind_the_stop_bar_may_turn_the_decision():
+    given_counts = counts(5, 4, out_1=1).model_copy(
+        update={"coverage_downstream": {"out_0": 1.0, "out_1": MIN_COVERAGE}}
+    )
+    assert max_pressure(SIGNAL, given_counts, None, unseen="empty").state == MAIN
+    assert max_pressure(SIGNAL, given_counts, None, unseen="alike").state == SIDE
+
+
 def test_queued_vehicles_press_alone_where_that_is_asked_for():
     given_counts = counts(9, 2).model_copy(update={"queued_upstream": {"main": 1, "side": 2}})
     assert max_pressure(SIGNAL, given_counts, None).state == MAIN
