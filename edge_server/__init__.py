@@ -1,1 +1,13 @@
-"""The edge server: scans and poses in, vehicles and counts per lane out. Knows the V2X bus only."""
+"""The edge server: scans and poses in, vehicles and counts per lane out. Knows the V2X bus only.
+
+- `role`: input and output: subscribes, publishes detections, counts, plans and metrics
+- `scenario`, `config`: what it reads from a scenario; `owners`: processes of agents
+- `decoding`: threads that decode and place chunks as they arrive
+- `assembler`: frame assembly; `completion`: when a frame needs no more, or is late
+- `frame`: chunks, frames, the state of a frame, and what a stage is
+- `pipeline`: the list of stages; the stages merge, detect, fuse and count
+- `placing`: the stages decode and place; `misbehaviour` (with `motion`, `map_consistency`): check
+- `fusion`: duplicates and agents' poses; `lanes`: positions, counts, sensor coverage;
+  `stationary`: queued vehicles
+- `planner`, `power_diagram`: which agent uploads which part of the scene
+"""

@@ -17,16 +17,17 @@ V = TypeVar("V")
 
 MAX_AGENTS = 512  # of a frame
 MAX_CHUNKS = 4 * MAX_AGENTS
-MAX_BOXES = 4 * MAX_AGENTS  # that agents found for themselves
+MAX_BOXES = 4 * MAX_AGENTS  # that agents detected by themselves
 MAX_POINTS = 10_000_000  # of a frame; placed, they take 160 MB
 
 
 @dataclass(slots=True, eq=False)
 class FrameAssembly:
-    """A frame under way. Chunks are known by (agent, chunk); `drops` counts what came in vain.
+    """A frame that is being assembled. Chunks are known by (agent, index).
 
     `decoding` are the chunks that are wanted and not decoded yet. A frame that `is_closing` takes
-    no more.
+    no more. Where there is no room, an agent that no roster announces gives way to one that is
+    announced. `drops` counts, by reason, what was not used.
     """
 
     first_ns: int
@@ -64,7 +65,7 @@ class FrameAssembly:
         self._date(pose.sim_time_ns)
 
     def add_found(self, found: AgentDetections) -> None:
-        """Takes the first boxes that an agent found for itself."""
+        """Takes an agent's first boxes."""
         if found.agent in self.found:
             self.drops["duplicate"] += 1
         elif len(self.found) >= MAX_AGENTS:
@@ -92,12 +93,12 @@ class FrameAssembly:
         return False
 
     def begin(self, scan: Scan) -> None:
-        """Takes note that a chunk that was wanted is being decoded."""
+        """Marks a wanted chunk as being decoded."""
         self.decoding.add((scan.agent, scan.chunk))
         self.chunk_counts[scan.agent] = scan.chunks
 
     def forgo(self, scan: Scan) -> None:
-        """Takes note that a chunk will not come after all."""
+        """Marks a chunk as one that could not be decoded."""
         self.decoding.discard((scan.agent, scan.chunk))
 
     def add_chunk(self, chunk: Chunk) -> None:
@@ -113,11 +114,11 @@ class FrameAssembly:
         self._date(chunk.sim_time_ns)
 
     def has_poses(self, roster: Roster) -> bool:
-        """Whether all poses came that a roster announces."""
+        """Whether all poses arrived that a roster announces."""
         return all(agent in self.poses for agent in roster.agents)
 
     def uploaded(self, agent: str) -> UploadProgress:
-        """Returns how far an agent's scan came; boxes of its own count as a whole scan."""
+        """Returns how much of an agent's scan arrived; boxes of its own count as a whole scan."""
         if agent in self.found:
             return UploadProgress(1, 1, -1)
         chunks, came = self.chunk_counts.get(agent, 0), 0
@@ -126,7 +127,7 @@ class FrameAssembly:
         return UploadProgress(came, chunks, self.chunks[agent, 0].plan_frame if came else -1)
 
     def named(self) -> list[str]:
-        """Returns of whom something came, sorted; of too many those who were announced first."""
+        """Returns the agents of which something arrived, sorted; announced ones first."""
         came = {*self.poses, *self.found, *(agent for agent, _ in self.chunks)}
         if len(came) > MAX_AGENTS:
             came = set(sorted(came, key=lambda a: (not self._is_announced(a), a))[:MAX_AGENTS])
@@ -159,15 +160,15 @@ def _size(roster: Roster) -> int:
 
 MAX_OPEN_FRAMES = 4
 MAX_PROCESSES = 256  # that were not expected
-NO_POSE_ROLE = "infra"  # a post's place is in its scans
+NO_POSE_ROLE = "infra"  # a roadside unit's place is in its scans
 
 
 class Assembler:
-    """Knows which processes live and waits for all that they announce, up to `wait_ns`.
+    """Knows which processes are alive and waits for all that they announce, up to `wait_ns`.
 
     A process is waited for from the start if it was expected, else from its first roster on, until
-    it vanishes or floods. Of scans, less may be enough: `covers` decides by how far each came.
-    `drops` counts, by reason, what came in vain.
+    it vanishes or floods. Of scans, less may be enough: `covers` decides by how much of each has
+    arrived. `drops` counts, by reason, what was not used.
     """
 
     def __init__(
@@ -191,7 +192,7 @@ class Assembler:
         self.drops: Counter[str] = Counter()
 
     def hear(self, process: str, role: str, *, alive: bool) -> None:
-        """Takes note of a process that appeared or vanished; of too many no more are noted."""
+        """Adds a process that appeared or removes one that vanished; their number is bounded."""
         is_new = process not in self._roles
         if alive and is_new and len(self._roles) >= len(self._expected) + MAX_PROCESSES:
             self.drops["too_many_processes"] += 1
@@ -205,11 +206,11 @@ class Assembler:
                 self._roles.pop(process, None)
 
     def wait_not_for(self, processes: set[str]) -> None:
-        """Waits for none of these, who say more than is heard, until their next roster."""
+        """Waits for none of these, which publish more than is read, until their next roster."""
         self._heard -= processes
 
     def is_there(self, process: str) -> bool:
-        """Whether a process lives."""
+        """Whether a process is alive."""
         return process in self._alive
 
     def admits(self, frame: int) -> bool:
@@ -217,7 +218,7 @@ class Assembler:
         return self._horizon.admits(frame)
 
     def add_time(self, frame: int, sim_time_ns: int) -> None:
-        """Takes note of a frame's simulated time, as the signal's state has it."""
+        """Adds a frame's simulated time, as the signal's state has it."""
         self._horizon.follow(frame)
         if not self._is_near(frame):
             return
@@ -226,7 +227,7 @@ class Assembler:
             del self._times_ns[self._horizon.farthest(self._times_ns)]
 
     def add_roster(self, roster: Roster, received_ns: int) -> None:
-        """Takes the list of agents that a process speaks for; only of one that is there."""
+        """Takes the list of agents of a process, if that is alive."""
         if roster.process not in self._alive:
             self.drops["absent_process"] += 1
         elif part := self._part(roster.frame, received_ns):
@@ -239,7 +240,7 @@ class Assembler:
             part.add_pose(pose)
 
     def add_objects(self, objects: Objects, received_ns: int) -> None:
-        """Takes what an agent detected for itself."""
+        """Takes what an agent detected by itself."""
         if part := self._part(objects.frame, received_ns):
             part.add_found(AgentDetections(objects, received_ns))
 
@@ -249,12 +250,12 @@ class Assembler:
         return part is not None and part.wants(scan)
 
     def begin(self, scan: Scan) -> None:
-        """Takes note that a scan that was wanted is being decoded: its frame's end waits for it."""
+        """Marks a wanted scan as being decoded: its frame's end waits for it."""
         if part := self._open.get(scan.frame):
             part.begin(scan)
 
     def forgo(self, scan: Scan) -> None:
-        """Takes note that a scan could not be decoded, and not by its own fault."""
+        """Marks a scan as one that could not be decoded, through no fault of its own."""
         if part := self._open.get(scan.frame):
             part.forgo(scan)
 
@@ -266,8 +267,8 @@ class Assembler:
     def pop(self, now_ns: int) -> Frame | None:
         """Returns the newest whole frame, else the oldest that has been waited for long enough.
 
-        Older frames than the one returned are given up. What came of a frame in time is part of it:
-        one that waited for long enough takes no more scans, but those that are being decoded.
+        Older frames than the one returned are given up. What arrived in time is part of a frame:
+        one that waited for long enough takes no more scans but those that are being decoded.
         """
         credible = {n: part for n, part in self._open.items() if self._is_credible(n, part)}
         whole = [number for number, part in credible.items() if self._is_whole(number, part)]
@@ -338,7 +339,7 @@ class Assembler:
         return self._covers is not None and self._covers(uploaded)
 
     def _uploaded(self, part: FrameAssembly) -> dict[str, UploadProgress]:
-        """Returns how far the scans came of all that those who are awaited announced."""
+        """Returns how much has arrived of the scans that awaited processes announced."""
         rosters = [part.rosters[name] for name in sorted(self._awaited & part.rosters.keys())]
         return {a: part.uploaded(a) for roster in rosters for a in roster.scanning}
 

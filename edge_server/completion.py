@@ -1,6 +1,7 @@
-"""When a frame needs no more chunks: the space between any two neighbours is covered.
+"""Frame completion: when a frame needs no more chunks, and which are late on virtual links.
 
-An agent whose first chunk came covers its part up to the tight borders, with the second up to the
+A frame is complete when the space between any two neighbours is covered. An agent whose first chunk
+arrived covers its part up to the tight borders, with the second up to the
 plain and with the third up to the wide ones; the fourth is all the rest that it sees. What one
 agent leaves within its tight border, the other covers within its wide one: so two neighbours cover
 the space between them once they have sent four chunks together. Neighbours are agents whose widest
@@ -8,8 +9,9 @@ cells meet. Then every place lies within the borders of an agent: its owner's, o
 its tight part only and the place lies beyond, those of the one that comes nearest to owning it,
 which is a neighbour of the owner and has sent up to its wide border.
 
-Unlike in EMP, every owner's first chunk is needed besides: within its tight border nobody else sees
-as well, and a post on a wire, which sends all at once, would make the others' scans useless.
+Unlike in EMP, every owner's first chunk is needed besides: within its tight border no other
+sensor is as good, and a roadside unit on a wire, which sends all at once, would make the others'
+scans useless.
 """
 
 from __future__ import annotations
@@ -25,9 +27,9 @@ TOGETHER = 4  # chunks of two neighbours that cover the space between them
 
 @dataclass(frozen=True, slots=True)
 class UploadProgress:
-    """How far an agent's scan came: chunks without a gap from the first on, of how many.
+    """How much of an agent's scan arrived: chunks without a gap from the first on, of how many.
 
-    `chunks` is 0 while none came; `plan_frame` is then -1.
+    `chunks` is 0 while none arrived; `plan_frame` is then -1.
     """
 
     came: int
@@ -36,11 +38,11 @@ class UploadProgress:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all chunks came."""
+        """Whether all chunks arrived."""
         return 0 < self.chunks == self.came
 
     def came_by(self, plan_frame: int) -> int:
-        """Returns how many chunks of a plan came; a whole scan is as good as all of any plan."""
+        """Returns how many chunks of a plan arrived; a whole scan is as good as all of any plan."""
         if self.is_whole:
             return TOGETHER
         return self.came if self.plan_frame == plan_frame else 0
@@ -71,7 +73,10 @@ IsEnough = Callable[[Mapping[str, UploadProgress]], bool]
 
 @dataclass(frozen=True, slots=True)
 class VirtualDeadline:
-    """The edge waits `deadline_ns` from a frame's time on; computing then takes `compute_ns`."""
+    """Deadline in simulated time: the edge waits `deadline_ns` from a frame's time on.
+
+    Computing then takes `compute_ns`. Simulated time alone decides what is late.
+    """
 
     deadline_ns: int
     compute_ns: int

@@ -1,4 +1,4 @@
-"""Scans are opened, that is decoded and placed, by threads: on all cores, while others come in."""
+"""Decoder pool: threads decode and place chunks on all cores, while others arrive."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from protocol.codec import claimed_points
 from protocol.limits import MAX_POINTS
 from protocol.messages import Scan
 
-PER_THREAD = 2  # scans: one that it opens, one that is next
+PER_THREAD = 2  # chunks: one that it decodes, one that is next
 
 
 # Of malloc.h: the free memory on top of the heap that goes back to the kernel, the size of what
@@ -40,7 +40,7 @@ def keep_freed_memory() -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PendingChunk:
-    """A scan that is being opened or was, and when it came."""
+    """A chunk that is being decoded or was, and when it arrived."""
 
     scan: Scan
     received_ns: int
@@ -48,17 +48,17 @@ class PendingChunk:
     future: Future[Chunk]
 
     def chunk(self) -> Chunk:
-        """Waits until the scan is open; raises what opening it raised."""
+        """Waits until the chunk is decoded; raises what decoding it raised."""
         return self.future.result()
 
 
 class DecoderPool:
-    """Opens scans in threads of its own and gives them back in the order in which they came.
+    """Decodes chunks in threads of its own and returns them in the order of their arrival.
 
-    It is for the use of one thread; others call `open_scan`, and `wake` once a scan is open. What
-    is under way is bounded: two scans a thread, and all together claim no more points than one
-    alone may. Whoever puts more waits. What was not put waits in the inbox, which decides by its
-    limits what is dropped.
+    It is for the use of one thread; its threads call `open_scan`, and `wake` once a chunk is
+    decoded. What is pending is bounded: two chunks a thread, and all together claim no more points
+    than one alone may. `put` waits beyond that; meanwhile scans wait in the inbox, which decides by
+    its limits what is dropped.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class DecoderPool:
         return len(self._under_way)
 
     def put(self, scan: Scan, received_ns: int) -> list[PendingChunk]:
-        """Has a scan opened; returns those, put before it, that it had to wait for."""
+        """Has a scan decoded; returns those, put before it, that it had to wait for."""
         points = claimed_points(scan.payload)
         waited_for = []
         while not self._has_room(points):
@@ -86,17 +86,17 @@ class DecoderPool:
         return waited_for
 
     def done(self) -> Iterator[PendingChunk]:
-        """Yields what is open, up to the first scan that is not."""
+        """Yields what is decoded, up to the first chunk that is not."""
         while self._under_way and self._under_way[0].future.done():
             yield self._under_way.popleft()
 
     def rest(self) -> Iterator[PendingChunk]:
-        """Yields all that is under way, as soon as it is open."""
+        """Yields all that is pending, as soon as it is decoded."""
         while self._under_way:
             yield self._take()
 
     def close(self) -> None:
-        """Gives up what nobody has begun with, and ends the threads."""
+        """Cancels what no thread has begun with, and ends the threads."""
         self._under_way.clear()
         self._pool.shutdown(cancel_futures=True)
 
@@ -111,7 +111,7 @@ class DecoderPool:
 
 
 class _CallerThread(Executor):
-    """Does what it is given there and then: with one core, a thread would only be in the way."""
+    """Runs each task in the calling thread: with one core, others would only slow it down."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # noqa: ANN401 - as an Executor has it
         """Returns a future that is done."""

@@ -89,8 +89,8 @@ class LaneIndex:
         """Counts vehicles per incoming lane before the stop bar, and per outgoing lane behind it.
 
         A vehicle farther up counts for the incoming lane that its own lane leads to; where there
-        are several, for the one with the shortest way, so that nobody counts twice. One inside the
-        junction counts for the lane it is about to leave by.
+        are several, for the one with the shortest way, so that no vehicle counts twice. One inside
+        the junction counts for the lane it is about to leave by.
         """
         before = dict.fromkeys(self._map.incoming, 0)
         behind = dict.fromkeys(self._map.outgoing, 0)
@@ -221,7 +221,7 @@ CoverageShares = dict[str, float]
 
 
 class LaneCoverage:
-    """Knows places along the reach of each lane that counts: before the stop bar, and behind it."""
+    """Samples places on each counted stretch of lane, to say what share sensors cover."""
 
     def __init__(
         self, road_map: RoadMap, lanes: LaneIndex, *, upstream_m: float, downstream_m: float
@@ -234,9 +234,9 @@ class LaneCoverage:
         ]
 
     def shares(self, sensors_m: Floats, range_m: float) -> tuple[CoverageShares, CoverageShares]:
-        """Returns by lane the share within sight of any sensor (S, 2), upstream and downstream.
+        """Returns by lane the share within range of any sensor (S, 2), upstream and downstream.
 
-        What stands in between is not asked: a queue hides some of what is behind it.
+        Occlusion is not considered: a queue hides some of what is behind it.
         """
         upstream, downstream = (side.shares(sensors_m, range_m) for side in self._sides)
         return upstream, downstream

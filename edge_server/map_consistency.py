@@ -1,4 +1,4 @@
-"""Whether agents and what they see fit the road map: their place, their heading, their ground."""
+"""Map consistency: whether an agent's place, heading and ground fit the road map."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CERTAIN = 4.0  # standard deviations
 EDGE_M = 15.0  # around a lane's end that leads nowhere: the road goes on where no lane is drawn
 BEYOND_M = 50.0  # around all lanes: what is farther away is none of the map's business
 ALONG_RAD, AGAINST_RAD = np.radians([60.0, 120.0])  # to the lane
-AGAINST = 0.6  # the score of who stands the wrong way round: people park like that
+AGAINST = 0.6  # the score of a vehicle that faces the wrong way: people park like that
 NEAR_M = 25.0  # around a sensor, where its rings lie close together
 LEVEL_M = 0.4  # how far the ground may lie over or below the map's road
 LEAST_VOTES = 40  # squares of a metre
@@ -26,7 +26,7 @@ SENSOR_M = (0.0, 12.0)  # over the road, of a vehicle's sensor
 
 
 class MapConsistency:
-    """The road map, prepared for questions about agents."""
+    """The road map, prepared for checks of agents."""
 
     def __init__(self, road_map: RoadMap, roadway: Roadway) -> None:
         self._segments = lane_segments(road_map)
@@ -53,8 +53,8 @@ class MapConsistency:
     def on_ground(self, parts: Sequence[Placed], sensor_m: Floats, std_m: float) -> float | None:
         """Returns how much of the ground near a sensor (3,) lies where the map's road does.
 
-        None where too little of it is seen. Only of clouds that hold the ground. Who is not sure
-        of its place is taken to be as unsure of its height.
+        None where too few points show it. Only of clouds that hold the ground. An agent with a
+        large position error is taken to have as large a height error.
         """
         level_m = LEVEL_M + CERTAIN * std_m
         level, deep, votes = 0, 0, 0

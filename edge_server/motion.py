@@ -63,7 +63,7 @@ class ClaimedPose:
         return cls(sim_time_ns, pose.pose, std_m, is_rsu=False, mount=mount)
 
     def leads_to(self, later: ClaimedPose, fast_mps: float) -> bool:
-        """Whether who stood here can stand there a while later."""
+        """Whether a vehicle at this pose can be at the later one."""
         if self.is_rsu or later.is_rsu:
             return self.is_rsu and later.is_rsu and _is_near(self.pose, later.pose, RSU_M)
         took_ns = max(later.sim_time_ns - self.sim_time_ns, 0)
@@ -84,10 +84,10 @@ class ClaimedPose:
 
 
 class MotionCheck:
-    """Remembers where one agent was last believed to be, and where it says it is since.
+    """Remembers the last plausible pose of one agent, and what it claims since.
 
-    Whoever jumps is doubted, until it has been steady in its new place for long enough: it may
-    have restarted, or found its place anew.
+    An agent that jumps is implausible until it has been steady in its new place for long enough:
+    it may have restarted or relocalised.
     """
 
     __slots__ = ("_last", "_steady", "_there")
@@ -97,15 +97,15 @@ class MotionCheck:
         self._there: ClaimedPose | None = None
         self._steady = 0
 
-    def score(self, stand: ClaimedPose, fast_mps: float) -> float:
-        """Returns 1 if an agent can stand there, else 0."""
-        if self._last is None or self._last.leads_to(stand, fast_mps):
-            self._last, self._there, self._steady = stand, None, 0
+    def score(self, claimed: ClaimedPose, fast_mps: float) -> float:
+        """Returns 1 if an agent can be there, else 0."""
+        if self._last is None or self._last.leads_to(claimed, fast_mps):
+            self._last, self._there, self._steady = claimed, None, 0
             return 1.0
-        goes_on = self._there is not None and self._there.leads_to(stand, fast_mps)
-        self._there, self._steady = stand, self._steady + 1 if goes_on else 0
+        goes_on = self._there is not None and self._there.leads_to(claimed, fast_mps)
+        self._there, self._steady = claimed, self._steady + 1 if goes_on else 0
         if self._steady >= STEADY_FRAMES:
-            self._last = stand
+            self._last = claimed
         return 0.0
 
 

@@ -1,4 +1,4 @@
-"""Which process speaks for which agent: nobody may speak for another's."""
+"""Ownership of agents: which process may publish for which agent."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ MAX_AGENTS = 512  # of a process
 
 
 class AgentOwners:
-    """An agent belongs to the process that first said something of it.
+    """An agent belongs to the process that first published something for it.
 
-    So it stays until that process leaves it out of a roster, or vanishes. The agents in `pinned`
-    belong to their processes for ever. `drops` counts what others said, by reason.
+    So it stays until a roster of that process lacks it, or the process vanishes. The agents in
+    `pinned` belong to their processes for ever. `drops` counts what others published, by reason.
     """
 
     def __init__(self, pinned: Mapping[str, str], drops: Counter[str]) -> None:
@@ -24,7 +24,7 @@ class AgentOwners:
         self._drops = drops
 
     def admits(self, process: str, agent: str) -> bool:
-        """Whether a process speaks for an agent, from now on if nobody did; counts it if not."""
+        """Whether a process owns an agent, from now on if none did; counts it if not."""
         owner = self._owner.get(agent)
         if owner is None:
             return self._take(process, agent)
@@ -32,7 +32,7 @@ class AgentOwners:
         return owner == process
 
     def own(self, roster: Roster) -> Roster:
-        """Returns a roster without others' agents; lets those go that it leaves out."""
+        """Returns a roster without others' agents; releases those that it lacks."""
         process, named = roster.process, set(roster.agents)
         for agent in self._agents.get(process, set()) - named:
             self._release(process, agent)
@@ -47,7 +47,7 @@ class AgentOwners:
         )
 
     def forget(self, process: str) -> None:
-        """Lets all agents of a process that has vanished go to whoever speaks for them next."""
+        """Releases all agents of a process that has vanished."""
         for agent in list(self._agents.get(process, ())):
             self._release(process, agent)
         self._agents.pop(process, None)

@@ -25,7 +25,7 @@ MAX_UPLINKS = 512
 HALF_LIFE_FRAMES = 3
 FORGET_UPLINK_FRAMES = 100
 LEAST_MBPS, MOST_MBPS = 0.1, 1000.0
-SMALL_BYTES = 1500  # a packet: its way tells the delay, larger ones the rate
+SMALL_BYTES = 1500  # a packet: its time is the delay, that of larger ones the rate
 SMALL_KEPT = 50
 _LONGEST_NS = 10_000_000_000  # between sending and arrival; more, or less than 0: other clocks
 
@@ -43,15 +43,24 @@ class _History:
 
 
 class Bandwidth:
-    """Estimates by agent. Each has a history of its own; those long unheard are forgotten."""
+    """Estimates what each agent's uplink carries, from what arrives at the edge.
+
+    An uplink is busy with a chunk from when the chunk was sent, or from when the one before it had
+    arrived if that is later, until it has arrived. The rate is the sum of bytes over the sum of
+    busy time, both aged, so that one late wake-up of either side does not count more than it took.
+    The least time that a small message ever took is no time of transmission and is subtracted.
+
+    Both stamps of a chunk must be of one clock: the same machine's, or aligned by the caller. Where
+    they plainly are not, chunks that arrive one after the other still yield the rate.
+    """
 
     def __init__(self) -> None:
         self._histories: dict[str, _History] = {}
 
-    def heard(
+    def add(
         self, agent: str, frame: int, size_bytes: int, *, sent_ns: int, received_ns: int
     ) -> None:
-        """Takes note of a chunk, be it late or not; too many agents are not remembered."""
+        """Adds a chunk, late or not; beyond `MAX_UPLINKS` agents are not remembered."""
         history = self._histories.get(agent)
         if history is None:
             if len(self._histories) >= MAX_UPLINKS:
@@ -66,7 +75,7 @@ class Bandwidth:
             history.busy_ns += busy_ns
 
     def mbps(self, agent: str) -> float | None:
-        """Returns the estimate, from 0.1 to 1000 Mbit/s; None while nothing tells it."""
+        """Returns the estimate, from 0.1 to 1000 Mbit/s; None while it is unknown."""
         history = self._histories.get(agent)
         if history is None or history.size_bytes == 0:
             return None
@@ -74,7 +83,7 @@ class Bandwidth:
         return min(max(rate, LEAST_MBPS), MOST_MBPS)
 
     def forget(self, frame: int) -> None:
-        """Drops the agents that were not heard of for long before this frame."""
+        """Forgets agents from which nothing arrived for long before this frame."""
         for agent in [
             a for a, h in self._histories.items() if h.frame < frame - FORGET_UPLINK_FRAMES
         ]:
@@ -92,7 +101,7 @@ class Bandwidth:
 def _busy_ns(
     history: _History, frame: int, size_bytes: int, sent_ns: int, received_ns: int
 ) -> int | None:
-    """Returns how long the uplink was busy with a chunk; None if that cannot be told."""
+    """Returns how long the uplink was busy with a chunk; None if that is unknown."""
     if not 0 <= received_ns - sent_ns <= _LONGEST_NS:
         follows = history.arrived_frame == frame and history.arrived_ns > 0
         return max(received_ns - history.arrived_ns, 0) if follows else None
@@ -107,31 +116,31 @@ def _busy_ns(
 
 
 MAX_SITES = 512
-FORGET_SITE_FRAMES = 10
+SITE_AGE_FRAMES = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorSite:
-    """A sensor's place (2,) in m in the map frame; `drives` if its agent has said a pose.
+    """A sensor's place (2,) in m in the map frame; `drives` if its agent has published a pose.
 
-    `told` are the frame and whether a scan said it: the newest is believed, and of one frame a scan
-    rather than a pose, which is that of the vehicle below the sensor. So the order in which they
-    come is no matter.
+    `source` are the frame and whether it was a scan's: the newest wins, and of one frame a scan
+    over a pose, which is that of the vehicle below the sensor. So the order of arrival does not
+    matter.
     """
 
-    told: tuple[int, bool]
+    source: tuple[int, bool]
     place: Floats
     drives: bool
 
 
 class SensorSites:
-    """Remembers one place per agent. Posts say no pose, only scans tell where they stand."""
+    """Remembers one place per agent. Roadside units publish no pose, only scans."""
 
     def __init__(self) -> None:
         self._sites: dict[str, SensorSite] = {}
 
-    def hear(self, message: AgentPose | Scan) -> None:
-        """Takes note of where an agent believes to be; of too many agents no more are noted."""
+    def add(self, message: AgentPose | Scan) -> None:
+        """Adds where an agent claims to be; beyond `MAX_SITES` agents are not remembered."""
         known = self._sites.get(message.agent)
         if known is None and len(self._sites) >= MAX_SITES:
             return
@@ -140,13 +149,13 @@ class SensorSites:
         else:
             drives = known is not None and known.drives
             site = SensorSite((message.frame, True), message.sensor_pose[:2], drives)
-        if known is not None and known.told > site.told:
+        if known is not None and known.source > site.source:
             site = replace(known, drives=known.drives or site.drives)
         self._sites[message.agent] = site
 
     def of(self, agents: Sequence[str], frame: int) -> dict[str, SensorSite]:
-        """Returns the sites of those agents that are known; who fell silent is forgotten."""
-        silent = [a for a, site in self._sites.items() if site.told[0] < frame - FORGET_SITE_FRAMES]
+        """Returns the sites of those agents that are known; forgets agents that fell silent."""
+        silent = [a for a, site in self._sites.items() if site.source[0] < frame - SITE_AGE_FRAMES]
         for agent in silent:
             del self._sites[agent]
         return {agent: self._sites[agent] for agent in agents if agent in self._sites}
@@ -160,7 +169,7 @@ _BEYOND_M = 600.0  # around the lanes: farther than any sensor on the road sees
 class Planner:
     """Plans frame by frame. In lockstep, nothing that a clock measured enters a plan.
 
-    What an uplink carries shows there on virtual links alone, in simulated time.
+    There, uplink rates are known on virtual links alone, in simulated time.
     """
 
     def __init__(self, scenario: dict[str, Any], config: PlanConfig, road_map: RoadMap) -> None:
@@ -192,7 +201,7 @@ class Planner:
         virtual links the edge has had enough of the frame since `enough_sim_ns`.
         """
         if self._is_virtual:
-            self._hear_virtual(frame)
+            self._add_virtual(frame)
         self.bandwidth.forget(frame.frame)
         known = self.sites.of(frame.scanning, frame.frame)
         sites = {agent: site for agent, site in known.items() if self._policy(site).cells}
@@ -242,15 +251,15 @@ class Planner:
         both_have_cells = self._vehicle.cells and self._roadside.cells
         return borders.covered(cut) and (both_have_cells or all(scan.is_whole for scan in others))
 
-    def _hear_virtual(self, frame: Frame) -> None:
-        """Takes note, agent by agent, of how long what came of a frame was on its virtual link."""
+    def _add_virtual(self, frame: Frame) -> None:
+        """Adds, by agent, how long the chunks of a frame were on their virtual links."""
         sent_ns = frame.sim_time_ns + self._lead_ns
         came = [(pose.agent, -1, 0, pose.arrival_sim_ns) for pose in frame.poses]
         came += [(p.agent, p.index, p.size_bytes, p.arrival_sim_ns) for p in frame.chunks]
         for agent, _, payload_bytes, arrival_ns in sorted(came, key=lambda part: part[:2]):
             if arrival_ns is not None and arrival_ns < NEVER_NS:
                 size_bytes = payload_bytes + ENVELOPE_BYTES
-                self.bandwidth.heard(
+                self.bandwidth.add(
                     agent, frame.frame, size_bytes, sent_ns=sent_ns, received_ns=arrival_ns
                 )
 

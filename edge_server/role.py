@@ -31,14 +31,14 @@ from protocol.messages import (
 )
 from protocol.process import Context
 
-_TOLD_BYTES = 200 << 10  # of a frame's times in one message
+_TIMES_MAX_BYTES = 200 << 10  # of a frame's times in one message
 _TIMES_BYTES = 200  # of one part, besides its agent's id, which stands there three times
 
 
 class EdgeRole:
-    """Scans are decoded and placed as they come, by threads, while others are under way.
+    """Chunks are decoded and placed by threads as they arrive, while others are on their way.
 
-    All else is done by the thread of the loop, once the frame is whole.
+    The thread of the loop does all else, once the frame is complete.
     """
 
     def __init__(self, context: Context) -> None:
@@ -75,7 +75,7 @@ class EdgeRole:
 
     @classmethod
     def build(cls, context: Context) -> EdgeRole:
-        """Makes the role ready and listens; it shows itself once all agents are there."""
+        """Prepares the role and subscribes; it is announced once all agents are present."""
         role = cls(context)
         role.warm_up()
         context.inbox.limit("scan", MAX_OPEN_FRAMES)
@@ -91,7 +91,7 @@ class EdgeRole:
         self._pipeline.run(Frame(0, 0, [], [], [], complete=True, first_ns=0, ready_ns=0))
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes a presence or a part of a frame; a scan that does not decode counts as empty."""
+        """Takes a presence or a part of a frame; an undecodable scan counts as empty."""
         if isinstance(item, Presence):
             self._hear(item)
             return
@@ -111,7 +111,7 @@ class EdgeRole:
                 self._assembler.add_time(state.frame, state.sim_time_ns)
 
     def _is_its_own(self, item: Envelope) -> bool:
-        """Whether a message says of its sender what its key does, of an agent that is the sender's.
+        """Whether a message names the sender that its key names, and an agent that is the sender's.
 
         With access control, a process can publish under its own id alone.
         """
@@ -128,7 +128,7 @@ class EdgeRole:
         return self._owners.admits(process, agent)
 
     def poll(self) -> None:
-        """Shows the process once it is due, and works on the next frame that is ready."""
+        """Announces the process once it is due, and processes the next frame that is ready."""
         for pending in self._decoders.done():
             self._add(pending)
         if not self._announced and not self._missing:
@@ -156,7 +156,7 @@ class EdgeRole:
             self._assembler.hear(presence.id, presence.role, alive=presence.alive)
 
     def _cut(self, frame: Frame) -> Frame:
-        """Leaves out, over virtual links, what has not arrived in simulated time."""
+        """Excludes, over virtual links, what has not arrived in simulated time."""
         if self._virtual_deadline is None:
             return frame
         cut, late = self._virtual_deadline.cut(frame, self._covers)
@@ -165,13 +165,13 @@ class EdgeRole:
 
     def _note_site(self, message: AgentPose | Scan) -> None:
         if self._assembler.admits(message.frame):
-            self._planner.sites.hear(message)
+            self._planner.sites.add(message)
 
     def _take_scan(self, scan: Scan, came: Envelope) -> None:
-        """Has opened what is wanted. What is late still tells of its agent's place and uplink."""
+        """Decodes what is wanted. A late scan still yields its agent's place and uplink rate."""
         self._note_site(scan)
         if not self._lockstep:
-            self._planner.bandwidth.heard(
+            self._planner.bandwidth.add(
                 scan.agent,
                 scan.frame,
                 len(came.data),
@@ -184,7 +184,7 @@ class EdgeRole:
                 self._add(pending)
 
     def _add(self, pending: PendingChunk) -> None:
-        """Takes a scan that is open; counts one that could not be opened."""
+        """Takes a chunk from the decoder pool; counts one that could not be decoded."""
         scan = pending.scan
         try:
             chunk = pending.chunk()
@@ -198,7 +198,7 @@ class EdgeRole:
         self._assembler.add_chunk(chunk)
 
     def _publish_plans(self, frame: Frame, cut: Frame) -> None:
-        """Goes first, before the frame is worked on: it tells agents that the frame is over.
+        """Goes first, before the frame is processed: agents learn that the frame is over.
 
         In lockstep an agent waits for it before it begins the next frame.
         """
@@ -226,8 +226,8 @@ class EdgeRole:
 
 
 def _within_message(frame: Frame) -> Frame:
-    """Returns the frame with so many of its parts as have room in one message."""
-    left = _TOLD_BYTES
+    """Returns the frame with as many of its parts as fit into one message."""
+    left = _TIMES_MAX_BYTES
     chunks, found = list[Chunk](), list[AgentDetections]()
     for chunk in frame.chunks:
         left -= _TIMES_BYTES + 3 * len(chunk.agent.encode())

@@ -1,4 +1,4 @@
-"""Which vehicles stand still: those where one was found a moment ago as well."""
+"""Stationary vehicles: those at whose place one was detected a moment ago as well."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class StationaryVehicles:
     def mark(self, sim_time_ns: int, places_m: Floats) -> Bools:
         """Marks those of the places (N, 2) whose vehicle is slower than the limit.
 
-        Nobody who was not seen before stands still.
+        A vehicle that was not detected before is not stationary.
         """
         while self._past and not 0 < sim_time_ns - self._past[0][0] <= FORGET_NS:
             self._past.popleft()

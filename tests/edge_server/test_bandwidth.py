@@ -24,7 +24,7 @@ class Link:
         sent_ns = frame * PERIOD_NS
         for size in sizes:
             self.free_ns = max(self.free_ns, sent_ns) + round(size * 8e3 / self.mbps)
-            to.heard(
+            to.add(
                 agent,
                 frame,
                 size,
@@ -91,7 +91,7 @@ def test_whatever_is_claimed_the_estimate_stays_within_its_bounds(
 ) -> None:
     bandwidth = Bandwidth()
     for frame, size, sent_ns, received_ns in claims:
-        bandwidth.heard("a", frame, size, sent_ns=sent_ns, received_ns=received_ns)
+        bandwidth.add("a", frame, size, sent_ns=sent_ns, received_ns=received_ns)
     mbps = bandwidth.mbps("a")
     assert mbps is None or LEAST_MBPS <= mbps <= MOST_MBPS
 

@@ -251,8 +251,8 @@ def test_an_edge_opens_no_more_scans_than_its_threads_need():
 def test_an_edge_remembers_no_more_agents_than_it_serves():
     sites, bandwidth = SensorSites(), Bandwidth()
     for n in range(3000):
-        sites.hear(pose(f"{n}"))
-        bandwidth.heard(f"{n}", 1, 100_000, sent_ns=1, received_ns=2)
+        sites.add(pose(f"{n}"))
+        bandwidth.add(f"{n}", 1, 100_000, sent_ns=1, received_ns=2)
     assert len(sites._sites) == MAX_SITES
     assert len(bandwidth._histories) == MAX_UPLINKS
 
