@@ -333,7 +333,7 @@ def ask_clock(bus: ZenohBus) -> RemoteClock | None:
         reply = bus.ask("time", TimeReply, ANSWER_S)
         if reply is None:
             break
-        exchange = Exchange(asked_ns, reply.heard_ns, reply.told_ns, time.monotonic_ns())
+        exchange = Exchange(asked_ns, reply.received_ns, reply.replied_ns, time.monotonic_ns())
         offsets.add(exchange)
         round_trips_ns.append(2 * exchange.error_ns)
         is_here = reply.machine == this_machine()

@@ -242,7 +242,7 @@ class Count(FrameStage):
     def _counts(self, state: FrameState) -> LaneCounts:
         frame, config = state.frame, self._config
         stationary = self._stationary.mark(frame.sim_time_ns, state.vehicles.boxes[:, :2])
-        (upstream, downstream), (queued_upstream, queued_downstream) = (
+        (upstream, downstream), (stationary_upstream, stationary_downstream) = (
             self._lanes.count(part, upstream_m=config.upstream_m, downstream_m=config.downstream_m)
             for part in (state.positions, state.positions.take(stationary))
         )
@@ -255,8 +255,8 @@ class Count(FrameStage):
             complete=frame.complete,
             upstream=upstream,
             downstream=downstream,
-            queued_upstream=queued_upstream,
-            queued_downstream=queued_downstream,
+            stationary_upstream=stationary_upstream,
+            stationary_downstream=stationary_downstream,
             coverage_upstream=coverage_upstream,
             coverage_downstream=coverage_downstream,
             delay_sim_ns=frame.delay_sim_ns,

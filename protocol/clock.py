@@ -45,19 +45,19 @@ class Exchange:
     """One question and its answer: asked and answered by this clock, heard and told by that."""
 
     asked_ns: int
-    heard_ns: int
-    told_ns: int
+    received_ns: int
+    replied_ns: int
     answered_ns: int
 
     @property
     def offset_ns(self) -> int:
         """What to add to this clock to have that one, if both ways took equally long."""
-        return (self.heard_ns - self.asked_ns + self.told_ns - self.answered_ns) // 2
+        return (self.received_ns - self.asked_ns + self.replied_ns - self.answered_ns) // 2
 
     @property
     def error_ns(self) -> int:
         """The most by which the offset can be wrong, however unequal the ways were."""
-        return (self.answered_ns - self.asked_ns - (self.told_ns - self.heard_ns) + 1) // 2
+        return (self.answered_ns - self.asked_ns - (self.replied_ns - self.received_ns) + 1) // 2
 
     def error_at_ns(self, now_ns: int) -> int:
         """The same later on."""
@@ -72,7 +72,7 @@ class OffsetFilter:
 
     def add(self, exchange: Exchange) -> None:
         """Takes an exchange; one that contradicts itself, or is of no clock, is left."""
-        in_order = exchange.error_ns >= 0 and exchange.told_ns >= exchange.heard_ns
+        in_order = exchange.error_ns >= 0 and exchange.replied_ns >= exchange.received_ns
         if in_order and abs(exchange.offset_ns) <= MAX_OFFSET_NS:
             self._kept.append(exchange)
 
@@ -120,7 +120,7 @@ class ClockWatch:
                 self._tell(0, 0)  # the same clock
                 return True
             if reply is not None:
-                exchange = Exchange(asked_ns, reply.heard_ns, reply.told_ns, answered_ns)
+                exchange = Exchange(asked_ns, reply.received_ns, reply.replied_ns, answered_ns)
                 self._filter.add(exchange)
             if self._stop.wait(BURST_PERIOD_S):
                 return True
@@ -145,8 +145,8 @@ def time_reply(machine: str | None = None) -> Callable[[], TimeReply]:
     name = machine or this_machine()
 
     def reply() -> TimeReply:
-        heard_ns = time.monotonic_ns()
-        return TimeReply(machine=name, heard_ns=heard_ns, told_ns=time.monotonic_ns())
+        received_ns = time.monotonic_ns()
+        return TimeReply(machine=name, received_ns=received_ns, replied_ns=time.monotonic_ns())
 
     return reply
 

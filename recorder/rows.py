@@ -44,8 +44,8 @@ def detection_rows(message: Detections) -> Iterator[DetectionRow]:
 def count_rows(message: LaneCounts) -> Iterator[CountRow]:
     """Returns a row per lane and side of the stop bar."""
     sides = {
-        "upstream": (message.upstream, message.queued_upstream),
-        "downstream": (message.downstream, message.queued_downstream),
+        "upstream": (message.upstream, message.stationary_upstream),
+        "downstream": (message.downstream, message.stationary_downstream),
     }
     return (
         CountRow(message.frame, lane, side, vehicles, queued.get(lane, 0))

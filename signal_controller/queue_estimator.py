@@ -20,7 +20,7 @@ SPACING_M = 7.0  # from one stationary vehicle to the next: a lane holds no more
 def weighted_counts(counts: LaneCounts, weight: Weight) -> tuple[Lanes, Lanes]:
     """Returns the weight of each lane, before the stop bar and behind it."""
     if weight == "queued":
-        return counts.queued_upstream, counts.queued_downstream
+        return counts.stationary_upstream, counts.stationary_downstream
     return counts.upstream, counts.downstream
 
 

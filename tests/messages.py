@@ -156,7 +156,7 @@ EXAMPLES: list[m.Message] = [
         sense_end_ns=2,
         detect_end_ns=3,
     ),
-    m.TimeReply(machine="here", heard_ns=5, told_ns=6),
+    m.TimeReply(machine="here", received_ns=5, replied_ns=6),
     m.ClockReading(process="edge", offset_ns=-7, error_ns=8),
     m.Sighting(frame=2, agent="a", vehicles=["b"], points=np.array([7], np.int32)),
 ]

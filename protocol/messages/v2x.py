@@ -165,8 +165,8 @@ class LaneCounts(Message):
     complete: bool
     upstream: Counts
     downstream: Counts
-    queued_upstream: Counts = Field({})
-    queued_downstream: Counts = Field({})
+    stationary_upstream: Counts = Field({})
+    stationary_downstream: Counts = Field({})
     coverage_upstream: CoverageShares = Field({})
     coverage_downstream: CoverageShares = Field({})
     delay_sim_ns: DelayNs | None = None

@@ -193,8 +193,8 @@ class TimeReply(Message):
 
     kind: ClassVar[int] = 17
     machine: Text
-    heard_ns: TimeNs
-    told_ns: TimeNs
+    received_ns: TimeNs
+    replied_ns: TimeNs
 
 
 class ClockReading(Message):

@@ -143,7 +143,7 @@ def _read_endpoint(data: bytes) -> None:
 def _read_time(data: bytes) -> None:
     reply = decode(data, TimeReply)
     offsets = OffsetFilter()
-    offsets.add(Exchange(1_000, reply.heard_ns, reply.told_ns, 2_000))
+    offsets.add(Exchange(1_000, reply.received_ns, reply.replied_ns, 2_000))
     if found := offsets.best(3_000):
         ClockReading(process="a", offset_ns=found[0], error_ns=found[1])
 
@@ -161,7 +161,7 @@ def _work_inbox(data: bytes) -> None:
         elif what % 4 == 1:
             inbox.put(Presence("edge", str(which), alive=True))
         elif what % 4 == 2:
-            inbox.put(RawMessage(topic, f"cpnet/v1/r/roster/{which >> 6}", bytes(which * 8), 0))
+            inbox.put(RawMessage(topic, f"cpnet/v2/r/roster/{which >> 6}", bytes(which * 8), 0))
         else:
             inbox.wake()
     while inbox.get() is not None or inbox._queue.qsize():
@@ -217,7 +217,7 @@ def _scan_target(form: Form) -> Target:
 _EXAMPLES: dict[type[Message], bytes] = {
     kind: (GOLDEN / f"{kind.__name__}.bin").read_bytes() for kind in MESSAGES.values()
 }
-_text = partial(shake_text, [b"cpnet/v1/", b"world/", b"roster/", b"alive/", b"/", b"*", b"%2F"])
+_text = partial(shake_text, [b"cpnet/v2/", b"world/", b"roster/", b"alive/", b"/", b"*", b"%2F"])
 _locator = partial(shake_text, [b"listen:", b"connect:", b"tcp/", b"127.0.0.1:7447", b"[::1]:"])
 _header = partial(
     shake_text,

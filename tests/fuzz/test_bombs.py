@@ -175,7 +175,7 @@ def test_an_encoder_makes_no_tree_that_a_decoder_gives_up(side: int):
 
 
 def packed(kind: type[m.Message], header: bytes) -> bytes:
-    return wire.PREFIX.pack(wire.MAGIC, 1, kind.kind, len(header), 0) + header
+    return wire.PREFIX.pack(wire.MAGIC, wire.VERSION, kind.kind, len(header), 0) + header
 
 
 MESSAGES = {

@@ -52,15 +52,15 @@ def test_before_the_first_answer_nothing_is_known():
 
 def test_an_answer_of_no_clock_is_left():
     offsets = OffsetFilter()
-    for heard_ns in (-(1 << 62) + 1, (1 << 62) - 1):
-        offsets.add(Exchange(1_000, heard_ns, heard_ns, 2_000))
+    for received_ns in (-(1 << 62) + 1, (1 << 62) - 1):
+        offsets.add(Exchange(1_000, received_ns, received_ns, 2_000))
     assert offsets.best(2_000) is None
 
 
 def test_an_answer_that_contradicts_itself_is_left():
     estimate = OffsetFilter()
-    estimate.add(Exchange(asked_ns=0, heard_ns=5, told_ns=50, answered_ns=20))
-    estimate.add(Exchange(asked_ns=0, heard_ns=50, told_ns=5, answered_ns=20))
+    estimate.add(Exchange(asked_ns=0, received_ns=5, replied_ns=50, answered_ns=20))
+    estimate.add(Exchange(asked_ns=0, received_ns=50, replied_ns=5, answered_ns=20))
     assert estimate.best(0) is None
 
 
@@ -90,7 +90,7 @@ def test_another_machines_clock_is_found(monkeypatch):
 
     def reply() -> TimeReply:
         here = time_reply("far")()
-        far = {"heard_ns": here.heard_ns + 10**12, "told_ns": here.told_ns + 10**12}
+        far = {"received_ns": here.received_ns + 10**12, "replied_ns": here.replied_ns + 10**12}
         return here.model_copy(update=far)
 
     bus = FarBus(reply)

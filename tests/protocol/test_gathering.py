@@ -54,7 +54,7 @@ class Pipe(deque[Said]):
 
 
 def sealed(said: Said, arrived_ns: int) -> RawMessage | None:
-    key = f"cpnet/v1/{said.name}/J/lanes"
+    key = f"cpnet/v2/{said.name}/J/lanes"
     return RawMessage(TOPICS["lanes"], key, b"", arrived_ns) if said.name else None
 
 

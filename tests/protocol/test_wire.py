@@ -57,7 +57,7 @@ def test_a_time_that_takes_too_much_room_is_refused():
 
 
 @pytest.mark.parametrize("message", EXAMPLES, ids=lambda e: type(e).__name__)
-def test_the_bytes_of_a_message_are_those_of_version_1(message):
+def test_the_bytes_of_a_message_are_those_of_version_2(message):
     golden = (GOLDEN / f"{type(message).__name__}.bin").read_bytes()
     assert wire.encode(message) == golden
 
@@ -92,12 +92,12 @@ def test_a_damaged_message_decodes_or_raises_one_kind_of_error(data):
 def test_another_version_is_refused_with_both_named():
     data = bytearray(wire.encode(SCAN))
     struct.pack_into("<H", data, 4, 9)
-    with pytest.raises(VersionError, match="version 9, this side 1"):
+    with pytest.raises(VersionError, match="version 9, this side 2"):
         wire.decode(bytes(data), m.Scan)
 
 
 def test_a_length_over_the_limit_is_refused_with_the_numbers():
-    head = wire.PREFIX.pack(wire.MAGIC, 1, m.Scan.kind, 100, 1 << 30)
+    head = wire.PREFIX.pack(wire.MAGIC, wire.VERSION, m.Scan.kind, 100, 1 << 30)
     with pytest.raises(MessageError, match="body has length 1073741824, limit 16777216"):
         wire.decode(head, m.Scan)
 
@@ -116,7 +116,7 @@ def test_a_message_on_the_wrong_topic_is_named():
 def test_unknown_fields_are_tolerated():
     message = m.End(frames=1, reason="finished")
     header = msgpack.packb({**message.model_dump(), "colour": "red"})
-    data = wire.PREFIX.pack(wire.MAGIC, 1, message.kind, len(header), 0) + header
+    data = wire.PREFIX.pack(wire.MAGIC, wire.VERSION, message.kind, len(header), 0) + header
     assert wire.decode(data, m.End) == message
 
 
@@ -133,7 +133,11 @@ def test_an_array_that_lies_about_its_shape_is_refused(shape):
     fields = SCAN.model_dump(exclude={"payload"}) | {"payload": shape, "sensor_pose": [6]}
     header = msgpack.packb(fields)
     body = SCAN.sensor_pose.tobytes()
-    data = wire.PREFIX.pack(wire.MAGIC, 1, m.Scan.kind, len(header), len(body)) + header + body
+    data = (
+        wire.PREFIX.pack(wire.MAGIC, wire.VERSION, m.Scan.kind, len(header), len(body))
+        + header
+        + body
+    )
     with pytest.raises(MessageError):
         wire.decode(data, m.Scan)
 
@@ -146,7 +150,7 @@ def test_decoded_arrays_cannot_be_changed():
 
 def packed(kind: type[m.Message], header: dict, body: bytes = b"") -> bytes:
     data = msgpack.packb(header)
-    return wire.PREFIX.pack(wire.MAGIC, 1, kind.kind, len(data), len(body)) + data + body
+    return wire.PREFIX.pack(wire.MAGIC, wire.VERSION, kind.kind, len(data), len(body)) + data + body
 
 
 @pytest.mark.parametrize(
@@ -230,14 +234,14 @@ def test_a_header_of_lists_alone_is_refused():
 
 def test_an_extension_is_no_part_of_a_header():
     header = msgpack.packb({"frames": 1, "reason": msgpack.ExtType(5, b"x")})
-    data = wire.PREFIX.pack(wire.MAGIC, 1, m.End.kind, len(header), 0) + header
+    data = wire.PREFIX.pack(wire.MAGIC, wire.VERSION, m.End.kind, len(header), 0) + header
     with pytest.raises(MessageError, match="extension 5 of 1 bytes"):
         wire.decode(data, m.End)
 
 
 def test_only_a_setup_may_have_a_large_header():
     for kind, limit in ((m.Roster, 256 << 10), (m.Setup, 16 << 20)):
-        head = wire.PREFIX.pack(wire.MAGIC, 1, kind.kind, limit + 1, 0)
+        head = wire.PREFIX.pack(wire.MAGIC, wire.VERSION, kind.kind, limit + 1, 0)
         with pytest.raises(MessageError, match=f"limit {limit}"):
             wire.decode(head, kind)
 

@@ -118,6 +118,6 @@ def test_unseen_parts_behind_the_stop_bar_may_turn_the_decision():
 
 
 def test_queued_vehicles_press_alone_where_that_is_asked_for():
-    given_counts = counts(9, 2).model_copy(update={"queued_upstream": {"main": 1, "side": 2}})
+    given_counts = counts(9, 2).model_copy(update={"stationary_upstream": {"main": 1, "side": 2}})
     assert max_pressure(SIGNAL, given_counts, None).state == MAIN
     assert max_pressure(SIGNAL, given_counts, None, "queued").state == SIDE

@@ -75,7 +75,7 @@ def test_the_signal_is_told_with_the_time_since_its_last_change() -> None:
 def test_alerts_tell_of_the_dead_the_incomplete_and_the_dropped() -> None:
     counts = m.LaneCounts(
         frame=1, sim_time_ns=1, tls="J", agents=[], complete=False,
-        upstream={"south_0": 4}, downstream={"north_0": 1}, queued_upstream={"south_0": 2},
+        upstream={"south_0": 4}, downstream={"north_0": 1}, stationary_upstream={"south_0": 2},
         coverage_upstream={"south_0": 0.5},
     )  # fmt: skip
     board = fed(
@@ -154,7 +154,7 @@ def test_in_a_narrow_terminal_names_are_cut_and_numbers_are_whole() -> None:
     side = {f"a_lane_with_a_long_name_{n}": n for n in (12, 3456)}
     lanes = m.LaneCounts(
         frame=0, sim_time_ns=0, tls="J", agents=[], complete=True, upstream=side, downstream={},
-        queued_upstream=side, coverage_upstream=dict.fromkeys(side, 1.0),
+        stationary_upstream=side, coverage_upstream=dict.fromkeys(side, 1.0),
     )  # fmt: skip
     lines = text(fed(lanes), 30).splitlines()
     assert all(len(line) <= 30 for line in lines)

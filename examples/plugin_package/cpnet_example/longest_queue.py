@@ -24,4 +24,4 @@ class LongestQueue:
 
     def _queued(self, green: str, counts: LaneCounts) -> float:
         lanes = {link.from_lane for link in self._signal.links if green[link.index] in "Gg"}
-        return float(sum(counts.queued_upstream.get(lane, 0) for lane in lanes))
+        return float(sum(counts.stationary_upstream.get(lane, 0) for lane in lanes))
