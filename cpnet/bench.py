@@ -21,13 +21,7 @@ from recorder.run import Run
 from sensing.link_config import NONE, profile_named
 from sensing.recorded_scans import Recording
 from sensing.upload_policies import NAMES, Filter
-from studies.bench_choices import (
-    FRAME_PERIOD_S,
-    LEARNING_FRAMES,
-    LINK_CHOICES,
-    POLICY_CHOICES,
-    SHARING,
-)
+from studies.bench import FRAME_PERIOD_S, LINK_CHOICES, POLICY_CHOICES, SHARING, WARM_UP_FRAMES
 from studies.bench_sharing import measure_sharing
 from studies.bench_traffic import record_traffic, visible_vehicles
 from studies.bench_uplink import RateRow, UplinkRow, row_of
@@ -52,8 +46,8 @@ class UplinkBench:
         """Raises ConfigError if it cannot be measured."""
         if not 2 <= self.agents <= 16:
             raise ConfigError(f"--agents {self.agents}: must be 2 to 16")
-        if not LEARNING_FRAMES < self.frames <= 600:
-            raise ConfigError(f"--frames {self.frames}: must be {LEARNING_FRAMES + 1} to 600")
+        if not WARM_UP_FRAMES < self.frames <= 600:
+            raise ConfigError(f"--frames {self.frames}: must be {WARM_UP_FRAMES + 1} to 600")
         _check_once("--policies", self.policies)
         _check_once("--link", self.links)
         if SHARING in self.policies and self.realtime:

@@ -23,7 +23,7 @@ from protocol.inbox import Envelope
 from protocol.messages import Tick
 from protocol.onlooker import Onlooker
 from recorder.run import Run
-from studies.bench_choices import LOOKING_WAYS
+from studies.bench import LOOKING_WAYS
 from studies.bench_looking import LookingRow, WatchedRun, row_of
 
 _SCENARIO = "t_junction"

@@ -9,20 +9,14 @@ import typer
 
 from cpnet.cli_options import AsJson, Override, assigned, show, show_measured
 from perception.config import DETECTORS
-from studies.bench_choices import (
-    FRAME_PERIOD_S,
-    LEARNING_FRAMES,
-    LINK_CHOICES,
-    LOOKING_WAYS,
-    POLICY_CHOICES,
-)
+from studies.bench import FRAME_PERIOD_S, LINK_CHOICES, LOOKING_WAYS, POLICY_CHOICES, WARM_UP_FRAMES
 
 bench_app = typer.Typer(help="Measure parts of the system.", no_args_is_help=True)
 
 Policies = Annotated[str, typer.Option(metavar="NAME[+FILTER],...", help="upload policies")]
 Agents = Annotated[int, typer.Option(help="a roadside LiDAR and CAVs")]
 Frames = Annotated[
-    int, typer.Option(help=f"frames of each run; the first {LEARNING_FRAMES} do not count")
+    int, typer.Option(help=f"frames of each run; the first {WARM_UP_FRAMES} do not count")
 ]
 _ALL_POLICIES = ",".join(POLICY_CHOICES)
 
@@ -39,9 +33,7 @@ def bench_codec_command(
     """Measure the scan codec beside Draco and zstd at equal maximum error."""
     from protocol.codec.draco import load_draco
     from sensing.point_files import point_files
-    from studies.bench_codec import BenchCloud, bench
-    from studies.bench_scans import cast_scans
-    from studies.bench_table import print_bench
+    from studies.bench_codec import BenchCloud, bench, cast_scans, print_bench
 
     files = [BenchCloud.of_file(path) for path in point_files(points or [])]
     load_draco()
@@ -67,7 +59,7 @@ def bench_uplink_command(
 ) -> None:
     """Measure upload policies on links: bytes, latency, what is still detected and counted."""
     from cpnet.bench import UplinkBench, measure
-    from studies.uplink_table import print_uplink
+    from studies.bench_uplink import print_uplink
 
     bench = UplinkBench(
         policies=tuple(policies.split(",")),
@@ -91,7 +83,7 @@ def bench_rate_command(
 ) -> None:
     """Find the highest frame rate in realtime, with detection, on recorded scans."""
     from cpnet.bench import UplinkBench, measure_rates
-    from studies.uplink_table import print_rates
+    from studies.bench_uplink import print_rates
 
     bench = UplinkBench(policies=tuple(policies.split(",")), agents=agents, frames=frames)
     show_measured(measure_rates(bench), None, print_rates, as_json=as_json)
@@ -114,8 +106,7 @@ def bench_edge_command(
     Scans are decoded and placed by a thread for each core: these two are sums, total is less.
     """
     from cpnet.evaluation import detectors_of
-    from studies.bench_edge import EdgeBench, measure_edge, numbers_of
-    from studies.edge_table import print_edge
+    from studies.bench_edge import EdgeBench, measure_edge, numbers_of, print_edge
 
     bench = EdgeBench(detectors_of(detectors), numbers_of(agents), frames)
     show_measured(measure_edge(bench), bench.rows, print_edge, as_json=as_json)

@@ -206,9 +206,8 @@ def _accuracy_sections(
 ) -> tuple[Section, ...]:
     if spec is None:
         return ()
-    from studies.accuracy.kept import accuracy_of
-    from studies.accuracy.scenes import scenes_section
-    from studies.accuracy.table import accuracy_section
+    from studies.accuracy import accuracy_of, accuracy_section
+    from studies.accuracy_pictures import scenes_section
 
     rows = accuracy_of(scenario, spec.detectors, spec.samples, folder)
     return accuracy_section(rows), scenes_section(scenario, spec.detectors[-1])

@@ -1,15 +1,16 @@
-"""Codecs beside each other at equal maximum error: this project's profiles, Draco, float32 + zstd.
+"""`cpnet bench codec`: the codec's profiles, Draco and float32 + zstd at equal maximum error.
 
-Draco's error is what it is: for each of its bit depths it is measured, and becomes the bound of all
-others.
-Times are medians of one thread; codecs take turns, so that a busy machine is so for all.
+Scans are a roadside sensor's and CAVs' in traffic, at the built-in junction. Draco's error at each
+of its bit depths is measured, and becomes the bound of all others. Times are medians of one thread;
+codecs take turns, so that a busy machine is so for all.
 """
 
 from __future__ import annotations
 
 import math
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,14 +18,80 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import zstandard
+from rich import box
+from rich.console import Console
+from rich.table import Table
 
 from protocol.codec import decode, encode_cloud, encode_scan
 from protocol.codec.draco import LEVEL, load_draco
 from protocol.codec.forms import MIN_BOUND_M
 from protocol.errors import CodecError, ConfigError
+from protocol.geometry import SE3
 from protocol.scans import Floats32, PointCloud, Profile, RangeScan
+from sensing.config import LidarConfig, SceneConfig
+from sensing.lidar import MIN_RANGE_M, Lidar, return_probability
+from sensing.mesh import VehicleShapes
+from sensing.noise import stream
 from sensing.point_files import read_points
-from studies.bench_scans import BenchScan
+from sensing.pose import pose_above
+from sensing.scene import scene_of
+from sim_host.setup import build_setup
+from sim_host.world import sample_traffic
+from studies.bench import print_whole
+
+CAST_SEED = 1
+_WARM_UP_STEPS = 600
+_ROADSIDE_HEIGHT_M, _ROOF_HEIGHT_M = 3.0, 2.4
+_CAV_DISTANCES_M = (20.0, 60.0, 120.0)  # from the junction's centre
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BenchScan:
+    """A scan, and what no codec can save on it: range noise, and which beams were lost by chance.
+
+    `noise_std_m` is that of the range noise; `loss_bits` the entropy of the losses, all beams'.
+    """
+
+    name: str
+    scan: RangeScan
+    noise_std_m: float
+    loss_bits: float
+
+
+def cast_scans() -> list[BenchScan]:
+    """Casts the scans; the same ones every time."""
+    with tempfile.TemporaryDirectory() as folder:
+        setup = build_setup({}, Path(folder))
+        scene = scene_of(setup, SceneConfig(), CAST_SEED)
+        bodies = sample_traffic(setup, Path(folder), scene.terrain, CAST_SEED, [_WARM_UP_STEPS])[0]
+    config = LidarConfig()
+    lidar = Lidar(config, scene, VehicleShapes.from_setup(setup))
+    centre = np.array(setup.road_map.centre[:2])
+    ground = scene.terrain.body_poses(centre[:1], centre[1:], np.zeros(1))[0]
+    sensors: list[tuple[str, SE3, int | None]] = [
+        ("roadside", pose_above(ground, _ROADSIDE_HEIGHT_M), None)
+    ]
+    away_m = np.linalg.norm(bodies.poses[:, :2] - centre, axis=1)
+    for n, wanted_m in enumerate(_CAV_DISTANCES_M):
+        car = int(np.argmin(np.abs(away_m - wanted_m)))
+        sensors.append((f"cav {n}", pose_above(bodies.poses[car], _ROOF_HEIGHT_M), car))
+    result = []
+    for name, map_SE3_sensor, own in sensors:
+        view = (map_SE3_sensor, bodies.poses, bodies.types, own)
+        scan = lidar.scan(*view, stream(CAST_SEED, "bench", name)).scan
+        bits = loss_entropy_bits(lidar.view(*view).distance_m, config)
+        result.append(BenchScan(name, scan, config.noise_stddev, bits))
+    return result
+
+
+def loss_entropy_bits(distance_m: Floats32, config: LidarConfig) -> float:
+    """Returns the entropy of which beams are lost, their true distances being known."""
+    seen = distance_m[(distance_m >= MIN_RANGE_M) & (distance_m < config.range)].astype(np.float64)
+    kept = return_probability(seen, config)
+    lost = 1.0 - kept
+    terms = [share * np.log2(np.maximum(share, 1e-12)) for share in (kept, lost)]
+    return float(-(terms[0] + terms[1]).sum())
+
 
 DRACO_BITS = (10, 11, 12, 14)
 FLOOR_BOUND_M = 0.01
@@ -252,3 +319,125 @@ def cloud_error_m(points: Floats32, profile: Profile, bound_m: float) -> float:
 def _farthest(found: Floats32, points: Floats32) -> float:
     away = found.astype(np.float64) - points.astype(np.float64)
     return float(np.linalg.norm(away, axis=1).max(initial=0.0))
+
+
+_BLANK = "–"
+_NAME_WIDTH = 24
+
+
+def print_bench(rows: list[BenchRow], console: Console) -> None:
+    """Prints a table for each cloud, then the least favourable ratios of each profile."""
+    for name in dict.fromkeys(row.cloud for row in rows):
+        print_whole(_cloud_table(name, [row for row in rows if row.cloud == name]), console)
+    print_whole(_summary_table(rows), console)
+    floors = [row for row in rows if row.noise_floor_bits and row.bound_m == FLOOR_BOUND_M]
+    if floors:
+        print_whole(_floor_table(floors), console)
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= _NAME_WIDTH else f"…{name[1 - _NAME_WIDTH :]}"
+
+
+def _empty_table(title: str, *heads: str, left: int = 1) -> Table:
+    """Returns an empty table; the first `left` columns are words."""
+    table = Table(
+        title=title,
+        box=box.SIMPLE_HEAD,
+        title_justify="left",
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )
+    for n, head in enumerate(heads):
+        table.add_column(head, justify="left" if n < left else "right", no_wrap=True)
+    return table
+
+
+def _cloud_table(name: str, rows: list[BenchRow]) -> Table:
+    table = _empty_table(
+        f"{_short(name)}, {rows[0].points} points (of, x: beside Draco at this error)",
+        "codec", "bound\ncm", "error\ncm", "bytes", "bits/\npoint", "enc.\nms",
+        "dec.\nms", "of\nDraco", "enc.\nx", "dec.\nx",
+    )  # fmt: skip
+    bound_m = rows[0].bound_m
+    for row in rows:
+        if row.bound_m != bound_m:
+            table.add_section()
+            bound_m = row.bound_m
+        draco = draco_beside(row, rows)
+        ratios = [_BLANK] * 3
+        if draco is not None and draco is not row:
+            ratios = [f"{ratio(row, draco):.2f}" for ratio in _RATIOS.values()]
+        table.add_row(
+            row.codec,
+            f"{100 * row.bound_m:.2f}",
+            f"{100 * row.max_error_m:.2f}",
+            str(row.bytes),
+            f"{row.bits_per_point:.2f}",
+            f"{row.encode_ms:.2f}",
+            f"{row.decode_ms:.2f}",
+            *ratios,
+        )
+    return table
+
+
+def draco_beside(row: BenchRow, rows: Iterable[BenchRow]) -> BenchRow | None:
+    """Returns Draco's row on the same cloud with the same error."""
+    for other in rows:
+        same = other.cloud == row.cloud and other.bound_m == row.bound_m
+        if same and other.codec.startswith("draco"):
+            return other
+    return None
+
+
+_RATIOS: dict[str, Callable[[BenchRow, BenchRow], float]] = {
+    "bytes": lambda row, draco: row.bytes / draco.bytes,
+    "encode": lambda row, draco: draco.encode_ms / row.encode_ms,
+    "decode": lambda row, draco: draco.decode_ms / row.decode_ms,
+}
+
+
+def _summary_table(rows: list[BenchRow]) -> Table:
+    """Beside Draco at equal error: mean and worst over clouds, by codec and bits."""
+    table = _empty_table(
+        "beside Draco at equal maximum error: mean and least favourable cloud",
+        "clouds", "codec", "Draco's\nbits", "bytes /\nDraco", "worst", "encode\nx Draco", "worst",
+        "decode\nx Draco", "worst", left=2,
+    )  # fmt: skip
+    groups: dict[tuple[str, str, str], list[tuple[BenchRow, BenchRow]]] = {}
+    for row in rows:
+        draco = draco_beside(row, rows)
+        if draco is not None and draco is not row:
+            kind = "scans" if row.loss_floor_bits is not None else "files"
+            key = (kind, row.codec, draco.codec.removeprefix("draco-"))
+            groups.setdefault(key, []).append((row, draco))
+    for key in sorted(groups, key=lambda key: (key[0] != "scans", key[1], int(key[2]))):
+        cells = []
+        for name, ratio in _RATIOS.items():
+            values = [ratio(row, draco) for row, draco in groups[key]]
+            worst = max(values) if name == "bytes" else min(values)
+            cells += [f"{sum(values) / len(values):.2f}", f"{worst:.2f}"]
+        table.add_row(*key, *cells)
+    return table
+
+
+def _floor_table(rows: list[BenchRow]) -> Table:
+    """Bits a point beside what range noise and lost beams must cost."""
+    table = _empty_table(
+        f"above the floor, at a bound of {100 * FLOOR_BOUND_M:g} cm",
+        "cloud", "codec", "bits/\npoint", "noise\nfloor", "x\nnoise", "noise +\nlosses",
+        "x\nboth", left=2,
+    )  # fmt: skip
+    for row in rows:
+        noise = row.noise_floor_bits or 0.0
+        both = noise + (row.loss_floor_bits or 0.0)
+        table.add_row(
+            _short(row.cloud),
+            row.codec,
+            f"{row.bits_per_point:.2f}",
+            f"{noise:.2f}",
+            f"{row.bits_per_point / noise:.2f}",
+            f"{both:.2f}",
+            f"{row.bits_per_point / both:.2f}",
+        )
+    return table

@@ -1,8 +1,8 @@
-"""From payloads to counts, stage by stage: what each detector takes for more and more agents.
+"""`cpnet bench edge`: from payloads to counts, stage by stage, by detector and number of agents.
 
-Recorded traffic again, encoded beforehand; all scans of a frame are there at once, and are opened
-as in the edge's process, by a thread for each core. Every detector with every number of agents has
-a process of its own, so that its memory can be told apart; they run one after the other.
+Recorded traffic, encoded beforehand; all scans of a frame are there at once, and are decoded as in
+the edge's process, by a thread for each core. Every detector with every number of agents has a
+process of its own, so that its memory can be told apart; they run one after the other.
 """
 
 from __future__ import annotations
@@ -16,6 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
 
 from edge_server.config import EdgeConfig
 from edge_server.decoding import DecoderPool, keep_freed_memory
@@ -31,12 +34,13 @@ from sensing.config import SceneConfig
 from sensing.recorded_scans import Recording
 from sensing.terrain import Terrain
 from sim_host.setup import build_setup
+from studies.bench import print_whole
 from studies.bench_traffic import (
-    POST,
+    RSU,
     SEED,
     agent_poses,
-    post_pose,
     record_traffic,
+    rsu_pose,
     uploaded_scan,
 )
 
@@ -124,8 +128,8 @@ def _measure(traffic: Path, detector: str, agents: int) -> list[EdgeRow]:
     pipeline = Pipeline.of(road_map, config, seed=SEED, detector=_detector_of)
     pool = DecoderPool(pipeline.open)
     recording = Recording(traffic)
-    chosen = [POST, *(name for name in recording.agents if name != POST)][:agents]
-    post = post_pose(road_map, Terrain(road_map, SceneConfig(), SEED))
+    chosen = [RSU, *(name for name in recording.agents if name != RSU)][:agents]
+    post = rsu_pose(road_map, Terrain(road_map, SceneConfig(), SEED))
     times_ms: dict[str, list[float]] = {stage: [] for stage in STAGES}
     points = []
     for frame, truth in enumerate(recording.truths):
@@ -190,3 +194,36 @@ def _run(
     for span in [*(span for chunk in chunks for span in chunk.spans), *state.spans]:
         spent[span.stage] = spent.get(span.stage, 0.0) + (span.end_ns - span.start_ns) / 1e6
     return spent, state.points
+
+
+_BESIDE = "reference"
+
+
+def print_edge(rows: list[EdgeRow], console: Console) -> None:
+    """Prints medians of all stages, then how many times as fast as `reference` each is."""
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column("detector", no_wrap=True)
+    heads = ["agents", "points", *(stage for stage in STAGES if stage != TOTAL)]
+    for head in [*heads, "total", "p95", "MB", "x"]:
+        table.add_column(head, justify="right", no_wrap=True)
+    totals = {(row.detector, row.agents): row for row in rows if row.stage == TOTAL}
+    for (detector, agents), total in totals.items():
+        stages = {
+            row.stage: row for row in rows if (row.detector, row.agents) == (detector, agents)
+        }
+        beside = totals.get((_BESIDE, agents))
+        table.add_row(
+            detector,
+            str(agents),
+            str(total.points),
+            *(f"{stages[stage].ms_p50:.1f}" for stage in STAGES),
+            f"{total.ms_p95:.1f}",
+            f"{total.peak_mb:.0f}",
+            f"{beside.ms_p50 / total.ms_p50:.1f}" if beside else "",
+        )
+    print_whole(table, console)
+    console.print(
+        "ms, medians of frames; decode and place are sums over threads, total is by the clock; "
+        "MB: the most memory of its process; x: as fast as `reference`",
+        style="dim",
+    )

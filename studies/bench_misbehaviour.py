@@ -34,9 +34,9 @@ from studies.attacks import (
     Peopled,
     Replayed,
 )
+from studies.bench import print_whole
 from studies.in_process import run_in_process
 from studies.playback import frames_of
-from studies.whole_table import print_whole
 
 HONEST = "none"
 WINDOW_S = 6.0  # of an attack

@@ -27,12 +27,12 @@ from sensing.radio import ENVELOPE_BYTES
 from sensing.recorded_scans import Recording
 from sensing.terrain import Terrain
 from sim_host.setup import build_setup
-from studies.bench_choices import LEARNING_FRAMES, SHARING
+from studies.bench import SHARING, WARM_UP_FRAMES
 from studies.bench_traffic import (
-    POST,
+    RSU,
     SEED,
     agent_poses,
-    post_pose,
+    rsu_pose,
     uploaded_scan,
     visible_vehicles,
 )
@@ -56,12 +56,12 @@ class _Sharing:
     def __init__(self, setup: Setup, traffic: Path, link: str) -> None:
         self._recording = Recording(traffic)
         self._visible = visible_vehicles(traffic)
-        self._post = post_pose(setup.road_map, Terrain(setup.road_map, SceneConfig(), SEED))
+        self._post = rsu_pose(setup.road_map, Terrain(setup.road_map, SceneConfig(), SEED))
         self._setup = setup
         self._pipelines = {  # each vehicle's own: it remembers whom it trusts
             agent: Pipeline.of(setup.road_map, EdgeConfig(), seed=SEED)
             for agent in self._recording.agents
-            if agent != POST
+            if agent != RSU
         }
         self._tally = PerceptionTally(setup)
         self._link = link
@@ -76,7 +76,7 @@ class _Sharing:
         period_s = self._recording.frame_period_s
         mean_bytes = float(np.mean(self._bytes))
         receivers = len(self._recording.agents) - 1
-        fps = len(self._latencies_ns) / receivers / (frames - LEARNING_FRAMES) / period_s
+        fps = len(self._latencies_ns) / receivers / (frames - WARM_UP_FRAMES) / period_s
         return UplinkRow(
             policy=SHARING,
             link=self._link,
@@ -113,7 +113,7 @@ class _Sharing:
             sent[agent] = (scan, at_ns)
             self._bytes.append(scan.payload.size if at_ns < NEVER_NS else 0)
         for agent in self._recording.agents:
-            if agent != POST and not self._is_clogged(self._down[agent], now_ns):
+            if agent != RSU and not self._is_clogged(self._down[agent], now_ns):
                 heard = {a: s for a, s in sent.items() if a == agent or s[1] < NEVER_NS}
                 self._receive(agent, truth, now_ns, heard)
 
@@ -135,7 +135,7 @@ class _Sharing:
             truth.frame, now_ns, sorted(sent), poses, chunks, complete=True, first_ns=0, ready_ns=0
         )
         result = pipeline.run(whole)
-        if truth.frame >= LEARNING_FRAMES:
+        if truth.frame >= WARM_UP_FRAMES:
             took_ns = time.perf_counter_ns() - begin_ns
             self._latencies_ns.append(last_ns - now_ns + took_ns)
             self._tally.add(

@@ -29,14 +29,14 @@ from sensing.scene import scene_of
 from sensing.terrain import Terrain
 from sim_host.setup import build_setup
 from sim_host.world import TrafficState, sample_traffic, truth_of
-from studies.bench_choices import FRAME_PERIOD_S
+from studies.bench import FRAME_PERIOD_S
 from studies.ecvpr import VISIBLE_POINTS
 
 SEED = 1
-POST = "rsu-0"
+RSU = "rsu-0"
 VISIBLE_NAME = "visible.json"
 _WARM_UP_STEPS = 600
-_POST_HEIGHT_M = 3.0
+_RSU_HEIGHT_M = 3.0
 ROOF_HEIGHT_M = 2.4
 _NEAR_M = 120.0  # from the junction's centre: where the agents drive
 
@@ -57,8 +57,8 @@ def record_traffic(folder: Path, agents: int, frames: int, seed: int = SEED) -> 
     config = LidarConfig()
     shapes = VehicleShapes.from_setup(setup)
     lidar = Lidar(config, scene, shapes)
-    post = post_pose(setup.road_map, scene.terrain)
-    scans: dict[str, list[RangeScan]] = {name: [] for name in [POST, *cavs]}
+    post = rsu_pose(setup.road_map, scene.terrain)
+    scans: dict[str, list[RangeScan]] = {name: [] for name in [RSU, *cavs]}
     visible = []
     for frame, bodies in enumerate(moments):
         hits = np.zeros(len(bodies.ids), np.int64)
@@ -79,16 +79,16 @@ def record_traffic(folder: Path, agents: int, frames: int, seed: int = SEED) -> 
     (folder / VISIBLE_NAME).write_text(json.dumps(visible) + "\n", "utf-8")
 
 
-def post_pose(road_map: RoadMap, terrain: Terrain) -> SE3:
+def rsu_pose(road_map: RoadMap, terrain: Terrain) -> SE3:
     """Returns where the roadside LiDAR stands: at the junction's centre."""
     centre = np.array(road_map.centre[:2])
     base = terrain.body_poses(centre[:1], centre[1:], np.zeros(1))[0]
-    return pose_above(base, _POST_HEIGHT_M)
+    return pose_above(base, _RSU_HEIGHT_M)
 
 
-def believed_sensor(agent: str, truth: Truth, post: SE3) -> SE3:
+def estimated_sensor(agent: str, truth: Truth, post: SE3) -> SE3:
     """Returns `map_SE3_sensor` of a recorded agent as it believes; the post knows its own."""
-    return post if agent == POST else pose_above(_believed(agent, truth), ROOF_HEIGHT_M)
+    return post if agent == RSU else pose_above(_estimated(agent, truth), ROOF_HEIGHT_M)
 
 
 def uploaded_scan(recording: Recording, agent: str, truth: Truth, post: SE3) -> Scan:
@@ -101,7 +101,7 @@ def uploaded_scan(recording: Recording, agent: str, truth: Truth, post: SE3) -> 
         chunk=0,
         chunks=1,
         points=0,
-        sensor_pose=believed_sensor(agent, truth, post).as_pose(),
+        sensor_pose=estimated_sensor(agent, truth, post).as_pose(),
         sense_start_ns=0,
         sense_end_ns=0,
         encode_end_ns=0,
@@ -113,7 +113,7 @@ def agent_poses(agents: Iterable[str], truth: Truth, setup: Setup) -> list[Agent
     """Returns what the CAVs among these agents report of themselves in a frame, sorted by agent."""
     types = {kind.name: kind for kind in setup.vehicle_types}
     poses = []
-    for agent in sorted(set(agents) - {POST}):
+    for agent in sorted(set(agents) - {RSU}):
         kind = types[truth.types[truth.ids.index(agent)]]
         poses.append(
             AgentPose(
@@ -121,7 +121,7 @@ def agent_poses(agents: Iterable[str], truth: Truth, setup: Setup) -> list[Agent
                 sim_time_ns=truth.sim_time_ns,
                 agent=agent,
                 equipment=Equipment.CAV,
-                pose=_believed(agent, truth),
+                pose=_estimated(agent, truth),
                 length_m=kind.length_m,
                 width_m=kind.width_m,
                 height_m=kind.height_m,
@@ -131,7 +131,7 @@ def agent_poses(agents: Iterable[str], truth: Truth, setup: Setup) -> list[Agent
     return poses
 
 
-def _believed(agent: str, truth: Truth) -> Floats:
+def _estimated(agent: str, truth: Truth) -> Floats:
     rng = stream(SEED, "pose", agent, truth.frame)
     pose = truth.poses[truth.ids.index(agent)]
     return estimated_pose(pose, PoseErrorConfig(), Equipment.CAV, rng)

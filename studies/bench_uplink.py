@@ -1,4 +1,4 @@
-"""What an upload policy on a link comes to: bytes, latency, and what is still seen and counted."""
+"""`cpnet bench uplink` and `rate`: bytes, latency, detections and counts, by policy and link."""
 
 from __future__ import annotations
 
@@ -6,9 +6,13 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
 from recorder.run import Run
 from recorder.tables import CountRow, DetectionRow, TruthRow
-from studies.bench_choices import LEARNING_FRAMES
+from studies.bench import WARM_UP_FRAMES
 from studies.count_error import PerceptionTally
 from studies.ecvpr import by_frame
 from studies.latency import end_to_end_ms
@@ -85,7 +89,7 @@ def row_of(
         agents=agents,
         bytes_per_frame=mean_bytes,
         mbps_per_agent=None if mean_bytes is None else mean_bytes * 8e-6 / frame_period_s,
-        latency_ms=end_to_end_ms(run, after_frame=LEARNING_FRAMES),
+        latency_ms=end_to_end_ms(run, after_frame=WARM_UP_FRAMES),
         fps=_scans_per_s(run, frame_period_s),
         whole_fps=_whole_per_s(run, frame_period_s),
         recall_visible=tally.recall_visible,
@@ -101,9 +105,9 @@ def _scans_per_s(run: Run, frame_period_s: float) -> float | None:
                 WHERE received_ns IS NOT NULL AND frame >= ?)),
                (SELECT count(DISTINCT agent) FROM uploads)
     """
-    used, agents = run.query(sql, LEARNING_FRAMES)[0]
+    used, agents = run.query(sql, WARM_UP_FRAMES)[0]
     ticks = "SELECT count(*) FROM frames WHERE tick_ns IS NOT NULL AND frame >= ?"
-    frames = run.query(ticks, LEARNING_FRAMES)[0][0]
+    frames = run.query(ticks, WARM_UP_FRAMES)[0][0]
     return used / agents / frames / frame_period_s if agents and frames else None
 
 
@@ -112,7 +116,7 @@ def _whole_per_s(run: Run, frame_period_s: float) -> float | None:
     sql = """
         SELECT count(*), total(complete = 1) FROM frames WHERE tick_ns IS NOT NULL AND frame >= ?
     """
-    frames, whole = run.query(sql, LEARNING_FRAMES)[0]
+    frames, whole = run.query(sql, WARM_UP_FRAMES)[0]
     return whole / frames / frame_period_s if frames else None
 
 
@@ -121,6 +125,83 @@ def _tally(run: Run, visible: Visible) -> PerceptionTally:
     found, counts = dict(by_frame(run.rows(DetectionRow))), dict(by_frame(run.rows(CountRow)))
     perceived = {n for (n,) in run.query("SELECT frame FROM frames WHERE detections IS NOT NULL")}
     for frame, vehicles in by_frame(run.rows(TruthRow)):
-        if frame >= LEARNING_FRAMES and frame in perceived:
+        if frame >= WARM_UP_FRAMES and frame in perceived:
             tally.add(visible(frame), found.get(frame, []), counts.get(frame, []), vehicles)
     return tally
+
+
+_HEADS = (
+    "policy", "kB", "Mbit/s", "mean", "p50", "p95", "p99", "scans/s", "seen %", "false", "count",
+)  # fmt: skip
+
+
+def print_uplink(rows: list[UplinkRow], console: Console) -> None:
+    """Prints a table for each link."""
+    for link in dict.fromkeys(row.link for row in rows):
+        here = [row for row in rows if row.link == link]
+        table = Table(
+            title=f"{link}: {here[0].agents} agents, each",
+            box=box.SIMPLE_HEAD,
+            title_justify="left",
+            padding=0,
+            pad_edge=False,
+        )
+        for head in _HEADS:
+            left = head == "policy"
+            table.add_column(head, justify="left" if left else "right", no_wrap=left)
+        for row in here:
+            table.add_row(row.policy, *_figures(row))
+        console.print(table)
+    console.print(
+        "kB, Mbit/s: payload of an agent's frame; mean to p99: ms from sensing to signal; scans/s: "
+        "used, per agent; seen: of vehicles that all agents together hit with 5 points or more; "
+        "false: detections of nothing, a frame; count: mean error of a lane, vehicles",
+        style="dim",
+    )
+
+
+def print_rates(rows: list[RateRow], console: Console) -> None:
+    """Prints a table of all rates, then how far each policy came."""
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
+    for head in ("policy", "frames/s", "whole/s", "scans/s", "mean ms", "p95", "seen %", "kept up"):
+        table.add_column(head, justify="left" if head == "policy" else "right")
+    for row in rows:
+        seen = row.uplink.recall_visible
+        table.add_row(
+            row.uplink.policy,
+            f"{row.rate_hz:g}",
+            _text(row.uplink.whole_fps, 1),
+            _text(row.uplink.fps, 1),
+            _text(row.uplink.latency_ms["mean"], 1),
+            _text(row.uplink.latency_ms["p95"], 1),
+            _text(None if seen is None else 100 * seen, 1),
+            "yes" if row.is_sustained else "no",
+        )
+    console.print(table)
+    for policy in dict.fromkeys(row.uplink.policy for row in rows):
+        kept = [row.rate_hz for row in rows if row.uplink.policy == policy and row.is_sustained]
+        best_hz = max(kept, default=0.0)
+        console.print(
+            f"{policy}: up to {best_hz:g} frames/s with {rows[0].uplink.agents} agents, "
+            f"{best_hz / EMP_RATE_HZ:.2f} of EMP's {EMP_RATE_HZ:g}",
+            markup=False,
+        )
+
+
+def _figures(row: UplinkRow) -> list[str]:
+    kilobytes = None if row.bytes_per_frame is None else row.bytes_per_frame / 1e3
+    seen = None if row.recall_visible is None else 100 * row.recall_visible
+    latencies = [_text(row.latency_ms[key], 1) for key in ("mean", "p50", "p95", "p99")]
+    return [
+        _text(kilobytes, 1),
+        _text(row.mbps_per_agent, 2),
+        *latencies,
+        _text(row.fps, 1),
+        _text(seen, 1),
+        _text(row.false_per_frame, 1),
+        _text(row.count_error, 2),
+    ]
+
+
+def _text(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"

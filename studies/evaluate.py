@@ -14,6 +14,9 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
 
 from edge_server.config import EdgeConfig
 from edge_server.fusion import fuse
@@ -98,7 +101,7 @@ BY_POINTS = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Judged:
+class ScoredScene:
     """A scene's detections beside its vehicles: (N,) as they were given, (M,) of the truth.
 
     Distances are those from the scene's middle; infinite for what does not count.
@@ -125,7 +128,7 @@ class Judged:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class SampleDetections:
     """What a detector finds at a sample.
 
     In each scan alone, in the order of the scans; in all points together (early fusion); and in
@@ -201,18 +204,20 @@ def evaluate(
     Raises:
         ConfigError: a detector cannot be had here.
     """
-    judged: dict[tuple[str, bool, Kind], list[Judged]] = {}
+    judged: dict[tuple[str, bool, Kind], list[ScoredScene]] = {}
     least: dict[str, float] = {}
     for site, sample in samples:
         for name in detectors:
             least[name] = site.least_score(name)
             for geofence in (True, False):
-                for kind, one in judge(site, sample, name, geofence=geofence):
+                for kind, one in score_sample(site, sample, name, geofence=geofence):
                     judged.setdefault((name, geofence, kind), []).append(one)
     return [row for key, scenes in judged.items() for row in rows_of(*key, scenes, least[key[0]])]
 
 
-def find(site: Site, sample: SceneSample, name: DetectorName, *, geofence: bool) -> Found:
+def find(
+    site: Site, sample: SceneSample, name: DetectorName, *, geofence: bool
+) -> SampleDetections:
     """Detects in a sample's scans, alone and together."""
     detector = site.detector(name, geofence=geofence)
     placed = [site.place(sample, n, geofence=geofence) for n in range(len(sample.scans))]
@@ -231,21 +236,21 @@ def find(site: Site, sample: SceneSample, name: DetectorName, *, geofence: bool)
         together = together + found
     together = together.take(together.scores >= site.least_score(name))
     late = site.without_doubles(together), sum(took_ms for _, took_ms in singles)
-    return Found(singles, timed(cut, sensors, len(placed)), late)
+    return SampleDetections(singles, timed(cut, sensors, len(placed)), late)
 
 
-def judge(
+def score_sample(
     site: Site, sample: SceneSample, name: DetectorName, *, geofence: bool
-) -> list[tuple[Kind, Judged]]:
+) -> list[tuple[Kind, ScoredScene]]:
     """Detects in a sample's scans, alone and together, and compares with the truth."""
     on_road = site.on_road(sample.boxes) if geofence else np.ones(len(sample.boxes), np.bool_)
 
-    def judged(result: Timed, map_SE3_scene: SE3, seen: tuple[Ints, Bools]) -> Judged:
+    def judged(result: Timed, map_SE3_scene: SE3, seen: tuple[Ints, Bools]) -> ScoredScene:
         found, took_ms = result
         if geofence:
             found = found.take(site.on_road(found.boxes))
         points, counts = seen
-        return Judged(
+        return ScoredScene(
             Scene.of(found.boxes, found.scores, sample.boxes),
             _away_m(found.boxes, map_SE3_scene),
             np.where(counts, _away_m(sample.boxes, map_SE3_scene), np.inf),
@@ -253,7 +258,7 @@ def judge(
             took_ms,
         )
 
-    result: list[tuple[Kind, Judged]] = []
+    result: list[tuple[Kind, ScoredScene]] = []
     found = find(site, sample, name, geofence=geofence)
     for number, (scan, single) in enumerate(zip(sample.scans, found.singles, strict=True)):
         others = on_road & (np.arange(len(sample.boxes)) != (-1 if scan.own is None else scan.own))
@@ -266,7 +271,7 @@ def judge(
 
 
 def rows_of(
-    detector: str, geofence: bool, kind: Kind, scenes: list[Judged], least_score: float
+    detector: str, geofence: bool, kind: Kind, scenes: list[ScoredScene], least_score: float
 ) -> list[EvalRow]:
     """Returns the rows of scenes of one kind: all counted both ways, and by parts."""
     cells = [(truth, ALL) for truth in TRUTHS]
@@ -311,3 +316,96 @@ def _cut(placed: Placed, map_SE3_scene: SE3) -> Placed:
     off = np.abs(placed.points[:, :2] - map_SE3_scene.translation[:2].astype(np.float32))
     near = (off < CUT_M).all(axis=1)
     return Placed.of(placed.points[near], placed.road_m[near])
+
+
+PAPER: dict[tuple[str, View], dict[float, float]] = {
+    ("DBSCAN", "bev"): {0.01: 23.3, 0.1: 15.2},
+    ("DBSCAN", "3d"): {0.01: 16.7, 0.1: 7.8},
+    ("PointPillars", "bev"): {0.01: 84.9, 0.1: 84.8},
+    ("PointPillars", "3d"): {0.01: 84.9, 0.1: 84.8},
+}
+"""AP40 in Table 1 of Chen et al. 2022, in CARLA."""
+
+_BLANK = "–"
+_PART_IOU = 0.1
+_NAMES = {"bev": "seen from above (BEV)", "3d": "as volumes (3D)"}
+_CLOUD_NAMES = {"none": "single", "early": "merged", "late": "late"}
+
+
+def print_evaluation(rows: list[EvalRow], console: Console) -> None:
+    """Prints AP40 by view, then recall by distance and by points."""
+    whole = [row for row in rows if row.part == EVERYTHING]
+    for view in VIEWS:
+        for geofence in (True, False):
+            here = [row for row in whole if row.view == view and row.geofence == geofence]
+            console.print(_view_table(view, here, geofence=geofence))
+    console.print(_part_table(rows))
+    console.print(
+        "merged: detection in all points together (early fusion); late: in each scan alone, "
+        "duplicates removed. Recall, precision and ms (the median of a cloud) "
+        f"at IoU {_PART_IOU:g}. visible: vehicles with 5 points or more.",
+        style="dim",
+    )
+
+
+def _empty_table(title: str, heads: list[str], left: int) -> Table:
+    table = Table(
+        title=title,
+        box=box.SIMPLE_HEAD,
+        title_justify="left",
+        padding=0,
+        pad_edge=False,
+    )
+    for n, head in enumerate(heads):
+        table.add_column(head, justify="left" if n < left else "right", no_wrap=True)
+    return table
+
+
+def _view_table(view: View, rows: list[EvalRow], *, geofence: bool) -> Table:
+    ious = [f"{iou:g}" for iou in IOUS]
+    heads = ["detector", "cloud", "truth", *ious, "recall", "prec", "ms"]
+    fence = "with" if geofence else "without"
+    table = _empty_table(f"AP40 by IoU, boxes {_NAMES[view]}, {fence} geofence", heads, 3)
+    for key, cells in _lines(rows).items():
+        at = cells[_PART_IOU]
+        figures = [_percent(cells[iou].ap40) for iou in IOUS]
+        figures += [_percent(at.recall), _percent(at.precision), f"{at.detect_ms:.0f}"]
+        table.add_row(*key, *figures)
+    table.add_section()
+    for (name, of), values in PAPER.items():
+        if of == view:
+            figures = [f"{values[iou]:.1f}" if iou in values else _BLANK for iou in IOUS]
+            table.add_row(f"Chen {name}", "merged", "visible", *figures, *[_BLANK] * 3)
+    return table
+
+
+def _part_table(rows: list[EvalRow]) -> Table:
+    """Recall with geofence, seen from above."""
+    names = [part.name for part in (*BY_DISTANCE, *BY_POINTS)]
+    chosen = [
+        row
+        for row in rows
+        if row.geofence and row.view == "bev" and row.iou == _PART_IOU and row.part in names
+    ]
+    title = f"recall with geofence, BEV, IoU {_PART_IOU:g}, by distance (visible) and points"
+    heads = [part.name for part in BY_DISTANCE] + [part.name.split()[0] for part in BY_POINTS]
+    table = _empty_table(title, ["detector", "cloud", *heads], 2)
+    lines: dict[tuple[str, str], dict[str, EvalRow]] = {}
+    for row in chosen:
+        lines.setdefault((row.detector, _CLOUD_NAMES[row.fusion]), {})[row.part] = row
+    for key, cells in lines.items():
+        table.add_row(*key, *[_percent(cells[name].recall) for name in names])
+    return table
+
+
+def _lines(rows: list[EvalRow]) -> dict[tuple[str, str, str], dict[float, EvalRow]]:
+    lines: dict[tuple[str, str, str], dict[float, EvalRow]] = {}
+    for row in rows:
+        key = (row.detector, _CLOUD_NAMES[row.fusion], row.truth)
+        lines.setdefault(key, {})[row.iou] = row
+    return lines
+
+
+def _percent(share: float | None) -> str:
+    """Returns at most four characters, so that a line keeps within 80."""
+    return _BLANK if share is None else f"{100 * share:.1f}".replace("100.0", "100")

@@ -6,8 +6,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from studies.bench import print_whole
 from studies.bench_looking import LookingRow
-from studies.whole_table import print_whole
 
 
 def print_looking(rows: list[LookingRow], console: Console) -> None:

@@ -14,9 +14,9 @@ from rich.table import Table
 from scipy.special import stdtrit
 
 from protocol.errors import ConfigError
+from studies.bench import print_whole
 from studies.sweep.cells import Cell, ResultStore, write_atomically
 from studies.sweep.worker import Row
-from studies.whole_table import print_whole
 
 FILE = "results.parquet"
 _CONFIDENCE = 0.95

@@ -6,8 +6,7 @@ import pytest
 from rich.console import Console
 
 from protocol.errors import ConfigError
-from studies.bench_codec import BenchCloud, BenchRow, bench
-from studies.bench_table import print_bench
+from studies.bench_codec import BenchCloud, BenchRow, bench, print_bench
 
 
 def file_of(folder: Path, rows: list[list[float]]) -> Path:

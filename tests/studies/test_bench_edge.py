@@ -8,8 +8,7 @@ import pytest
 from rich.console import Console
 
 from protocol.errors import ConfigError
-from studies.bench_edge import STAGES, EdgeBench, measure_edge, numbers_of
-from studies.edge_table import print_edge
+from studies.bench_edge import STAGES, EdgeBench, measure_edge, numbers_of, print_edge
 
 
 def test_each_detector_and_number_of_agents_has_a_row_for_each_stage() -> None:

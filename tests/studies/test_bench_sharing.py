@@ -1,12 +1,12 @@
 """The baseline without an edge sees what the agents' scans show."""
 
-from studies.bench_choices import LEARNING_FRAMES
+from studies.bench import WARM_UP_FRAMES
 from studies.bench_sharing import measure_sharing
 from studies.bench_traffic import record_traffic
 
 
 def test_every_vehicle_detects_what_all_agents_together_see(tmp_path) -> None:
-    frames = LEARNING_FRAMES + 4
+    frames = WARM_UP_FRAMES + 4
     record_traffic(tmp_path, agents=3, frames=frames)
     row = measure_sharing(tmp_path, "none", frames)
     assert row.recall_visible is not None

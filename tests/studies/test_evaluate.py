@@ -17,8 +17,7 @@ from perception.detector import Cloud, Vehicles
 from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from studies import evaluate as study
-from studies.evaluate import Site, evaluate
-from studies.evaluate_table import print_evaluation
+from studies.evaluate import Site, evaluate, print_evaluation
 from tests.point_clouds import car_shell, ground_points
 from tests.roads import junction_road
 

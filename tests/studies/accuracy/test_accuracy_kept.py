@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from studies.accuracy import kept
-from studies.accuracy.kept import accuracy_of
+from studies import accuracy
+from studies.accuracy import accuracy_of
 from studies.evaluate import EvalRow
 from tests.studies.accuracy.rows import made_up_rows
 from tests.studies.accuracy.small import small
@@ -21,7 +21,7 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         spec.append(what)
         return made_up_rows()
 
-    monkeypatch.setattr(kept, "measure_accuracy", measure)
+    monkeypatch.setattr(accuracy, "measure_accuracy", measure)
     return spec
 
 

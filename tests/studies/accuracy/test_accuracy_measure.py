@@ -7,7 +7,7 @@ import pytest
 
 from protocol.errors import ConfigError
 from sim_host.junctions import write_net
-from studies.accuracy.measure import junction_of, measure_accuracy
+from studies.accuracy import junction_of, measure_accuracy
 from studies.evaluate import EvalRow
 from tests.studies.accuracy.small import small
 

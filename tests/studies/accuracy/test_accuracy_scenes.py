@@ -5,11 +5,16 @@ from pathlib import Path
 import pytest
 
 from edge_server.config import EdgeConfig
-from studies import evaluate
-from studies.accuracy import scenes
-from studies.accuracy.maps import SHOWN_POINTS, cloud_maps, fusion_maps, truth_map
-from studies.accuracy.scenes import scenes_section
-from studies.accuracy.view import best_of, view_of
+from studies import accuracy_pictures, evaluate
+from studies.accuracy_pictures import (
+    SHOWN_POINTS,
+    best_of,
+    cloud_maps,
+    fusion_maps,
+    scenes_section,
+    shown_sample,
+    truth_map,
+)
 from studies.evaluate import Site
 from studies.page.model import MapChart, Page, Section, flattened
 from studies.page.write import to_markdown
@@ -26,7 +31,7 @@ def view(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(evaluate, "detector_of", lambda *_: Told([SEEN, car(0, 1.75)]))
     points_on = [[50, 9, 1, 50], [50, 0, 0, 50]]
     sample = scene_sample([SEEN, MISSED, HIDDEN, AWAY], points_on, None)
-    return view_of(Site(junction_road(), EdgeConfig()), sample, "fast")
+    return shown_sample(Site(junction_road(), EdgeConfig()), sample, "fast")
 
 
 def rings(chart: MapChart) -> dict[str, int]:
@@ -96,5 +101,5 @@ def test_the_pictures_can_be_drawn(section: Section, tmp_path: Path) -> None:
 
 
 def test_where_nobody_scans_there_is_a_word(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scenes, "junction_of", lambda *_: (None, []))
+    monkeypatch.setattr(accuracy_pictures, "junction_of", lambda *_: (None, []))
     assert len(scenes_section({}, "fast").blocks) == 1

@@ -1,6 +1,6 @@
 """Table 1."""
 
-from studies.accuracy.table import accuracy_section
+from studies.accuracy import accuracy_section
 from studies.page.model import Table, Text
 from tests.studies.accuracy.rows import made_up_rows
 
