@@ -179,8 +179,8 @@ def test_stationary_vehicles_are_queued_and_moving_ones_are_not(road_map: RoadMa
         behind = pose_of("q", 30, -1.75, number)
         counts = pipeline.run(frame_of_poses(number, moving, *parked, behind)).counts
         assert counts.upstream == {"in_0": 2, "in_1": 1, "side_0": 0}
-        assert counts.queued_upstream == {"in_0": 2 * number, "in_1": 0, "side_0": 0}
-        assert counts.queued_downstream == {"out_0": number, "out_1": 0}
+        assert counts.stationary_upstream == {"in_0": 2 * number, "in_1": 0, "side_0": 0}
+        assert counts.stationary_downstream == {"out_0": number, "out_1": 0}
 
 
 @pytest.mark.parametrize(("std_m", "counted"), [(0.05, 0), (1.5, 1)])

@@ -128,7 +128,7 @@ def test_a_permissive_green_opens_its_lane_too() -> None:
 
 def test_max_pressure_weighs_queues_if_asked_to() -> None:
     config = SignalConfig(policy="max_pressure", weight="queued")
-    queued = {"queued_upstream": {"main": 0, "side": 2}, "queued_downstream": {"out": 1}}
+    queued = {"stationary_upstream": {"main": 0, "side": 2}, "stationary_downstream": {"out": 1}}
     decision = policy_of(config, SIGNAL, 200.0).decide(counts(**queued), shown(1))
     assert (decision.state, decision.pressures) == (SIDE, [-1.0, 1.0])
 

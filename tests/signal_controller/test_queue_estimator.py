@@ -173,7 +173,7 @@ def test_a_lane_without_a_count_is_empty_while_it_is_covered():
 def test_queues_are_estimated_where_queues_are_weighed():
     known = estimator(weight="queued")
     queued = counts(9, 9, main=1.0, side=1.0).model_copy(
-        update={"queued_upstream": {"main": 2, "side": 3}}
+        update={"stationary_upstream": {"main": 2, "side": 3}}
     )
     known.take(queued, shown(0, SIDE))
     after = known.take(counts(0, 0, main=0.0, side=0.0), shown(10, SIDE))

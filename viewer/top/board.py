@@ -177,9 +177,9 @@ class Board:
         if self.counts is None:
             return []
         counts: Mapping[str, int] = getattr(self.counts, side)
-        queued: Mapping[str, int] = getattr(self.counts, f"queued_{side}")
+        stationary: Mapping[str, int] = getattr(self.counts, f"stationary_{side}")
         seen: Mapping[str, float] = getattr(self.counts, f"coverage_{side}")
-        return [LaneRow(n, counts[n], queued.get(n, 0), seen.get(n)) for n in counts]
+        return [LaneRow(n, counts[n], stationary.get(n, 0), seen.get(n)) for n in counts]
 
     def signal(self) -> tuple[SignalState, float] | None:
         """Returns what the signal shows, and for how many simulated seconds so."""
