@@ -40,7 +40,7 @@ class RunLocation:
 
 @contextmanager
 def discoverable(run_dir: Path, endpoints: Endpoints, keys: Path | None) -> Iterator[None]:
-    """Says in the run folder where the buses are, as long as the context lasts.
+    """Writes RUN/buses.json for as long as the context lasts.
 
     Raises:
         ConfigError: it cannot be written.
@@ -57,7 +57,7 @@ def discoverable(run_dir: Path, endpoints: Endpoints, keys: Path | None) -> Iter
 
 
 def find_run(run: Path | None, connect: list[str], keys: Path | None) -> RunLocation:
-    """Returns the run that is meant: one elsewhere, that of a folder, or the newest that goes on.
+    """Returns the location of a run: at `connect`, of a folder, or the newest that still runs.
 
     Raises:
         ConfigError: there is none, or its place or its keys cannot be used.
@@ -101,7 +101,7 @@ def _in_folder(run_dir: Path, keys: Path | None) -> RunLocation:
 
 
 def _instead(run_dir: Path) -> str:
-    """Returns what can be done with a folder in which no run goes on."""
+    """Returns advice for a folder without a running run."""
     if is_file(run_dir / "run.sqlite"):
         return f"it has ended: `cpnet report {run_dir}` says what came of it"
     if is_folder(run_dir) or is_file(run_dir):
@@ -124,7 +124,7 @@ def _facts(path: Path) -> dict[str, str]:
 
 
 def _is_alive(path: Path) -> bool:
-    """Whether the process that wrote it lives: one that was killed could not take it away."""
+    """Whether the process that wrote it still runs: one that was killed leaves it behind."""
     try:
         pid = int(_facts(path).get("pid", "0"))
         if pid > 0:
@@ -153,14 +153,14 @@ LOST_S = 25.0  # the token of a machine that was lost stands for the lease of 20
 
 
 class WaitingTime:
-    """How long the other side is waited for; said once, and without an end if `endless`."""
+    """Waits for a bus for `JOIN_TIMEOUT_S`, or without limit; prints once that it waits."""
 
     def __init__(self, what: str, console: Console, *, endless: bool) -> None:
         self._what = what
         self._console = console
         self._endless = endless
         self._began_s = time.monotonic()
-        self._is_told = self._is_over = False
+        self._is_reported = self._is_over = False
 
     def wait(self, why: BusError) -> None:
         """Lets a moment pass.
@@ -169,8 +169,8 @@ class WaitingTime:
             BusError: the one that was given; the time is over.
         """
         waited_s = time.monotonic() - self._began_s
-        if waited_s >= TELL_S and not self._is_told:
-            self._is_told = True
+        if waited_s >= TELL_S and not self._is_reported:
+            self._is_reported = True
             print_line(self._console, f"waiting for {self._what} (Ctrl-C ends)")
         if waited_s >= JOIN_TIMEOUT_S and not self._is_over:
             if not self._endless:
@@ -181,57 +181,57 @@ class WaitingTime:
 
 
 class WorldConnection:
-    """The world's bus, and what the host of that world says there."""
+    """A connection to the world bus of a run elsewhere: its setup and its processes."""
 
     def __init__(
-        self, bus: ZenohBus, endpoint: Endpoint, console: Console, *, lasting: bool
+        self, bus: ZenohBus, endpoint: Endpoint, console: Console, *, wait_forever: bool
     ) -> None:
         self._bus = bus
         self._endpoint = endpoint
         self._console = console
-        self._lasting = lasting
+        self._wait_forever = wait_forever
 
     def setup(self) -> Setup:
         """Returns what every process of the run is given.
 
         Raises:
-            BusError: nobody said it in time, or they speak another version of the protocol.
-            ProtocolError: what was said is no setup.
+            BusError: nobody served it in time, or they speak another version of the protocol.
+            ProtocolError: the reply is no setup.
         """
         what = f"the world: nobody at {_place(self._endpoint)} tells the setup of a run"
-        patience = WaitingTime(what, self._console, endless=self._lasting)
+        waiting = WaitingTime(what, self._console, endless=self._wait_forever)
         nobody = BusError(f"{self._endpoint.locator} is up, but nobody there serves setup")
         while (setup := self._bus.ask("setup", Setup, ASK_S)) is None:
             self._refuse_strangers()
-            patience.wait(nobody)
+            waiting.wait(nobody)
         return setup
 
-    def refuse_twins(self, ids: Iterable[str]) -> None:
-        """Sees to it that nobody on this bus goes by these ids, for two would speak for the same.
+    def refuse_duplicates(self, ids: Iterable[str]) -> None:
+        """Checks that no process on this bus has one of these ids.
 
-        Who is lasting gives what may be left of a machine that was lost the time to vanish.
+        With `wait_forever`, the token of a machine that was lost is given time to expire.
 
         Raises:
-            ConfigError: somebody does.
+            ConfigError: one has.
         """
-        gone_by_s = time.monotonic() + (LOST_S if self._lasting else 0)
-        wanted, is_told = set(ids), False
-        while twins := sorted(wanted.intersection(self._roll().present)):
+        gone_by_s = time.monotonic() + (LOST_S if self._wait_forever else 0)
+        wanted, is_reported = set(ids), False
+        while duplicates := sorted(wanted.intersection(self._roll().present)):
             if time.monotonic() >= gone_by_s:
                 raise ConfigError(
-                    f"{', '.join(twins)} runs on this bus already: stop it, or take another with "
-                    "--only"
+                    f"{', '.join(duplicates)} runs on this bus already: stop it, or take another "
+                    "with --only"
                 )
-            if not is_told:
-                print_line(self._console, f"waiting for another {', '.join(twins)} to be gone")
-            is_told = True
+            if not is_reported:
+                print_line(self._console, f"waiting for another {', '.join(duplicates)} to be gone")
+            is_reported = True
             time.sleep(POLL_S)
 
     def _roll(self) -> PresentProcesses:
         return PresentProcesses.of(self._bus.list_present(PRESENCE_S))
 
     def _refuse_strangers(self) -> None:
-        """Waits for nobody where all that live speak another version of the protocol."""
+        """Fails at once if all processes there speak another version of the protocol."""
         roll = self._roll()
         if roll.other_versions and not roll.present:
             raise BusError(f"{self._endpoint.locator}: {roll.mismatch()}")
@@ -244,30 +244,30 @@ def print_line(console: Console, text: str) -> None:
 
 @contextmanager
 def connected_to_world(
-    endpoint: Endpoint, console: Console, *, lasting: bool
+    endpoint: Endpoint, console: Console, *, wait_forever: bool
 ) -> Iterator[WorldConnection]:
     """Opens the world's bus as soon as it is there.
 
     Zenoh keeps the main thread while it opens, and signals with it, so it tries for short times;
-    they grow, because a slow link takes longer. Who is `lasting` waits without an end.
+    they grow, because a slow link takes longer. With `wait_forever` it never gives up.
 
     Raises:
         BusError: nothing answered in time.
     """
-    bus = _opened(endpoint, WaitingTime(_named(endpoint), console, endless=lasting))
+    bus = _opened(endpoint, WaitingTime(_named(endpoint), console, endless=wait_forever))
     try:
-        yield WorldConnection(bus, endpoint, console, lasting=lasting)
+        yield WorldConnection(bus, endpoint, console, wait_forever=wait_forever)
     finally:
         bus.close()
 
 
-def _opened(endpoint: Endpoint, patience: WaitingTime) -> ZenohBus:
+def _opened(endpoint: Endpoint, waiting: WaitingTime) -> ZenohBus:
     timeout_ms = FIRST_OPEN_MS
     while True:
         try:
             return open_bus(BusName.WORLD, endpoint, Inbox(), timeout_ms)
         except BusError:
-            patience.wait(BusError(unanswered(BusName.WORLD, endpoint, JOIN_TIMEOUT_S)))
+            waiting.wait(BusError(unanswered(BusName.WORLD, endpoint, JOIN_TIMEOUT_S)))
         timeout_ms = min(2 * timeout_ms, LONGEST_OPEN_MS)
 
 

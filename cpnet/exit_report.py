@@ -70,7 +70,7 @@ def log_tail(path: Path, lines: int = TAIL_LINES) -> str:
 
 
 def _why_empty(folder: Path) -> str:
-    """Says of an empty log whether the disk could not take what would stand in it."""
+    """Says why a log is empty: the disk may be full."""
     if shutil.disk_usage(folder).free < FULL_BYTES:
         return f"(its log is empty: the disk that holds {folder} is full)"
     return "(its log is empty)"

@@ -26,19 +26,19 @@ ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """Processes are the unit that work is spread by: a BLAS that spins on all cores slows the rest."""
 
 
-UNKNOWN_STATUS = 255  # what multiprocessing says where the fork server that would tell has gone
-STATUS_WAIT_S = 1.0  # the fork server hears of an end at once, if it lives
+UNKNOWN_STATUS = 255  # of multiprocessing, where the fork server has gone
+STATUS_WAIT_S = 1.0  # the fork server learns of an exit at once
 
 
 class ChildProcess:
-    """A process whose standard input is its lifeline: it ends when that is closed.
+    """A process forked off the fork server; it ends when its standard input is closed.
 
-    Whether it lives is asked of the kernel; the fork server, which may die before it, only tells
-    how it ended.
+    Whether it runs is asked of the kernel; only its exit status comes from the fork server, which
+    may have failed by then.
     """
 
     def __init__(self, process: ForkServerProcess, lifeline: Connection) -> None:
-        """Takes hold of a process that was started.
+        """Wraps a process that was started.
 
         Raises:
             OSError: too many files are open.
@@ -57,7 +57,7 @@ class ChildProcess:
 
     @property
     def orphaned(self) -> bool:
-        """Whether it lives while the fork server, which all are forked off, has gone."""
+        """Whether it runs while the fork server has gone."""
         told = self._process.exitcode  # first: who has ended since is no orphan
         return told is not None and self.poll() is None
 
@@ -66,7 +66,7 @@ class ChildProcess:
         return self.wait(0.0)
 
     def wait(self, timeout_s: float | None = None) -> int | None:
-        """Returns the same once it has ended, or when the time is over."""
+        """Waits for its end; returns as `poll`."""
         if self._status is None and (self._pidfd is None or wait([self._pidfd], timeout_s)):
             self._process.join(STATUS_WAIT_S)
             told = self._process.exitcode
@@ -80,7 +80,7 @@ class ChildProcess:
                 signal.pidfd_send_signal(self._pidfd, number)
 
     def release(self) -> None:
-        """Lets go of one that has ended, and of its lifeline."""
+        """Closes its descriptors, once it has ended."""
         self._lifeline.close()
         if self._pidfd is not None:
             os.close(self._pidfd)
@@ -88,7 +88,7 @@ class ChildProcess:
 
 
 def preload(modules: Iterable[str], log: Path) -> None:
-    """Begins to import these modules, and what they import, in the process that all are forked off.
+    """Starts the fork server, which begins to import these modules.
 
     It ends with this process, not before: Ctrl-C does not reach it.
     """
@@ -101,7 +101,7 @@ def preload(modules: Iterable[str], log: Path) -> None:
 
 
 def ensure_fork_server(log: Path) -> None:
-    """Starts the fork server if it is not there; it imports what it was last told to.
+    """Starts the fork server if it does not run; it imports what `preload` was given.
 
     Raises:
         CpnetError: it cannot be started.
@@ -140,13 +140,13 @@ def _fork(module: str, arguments: list[str], log: Path) -> ChildProcess:
             process.start()
             return ChildProcess(process, ours)
         except BaseException:
-            ours.close()  # whoever was started after all ends by that
+            ours.close()  # a process that was started after all ends by that
             raise
 
 
 @contextmanager
 def _printing_to(log: Path) -> Iterator[None]:
-    """Has what is started meanwhile print to a file, so that who reads from us sees our end."""
+    """Redirects standard output and error, so that a reader of ours sees the end of file."""
     kept = [os.dup(stream) for stream in (1, 2)]
     written = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
     try:
@@ -161,7 +161,7 @@ def _printing_to(log: Path) -> Iterator[None]:
 
 
 def _run_module(module: str, arguments: list[str], log: str, lifeline: Connection) -> None:
-    """Becomes that process."""
+    """Runs the module in the forked process."""
     os.setsid()  # Ctrl-C reaches the supervisor, which stops in order
     signal.signal(signal.SIGINT, signal.default_int_handler)
     written = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)

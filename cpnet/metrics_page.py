@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, start_http_server
 
+from cpnet.limits import MAX_PROCESSES, MAX_REASONS, MAX_STAGES
 from cpnet.processes import ProcessEntry
 from cpnet.watch import ProcessKey
 from protocol.errors import ConfigError
@@ -24,9 +25,6 @@ from protocol.messages import Metrics, Progress, Span
 from protocol.topics import ROLES
 from protocol.version import own_version
 
-MAX_PROCESSES = 256
-MAX_REASONS = 64
-MAX_STAGES = 32
 LONGEST_NS = 60_000_000_000  # a stage that claims to have taken longer is not counted
 BUCKETS_S = (
     0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0,

@@ -98,33 +98,33 @@ def prepare_run(options: Options, console: Console, played: Replay | None) -> Pr
     check_keys(
         options.keys, processes_without_scenario(choice)
     )  # the others' once the scenario is known
-    asked = None
+    simulated = None
     if played is None and "sim" in choice.names:
-        asked = _simulated(options)
+        simulated = _simulated(options)
     elif options.overrides:
         raise ConfigError(
             f"{', '.join(options.overrides)}: the scenario is decided where the role sim runs"
         )
-    named = played or asked
+    named = played or simulated
     folder = RunFolder.at(options.out, named.name if named else str(choice))
     rows = [row if played is None else in_replay(row) for row in choice.roles if row is not TAPE]
     modules = list(dict.fromkeys(f"{row.module}.role" for row in rows))
     try:
         run_dir = folder.make()
         with written(run_dir):  # imports while the setup is being made
-            preload(modules, run_dir / "logs" / "nursery.log")
+            preload(modules, run_dir / "logs" / "fork-server.log")
         if played is not None:
             setup = played.setup(run_dir)
             scenario = scenarios.validate(setup.scenario, "the replay")
         else:
-            setup, scenario = _setup(asked, endpoints, run_dir, options.restart, console)
+            setup, scenario = _setup(simulated, endpoints, run_dir, options.restart, console)
         _check(choice, options, scenario)
         packed = encode(setup)
         processes, relays = processes_of(choice, scenario), relays_of(choice, scenario)
         if TAPE in (process.role for process in processes):
             import tape  # noqa: F401 - says what to install, if it must be
         check_keys(options.keys, relays + processes)
-        _refuse_twins(endpoints[BusName.WORLD], processes, options.restart, console)
+        _refuse_duplicates(endpoints[BusName.WORLD], processes, options.restart, console)
         with written(run_dir):
             (run_dir / "setup.msgpack").write_bytes(packed)
             shown = json.dumps(setup.scenario, indent=2) + "\n"
@@ -175,30 +175,30 @@ def _check_restart(options: Options, scenario: scenarios.Scenario) -> None:
 
 
 def _setup(
-    asked: scenarios.Scenario | None,
+    simulated: scenarios.Scenario | None,
     endpoints: Endpoints,
     run_dir: Path,
     restart: bool,
     console: Console,
 ) -> tuple[Setup, scenarios.Scenario]:
-    if asked is not None:
+    if simulated is not None:
         # SUMO is needed only where the world runs.
         from sim_host.setup import build_setup
 
         with written(run_dir):
-            return build_setup(asked.model_dump(mode="json"), run_dir), asked
+            return build_setup(simulated.model_dump(mode="json"), run_dir), simulated
     place = connecting(endpoints[BusName.WORLD])
-    with connected_to_world(place, console, lasting=restart) as world:
+    with connected_to_world(place, console, wait_forever=restart) as world:
         setup = world.setup()
     return setup, scenarios.validate(setup.scenario, "the scenario of the other side")
 
 
-def _refuse_twins(
+def _refuse_duplicates(
     world: Endpoint, processes: list[ProcessEntry], restart: bool, console: Console
 ) -> None:
     if not world.listen:  # else nobody can be there yet
-        with connected_to_world(connecting(world), console, lasting=restart) as found:
-            found.refuse_twins(process.id for process in processes)
+        with connected_to_world(connecting(world), console, wait_forever=restart) as found:
+            found.refuse_duplicates(process.id for process in processes)
 
 
 def _detects(roles: list[str], scenario: scenarios.Scenario) -> bool:

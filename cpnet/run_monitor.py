@@ -33,34 +33,34 @@ STALL_NS = 3_000_000_000
 
 
 class StallCheck:
-    """Turns what was last heard into what is to be said of it.
+    """Reports once when no new frame arrives, and again when frames resume.
 
-    A run may be slow: only a silence longer than any before it is one.
+    A run may be slow: a stall is a gap longer than every gap before it.
     """
 
     def __init__(self) -> None:
         self._frame: int | None = None
         self._since_ns = 0
         self._longest_ns = STALL_NS
-        self._is_still = False
+        self._is_stalled = False
         self._stopped: set[str] = set()
 
     def frames(self, frame: int | None, now_ns: int) -> str | None:
-        """Takes the newest frame heard of, None before the first."""
+        """Takes the newest frame received, None before the first."""
         silent_ns = now_ns - self._since_ns
         if frame != self._frame:
             if self._frame is not None:
                 self._longest_ns = max(self._longest_ns, silent_ns)
-            was_still, self._is_still = self._is_still, False
+            was_stalled, self._is_stalled = self._is_stalled, False
             self._frame, self._since_ns = frame, now_ns
-            return f"frames come again, after {silent_ns / 1e9:.0f} s" if was_still else None
-        if frame is None or self._is_still or silent_ns <= self._longest_ns:
+            return f"frames come again, after {silent_ns / 1e9:.0f} s" if was_stalled else None
+        if frame is None or self._is_stalled or silent_ns <= self._longest_ns:
             return None
-        self._is_still = True
+        self._is_stalled = True
         return f"no frame for {silent_ns / 1e9:.0f} s"
 
     def stopped(self, processes: Iterable[str]) -> list[str]:
-        """Takes who has been stopped for longer than anybody waits."""
+        """Takes the processes that a signal has stopped for too long."""
         now = set(processes)
         news = [
             f"nothing heard from {name}: it is stopped (SIGSTOP)" for name in now - self._stopped
@@ -81,7 +81,7 @@ class Display:
         self._console = console
         self._scenario = scenario
         self._live = Live(console=console, transient=True, auto_refresh=False)
-        self._told_ns = 0
+        self._shown_ns = 0
 
     def __enter__(self) -> Display:
         if self._console.is_terminal:
@@ -98,8 +98,8 @@ class Display:
         time_s = (progress.frame + 1) * self._scenario.frame_period_s
         if self._console.is_terminal:
             self._live.update(_panel(progress, time_s, self._scenario.duration_s), refresh=True)
-        elif time.monotonic_ns() - self._told_ns >= LINE_EVERY_NS:
-            self._told_ns = time.monotonic_ns()
+        elif time.monotonic_ns() - self._shown_ns >= LINE_EVERY_NS:
+            self._shown_ns = time.monotonic_ns()
             line = _line(progress, time_s)
             self._console.print(line, highlight=False, markup=False, soft_wrap=True)
 
@@ -146,7 +146,7 @@ def _signal(state: str) -> Text:
 
 
 POLL_S = 0.05
-OVERTAKEN_S = 2.0
+LATE_END_S = 2.0
 OTHERS_LEAVE_S = 5.0
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -175,40 +175,40 @@ class StopSignals:
 class RunMonitor:
     """Follows a run whose processes were started here, to its end.
 
-    With `restart`, what dies here is started again, and processes of other machines may come and
-    go; else a death ends the run, wherever it was. Only a tape's does not, once the run has begun:
-    it is told of at once, and at the end.
+    With `restart`, processes that fail here are restarted, and processes of other machines may
+    leave and join; else a failure ends the run, wherever it was. Only a tape's does not, once the
+    run has begun: it is reported at once, and at the end.
     """
 
     supervisor: Supervisor
     scenario: Scenario
-    interruption: StopSignals
+    stop_signals: StopSignals
     console: Console
     restart: bool
     metrics: RunMetrics | None = None
 
-    def attend(self, world: Endpoint) -> int:
+    def follow(self, world: Endpoint) -> int:
         """Returns the exit status."""
-        death, reason = None, ""
+        failure, reason = None, ""
         tapes: list[ExitReport] = []
         watch = self._watch(world)
         if isinstance(watch, ExitReport):
-            death = watch
+            failure = watch
         elif watch is not None:
             with watch, Display(self.console, self.scenario) as display:
-                death = self._follow(watch, display, tapes)
+                failure = self._follow(watch, display, tapes)
                 reason = watch.end.reason if watch.end else ""
-        status = self._conclude(death, reason)
+        status = self._status(failure, reason)
         for tape in tapes:
-            self._tell("the tape is not whole: ", tape)
+            self._report("the tape is not whole: ", tape)
         return status or len(tapes)
 
-    def _conclude(self, death: ExitReport | None, reason: str) -> int:
-        if self.interruption.event.is_set():
-            self.console.print(f"stopping ({signal.Signals(self.interruption.number).name})")
-            return 128 + self.interruption.number
-        if death is not None:
-            self._tell("", death)
+    def _status(self, failure: ExitReport | None, reason: str) -> int:
+        if self.stop_signals.event.is_set():
+            self.console.print(f"stopping ({signal.Signals(self.stop_signals.number).name})")
+            return 128 + self.stop_signals.number
+        if failure is not None:
+            self._report("", failure)
             return 1
         if reason != "finished":
             said = reason or "nobody said why"
@@ -216,34 +216,34 @@ class RunMonitor:
             return 1
         return 0
 
-    def _tell(self, what: str, death: ExitReport) -> None:
-        name = escape(death.id)
-        self.console.print(f"[bold red]{what}{name} {death.how}[/]; the last lines of its log:")
-        self.console.print(death.tail, highlight=False, markup=False, soft_wrap=True)
+    def _report(self, what: str, failure: ExitReport) -> None:
+        name = escape(failure.id)
+        self.console.print(f"[bold red]{what}{name} {failure.how}[/]; the last lines of its log:")
+        self.console.print(failure.tail, highlight=False, markup=False, soft_wrap=True)
 
     def _watch(self, world: Endpoint) -> WorldWatch | ExitReport | None:
-        """Listens to the world as soon as its bus is there; a process may die before."""
-        while not self.interruption.event.is_set():
-            if death := self.supervisor.death(at_end=False):
-                return death
+        """Connects to the world bus as soon as it is up; a process may fail before."""
+        while not self.stop_signals.event.is_set():
+            if failure := self.supervisor.failure(at_end=False):
+                return failure
             try:
                 return WorldWatch(world, all_processes(self.scenario), self.metrics)
             except BusError:
-                self.interruption.event.wait(POLL_S)
+                self.stop_signals.event.wait(POLL_S)
         return None
 
     def _follow(
         self, watch: WorldWatch, display: Display, tapes: list[ExitReport]
     ) -> ExitReport | None:
         ended_ns = 0
-        stillness = StallCheck()
-        while not self.interruption.event.is_set():
+        stall_check = StallCheck()
+        while not self.stop_signals.event.is_set():
             if watch.update(POLL_S) and watch.progress:
                 display.show(watch.progress)
             if watch.end is None:
-                self._tell_stillness(stillness, watch)
-            if death := self._fatal(watch, tapes):
-                return death
+                self._report_stall(stall_check, watch)
+            if failure := self._fatal(watch, tapes):
+                return failure
             if watch.end is None and (elsewhere := self._lost_elsewhere(watch)):
                 return elsewhere
             if watch.end is not None:
@@ -254,56 +254,56 @@ class RunMonitor:
                     return None
         return None
 
-    def _tell_stillness(self, stillness: StallCheck, watch: WorldWatch) -> None:
+    def _report_stall(self, stall_check: StallCheck, watch: WorldWatch) -> None:
         has_begun = watch.progress is not None and watch.progress.end_to_end_ms > 0
         frame = watch.progress.frame if watch.progress and has_begun else None
-        news = stillness.stopped(self.supervisor.stopped(STALL_NS))
-        for line in (*news, stillness.frames(frame, time.monotonic_ns())):
+        news = stall_check.stopped(self.supervisor.stopped(STALL_NS))
+        for line in (*news, stall_check.frames(frame, time.monotonic_ns())):
             if line is not None:
                 self.console.print(line, markup=False, highlight=False)
 
-    def _await_overtaken_end(self, watch: WorldWatch) -> None:
+    def _await_late_end(self, watch: WorldWatch) -> None:
         """Waits a little if a process has left and none failed: the end may be on its way."""
-        has_left = self.supervisor.death(at_end=False) is not None
-        if watch.end is None and has_left and self.supervisor.death(at_end=True) is None:
-            watch.await_end(OVERTAKEN_S)
+        has_left = self.supervisor.failure(at_end=False) is not None
+        if watch.end is None and has_left and self.supervisor.failure(at_end=True) is None:
+            watch.await_end(LATE_END_S)
 
     def _fatal(self, watch: WorldWatch, tapes: list[ExitReport]) -> ExitReport | None:
-        """Returns a death that ends the run; others are started again, or are a tape's."""
-        self._await_overtaken_end(watch)
+        """Returns a failure that ends the run; other processes are restarted or are not needed."""
+        self._await_late_end(watch)
         at_end = watch.end is not None
-        if not at_end and (death := self.supervisor.bereft()) is not None:
+        if not at_end and (failure := self.supervisor.fork_server_exit()) is not None:
             if not self.restart:
-                return death
+                return failure
             self.console.print(
-                f"{death.id} {death.how}; another starts with the next process", markup=False
+                f"{failure.id} {failure.how}; another starts with the next process", markup=False
             )
         if self.restart and not at_end:
-            lost = self._revive()
-            if any(death.id == TAPE.role for death in lost):
+            lost = self._restart_ended()
+            if any(failure.id == TAPE.role for failure in lost):
                 tapes += self._dismiss_tape(at_end=False)
-            return next((death for death in lost if death.id != TAPE.role), None)
+            return next((failure for failure in lost if failure.id != TAPE.role), None)
         if watch.progress is not None:
             tapes += self._dismiss_tape(at_end=at_end)
-        if self.supervisor.death(at_end=at_end) is not None:
-            self._await_overtaken_end(watch)  # it may have left only just now
-        death = self.supervisor.death(at_end=watch.end is not None)
-        is_tape = death is not None and death.id == TAPE.role and watch.progress is not None
-        return None if is_tape else death  # a tape that died only now is dismissed next time
+        if self.supervisor.failure(at_end=at_end) is not None:
+            self._await_late_end(watch)  # it may have left only just now
+        failure = self.supervisor.failure(at_end=watch.end is not None)
+        is_tape = failure is not None and failure.id == TAPE.role and watch.progress is not None
+        return None if is_tape else failure  # a tape that died only now is dismissed next time
 
     def _dismiss_tape(self, *, at_end: bool) -> list[ExitReport]:
-        death = self.supervisor.dismiss(TAPE.role, at_end=at_end)
-        if death is None:
+        failure = self.supervisor.remove_failed(TAPE.role, at_end=at_end)
+        if failure is None:
             return []
-        self.console.print(f"{death.id} {death.how}; the run goes on without it", markup=False)
-        return [death]
+        self.console.print(f"{failure.id} {failure.how}; the run goes on without it", markup=False)
+        return [failure]
 
-    def _revive(self) -> list[ExitReport]:
-        found, lost = self.supervisor.revive()
-        for death in found:
-            self.console.print(f"{death.id} {death.how}", markup=False)
+    def _restart_ended(self) -> list[ExitReport]:
+        found, lost = self.supervisor.restart_ended()
+        for failure in found:
+            self.console.print(f"{failure.id} {failure.how}", markup=False)
             if self.metrics is not None:
-                self.metrics.restarted(death.id)
+                self.metrics.restarted(failure.id)
         return lost
 
     def _lost_elsewhere(self, watch: WorldWatch) -> ExitReport | None:
@@ -315,7 +315,7 @@ class RunMonitor:
         for who in watch.lost():
             process = who[1]
             if process in needed and not self.supervisor.holds(process):
-                watch.await_end(OVERTAKEN_S)  # it may still be on its way, or a link was broken
+                watch.await_end(LATE_END_S)  # it may still be on its way, or a link was broken
                 if watch.end is None and who in watch.lost():
                     how = "left another machine before the run ended"
                     return ExitReport(process, how, "(no log here)")

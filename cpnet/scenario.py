@@ -181,7 +181,7 @@ def _check_renamed(data: dict[str, Any], source: str) -> None:
 
 
 def _holds(data: object, dotted: str) -> bool:
-    """Says whether the data have that dotted key, in any entry where a list is on the way."""
+    """Whether the data have that dotted key, in any entry where a list is on the way."""
     if isinstance(data, list):
         return any(_holds(entry, dotted) for entry in data)
     key, _, rest = dotted.partition(".")

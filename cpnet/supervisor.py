@@ -26,13 +26,13 @@ WITHIN_NS = 30_000_000_000
 
 
 class Restarts:
-    """Remembers when each process was started again; dying all the time is no life."""
+    """Limits how often a process is restarted: `MAX_RESTARTS` times within `WITHIN_NS`."""
 
     def __init__(self) -> None:
         self._at_ns: dict[str, deque[int]] = defaultdict(lambda: deque(maxlen=MAX_RESTARTS))
 
     def admits(self, process: str, now_ns: int) -> bool:
-        """Whether a process may be started once more now; if so, that counts."""
+        """Whether a process may be restarted now; if so, the restart is counted."""
         times_ns = self._at_ns[process]
         if len(times_ns) == MAX_RESTARTS and now_ns - times_ns[0] < WITHIN_NS:
             return False
@@ -42,12 +42,12 @@ class Restarts:
 
 _log = logging.getLogger(__name__)
 
-WORLD_GRACE_S = 1.0  # for the world to tell its end and the recorder to write it
-STOPPED_NS = 5_000_000_000  # then it is as good as dead
+WORLD_GRACE_S = 1.0  # for the world to publish its end and the recorder to write it
+STOPPED_NS = 5_000_000_000  # a process stopped for longer counts as failed
 GRACE_S = 2.0  # then for all others, until SIGKILL: both within the 5 s that users wait
 WRITERS = ("record", "tape")
 LIST_NAME = "processes.json"
-FORK_SERVER = "nursery"
+FORK_SERVER = "fork-server"
 
 
 @dataclass(slots=True, eq=False)
@@ -57,19 +57,19 @@ class SupervisedProcess:
     entry: ProcessEntry
     process: ChildProcess
     log_path: Path
-    still_since_ns: int | None = None
+    stopped_since_ns: int | None = None
 
     def stopped_ns(self, now_ns: int) -> int:
         """For how long it has been stopped by a signal, 0 if it is not."""
         if self.process.poll() is not None or not is_stopped(self.process.pid):
-            self.still_since_ns = None
+            self.stopped_since_ns = None
             return 0
-        self.still_since_ns = self.still_since_ns or now_ns
-        return now_ns - self.still_since_ns
+        self.stopped_since_ns = self.stopped_since_ns or now_ns
+        return now_ns - self.stopped_since_ns
 
     @property
-    def death(self) -> ExitReport | None:
-        """How it ended, if it has."""
+    def failure(self) -> ExitReport | None:
+        """Returns its exit report, None while it runs."""
         status = self.process.poll()
         return (
             None
@@ -79,7 +79,7 @@ class SupervisedProcess:
 
 
 class Supervisor:
-    """Holds the processes of one machine; a context manager that ends them all."""
+    """Starts, restarts and, as a context manager, ends the processes of one machine."""
 
     def __init__(
         self,
@@ -119,29 +119,29 @@ class Supervisor:
             self._children.append(self._spawn(entry))
         self._list()
 
-    def revive(self) -> tuple[list[ExitReport], list[ExitReport]]:
-        """Starts again what has ended too early; returns who that was, and who stays dead.
+    def restart_ended(self) -> tuple[list[ExitReport], list[ExitReport]]:
+        """Restarts processes that ended too early; returns the restarted and those that are not.
 
-        Who was stopped by a signal and does not go on is ended first.
-        The world stays dead, and so does a process that dies again and again. Who dies after this
-        looked, or cannot be started yet, is found by the next call.
+        A process that a signal has stopped for `STOPPED_NS` is killed first. The simulator is never
+        restarted, nor a process that fails again and again. A process that ends during this call,
+        or cannot be started yet, is found by the next call.
         """
         found, lost = [], []
         for number, child in enumerate(self._children):
             may = child.entry.role.role != "sim"
-            death = child.death or (self._end_stopped(child) if may else None)
-            if death is None:
+            failure = child.failure or (self._end_stopped(child) if may else None)
+            if failure is None:
                 continue
             if may and self._restarts.admits(child.entry.id, time.monotonic_ns()):
-                found.append(self._again(number, death))
+                found.append(self._restart(number, failure))
             else:
-                lost.append(death)
+                lost.append(failure)
         if found:
             self._list()
         return found, lost
 
     def stopped(self, for_ns: int) -> list[str]:
-        """Returns who was stopped by a signal that long ago, and did not go on."""
+        """Returns the processes that a signal has stopped for at least so long."""
         now_ns = time.monotonic_ns()
         return [c.entry.id for c in self._children if c.stopped_ns(now_ns) >= for_ns]
 
@@ -151,36 +151,36 @@ class Supervisor:
             return None
         child.process.send_signal(signal.SIGKILL)
         child.process.wait(GRACE_S)
-        stood = f"was stopped (SIGSTOP) for {stopped_ns / 1e9:.0f} s"
-        return ExitReport(child.entry.id, stood, log_tail(child.log_path))
+        how = f"was stopped (SIGSTOP) for {stopped_ns / 1e9:.0f} s"
+        return ExitReport(child.entry.id, how, log_tail(child.log_path))
 
-    def _again(self, number: int, death: ExitReport) -> ExitReport:
-        """Starts a child again; returns its death with what became of it."""
+    def _restart(self, number: int, failure: ExitReport) -> ExitReport:
+        """Restarts a child; returns its exit report with the outcome."""
         child = self._children[number]
         child.process.release()
         try:
             self._children[number] = self._spawn(child.entry)
         except CpnetError as error:
-            return replace(death, how=f"{death.how}; {error}")
-        return replace(death, how=f"{death.how}; started again")
+            return replace(failure, how=f"{failure.how}; {error}")
+        return replace(failure, how=f"{failure.how}; started again")
 
-    def bereft(self) -> ExitReport | None:
-        """Returns the death of the fork server, once, if processes have outlived it."""
+    def fork_server_exit(self) -> ExitReport | None:
+        """Returns the exit report of the fork server, once, if processes still run without it."""
         orphans = {c.process.pid for c in self._children if c.process.orphaned}
         if orphans <= self._orphans:
             return None
         self._orphans = orphans
         gone = "was killed or crashed, the fork server that starts all others"
-        return ExitReport(FORK_SERVER, gone, log_tail(self._nursery_log))
+        return ExitReport(FORK_SERVER, gone, log_tail(self._fork_server_log))
 
     @property
-    def _nursery_log(self) -> Path:
+    def _fork_server_log(self) -> Path:
         return self._run_dir / "logs" / f"{FORK_SERVER}.log"
 
     def _list(self) -> None:
-        """Writes which process is which, for whoever looks after them from outside.
+        """Writes the ids and process numbers to `processes.json`, for tools outside.
 
-        A full disk is said once, and is no reason to end a run: the old list goes, being wrong.
+        A full disk is logged once and does not end the run; the outdated list is removed.
         """
         path = self._run_dir / LIST_NAME
         fresh = path.with_suffix(".new")
@@ -199,12 +199,12 @@ class Supervisor:
     def _spawn(self, entry: ProcessEntry) -> SupervisedProcess:
         path = self._run_dir / "logs" / f"{entry.id}.log"
         if self._orphans:
-            ensure_fork_server(self._nursery_log)
+            ensure_fork_server(self._fork_server_log)
         return SupervisedProcess(
             entry, start_process(entry.role.module, self._arguments(entry), path), path
         )
 
-    def death(self, *, at_end: bool) -> ExitReport | None:
+    def failure(self, *, at_end: bool) -> ExitReport | None:
         """Returns a process that failed, or, before the run's end, that ended at all.
 
         Of several the one that a signal killed comes first: it is the cause, not a consequence.
@@ -220,8 +220,8 @@ class Supervisor:
         status, child = min(dead, key=lambda one: one[0])
         return ExitReport(child.entry.id, describe_status(status), log_tail(child.log_path))
 
-    def dismiss(self, role: str, *, at_end: bool) -> ExitReport | None:
-        """Returns a process of this role that is dead as in `death`, and no longer asks for it."""
+    def remove_failed(self, role: str, *, at_end: bool) -> ExitReport | None:
+        """Returns a failed process of this role, see `failure`, and stops supervising it."""
         for child in self._children:
             status = child.process.poll()
             is_dead = status is not None and not (at_end and status in CLEAN_STATUSES)
@@ -245,7 +245,7 @@ class Supervisor:
         )
 
     def stop(self) -> list[str]:
-        """Ends all processes, the world first. Returns who did not stop when asked."""
+        """Ends all processes, the simulator first. Returns those that had to be killed."""
         world = [child for child in self._children if child.entry.role.role == "sim"]
         if any(child.process.poll() is None for child in world):
             _interrupt(world)

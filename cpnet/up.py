@@ -39,18 +39,18 @@ def up(options: Options, console: Console, played: Replay | None = None) -> tupl
     run = prepare_run(options, console, played)
     with (
         _serving(address, console) as metrics,
-        StopSignals() as interruption,
+        StopSignals() as stop_signals,
         discoverable(run.run_dir, run.endpoints, options.keys),
         Supervisor(run.run_dir, run.endpoints, options.log, options.keys) as supervisor,
     ):
         if metrics is not None:
             metrics.expect(run.relays + run.processes, all_processes(run.scenario))
         supervisor.start(run.relays + run.processes)
-        attendant = RunMonitor(
-            supervisor, run.scenario, interruption, console, options.restart, metrics
+        monitor = RunMonitor(
+            supervisor, run.scenario, stop_signals, console, options.restart, metrics
         )
         with viewed(run.run_dir, options.view, console):
-            status = attendant.attend(connecting(run.endpoints[BusName.WORLD]))
+            status = monitor.follow(connecting(run.endpoints[BusName.WORLD]))
     return status, run.run_dir
 
 

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+from cpnet.limits import MAX_BATCH, MAX_UNEXPECTED, MAX_WAITING_METRICS
 from cpnet.scenario import Scenario
 from protocol.bus import Endpoint, open_bus
 from protocol.inbox import Envelope, Inbox, Presence
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
 ProcessKey = tuple[str, str]
 """Role and id of a process."""
 
-MAX_UNEXPECTED = 256  # anybody may invent tokens, where buses are not secured
-
 
 def all_processes(scenario: Scenario) -> set[ProcessKey]:
     """Returns all processes that a scenario names, on whatever machine they run."""
@@ -31,41 +30,39 @@ def all_processes(scenario: Scenario) -> set[ProcessKey]:
 
 
 class PresenceTable:
-    """Those who are there, and those expected who have left; strangers are forgotten then."""
+    """Processes that are present, and expected ones that have left; others are forgotten then."""
 
     def __init__(self, expected: Iterable[ProcessKey]) -> None:
         self._expected = frozenset(expected)
-        self._strangers = 0
+        self._unexpected = 0
         self.present: set[ProcessKey] = set()
         self.left: set[ProcessKey] = set()
 
-    def hear(self, presence: Presence) -> None:
-        """Notes who came or went; of too many strangers no more are noted."""
-        who = (presence.role, presence.id)
-        if who in self._expected:
-            (self.present.add if presence.alive else self.present.discard)(who)
-            (self.left.discard if presence.alive else self.left.add)(who)
-        elif presence.alive and who not in self.present and self._strangers < MAX_UNEXPECTED:
-            self.present.add(who)
-            self._strangers += 1
-        elif not presence.alive and who in self.present:
-            self.present.remove(who)
-            self._strangers -= 1
+    def update(self, presence: Presence) -> None:
+        """Notes a process that joins or leaves; at most `MAX_UNEXPECTED` that nobody expects."""
+        process = (presence.role, presence.id)
+        if process in self._expected:
+            (self.present.add if presence.alive else self.present.discard)(process)
+            (self.left.discard if presence.alive else self.left.add)(process)
+        elif presence.alive and process not in self.present and self._unexpected < MAX_UNEXPECTED:
+            self.present.add(process)
+            self._unexpected += 1
+        elif not presence.alive and process in self.present:
+            self.present.remove(process)
+            self._unexpected -= 1
 
 
 CONNECT_TIMEOUT_MS = 300
 CLOSE_S = 1.0
-MAX_BATCH = 256  # so that a flood cannot keep the supervisor from its processes
-METRICS_WAITING = 64  # of each process
 
 
 class WorldWatch:
-    """A listener that disturbs nobody; a context manager."""
+    """Subscribes to progress, end and presence on the world bus; a context manager."""
 
     def __init__(
         self, world: Endpoint, expected: Iterable[ProcessKey], metrics: RunMetrics | None = None
     ) -> None:
-        """Connects; `metrics` takes all that comes, if there are any.
+        """Connects; every message is also handed to `metrics`, if given.
 
         Raises:
             BusError: the world bus is not there yet.
@@ -75,11 +72,11 @@ class WorldWatch:
         self._bus = open_bus(BusName.WORLD, world, self._inbox, CONNECT_TIMEOUT_MS)
         self.progress: Progress | None = None
         self.end: End | None = None
-        self._crowd = PresenceTable(expected)
+        self._presence = PresenceTable(expected)
         for topic in ("progress", "end"):
             self._bus.subscribe(topic)
         if metrics is not None:
-            self._inbox.limit("metrics", METRICS_WAITING)
+            self._inbox.limit("metrics", MAX_WAITING_METRICS)
             self._bus.subscribe("metrics")
         self._bus.watch()
 
@@ -87,13 +84,13 @@ class WorldWatch:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Hangs up; the world's router may be gone already, and nobody is to wait for it."""
+        """Disconnects without waiting for long: the world's router may have gone already."""
         closing = threading.Thread(target=self._bus.close, daemon=True)
         closing.start()
         closing.join(CLOSE_S)
 
     def update(self, timeout_s: float) -> bool:
-        """Takes what has come, waiting at most this long; returns whether progress was new."""
+        """Takes received messages, waiting at most this long; returns whether progress is new."""
         before = self.progress
         item = self._inbox.get(timeout_s)
         taken = 0
@@ -106,24 +103,24 @@ class WorldWatch:
         return self.progress is not before
 
     def await_end(self, timeout_s: float) -> None:
-        """Takes what comes until the run's end is among it, waiting at most this long."""
+        """Takes messages until the run's end is received, waiting at most this long."""
         until_s = time.monotonic() + timeout_s
         while self.end is None and (left_s := until_s - time.monotonic()) > 0:
             self.update(left_s)
 
     def here(self, role: str) -> bool:
-        """Whether a process of this role lives on any machine."""
-        return any(present == role for present, _ in self._crowd.present)
+        """Whether a process of this role is present on any machine."""
+        return any(present == role for present, _ in self._presence.present)
 
     def lost(self) -> list[ProcessKey]:
         """Returns role and id of the expected processes that have left."""
-        return sorted(self._crowd.left)
+        return sorted(self._presence.left)
 
     def _take(self, item: Envelope | Presence) -> None:
         if self._metrics is not None:
             self._metrics.take(item)
         if isinstance(item, Presence):
-            self._crowd.hear(item)
+            self._presence.update(item)
         elif isinstance(item.message, Progress):
             self.progress = item.message
         elif isinstance(item.message, End):

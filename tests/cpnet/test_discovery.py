@@ -153,7 +153,7 @@ def test_a_world_that_does_not_come_is_named_with_all_the_time_it_had(place, con
     monkeypatch.setattr(discovery, "JOIN_TIMEOUT_S", 1.5)
     with (
         pytest.raises(BusError, match=rf"answers at {place.locator} for .* \(waited 1.5 s\)"),
-        connected_to_world(place, console, lasting=False),
+        connected_to_world(place, console, wait_forever=False),
     ):
         pass
     assert said(console).count("waiting for the world bus") == 1
@@ -168,7 +168,7 @@ def test_keys_of_another_authority_are_named(tmp_path, console, monkeypatch):
     stranger = Endpoint(locator, listen=False, keys=Keys.of(other, "watch"))
     with (
         pytest.raises(BusError, match="certificate of the same authority that names 127.0.0.1"),
-        connected_to_world(stranger, console, lasting=False),
+        connected_to_world(stranger, console, wait_forever=False),
     ):
         pass
     bus.close()
@@ -177,17 +177,17 @@ def test_keys_of_another_authority_are_named(tmp_path, console, monkeypatch):
 def test_a_world_that_serves_nothing_is_named(place, host, console, monkeypatch):
     monkeypatch.setattr(discovery, "JOIN_TIMEOUT_S", 0.1)
     with (
-        connected_to_world(place, console, lasting=False) as world,
+        connected_to_world(place, console, wait_forever=False) as world,
         pytest.raises(BusError, match="nobody there serves setup"),
     ):
         world.setup()
 
 
 def test_who_lasts_waits_beyond_the_time_and_says_why_once(console):
-    patience = discovery.WaitingTime("the world bus", console, endless=True)
-    patience._began_s -= discovery.JOIN_TIMEOUT_S
+    waiting = discovery.WaitingTime("the world bus", console, endless=True)
+    waiting._began_s -= discovery.JOIN_TIMEOUT_S
     for _ in range(2):
-        patience.wait(BusError("nothing answers"))
+        waiting.wait(BusError("nothing answers"))
     assert said(console).splitlines() == [
         "waiting for the world bus (Ctrl-C ends)",
         "still waiting: nothing answers",
@@ -197,7 +197,7 @@ def test_who_lasts_waits_beyond_the_time_and_says_why_once(console):
 def test_the_setup_is_what_the_host_serves(place, host, console):
     (setup,) = (message for message in EXAMPLES if isinstance(message, Setup))
     host.serve("setup", setup)
-    with connected_to_world(place, console, lasting=False) as world:
+    with connected_to_world(place, console, wait_forever=False) as world:
         assert world.setup().scenario == setup.scenario
     assert said(console) == ""
 
@@ -206,7 +206,7 @@ def test_a_world_of_another_version_is_named_at_once(place, host, console, monke
     monkeypatch.setattr("protocol.bus.ALIVE", "cpnet/v0/alive")
     host.announce("sim", "sim")
     with (
-        connected_to_world(place, console, lasting=True) as world,
+        connected_to_world(place, console, wait_forever=True) as world,
         pytest.raises(BusError, match="they speak version 0 of the protocol, this side 2: install"),
     ):
         world.setup()
@@ -218,7 +218,7 @@ def test_strangers_on_the_same_bus_keep_nobody_from_waiting(place, host, console
     monkeypatch.setattr("protocol.bus.ALIVE", "cpnet/v0/alive")
     host.announce("signal", "signal")
     with (
-        connected_to_world(place, console, lasting=False) as world,
+        connected_to_world(place, console, wait_forever=False) as world,
         pytest.raises(BusError, match="nobody there serves setup"),
     ):
         world.setup()
@@ -227,20 +227,20 @@ def test_strangers_on_the_same_bus_keep_nobody_from_waiting(place, host, console
 def test_who_is_there_already_is_not_started_twice(place, host, console):
     host.announce("signal", "signal")
     host.announce("vehicle", "vehicle-0")
-    with connected_to_world(place, console, lasting=False) as world:
-        world.refuse_twins(["edge", "vehicle-1"])
+    with connected_to_world(place, console, wait_forever=False) as world:
+        world.refuse_duplicates(["edge", "vehicle-1"])
         with pytest.raises(ConfigError, match="^vehicle-0 runs on this bus already: stop it, or"):
-            world.refuse_twins(["vehicle-0", "vehicle-1"])
+            world.refuse_duplicates(["vehicle-0", "vehicle-1"])
 
 
 def test_who_lasts_waits_until_what_is_left_of_a_lost_machine_has_gone(place, host, console):
     lost = open_bus(BusName.WORLD, place, Inbox())
     lost.announce("vehicle", "vehicle-0")
-    with connected_to_world(place, console, lasting=True) as world:
+    with connected_to_world(place, console, wait_forever=True) as world:
         wait_until(lambda: world._roll().present == ["vehicle-0"])
         going = threading.Timer(1.5, lost.close)
         going.start()
-        world.refuse_twins(["vehicle-0"])
+        world.refuse_duplicates(["vehicle-0"])
         going.join()
     assert said(console).splitlines() == ["waiting for another vehicle-0 to be gone"]
 
@@ -249,10 +249,10 @@ def test_who_lasts_gives_up_on_one_that_stays(place, host, console, monkeypatch)
     monkeypatch.setattr(discovery, "LOST_S", 0.2)
     host.announce("vehicle", "vehicle-0")
     with (
-        connected_to_world(place, console, lasting=True) as world,
+        connected_to_world(place, console, wait_forever=True) as world,
         pytest.raises(ConfigError, match="runs on this bus already"),
     ):
-        world.refuse_twins(["vehicle-0"])
+        world.refuse_duplicates(["vehicle-0"])
 
 
 def test_a_second_signal_beside_a_whole_run_is_refused(shell: Shell):

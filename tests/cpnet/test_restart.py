@@ -68,7 +68,7 @@ def test_a_run_outlives_its_fork_server_and_has_no_twins(shell):
     with observed(shell) as (command, observer, run_dir):
         before = processes_of(run_dir)
         os.kill(fork_server_of(command), signal.SIGKILL)
-        command.read_until("nursery was killed")
+        command.read_until("fork-server was killed")
         fault = hurt_once(observer, run_dir, "record", patience_s=PATIENCE_S)
         assert fault.recovery_s is not None, fault
         after = processes_of(run_dir)
@@ -93,7 +93,7 @@ def test_without_restart_the_fork_servers_death_ends_the_run(shell):
     command.read_until("vehicles")
     os.kill(fork_server_of(command), signal.SIGKILL)
     status, output = command.finish()
-    assert (status, "nursery was killed" in output) == (1, True), output
+    assert (status, "fork-server was killed" in output) == (1, True), output
     assert children_of(shell.folder / "run") == {}
 
 

@@ -21,23 +21,23 @@ S = 1_000_000_000
 
 
 def test_a_silence_is_told_once_and_so_is_its_end():
-    stillness = StallCheck()
-    assert stillness.frames(None, 90 * S) is None, "before the first frame nobody waits"
-    heard = [stillness.frames(7, (91 + n) * S) for n in range(9)]
+    stall_check = StallCheck()
+    assert stall_check.frames(None, 90 * S) is None, "before the first frame nobody waits"
+    heard = [stall_check.frames(7, (91 + n) * S) for n in range(9)]
     assert [line for line in heard if line] == ["no frame for 4 s"]
-    assert stillness.frames(8, 101 * S) == "frames come again, after 10 s"
-    assert stillness.frames(9, 102 * S) is None
+    assert stall_check.frames(8, 101 * S) == "frames come again, after 10 s"
+    assert stall_check.frames(9, 102 * S) is None
 
 
 def test_a_run_that_is_slow_does_not_stand_still():
-    stillness = StallCheck()
-    told = [stillness.frames(n // 5, n * S) for n in range(50)]
+    stall_check = StallCheck()
+    told = [stall_check.frames(n // 5, n * S) for n in range(50)]
     assert [line for line in told if line] == ["no frame for 4 s", "frames come again, after 5 s"]
 
 
 def test_who_is_stopped_is_named_once_and_so_is_that_it_goes_on():
-    stillness = StallCheck()
-    told = [stillness.stopped(names) for names in ([], ["edge"], ["edge"], [])]
+    stall_check = StallCheck()
+    told = [stall_check.stopped(names) for names in ([], ["edge"], ["edge"], [])]
     assert told == [[], ["nothing heard from edge: it is stopped (SIGSTOP)"], [], ["edge goes on"]]
 
 
@@ -55,17 +55,17 @@ def test_a_stopped_process_is_known_by_its_state():
 class Dying:
     """A supervisor of whose processes one dies just after it was asked for a dead tape."""
 
-    def __init__(self, death: ExitReport) -> None:
-        self._coming = death
+    def __init__(self, failure: ExitReport) -> None:
+        self._coming = failure
         self._dead: ExitReport | None = None
 
-    def bereft(self) -> None:
+    def fork_server_exit(self) -> None:
         return None
 
-    def death(self, *, at_end: bool) -> ExitReport | None:
+    def failure(self, *, at_end: bool) -> ExitReport | None:
         return self._dead
 
-    def dismiss(self, role: str, *, at_end: bool) -> ExitReport | None:
+    def remove_failed(self, role: str, *, at_end: bool) -> ExitReport | None:
         found, self._dead = self._dead, self._coming
         if found is None or found.id != role:
             return None
@@ -79,18 +79,18 @@ class Dying:
 def test_a_death_that_comes_at_an_odd_moment_ends_the_run_unless_it_is_a_tapes(
     name, has_begun, ends
 ):
-    death = ExitReport(name, "was killed by SIGKILL", "")
-    supervisor = Dying(death)
+    failure = ExitReport(name, "was killed by SIGKILL", "")
+    supervisor = Dying(failure)
     if not has_begun:
-        supervisor.dismiss("", at_end=False)  # which is not asked for
+        supervisor.remove_failed("", at_end=False)  # which is not asked for
     said, tapes = io.StringIO(), []
-    attendant = RunMonitor(supervisor, None, None, Console(file=said), restart=False)
+    monitor = RunMonitor(supervisor, None, None, Console(file=said), restart=False)
     progress = object() if has_begun else None
     watch = SimpleNamespace(end=None, progress=progress, await_end=lambda _: None)
-    assert attendant._fatal(watch, tapes) == (death if ends else None)
+    assert monitor._fatal(watch, tapes) == (failure if ends else None)
     if not ends:
-        assert attendant._fatal(watch, tapes) is None
-        assert tapes == [death]
+        assert monitor._fatal(watch, tapes) is None
+        assert tapes == [failure]
         assert "the run goes on without it" in said.getvalue()
 
 
@@ -106,6 +106,6 @@ def test_a_world_that_is_missed_for_a_moment_ends_no_run_elsewhere(comes_back):
     missed = [("sim", "sim")]
     watch = SimpleNamespace(end=None, lost=lambda: [*missed])
     watch.await_end = lambda _: missed.clear() if comes_back else None
-    attendant = RunMonitor(Alone(), None, None, Console(file=io.StringIO()), restart=True)
-    death = attendant._lost_elsewhere(watch)
-    assert (death is None) == comes_back
+    monitor = RunMonitor(Alone(), None, None, Console(file=io.StringIO()), restart=True)
+    failure = monitor._lost_elsewhere(watch)
+    assert (failure is None) == comes_back

@@ -59,9 +59,9 @@ def test_a_process_that_ends_is_named_with_its_log(supervisor, tmp_path):
     with supervisor:
         supervisor.start([entry(tmp_path, "short_lived", code)])
         wait_for(tmp_path / "logs" / "short_lived.log", "lidar")
-        death = wait_until(lambda: supervisor.death(at_end=False))
-    assert (death.id, death.how) == ("short_lived", "ended with status 1")
-    assert death.tail == "the cat ate the lidar"
+        failure = wait_until(lambda: supervisor.failure(at_end=False))
+    assert (failure.id, failure.how) == ("short_lived", "ended with status 1")
+    assert failure.tail == "the cat ate the lidar"
 
 
 def test_a_killed_process_is_named_before_those_that_fell_with_it(supervisor, tmp_path):
@@ -73,8 +73,8 @@ def test_a_killed_process_is_named_before_those_that_fell_with_it(supervisor, tm
             ]
         )
         wait_until(lambda: not supervisor.running("fell", "killed"))
-        death = supervisor.death(at_end=False)
-    assert (death.id, death.how) == ("killed", "was killed by SIGKILL")
+        failure = supervisor.failure(at_end=False)
+    assert (failure.id, failure.how) == ("killed", "was killed by SIGKILL")
 
 
 def test_whoever_died_is_started_again_and_dying_all_the_time_is_no_life(supervisor, tmp_path):
@@ -82,22 +82,22 @@ def test_whoever_died_is_started_again_and_dying_all_the_time_is_no_life(supervi
         supervisor.start([entry(tmp_path, "frail", "raise SystemExit(3)")])
         for _ in range(MAX_RESTARTS):
             wait_until(lambda: not supervisor.running("frail"))
-            found, lost = supervisor.revive()
-            assert ([death.how for death in found], lost) == (
+            found, lost = supervisor.restart_ended()
+            assert ([failure.how for failure in found], lost) == (
                 ["ended with status 3; started again"],
                 [],
             )
         wait_until(lambda: not supervisor.running("frail"))
-        found, lost = supervisor.revive()
-        assert (found, [death.id for death in lost]) == ([], ["frail"])
+        found, lost = supervisor.restart_ended()
+        assert (found, [failure.id for failure in lost]) == ([], ["frail"])
 
 
 def test_at_the_runs_end_a_process_that_ends_well_is_no_death(supervisor, tmp_path):
     with supervisor:
         supervisor.start([entry(tmp_path, "done", "pass")])
         wait_until(lambda: not supervisor.running("done"))
-        assert supervisor.death(at_end=True) is None
-        assert supervisor.death(at_end=False) is not None
+        assert supervisor.failure(at_end=True) is None
+        assert supervisor.failure(at_end=False) is not None
 
 
 def test_a_process_that_will_not_stop_is_killed(supervisor, tmp_path, monkeypatch):
@@ -123,12 +123,12 @@ def test_who_outlives_the_fork_server_stays_and_is_stopped(supervisor, tmp_path)
     heed = "signal.signal(signal.SIGINT, signal.default_int_handler)"
     supervisor.start([entry(tmp_path, "orphan", SLEEPER.format(ignore=heed))])
     wait_for(tmp_path / "logs" / "orphan.log", "ready")
-    assert supervisor.bereft() is None
+    assert supervisor.fork_server_exit() is None
     kill_fork_server()
-    death = wait_until(supervisor.bereft)
-    assert (death.id, supervisor.bereft()) == ("nursery", None)
-    assert (supervisor.running("orphan"), supervisor.death(at_end=False)) == (True, None)
-    assert supervisor.revive() == ([], [])
+    failure = wait_until(supervisor.fork_server_exit)
+    assert (failure.id, supervisor.fork_server_exit()) == ("fork-server", None)
+    assert (supervisor.running("orphan"), supervisor.failure(at_end=False)) == (True, None)
+    assert supervisor.restart_ended() == ([], [])
     number = json.loads((tmp_path / LIST_NAME).read_text())["orphan"]
     assert supervisor.stop() == []
     wait_until(lambda: not Path(f"/proc/{number}").exists())
@@ -142,15 +142,15 @@ def test_without_its_fork_server_a_death_is_seen_and_another_server_starts(super
         for name in names:
             wait_for(tmp_path / "logs" / f"{name}.log", "ready")
         kill_fork_server()
-        wait_until(supervisor.bereft)
+        wait_until(supervisor.fork_server_exit)
         before = json.loads((tmp_path / LIST_NAME).read_text())
         os.kill(before["one"], signal.SIGKILL)
         wait_until(lambda: not supervisor.running("one"))
-        assert supervisor.death(at_end=True) is None
-        assert "had gone" in supervisor.death(at_end=False).how
-        found, lost = supervisor.revive()
+        assert supervisor.failure(at_end=True) is None
+        assert "had gone" in supervisor.failure(at_end=False).how
+        found, lost = supervisor.restart_ended()
         after = json.loads((tmp_path / LIST_NAME).read_text())
-        assert ([death.id for death in found], lost) == (["one"], [])
+        assert ([failure.id for failure in found], lost) == (["one"], [])
         assert after["other"] == before["other"]
         assert supervisor.running("one")
 
@@ -165,15 +165,15 @@ def test_who_cannot_be_started_again_is_tried_again(supervisor, tmp_path, monkey
         with monkeypatch.context() as without_files:
             without_files.setattr("multiprocessing.Pipe", no_pipe)
             for _ in range(MAX_RESTARTS - 1):
-                found, lost = supervisor.revive()
+                found, lost = supervisor.restart_ended()
                 assert ("Too many open files" in found[0].how, lost) == (True, [])
-        found, lost = supervisor.revive()
-        assert ([death.how for death in found], lost) == (
+        found, lost = supervisor.restart_ended()
+        assert ([failure.how for failure in found], lost) == (
             ["ended with status 3; started again"],
             [],
         )
         wait_until(lambda: not supervisor.running("unlucky"))
-        assert [death.id for death in supervisor.revive()[1]] == ["unlucky"]
+        assert [failure.id for failure in supervisor.restart_ended()[1]] == ["unlucky"]
 
 
 def test_who_is_stopped_and_does_not_go_on_is_started_again(supervisor, tmp_path, monkeypatch):
@@ -181,11 +181,11 @@ def test_who_is_stopped_and_does_not_go_on_is_started_again(supervisor, tmp_path
     with supervisor:
         supervisor.start([entry(tmp_path, "stuck", SLEEPER.format(ignore=""))])
         wait_for(tmp_path / "logs" / "stuck.log", "ready")
-        assert (supervisor.revive(), supervisor.stopped(1)) == (([], []), [])
+        assert (supervisor.restart_ended(), supervisor.stopped(1)) == (([], []), [])
         number = json.loads((tmp_path / LIST_NAME).read_text())["stuck"]
         os.kill(number, signal.SIGSTOP)
         wait_until(lambda: supervisor.stopped(1))
-        found, _ = wait_until(lambda: any(told := supervisor.revive()) and told)
+        found, _ = wait_until(lambda: any(told := supervisor.restart_ended()) and told)
         assert found[0].how == "was stopped (SIGSTOP) for 0 s; started again"
         assert json.loads((tmp_path / LIST_NAME).read_text())["stuck"] != number
 
@@ -205,7 +205,7 @@ def test_a_full_disk_ends_no_run_for_want_of_its_list(supervisor, tmp_path, monk
         refuse_to_write(monkeypatch)
         for _ in range(2):
             wait_until(lambda: not supervisor.running("frail"))
-            assert [death.id for death in supervisor.revive()[0]] == ["frail"]
+            assert [failure.id for failure in supervisor.restart_ended()[0]] == ["frail"]
     assert not list(tmp_path.glob("processes.*"))
     assert caplog.text.count("No space left on device") == 1
 

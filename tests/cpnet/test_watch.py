@@ -1,38 +1,39 @@
 """Who is seen on a bus where anybody may say to be there."""
 
+from cpnet.limits import MAX_UNEXPECTED
 from cpnet.scenario import Scenario
-from cpnet.watch import MAX_UNEXPECTED, PresenceTable, all_processes
+from cpnet.watch import PresenceTable, all_processes
 from protocol.inbox import Presence
 
 EDGE, SIM = ("edge", "edge"), ("sim", "sim")
 
 
 def test_ghosts_that_come_and_go_hide_nobody_and_leave_nothing():
-    crowd = PresenceTable([EDGE, SIM])
+    presence_table = PresenceTable([EDGE, SIM])
     for n in range(4000):
         for alive in (True, False):
-            crowd.hear(Presence("vehicle", f"ghost-{n}", alive))
-    crowd.hear(Presence("vehicle", "vehicle-9", alive=True))
-    assert (crowd.present, crowd.left) == ({("vehicle", "vehicle-9")}, set())
+            presence_table.update(Presence("vehicle", f"ghost-{n}", alive))
+    presence_table.update(Presence("vehicle", "vehicle-9", alive=True))
+    assert (presence_table.present, presence_table.left) == ({("vehicle", "vehicle-9")}, set())
 
 
 def test_whoever_is_expected_is_seen_among_any_number_of_strangers():
-    crowd = PresenceTable([EDGE, SIM])
+    presence_table = PresenceTable([EDGE, SIM])
     for n in range(4000):
-        crowd.hear(Presence("vehicle", f"ghost-{n}", alive=True))
+        presence_table.update(Presence("vehicle", f"ghost-{n}", alive=True))
     for alive in (True, False):
-        crowd.hear(Presence("edge", "edge", alive))
-    crowd.hear(Presence("sim", "sim", alive=True))
-    assert len(crowd.present) == MAX_UNEXPECTED + 1
-    assert SIM in crowd.present
-    assert crowd.left == {EDGE}
+        presence_table.update(Presence("edge", "edge", alive))
+    presence_table.update(Presence("sim", "sim", alive=True))
+    assert len(presence_table.present) == MAX_UNEXPECTED + 1
+    assert SIM in presence_table.present
+    assert presence_table.left == {EDGE}
 
 
 def test_a_stranger_under_an_expected_id_is_not_the_one_who_is_missed():
-    crowd = PresenceTable([EDGE])
+    presence_table = PresenceTable([EDGE])
     for alive in (True, False):
-        crowd.hear(Presence("ghost", "edge", alive))
-    assert not crowd.left
+        presence_table.update(Presence("ghost", "edge", alive))
+    assert not presence_table.left
 
 
 def test_everybody_is_a_role_and_an_id():

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from fuzz_watch import forget_peak, peak_kib
 
-from cpnet.watch import MAX_UNEXPECTED, PresenceTable
+from cpnet.limits import MAX_UNEXPECTED
+from cpnet.watch import PresenceTable
 from edge_server.assembler import (
     MAX_AGENTS,
     MAX_BOXES,
@@ -287,11 +288,11 @@ def test_the_world_counts_the_processes_it_expects_and_a_few_more():
 
 
 def test_whoever_watches_remembers_so_many_processes():
-    crowd = PresenceTable([("edge", "edge")])
+    presence_table = PresenceTable([("edge", "edge")])
     for n in range(5000):
-        crowd.hear(Presence("vehicle", f"{n}", alive=True))
-        crowd.hear(Presence("vehicle", f"{n}", alive=bool(n % 2)))
-    assert len(crowd.present | crowd.left) == MAX_UNEXPECTED
+        presence_table.update(Presence("vehicle", f"{n}", alive=True))
+        presence_table.update(Presence("vehicle", f"{n}", alive=bool(n % 2)))
+    assert len(presence_table.present | presence_table.left) == MAX_UNEXPECTED
 
 
 @pytest.fixture

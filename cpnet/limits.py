@@ -1,0 +1,9 @@
+"""Limits on what others may send to the command line's processes, each with its reason."""
+
+MAX_UNEXPECTED = 256  # processes nobody expects: without keys anybody may announce itself
+MAX_BATCH = 256  # messages taken at once: a flood must not keep the supervisor from its processes
+MAX_WAITING_METRICS = 64  # messages of each process, until the supervisor takes them
+# Values of a label on the metrics page: each costs a time series for as long as the run lasts.
+MAX_PROCESSES = 256
+MAX_REASONS = 64
+MAX_STAGES = 32
