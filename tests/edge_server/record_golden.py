@@ -14,7 +14,7 @@ from protocol.messages import Scan, Setup
 from protocol.wire import encode
 from recorder.run import Run
 from recorder.tables import CloudRow
-from tests.edge_server.test_golden import EXPECTED, SCANS, SETUP, replay
+from tests.edge_server.golden_scans import EXPECTED, SCANS, SETUP, replay
 
 FRAMES = 2
 

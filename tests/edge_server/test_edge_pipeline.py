@@ -22,45 +22,17 @@ from edge_server.frame import (
 from edge_server.pipeline import Pipeline, stages_of
 from perception.config import GroundConfig
 from perception.detector import Vehicles
-from protocol.geometry import SE3
 from protocol.messages import AgentPose, Equipment, Objects
 from protocol.roadmap import RoadMap
-
-CLIMB = 0.035
-CARS = [(-90, 1.75), (-40, 1.75), (-40, -1.75), (-33, 1.75), (-15, -1.75), (40, 1.75), (80, -1.75)]
-ROADSIDE = np.array([0, 0, 3.0, 0, 0, 0.7])
-
-
-def frame_of(
-    shell: Callable[..., Any], ground: Callable[..., Any], *, seed: int = 1, number: int = 0
-) -> Frame:
-    """What a post in the junction sees of a climbing road with cars, and a CAV that it does not."""
-    rng = np.random.default_rng(seed)
-    slope = -np.arctan(CLIMB)
-    cars = [shell([x, y, CLIMB * x, 0, slope, 0], (0.0, 0.0), rng) for x, y in CARS]
-    points = np.concatenate([ground(rng, climb=CLIMB), *cars])
-    in_sensor = SE3.from_pose(ROADSIDE).inverse().apply(points).astype(np.float32)
-    own = AgentPose(
-        frame=number,
-        sim_time_ns=7,
-        agent="cav",
-        equipment=Equipment.CAV,
-        pose=np.array([-60, -1.75, -60 * CLIMB, 0, slope, 0]),
-        length_m=4.5,
-        width_m=1.8,
-        height_m=1.5,
-        position_std_m=0.05,
-    )
-    scan = Chunk(number, 7, "rsu-0", 0, 1, ROADSIDE, in_sensor, 0)
-    return Frame(number, 7, ["cav", "rsu-0"], [own], [scan], True, 0, 0)
+from tests.edge_server.made_frames import CARS, ROADSIDE, frame_of
 
 
 @pytest.mark.parametrize("merge", ["se3", "euler"])
 def test_every_car_on_a_climbing_road_is_found_and_counted(
-    climbing_road: RoadMap, shell: Callable[..., Any], ground: Callable[..., Any], merge: Any
+    climbing_road: RoadMap, car_shell: Callable[..., Any], ground: Callable[..., Any], merge: Any
 ) -> None:
     pipeline = Pipeline.of(climbing_road, EdgeConfig(merge=merge), seed=1)
-    result = pipeline.run(frame_of(shell, ground))
+    result = pipeline.run(frame_of(car_shell, ground))
     found = result.detections
     near = np.linalg.norm(
         np.array([*CARS, (-60, -1.75)])[:, None] - found.boxes[None, :, :2], axis=2
@@ -79,12 +51,12 @@ def test_every_car_on_a_climbing_road_is_found_and_counted(
 
 
 def test_a_frame_gives_the_same_result_whatever_came_before_it(
-    climbing_road: RoadMap, shell: Callable[..., Any], ground: Callable[..., Any]
+    climbing_road: RoadMap, car_shell: Callable[..., Any], ground: Callable[..., Any]
 ) -> None:
     fresh = Pipeline.of(climbing_road, EdgeConfig(), seed=4)
     used = Pipeline.of(climbing_road, EdgeConfig(), seed=4)
-    used.run(frame_of(shell, ground, seed=2, number=1))
-    frame = frame_of(shell, ground, number=2)
+    used.run(frame_of(car_shell, ground, seed=2, number=1))
+    frame = frame_of(car_shell, ground, number=2)
     one, other = fresh.run(frame).detections, used.run(frame).detections
     np.testing.assert_array_equal(one.boxes, other.boxes)
     np.testing.assert_array_equal(one.scores, other.scores)
@@ -133,7 +105,7 @@ def test_a_scan_that_cannot_be_read_saw_nothing(road_map: RoadMap) -> None:
 
 
 def test_the_papers_settings_work_on_a_level_road(
-    road_map: RoadMap, shell: Callable[..., Any], ground: Callable[..., Any]
+    road_map: RoadMap, car_shell: Callable[..., Any], ground: Callable[..., Any]
 ) -> None:
     config = EdgeConfig.model_validate(
         {
@@ -144,7 +116,7 @@ def test_the_papers_settings_work_on_a_level_road(
         }
     )
     rng = np.random.default_rng(1)
-    cars = [shell([x, -1.75, 0, 0, 0, 0], (0.0, 0.0), rng) for x in (-50, -30, 40)]
+    cars = [car_shell([x, -1.75, 0, 0, 0, 0], (0.0, 0.0), rng) for x in (-50, -30, 40)]
     points = np.concatenate([ground(rng), *cars])
     scan = Chunk(0, 0, "rsu-0", 0, 1, np.zeros(6), points, 0)
     frame = Frame(0, 0, ["rsu-0"], [], [scan], True, 0, 0)
@@ -227,11 +199,11 @@ class Thin(ChunkStage):
 
 
 def test_a_stage_of_chunks_runs_as_they_arrive_and_has_a_span(
-    climbing_road: RoadMap, shell: Callable[..., Any], ground: Callable[..., Any]
+    climbing_road: RoadMap, car_shell: Callable[..., Any], ground: Callable[..., Any]
 ) -> None:
     stages = stages_of(climbing_road, EdgeConfig(), seed=1)
     pipeline = Pipeline([stages[0], Thin(), *stages[1:]])
-    frame = frame_of(shell, ground)
+    frame = frame_of(car_shell, ground)
     chunk = pipeline.prepare(frame.chunks[0])
     assert [(span.stage, span.agent) for span in chunk.spans] == [
         (name, "rsu-0") for name in ("decode", "thin", "place")

@@ -28,7 +28,9 @@ FRAMES = 40
 class Scene:
     """A street with cars, two CAVs in it and a post, all seen by all."""
 
-    def __init__(self, road_map: RoadMap, shell: Callable[..., Any], ground: Callable[..., Any]):
+    def __init__(
+        self, road_map: RoadMap, car_shell: Callable[..., Any], ground: Callable[..., Any]
+    ):
         self.road_map = road_map
         self.roadway = Roadway.of(road_map, margin_m=0.5)
         rng = np.random.default_rng(1)
@@ -37,7 +39,7 @@ class Scene:
         for x, y in [*CARS, (-40, -1.75), (44, 1.75)]:  # under and around cars nobody sees it
             near |= (np.abs(earth[:, 0] - x) < 2.4) & (np.abs(earth[:, 1] - y) < 1.1)
         self.earth = earth[~near]
-        self.shell, self.rng = shell, rng
+        self.car_shell, self.rng = car_shell, rng
         self.clouds: dict[str, Floats] = {}
 
     def cloud(self, sensor: Floats) -> Floats:
@@ -45,7 +47,7 @@ class Scene:
         key = repr(sensor.tolist())
         if key not in self.clouds:
             cars = [
-                self.shell([x, y, 0, 0, 0, 0], tuple(sensor[:2]), self.rng)
+                self.car_shell([x, y, 0, 0, 0, 0], tuple(sensor[:2]), self.rng)
                 for x, y in CARS
                 if abs(x - sensor[0]) > 3
             ]
@@ -118,8 +120,8 @@ def excluded(frames: Sequence[Frame], judged: Sequence[FrameState]) -> set[str]:
 
 
 @pytest.fixture(scope="module")
-def scene(road_map: RoadMap, shell: Callable[..., Any], ground: Callable[..., Any]) -> Scene:
-    return Scene(road_map, shell, ground)
+def scene(road_map: RoadMap, car_shell: Callable[..., Any], ground: Callable[..., Any]) -> Scene:
+    return Scene(road_map, car_shell, ground)
 
 
 def test_honest_agents_are_trusted_and_no_score_is_published(scene: Scene):

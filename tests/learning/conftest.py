@@ -5,9 +5,8 @@ from pathlib import Path
 import pytest
 
 from learning.dataset import Dataset
-from learning.generate import DatasetSpec, generate
-
-SPEC = DatasetSpec(networks=3, samples=2, seed=7)
+from learning.generate import generate
+from tests.learning.small_dataset import SPEC
 
 
 @pytest.fixture(scope="session")

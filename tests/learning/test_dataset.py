@@ -14,7 +14,7 @@ from learning.scanner import JunctionScanner
 from learning.sites import draw_site
 from protocol.errors import ConfigError
 from protocol.geometry import SE3, wrap_angle
-from tests.learning.conftest import SPEC
+from tests.learning.small_dataset import SPEC
 
 
 def contents(folder: Path) -> dict[str, bytes]:

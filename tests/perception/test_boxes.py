@@ -38,10 +38,10 @@ def fit(
 @pytest.mark.parametrize("turn_deg", [0, 4, -20])
 @pytest.mark.parametrize("x", [-60.0, -20.0, 45.0])
 def test_a_car_seen_from_the_junction_gets_its_own_box(
-    roadway: Roadway, shell: Callable[..., Any], x: float, turn_deg: float
+    roadway: Roadway, car_shell: Callable[..., Any], x: float, turn_deg: float
 ) -> None:
     yaw = np.radians(turn_deg)
-    car = shell([x, 1.75, 0, 0, 0, yaw], (0.0, 0.0), np.random.default_rng(1), points=900)
+    car = car_shell([x, 1.75, 0, 0, 0, yaw], (0.0, 0.0), np.random.default_rng(1), points=900)
     found = fit(roadway, car[car[:, 2] > 0.2])
     assert len(found) == 1
     np.testing.assert_allclose(found.boxes[0, :2], [x, 1.75], atol=0.25)

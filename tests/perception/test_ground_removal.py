@@ -16,12 +16,12 @@ from perception.roadway import Placed
 CLIMB = 0.035
 
 
-def scene(ground: Callable[..., Any], shell: Callable[..., Any]) -> tuple[Any, Any, int]:
+def scene(ground: Callable[..., Any], car_shell: Callable[..., Any]) -> tuple[Any, Any, int]:
     """Returns a climbing road with cars (N, 3), its mapped height (N,) and the ground's size."""
     rng = np.random.default_rng(3)
     flat = ground(rng, climb=CLIMB)
     cars = [
-        shell([x, 1.75, CLIMB * x, 0, -np.arctan(CLIMB), 0], (0.0, 0.0), rng)
+        car_shell([x, 1.75, CLIMB * x, 0, -np.arctan(CLIMB), 0], (0.0, 0.0), rng)
         for x in (-90, -40, -12, 15, 60, 120)
     ]
     points = np.concatenate([flat, *cars])
@@ -29,9 +29,9 @@ def scene(ground: Callable[..., Any], shell: Callable[..., Any]) -> tuple[Any, A
 
 
 def test_tiles_take_the_ground_of_a_climbing_road_and_leave_the_cars(
-    ground: Callable[..., Any], shell: Callable[..., Any]
+    ground: Callable[..., Any], car_shell: Callable[..., Any]
 ) -> None:
-    points, road_m, flat = scene(ground, shell)
+    points, road_m, flat = scene(ground, car_shell)
     above, ground_m = remove_ground(
         [Placed.of(points, road_m)], config=GroundConfig(), rng=np.random.default_rng(1)
     )
@@ -62,9 +62,9 @@ def test_global_planes_serve_a_level_road(ground: Callable[..., Any]) -> None:
 
 
 def test_the_same_seed_gives_the_same_points_and_arguments_are_left_alone(
-    ground: Callable[..., Any], shell: Callable[..., Any]
+    ground: Callable[..., Any], car_shell: Callable[..., Any]
 ) -> None:
-    points, road_m, _ = scene(ground, shell)
+    points, road_m, _ = scene(ground, car_shell)
     before = points.copy(), road_m.copy()
     one, other = (
         remove_ground(
@@ -94,9 +94,9 @@ def test_no_parts_give_no_points() -> None:
 
 @pytest.mark.parametrize("tile_m", [20.0, None])
 def test_a_cloud_in_parts_is_one_cloud(
-    ground: Callable[..., Any], shell: Callable[..., Any], tile_m: float | None
+    ground: Callable[..., Any], car_shell: Callable[..., Any], tile_m: float | None
 ) -> None:
-    points, road_m, _ = scene(ground, shell)
+    points, road_m, _ = scene(ground, car_shell)
     config = GroundConfig(tile_m=tile_m)
     cuts = [0, 1, 7000, 7000, len(points)]
     parts = [Placed.of(points[a:b], road_m[a:b]) for a, b in pairwise(cuts)]

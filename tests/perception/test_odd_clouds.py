@@ -19,7 +19,7 @@ from perception.detector import Cloud, Detector, Vehicles
 from perception.registry import detector_of
 from perception.roadway import Placed, Roadway, lowest
 from protocol.geometry import SE3
-from tests.edge_server.test_edge_pipeline import ROADSIDE, frame_of
+from tests.edge_server.made_frames import ROADSIDE, frame_of
 from tests.roads import junction_road
 
 MANY = 2_000_000
@@ -101,10 +101,10 @@ def test_the_reference_keeps_no_list_of_a_trillion_neighbours() -> None:
 
 
 def test_where_open3d_would_list_too_much_the_reference_finds_the_same(
-    monkeypatch: pytest.MonkeyPatch, shell: Callable[..., Any]
+    monkeypatch: pytest.MonkeyPatch, car_shell: Callable[..., Any]
 ) -> None:
     rng = np.random.default_rng(2)
-    cars = [shell([x, 1.75, 0, 0, 0, 0], (0.0, 0.0), rng, points=900) for x in (-40, -20, 30)]
+    cars = [car_shell([x, 1.75, 0, 0, 0, 0], (0.0, 0.0), rng, points=900) for x in (-40, -20, 30)]
     cars = np.concatenate(cars)
     whole = detect("reference", cars, bare=True)
     monkeypatch.setattr(reference, "MOST_PAIRS", 0)
@@ -185,13 +185,13 @@ def test_points_that_are_no_place_are_left_out() -> None:
 @pytest.mark.parametrize("name", DETECTORS)
 @pytest.mark.parametrize("ground_free", [False, True])
 def test_an_agent_that_sends_them_changes_nothing_of_what_others_see(
-    name: str, ground_free: bool, shell: Callable[..., Any], ground: Callable[..., Any]
+    name: str, ground_free: bool, car_shell: Callable[..., Any], ground: Callable[..., Any]
 ) -> None:
     need(name)
     pipeline = Pipeline.of(
         junction_road(0.035), EdgeConfig.model_validate({"detector": name}), seed=1
     )
-    frame = frame_of(shell, ground)
+    frame = frame_of(car_shell, ground)
     bad = replace(frame.chunks[0], agent="bad", points=hostile(), ground_free=ground_free)
     honest, spoilt = (
         pipeline.run(replace(frame, chunks=chunks)).detections

@@ -27,11 +27,12 @@ def roadway(road_map: RoadMap) -> Roadway:
 
 
 @pytest.fixture(scope="module")
-def cloud(shell: Callable[..., Any], ground: Callable[..., Any]) -> Cloud:
+def cloud(car_shell: Callable[..., Any], ground: Callable[..., Any]) -> Cloud:
     """Four cars on flat ground, seen from the junction's centre."""
     rng = np.random.default_rng(5)
     cars = [
-        shell([x, y, 0, 0, 0, np.radians(yaw)], (0.0, 0.0), rng, points=1200) for x, y, yaw in CARS
+        car_shell([x, y, 0, 0, 0, np.radians(yaw)], (0.0, 0.0), rng, points=1200)
+        for x, y, yaw in CARS
     ]
     points = np.concatenate([ground(rng, count=20_000), *cars])
     points = points[np.abs(points[:, 1]) < 4]  # what lies beside the road is fenced off

@@ -7,26 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.messages import LaneCounts, SignalState
-from protocol.roadmap import Link, PlanPhase, Signal
 from signal_controller.policies import fixed, max_pressure, pressure
 from signal_controller.queue_estimator import MIN_COVERAGE, extrapolated
-
-MAIN, SIDE = "GGr", "rrG"
-SIGNAL = Signal(
-    tls="j",
-    links=[
-        Link(index=0, from_lane="main", to_lane="out_0"),
-        Link(index=1, from_lane="main", to_lane="out_1"),
-        Link(index=2, from_lane="side", to_lane="out_0"),
-    ],
-    conflicts=[(0, 2)],
-    plan=[
-        PlanPhase(duration_s=30, state=MAIN),
-        PlanPhase(duration_s=4, state="yyr"),
-        PlanPhase(duration_s=20, state=SIDE),
-        PlanPhase(duration_s=4, state="rry"),
-    ],
-)
+from tests.signal_controller.two_phases import MAIN, SIDE, SIGNAL
 
 
 def counts(main: int, side: int, out_0: int = 0, out_1: int = 0) -> LaneCounts:

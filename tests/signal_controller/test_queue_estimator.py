@@ -10,7 +10,7 @@ from protocol.messages import LaneCounts, SignalState
 from signal_controller.config import SignalConfig
 from signal_controller.policies import fallback_plan, max_pressure
 from signal_controller.queue_estimator import MIN_COVERAGE, SPACING_M, QueueEstimate, QueueEstimator
-from tests.signal_controller.test_policies import MAIN, SIDE, SIGNAL
+from tests.signal_controller.two_phases import MAIN, SIDE, SIGNAL
 
 S = 1_000_000_000
 REACH_M = 200.0

@@ -1,6 +1,6 @@
 """The cabinet is safe whatever is asked of it, and does what is asked when that is safe."""
 
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
@@ -8,20 +8,13 @@ from hypothesis import strategies as st
 
 from protocol.errors import ConfigError
 from protocol.messages import SignalRequest
-from protocol.roadmap import PlanPhase, Signal
+from protocol.roadmap import Signal
 from sim_host.cabinet import SignalCabinet
 from sim_host.config import CabinetConfig
+from tests.sim_host.signals import plan, signals
 
 S = 1_000_000_000
 CONFIG = CabinetConfig()
-
-
-def plan(*greens: str) -> list[PlanPhase]:
-    phases = []
-    for green in greens:
-        phases.append(PlanPhase(duration_s=20, state=green))
-        phases.append(PlanPhase(duration_s=5, state="r" * len(green)))
-    return phases
 
 
 TWO = Signal(tls="J", links=[], conflicts=[(0, 1)], plan=plan("Gr", "rG"))
@@ -136,23 +129,6 @@ def test_spat_says_what_is_shown_and_until_when_at_least() -> None:
     yellow = cabinet.spat(8, 12 * S)
     assert (yellow.stage, yellow.state, yellow.green) == ("yellow", "yr", "rG")
     assert yellow.earliest_change_ns == 15 * S
-
-
-@st.composite
-def signals(draw: st.DrawFn) -> Signal:
-    """Draws conflicts among a few links, and a plan in which the later link of two yields."""
-    size = draw(st.integers(2, 5))
-    pairs = list(combinations(range(size), 2))
-    conflicts = [pair for pair in pairs if draw(st.booleans())]
-    greens = []
-    for _ in range(draw(st.integers(1, 4))):
-        state = ""
-        for link in range(size):
-            foes = [a for a, b in conflicts if b == link and state[a] in "Gg"]
-            state += draw(st.sampled_from("rg" if foes else "rgG"))
-        greens.append(state)
-    kept = [green for green in greens if set(green) & set("gG")] or ["G" + "r" * (size - 1)]
-    return Signal(tls="J", links=[], conflicts=conflicts, plan=plan(*kept))
 
 
 Steps = list[tuple[int, str | None]]

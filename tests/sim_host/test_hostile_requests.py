@@ -16,7 +16,7 @@ from sim_host.cabinet import PendingRequests, SignalCabinet
 from sim_host.config import CabinetConfig
 from studies.safety import SignalMonitor
 from tests.hostile import KINDS, Hostile, S
-from tests.sim_host.test_cabinet import signals
+from tests.sim_host.signals import signals
 
 STEP_S = 0.1
 STEP_NS = S // 10

@@ -12,7 +12,7 @@ from recorder.database import Database
 from recorder.run import Run
 from recorder.tables import MetaRow, SightingRow, TruthRow
 from studies.ecvpr import VISIBLE_POINTS, PerceptionBounds
-from tests.studies.test_matching_and_ecvpr import write_setup
+from tests.studies.straight_runs import write_setup
 
 SCENARIO = {
     "roadside_mounts": [{"x_m": 0.0, "y_m": 0.0}],

@@ -7,15 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.messages import Setup, VehicleType
-from protocol.wire import encode
 from recorder.database import Database
-from recorder.run import SETUP_NAME, Run
+from recorder.run import Run
 from recorder.tables import DetectionRow, FrameRow, TruthRow
 from studies.ecvpr import EvaluationArea, FrameScore, match, score
 from tests.roads import straight_road
+from tests.studies.straight_runs import write_setup
 
-CAR = VehicleType(name="car", mesh="car", length_m=4.0, width_m=2.0, height_m=1.5)
 COORDINATES = st.floats(-15, 15, allow_nan=False)
 
 
@@ -82,18 +80,6 @@ def detection(frame: int, number: int, x_m: float) -> DetectionRow:
 
 def frame_row(frame: int, detections: int | None) -> FrameRow:
     return FrameRow(frame, frame * 10**8, 1, 0, 0, 0, 0, detections, 1, frame, None, None)
-
-
-def write_setup(run_dir: Path) -> None:
-    setup = Setup(
-        scenario={},
-        road_map=straight_road(),
-        vehicle_types=[CAR],
-        meshes=[],
-        mesh_vertices=np.zeros((0, 3)),
-        mesh_triangles=np.zeros((0, 3)),
-    )
-    (run_dir / SETUP_NAME).write_bytes(encode(setup))
 
 
 def test_e_cvpr_is_true_detections_over_vehicles_present(tmp_path: Path) -> None:

@@ -13,18 +13,11 @@ from protocol.errors import MessageError
 from protocol.inbox import Envelope, Presence
 from protocol.topics import TOPICS, BusName
 from tests.messages import EXAMPLES
-from tests.roads import CROSSING
-from tests.viewer.test_viewer_rates import PERIOD_NS, measured, sent, tick
+from tests.viewer.shown import PERIOD_NS, SETUP, measured, sent, tick
 from viewer.top import board as boards
 from viewer.top.board import Board
 from viewer.top.screen import picture
 
-SETUP = next(e for e in EXAMPLES if isinstance(e, m.Setup)).model_copy(
-    update={
-        "road_map": CROSSING,
-        "scenario": {"name": "crossing", "mode": "lockstep", "frame_period_s": 0.1},
-    }
-)
 NAMES = {row.message: row.name for row in TOPICS.values()}
 
 

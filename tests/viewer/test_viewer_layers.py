@@ -9,33 +9,13 @@ from protocol.scans import PointCloud
 from studies import palette
 from tests.messages import SCAN
 from tests.roads import CROSSING
+from tests.viewer.shown import CAR, detections, truth
 from viewer import layers
 from viewer.clouds import clouds
 from viewer.colours import MAX_REMEMBERED, Colours, rgb
 from viewer.figures import Judge, phase_names, pressures
 from viewer.moments import Moment
 from viewer.road import camera, count_place, count_places, heads, surface
-
-CAR = m.VehicleType(name="car", mesh="car", length_m=4.0, width_m=2.0, height_m=1.5)
-
-
-def detections(**changes: object) -> m.Detections:
-    plain = {
-        "frame": 1, "sim_time_ns": 1, "agents": ["a"],
-        "boxes": np.array([[0, -20, 1, 4, 2, 1.5, 0], [0, -60, 1, 4, 2, 1.5, 0]], np.float32),
-        "scores": np.ones(2, np.float32), "lanes": ["south_0", ""],
-        "distances_m": np.ones(2, np.float32), "sources": ["lidar", "a"],
-    }  # fmt: skip
-    return m.Detections(**(plain | changes))
-
-
-def truth() -> m.Truth:
-    return m.Truth(
-        frame=1, sim_time_ns=1, ids=["v", "w"], types=["car", "tank"], lanes=["south_0", "west_0"],
-        poses=np.array([[0, -20.3, 0, 0, 0, np.pi / 2], [-20, 0, 0, 0, 0, 0]]),
-        speeds_mps=np.zeros(2, np.float32), lane_positions_m=np.full(2, 60, np.float32),
-        equipment=np.zeros(2, np.uint8),
-    )  # fmt: skip
 
 
 def test_boxes_are_labelled_with_who_and_where() -> None:

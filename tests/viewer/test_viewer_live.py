@@ -8,7 +8,7 @@ from protocol.inbox import Inbox, Presence, RawMessage
 from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
 from tests.messages import lane_counts
-from tests.viewer.test_top_board import SETUP
+from tests.viewer.shown import SETUP
 from viewer.live import Live
 from viewer.scene import Picture, Scene
 from viewer.stages import Account

@@ -8,8 +8,12 @@ rr = pytest.importorskip("rerun", reason="the extra `view` is not installed")
 from protocol.codec import encode_cloud  # noqa: E402 - what follows is of use with the extra alone
 from protocol.scans import PointCloud  # noqa: E402
 from tests.messages import SCAN  # noqa: E402
-from tests.viewer.test_top_board import SETUP  # noqa: E402
-from tests.viewer.test_viewer_layers import CAR, detections, truth  # noqa: E402
+from tests.viewer.shown import (  # noqa: E402
+    CAR,
+    SETUP,
+    detections,
+    truth,
+)
 from viewer.blueprint import blueprint  # noqa: E402
 from viewer.log import Log  # noqa: E402
 from viewer.moments import Moment  # noqa: E402

@@ -4,21 +4,9 @@ import pytest
 
 from protocol import messages as m
 from protocol.errors import MessageError
+from tests.viewer.shown import MS, PERIOD_NS, measured, sent, tick
 from viewer.rates import MAX_AGENTS, Rates
 from viewer.stages import GROUPS, LAG_FRAMES, Stages
-
-PERIOD_NS = 100_000_000
-MS = 1_000_000
-
-
-def sent(frame: int, agent: str, payload_bytes: int) -> m.Metrics:
-    upload = m.Upload(
-        agent=agent, chunk=0, points=1, payload_bytes=payload_bytes, sense_start_ns=0,
-        sense_end_ns=1, encode_end_ns=2, sent_ns=3,
-    )  # fmt: skip
-    return m.Metrics(
-        process="vehicle-0", frame=frame, sim_time_ns=frame * PERIOD_NS, uploads=[upload]
-    )
 
 
 def test_a_rate_is_that_of_the_last_second_of_the_world() -> None:
@@ -48,28 +36,6 @@ def test_every_stage_of_the_account_is_drawn_once() -> None:
     stages = [stage for group in GROUPS.values() for stage in group]
     kept = {name.removesuffix("_ns") for name in AccountRow._fields if name.endswith("_ns")}
     assert sorted(stages) == sorted(kept - {"end_to_end", "clock_error"})
-
-
-def tick(frame: int) -> m.Tick:
-    import numpy as np
-
-    return m.Tick(
-        frame=frame, sim_time_ns=frame * PERIOD_NS, processes=[], ids=[], types=[],
-        poses=np.zeros((0, 6)), speeds_mps=np.zeros(0, np.float32), equipment=np.zeros(0, np.uint8),
-        hosts=np.zeros(0, np.int32),
-    )  # fmt: skip
-
-
-def measured(
-    frame: int, process: str, *spans: tuple[str, str, int, int], **more: object
-) -> m.Metrics:
-    rows = [
-        m.Span(stage=stage, agent=agent, start_ns=a * MS, end_ns=b * MS)
-        for stage, agent, a, b in spans
-    ]
-    return m.Metrics(
-        process=process, frame=frame, sim_time_ns=frame * PERIOD_NS, spans=rows, **more
-    )
 
 
 def feed(stages: Stages, frame: int) -> None:

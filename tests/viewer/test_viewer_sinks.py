@@ -8,7 +8,7 @@ import pytest
 rr = pytest.importorskip("rerun", reason="the extra `view` is not installed")
 
 from protocol.errors import ConfigError, CpnetError  # noqa: E402 - of use with the extra alone
-from tests.viewer.test_top_board import SETUP  # noqa: E402
+from tests.viewer.shown import SETUP  # noqa: E402
 from viewer.scene import Scene  # noqa: E402
 from viewer.sinks import free_port, opened  # noqa: E402
 

@@ -20,7 +20,7 @@ from studies.page.model import MapChart, Page, Section, flattened
 from studies.page.write import to_markdown
 from tests.roads import junction_road
 from tests.studies.accuracy.small import small
-from tests.studies.test_evaluate import Told, car, scene_sample
+from tests.studies.made_samples import Told, car, scene_sample
 
 SEEN, MISSED, HIDDEN, AWAY = car(-30, 1.75), car(20, -1.75), car(30, 1.75), car(-80, 1.75)
 

@@ -4,12 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.sweep.cells import Cell, ResultStore, identify
-
-
-def cell(seed: int, grid: str = "all", **labels: str | float) -> Cell:
-    scenario = {"mode": "lockstep", "seed": seed, **labels}
-    return Cell(grid, dict(labels), seed, scenario, identify(scenario))
+from studies.sweep.cells import ResultStore
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 from protocol.errors import ConfigError
 from studies.sweep.cells import cells_of, identify
 from studies.sweep.study_file import Study, points
-from tests.studies.sweep.conftest import cell
+from tests.studies.sweep.made_cells import cell
 
 STUDY = Study.model_validate(
     {

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import ConfigError
-from tests.studies.sweep.conftest import cell
+from tests.studies.sweep.made_cells import cell
 
 pytest.importorskip("distributed", reason="needs the extra `study`")
 

@@ -8,7 +8,7 @@ import pytest
 
 from protocol.errors import ConfigError
 from studies.sweep.cells import ResultStore
-from tests.studies.sweep.conftest import cell
+from tests.studies.sweep.made_cells import cell
 
 pytest.importorskip("distributed", reason="needs the extra `study`")
 

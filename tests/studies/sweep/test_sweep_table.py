@@ -7,7 +7,7 @@ import math
 import pytest
 
 from protocol.errors import ConfigError
-from tests.studies.sweep.conftest import cell
+from tests.studies.sweep.made_cells import cell
 
 pl = pytest.importorskip("polars", reason="needs the extra `study`")
 pytest.importorskip("scipy", reason="needs the extra `study`")

@@ -7,7 +7,7 @@ import io
 import pytest
 from rich.console import Console
 
-from tests.studies.sweep.conftest import cell
+from tests.studies.sweep.made_cells import cell
 
 pytest.importorskip("distributed", reason="needs the extra `study`")
 
