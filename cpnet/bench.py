@@ -17,7 +17,7 @@ from cpnet.preparation import Options
 from cpnet.scenario import load
 from cpnet.up import up
 from protocol.errors import ConfigError
-from recorder.run import Run
+from recording.run import Run
 from sensing.link_config import NONE, profile_named
 from sensing.recorded_scans import Recording
 from sensing.upload_policies import NAMES, Filter

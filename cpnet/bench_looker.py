@@ -17,12 +17,12 @@ from pathlib import Path
 
 from cpnet.discovery import RunLocation, find_run
 from cpnet.looking import FPS
-from cpnet.taping import keep
+from cpnet.recording_command import keep
 from cpnet.viewing import CONNECT_MS, budget
 from protocol.courtesy import step_back
 from protocol.messages import Setup
 from protocol.onlooker import Onlooker
-from tape.taping import Choice, Taping
+from recording.mcap.recorder import McapRecorder, RecordedContent
 from viewer import live
 from viewer.scene import Scene
 
@@ -34,7 +34,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the bench's, which ends this process
     way, run_dir, scratch = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
     if way != "record":
-        step_back()  # a tape does so when Zenoh's threads are there: see `cpnet.taping`
+        step_back()  # record_run does so once Zenoh's threads run
     found = find_run(run_dir, [], None)
     setup = _setup(found)
     step_back()
@@ -69,10 +69,10 @@ def _tape(found: RunLocation, setup: Setup, scratch: Path, way: str) -> Iterator
     path = scratch / f"{way}.mcap"
 
     def look(stop: threading.Event) -> None:
-        choice = Choice()
+        choice = RecordedContent()
         with Onlooker(found.v2x, found.world, choice.topics) as onlooker:
             _tell_ready()
-            keep(Taping(setup, lambda: path, onlooker.inbox, choice, stop), onlooker, stop)
+            keep(McapRecorder(setup, lambda: path, onlooker.inbox, choice, stop), onlooker, stop)
         path.unlink()
 
     yield look

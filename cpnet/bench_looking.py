@@ -22,7 +22,7 @@ from protocol.errors import ConfigError
 from protocol.inbox import Envelope
 from protocol.messages import Tick
 from protocol.onlooker import Onlooker
-from recorder.run import Run
+from recording.run import Run
 from studies.bench import LOOKING_WAYS
 from studies.bench_looking import LookingRow, WatchedRun, row_of
 

@@ -25,7 +25,7 @@ from cpnet.cli_options import (
 from cpnet.cli_run import run_app
 from cpnet.cli_setup import doctor_app, keys_app
 from cpnet.cli_study import study_app
-from cpnet.cli_tape import tape_app
+from cpnet.cli_tape import recording_app
 from cpnet.cli_view import view_app
 from protocol.errors import CpnetError
 
@@ -39,7 +39,7 @@ app.add_typer(learn_app)
 app.add_typer(study_app)
 app.add_typer(keys_app)
 app.add_typer(run_app)
-app.add_typer(tape_app)
+app.add_typer(recording_app)
 app.add_typer(view_app)
 app.add_typer(bench_app, name="bench")
 
@@ -73,8 +73,8 @@ def report_command(
 ) -> None:
     """Print the summary of a run, write it as a page, or compare its results with another run's."""
     from cpnet.reproduce import command_of
-    from recorder.compare import differences
-    from recorder.run import Run
+    from recording.compare import differences
+    from recording.run import Run
     from studies.page.write import check_target, save_html
     from studies.run_page import run_page
     from studies.summary import print_report, summarise, to_json

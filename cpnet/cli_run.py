@@ -75,7 +75,7 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
         "traffic.net": _absolute(net),
         "traffic.sumocfg": _absolute(sumocfg),
         "traffic.tls": tls,
-        "record.tape": True if record else None,
+        "record.mcap": True if record else None,
     }
     own = net or sumocfg
     if own is not None:
@@ -98,8 +98,8 @@ def _run_name(file: Path) -> str:
 
 @run_app.command("replay")
 def replay_command(  # noqa: PLR0913 - one parameter per option of the command
-    tape: Annotated[
-        Path | None, typer.Argument(help="run folder with a tape, or an MCAP file")
+    recording: Annotated[
+        Path | None, typer.Argument(help="run folder with a recording, or an MCAP file")
     ] = None,
     *,
     speed: Annotated[
@@ -160,14 +160,16 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
     from cpnet.up import print_results, up
 
     pace, overrides = Pace.of(speed, lockstep=lockstep), assigned(set_)
-    if (tape is None) == (scans is None):
-        both = "" if tape is None else "; not both"
-        raise ConfigError(f"give the tape that is to be played, or --scans DIR --poses FILE{both}")
-    if tape is not None:
+    if (recording is None) == (scans is None):
+        both = "" if recording is None else "; not both"
+        raise ConfigError(
+            f"give the recording that is to be played, or --scans DIR --poses FILE{both}"
+        )
+    if recording is not None:
         named = [poses, extrinsics, sensors, scenario, frames, height, width]
         if refine or any(option is not None for option in named):
             raise ConfigError("--poses and all that is for scans from elsewhere needs --scans DIR")
-        played = replay_of_recording(tape, overrides, pace, console)
+        played = replay_of_recording(recording, overrides, pace, console)
     elif refine and extrinsics is None:
         raise ConfigError(
             "--refine needs --extrinsics FILE: a first guess of how sensors are mounted"
@@ -176,7 +178,7 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
         raise ConfigError("--scans needs --poses FILE: where the sensor was in each frame")
     else:
         from cpnet.replay import Scans, replay_of_scans
-        from player.scans.agents import Source
+        from recording.foreign_scans.agents import Source
 
         names = [name.strip() for name in sensors.split(",")] if sensors else []
         source = Source(scans, poses, extrinsics, names, refine=refine)

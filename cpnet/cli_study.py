@@ -190,7 +190,7 @@ def _page(
     Raises:
         ConfigError: a detector cannot be had here.
     """
-    from recorder.versions import versions
+    from recording.database import versions
     from studies.paper_page import paper_page
     from studies.study_page import bandwidth_page, plain_page
     from studies.study_tables import StudyResults

@@ -1,4 +1,4 @@
-"""The commands that tape a run from outside, and translate a tape."""
+"""Commands that record a run from outside and convert a recording."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import typer
 
 from cpnet.cli_options import console
 
-tape_app = typer.Typer()
+recording_app = typer.Typer()
 
 
-@tape_app.command("record")
+@recording_app.command("record")
 def record_command(
     run: Annotated[
         Path | None, typer.Argument(help="folder of a run that goes on; default the newest")
@@ -38,16 +38,16 @@ def record_command(
 ) -> None:
     """Keep all that a running system says in an MCAP file, until its end or Ctrl-C."""
     from cpnet.discovery import find_run
-    from cpnet.taping import tape_run
-    from tape.taping import Choice
+    from cpnet.recording_command import record_run
+    from recording.mcap.recorder import RecordedContent
 
-    choice = Choice(truth=not no_truth, foxglove=not no_foxglove)
-    tape_run(find_run(run, connect or [], keys), choice, out, duration, console)
+    choice = RecordedContent(truth=not no_truth, foxglove=not no_foxglove)
+    record_run(find_run(run, connect or [], keys), choice, out, duration, console)
 
 
-@tape_app.command("foxglove")
+@recording_app.command("foxglove")
 def foxglove_command(
-    tape: Annotated[Path, typer.Argument(help="run folder, or a file of `cpnet record`")],
+    recording: Annotated[Path, typer.Argument(help="run folder, or a file of `cpnet record`")],
     *,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="default RUN/foxglove.mcap")
@@ -56,7 +56,7 @@ def foxglove_command(
         int, typer.Option(metavar="N", min=1, help="clouds of each N-th frame: they are large")
     ] = 5,
 ) -> None:
-    """Write a tape's boxes, poses and clouds for Foxglove and other tools, of all frames."""
-    from cpnet.taping import translate_tape
+    """Write a recording's boxes, poses and clouds for Foxglove and other tools, of all frames."""
+    from cpnet.recording_command import convert_recording
 
-    translate_tape(tape, out, cloud_every, console)
+    convert_recording(recording, out, cloud_every, console)

@@ -16,7 +16,7 @@ from cpnet.discovery import connected_to_world
 from cpnet.endpoints import Endpoints, connecting
 from cpnet.fork_server import preload
 from cpnet.processes import (
-    TAPE,
+    MCAP,
     ProcessEntry,
     RoleSelection,
     in_replay,
@@ -90,7 +90,9 @@ def prepare_run(options: Options, console: Console, played: Replay | None) -> Pr
     """
     choice = parse_only(options.only)
     if played is not None and "sim" not in choice.names:
-        raise ConfigError("--only: a replay is begun where the role sim runs, which plays the tape")
+        raise ConfigError(
+            "--only: a replay is begun where the role sim runs, which plays the recording"
+        )
     hosted = {row.hosts for row in choice.roles if row.hosts}
     endpoints = secured_endpoints(
         options.listen, options.connect, hosted, options.keys, options.insecure
@@ -107,7 +109,7 @@ def prepare_run(options: Options, console: Console, played: Replay | None) -> Pr
         )
     named = played or simulated
     folder = RunFolder.at(options.out, named.name if named else str(choice))
-    rows = [row if played is None else in_replay(row) for row in choice.roles if row is not TAPE]
+    rows = [row if played is None else in_replay(row) for row in choice.roles if row is not MCAP]
     modules = list(dict.fromkeys(f"{row.module}.role" for row in rows))
     try:
         run_dir = folder.make()
@@ -121,8 +123,8 @@ def prepare_run(options: Options, console: Console, played: Replay | None) -> Pr
         _check(choice, options, scenario)
         packed = encode(setup)
         processes, relays = processes_of(choice, scenario), relays_of(choice, scenario)
-        if TAPE in (process.role for process in processes):
-            import tape  # noqa: F401 - says what to install, if it must be
+        if MCAP in (process.role for process in processes):
+            import recording.mcap  # noqa: F401 - says what to install, if it must be
         check_keys(options.keys, relays + processes)
         _refuse_duplicates(endpoints[BusName.WORLD], processes, options.restart, console)
         with written(run_dir):
@@ -152,7 +154,7 @@ def _check(choice: RoleSelection, options: Options, scenario: scenarios.Scenario
 def _simulated(options: Options) -> scenarios.Scenario:
     scenario = scenarios.load(options.scenario, options.overrides)
     if scenario.replay is not None:
-        raise ConfigError(f"replay: that is played by `cpnet replay {scenario.replay.tape}`")
+        raise ConfigError(f"replay: that is played by `cpnet replay {scenario.replay.recording}`")
     return scenario
 
 

@@ -22,12 +22,12 @@ class RoleEntry:
     hosts: BusName | None = None
 
 
-TAPE = RoleEntry("tape", "tape")
+MCAP = RoleEntry("mcap", "recording.mcap")
 ROLES = (
     RoleEntry("edge", "edge_server", BusName.V2X),
     RoleEntry("sim", "sim_host", BusName.WORLD),
-    RoleEntry("record", "recorder"),
-    TAPE,
+    RoleEntry("record", "recording"),
+    MCAP,
     RoleEntry("signal", "signal_controller"),
     RoleEntry("infra", "infra_agent"),
     RoleEntry("vehicle", "vehicle_agent"),
@@ -35,9 +35,9 @@ ROLES = (
 """In starting order: the hosts of the buses first."""
 
 RELAY = RoleEntry("relay", "link_relay")
-PLAYER = "player"
-"""The module that runs, in a replay, the roles whose words are on the tape."""
-_TAPED = {"sim", "vehicle", "infra"}
+PLAYER = "recording.playback"
+"""The module that runs, in a replay, the roles whose words are in the recording."""
+_RECORDED = {"sim", "vehicle", "infra"}
 _AGENT_ID = re.compile(r"(vehicle|infra)-(0|[1-9]\d{0,3})")
 AGENTS = {"vehicle": "vehicle", "infra": "roadside"}
 """Roles whose connections a relay may shape, and what their links are called."""
@@ -83,7 +83,7 @@ def processes_without_scenario(choice: RoleSelection) -> list[ProcessEntry]:
     return [
         ProcessEntry(name, row)
         for row in choice.roles
-        if row is not TAPE
+        if row is not MCAP
         for name in (choice.processes(row, 0) if row.role in AGENTS else [row.role])
     ]
 
@@ -109,8 +109,8 @@ def parse_only(only: str | None) -> RoleSelection:
 
 
 def in_replay(row: RoleEntry) -> RoleEntry:
-    """Returns the row as it is in a replay: what was taped is said by the player."""
-    return replace(row, module=PLAYER) if row.role in _TAPED else row
+    """Returns the row as it is in a replay: what was recorded is said by the player."""
+    return replace(row, module=PLAYER) if row.role in _RECORDED else row
 
 
 def relays_of(choice: RoleSelection, scenario: Scenario) -> list[ProcessEntry]:
@@ -126,8 +126,8 @@ def relays_of(choice: RoleSelection, scenario: Scenario) -> list[ProcessEntry]:
 def processes_of(choice: RoleSelection, scenario: Scenario) -> list[ProcessEntry]:
     """Returns the processes of this machine in this scenario, in starting order.
 
-    Vehicle processes beyond the scenario's join it; a roadside process needs a mount, and a tape
-    that the scenario wants one.
+    Vehicle processes beyond the scenario's join it; a roadside process needs a mount, the
+    mcap role `record.mcap`.
 
     Raises:
         ConfigError: a process was named that the scenario has no place for.
@@ -136,9 +136,9 @@ def processes_of(choice: RoleSelection, scenario: Scenario) -> list[ProcessEntry
     numbers = {"vehicle": scenario.processes.vehicle, "infra": mounts}
     result = []
     for row in choice.roles:
-        if row is TAPE and not scenario.record.tape:
+        if row is MCAP and not scenario.record.mcap:
             if choice.roles != ROLES:
-                raise ConfigError("--only tape: the scenario has record.tape false; see --record")
+                raise ConfigError("--only mcap: the scenario has record.mcap false; see --record")
             continue
         if scenario.replay is not None:
             row = in_replay(row)

@@ -12,19 +12,18 @@ from rich.console import Console
 
 from cpnet import scenario as scenarios
 from cpnet.preparation import Replay
-from player.scans.agents import Source, agents_of, check_clocks
-from player.scans.extrinsics import write_extrinsics
-from player.scans.ground import open_ground
-from player.scans.taping import STEM, Imported, tape_scans
-from player.survey import Survey
 from protocol.errors import ConfigError
 from protocol.messages import Setup
 from protocol.roadmap import RoadMap
 from protocol.version import own_version
-from tape.reader import Tape
+from recording.foreign_scans.agents import Source, agents_of, check_clocks
+from recording.foreign_scans.importer import STEM, ImportedScans, open_ground, record_scans
+from recording.foreign_scans.poses import write_extrinsics
+from recording.mcap.reader import McapReader
+from recording.playback.frames import RecordingSummary
 
 LIVE = ("edge", "signal", "cabinet", "link", "record")
-"""Sections that a replay may change: what is not on the tape."""
+"""Sections that a replay may change: what is not in the recording."""
 LIVE_KEYS = ("name", "duration_s", "traffic.start_timeout_s")
 _PACE = ("mode", "replay")
 _FITS = {"lockstep": "virtual", "realtime": "emulated"}
@@ -32,7 +31,7 @@ _FITS = {"lockstep": "virtual", "realtime": "emulated"}
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How a tape is played: in a mode, None for that of the recording; in realtime at a speed."""
+    """Mode of a replay, None for that of the recording, and its speed in realtime."""
 
     mode: Literal["lockstep", "realtime"] | None = None
     speed: float = 1.0
@@ -54,13 +53,13 @@ class Pace:
 def replay_of_recording(
     path: Path, overrides: dict[str, Any], pace: Pace, console: Console
 ) -> Replay:
-    """Returns the replay of a tape, and says what of it cannot be read; see `setup_of`."""
+    """Returns the replay of a recording, and says what of it cannot be read; see `setup_of`."""
     setup = setup_of(path, overrides, pace)
     if damaged := setup.scenario["replay"]["damaged"]:
         frames = round(setup.scenario["duration_s"] / setup.scenario["frame_period_s"])
         parts = "1 part" if damaged == 1 else f"{damaged} parts"
         console.print(
-            f"{path}: the tape is damaged or was cut off: {parts} cannot be read; "
+            f"{path}: the recording is damaged or was cut off: {parts} cannot be read; "
             f"{frames} frames are played",
             markup=False, highlight=False, soft_wrap=True,
         )  # fmt: skip
@@ -71,18 +70,22 @@ def setup_of(path: Path, overrides: dict[str, Any], pace: Pace) -> Setup:
     """Returns what every process of a replay is given.
 
     Raises:
-        ConfigError: there is no tape, or something is to be changed that is on it.
+        ConfigError: there is no recording, or something is to be changed that is on it.
     """
     check_overrides(overrides)
-    tape = Tape(path)
-    survey = Survey.of(tape)
-    data = tape.setup.scenario
+    recording = McapReader(path)
+    survey = RecordingSummary.of(recording)
+    data = recording.setup.scenario
     most_s = survey.frames * float(data["frame_period_s"])
     facts: dict[str, Any] = {
-        "replay": {"tape": str(path.resolve()), "speed": pace.speed, "damaged": _damaged(tape)},
+        "replay": {
+            "recording": str(path.resolve()),
+            "speed": pace.speed,
+            "damaged": _damaged(recording),
+        },
         "duration_s": most_s,
         "processes.vehicle": max(survey.vehicles, 1),
-        "record.tape": False,
+        "record.mcap": False,
     }
     if pace.mode is not None:
         facts["mode"] = pace.mode
@@ -92,22 +95,22 @@ def setup_of(path: Path, overrides: dict[str, Any], pace: Pace) -> Setup:
         facts["record.truth"] = False
     scenario = scenarios.changed(data, {**facts, **overrides}, str(path))
     if scenario.duration_s > most_s:
-        raise ConfigError(f"duration_s is {scenario.duration_s:g}, the tape has {most_s:g} s")
+        raise ConfigError(f"duration_s is {scenario.duration_s:g}, the recording has {most_s:g} s")
     _check_cabinet(scenario)
     changed = {"scenario": scenario.model_dump(mode="json"), "version": own_version()}
-    return tape.setup.model_copy(update=changed)
+    return recording.setup.model_copy(update=changed)
 
 
-def _damaged(tape: Tape) -> int:
-    """Returns how many parts of a tape that was gone through cannot be read.
+def _damaged(recording: McapReader) -> int:
+    """Returns how many parts of a recording that was gone through cannot be read.
 
     An end that is missing is one: nobody can know how much would have followed.
     """
-    return tape.drops.total() or int(not tape.is_whole)
+    return recording.drops.total() or int(not recording.is_whole)
 
 
 def check_overrides(overrides: dict[str, Any]) -> None:
-    """Refuses what would not change anything, because it is on the tape.
+    """Refuses what would not change anything, because it is in the recording.
 
     Raises:
         ConfigError: there is such a key.
@@ -118,7 +121,7 @@ def check_overrides(overrides: dict[str, Any]) -> None:
             raise ConfigError(f"{key}: a replay takes --lockstep or --speed N instead")
         if section not in LIVE and key not in LIVE_KEYS:
             raise ConfigError(
-                f"{key}: what it decides is on the tape already, so a replay cannot change it. "
+                f"{key}: it is part of the recording already, so a replay cannot change it. "
                 f"Simulate the run anew with `cpnet up` and this key. A replay takes "
                 f"{', '.join(f'{name}.*' for name in LIVE)}, {', '.join(LIVE_KEYS)}"
             )
@@ -155,7 +158,7 @@ class Scans:
 
 
 def replay_of_scans(asked: Scans, pace: Pace, console: Console) -> Replay:
-    """Returns the replay; the tape is made in its run folder, and clouds without points are told.
+    """Writes the recording into a run folder and returns its replay; warns of empty clouds.
 
     Raises:
         ConfigError: files or the scenario cannot be used.
@@ -164,13 +167,13 @@ def replay_of_scans(asked: Scans, pace: Pace, console: Console) -> Replay:
     if asked.scenario is None:
         origin_m = agents[0].pose(0)[:3]
         agents = [agent.moved(-origin_m) for agent in agents]
-    imported = Imported.of(agents, asked.frames, asked.height_m)
+    imported = ImportedScans.of(agents, asked.frames, asked.height_m)
     scenario = _scenario_of_scans(asked, pace, imported.frames)
     check_clocks(agents, scenario.frame_period_s, asked.source.poses)
 
     def setup(run_dir: Path) -> Setup:
-        tape = str(run_dir / f"{STEM}.mcap")
-        changes = {"replay": {"tape": tape, "speed": pace.speed}}
+        recording = str(run_dir / f"{STEM}.mcap")
+        changes = {"replay": {"recording": recording, "speed": pace.speed}}
         whole = scenario.model_dump(mode="json") | changes
         if asked.scenario is None:
             made = _plain_setup(
@@ -180,7 +183,7 @@ def replay_of_scans(asked: Scans, pace: Pace, console: Console) -> Replay:
             from sim_host.setup import build_setup  # SUMO is needed for its roads alone
 
             made = build_setup(whole, run_dir)
-        if empty := tape_scans(imported, made, run_dir):
+        if empty := record_scans(imported, made, run_dir):
             clouds = imported.frames * len(agents)
             console.print(f"{empty} of {clouds} clouds hold no point", highlight=False)
         if asked.source.refine:

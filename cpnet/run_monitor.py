@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cpnet.exit_report import ExitReport
-from cpnet.processes import TAPE
+from cpnet.processes import MCAP
 from cpnet.scenario import Scenario
 from cpnet.supervisor import Supervisor
 from cpnet.watch import WorldWatch, all_processes
@@ -176,7 +176,7 @@ class RunMonitor:
     """Follows a run whose processes were started here, to its end.
 
     With `restart`, processes that fail here are restarted, and processes of other machines may
-    leave and join; else a failure ends the run, wherever it was. Only a tape's does not, once the
+    leave and join; else a failure ends the run, wherever it was. That of mcap does not, once the
     run has begun: it is reported at once, and at the end.
     """
 
@@ -190,18 +190,18 @@ class RunMonitor:
     def follow(self, world: Endpoint) -> int:
         """Returns the exit status."""
         failure, reason = None, ""
-        tapes: list[ExitReport] = []
+        recordings: list[ExitReport] = []
         watch = self._watch(world)
         if isinstance(watch, ExitReport):
             failure = watch
         elif watch is not None:
             with watch, Display(self.console, self.scenario) as display:
-                failure = self._follow(watch, display, tapes)
+                failure = self._follow(watch, display, recordings)
                 reason = watch.end.reason if watch.end else ""
         status = self._status(failure, reason)
-        for tape in tapes:
-            self._report("the tape is not whole: ", tape)
-        return status or len(tapes)
+        for recording in recordings:
+            self._report("the recording is not whole: ", recording)
+        return status or len(recordings)
 
     def _status(self, failure: ExitReport | None, reason: str) -> int:
         if self.stop_signals.event.is_set():
@@ -233,7 +233,7 @@ class RunMonitor:
         return None
 
     def _follow(
-        self, watch: WorldWatch, display: Display, tapes: list[ExitReport]
+        self, watch: WorldWatch, display: Display, recordings: list[ExitReport]
     ) -> ExitReport | None:
         ended_ns = 0
         stall_check = StallCheck()
@@ -242,14 +242,14 @@ class RunMonitor:
                 display.show(watch.progress)
             if watch.end is None:
                 self._report_stall(stall_check, watch)
-            if failure := self._fatal(watch, tapes):
+            if failure := self._fatal(watch, recordings):
                 return failure
             if watch.end is None and (elsewhere := self._lost_elsewhere(watch)):
                 return elsewhere
             if watch.end is not None:
                 ended_ns = ended_ns or time.monotonic_ns()
                 late = time.monotonic_ns() - ended_ns > OTHERS_LEAVE_S * 1e9
-                awaited = self.supervisor.running(TAPE.role) or watch.here("record")
+                awaited = self.supervisor.running(MCAP.role) or watch.here("record")
                 if not self.supervisor.running("sim", "record") and (late or not awaited):
                     return None
         return None
@@ -268,7 +268,7 @@ class RunMonitor:
         if watch.end is None and has_left and self.supervisor.failure(at_end=True) is None:
             watch.await_end(LATE_END_S)
 
-    def _fatal(self, watch: WorldWatch, tapes: list[ExitReport]) -> ExitReport | None:
+    def _fatal(self, watch: WorldWatch, recordings: list[ExitReport]) -> ExitReport | None:
         """Returns a failure that ends the run; other processes are restarted or are not needed."""
         self._await_late_end(watch)
         at_end = watch.end is not None
@@ -280,19 +280,21 @@ class RunMonitor:
             )
         if self.restart and not at_end:
             lost = self._restart_ended()
-            if any(failure.id == TAPE.role for failure in lost):
-                tapes += self._dismiss_tape(at_end=False)
-            return next((failure for failure in lost if failure.id != TAPE.role), None)
+            if any(failure.id == MCAP.role for failure in lost):
+                recordings += self._dismiss_recording(at_end=False)
+            return next((failure for failure in lost if failure.id != MCAP.role), None)
         if watch.progress is not None:
-            tapes += self._dismiss_tape(at_end=at_end)
+            recordings += self._dismiss_recording(at_end=at_end)
         if self.supervisor.failure(at_end=at_end) is not None:
             self._await_late_end(watch)  # it may have left only just now
         failure = self.supervisor.failure(at_end=watch.end is not None)
-        is_tape = failure is not None and failure.id == TAPE.role and watch.progress is not None
-        return None if is_tape else failure  # a tape that died only now is dismissed next time
+        is_recording = (
+            failure is not None and failure.id == MCAP.role and watch.progress is not None
+        )
+        return None if is_recording else failure  # that of a recording is dismissed next time
 
-    def _dismiss_tape(self, *, at_end: bool) -> list[ExitReport]:
-        failure = self.supervisor.remove_failed(TAPE.role, at_end=at_end)
+    def _dismiss_recording(self, *, at_end: bool) -> list[ExitReport]:
+        failure = self.supervisor.remove_failed(MCAP.role, at_end=at_end)
         if failure is None:
             return []
         self.console.print(f"{failure.id} {failure.how}; the run goes on without it", markup=False)
@@ -311,7 +313,7 @@ class RunMonitor:
         needed = {"sim"}
         if not self.restart:
             needed.update(process for _, process in all_processes(self.scenario))
-            needed.discard(TAPE.role)
+            needed.discard(MCAP.role)
         for who in watch.lost():
             process = who[1]
             if process in needed and not self.supervisor.holds(process):

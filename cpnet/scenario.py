@@ -12,10 +12,9 @@ import yaml
 from pydantic import BaseModel, Field, ValidationError
 
 from edge_server.config import EdgeConfig
-from player.config import ReplayConfig
 from protocol.config import Section, is_file
 from protocol.errors import ConfigError
-from recorder.config import RecordConfig
+from recording.config import RecordConfig, ReplayConfig
 from sensing.config import (
     CarlaConfig,
     LidarConfig,
@@ -33,6 +32,8 @@ _NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)  # the loader lets all 
 # Keys that scenarios of earlier versions have -> what they are called now. Dotted; an old key
 # may name a whole section. `changed` and `validate` refuse the old key and name the new one.
 RENAMED_KEYS: dict[str, str] = {
+    "record.tape": "record.mcap",
+    "replay.tape": "replay.recording",
     "signal.reckon_inflow_vph": "signal.estimator_inflow_vph",
     "signal.reckon_s": "signal.estimator_timeout_s",
     "signal.reckon_saturation_vph": "signal.estimator_saturation_vph",
@@ -93,7 +94,7 @@ class Scenario(Section):
         "model; a frame of it a step: needs traffic.step_s as frame_period_s, traffic.warmup_s 0",
     )
     replay: ReplayConfig | None = Field(
-        None, description="the tape that is played; `cpnet replay` fills it in"
+        None, description="the recording that is played; `cpnet replay` fills it in"
     )
     traffic: TrafficConfig = TrafficConfig()
     cabinet: CabinetConfig = CabinetConfig()

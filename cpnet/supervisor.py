@@ -45,7 +45,7 @@ _log = logging.getLogger(__name__)
 WORLD_GRACE_S = 1.0  # for the world to publish its end and the recorder to write it
 STOPPED_NS = 5_000_000_000  # a process stopped for longer counts as failed
 GRACE_S = 2.0  # then for all others, until SIGKILL: both within the 5 s that users wait
-WRITERS = ("record", "tape")
+WRITERS = ("record", "mcap")
 LIST_NAME = "processes.json"
 FORK_SERVER = "fork-server"
 

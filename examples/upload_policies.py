@@ -13,8 +13,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from cpnet import scenario as scenarios
-from recorder.run import Run
-from recorder.tables import UploadRow
+from recording.run import Run
+from recording.tables import UploadRow
 from studies.in_process import run_in_process
 from studies.sweep.worker import measure
 

@@ -95,7 +95,7 @@ def members_of(scenario: dict[str, Any]) -> Members:
 
 def roles_of(vehicles: int, posts: int) -> dict[str, str]:
     """Returns the role of each process of a run with so many processes of agents, by its id."""
-    alone = ("edge", "sim", "record", "signal", "tape", "view", "watch")
+    alone = ("edge", "sim", "record", "signal", "mcap", "view", "watch")
     numbers = {"vehicle": vehicles, "infra": posts}
     numbered = {f"{role}-{n}": role for role, most in numbers.items() for n in range(most)}
     relays = {f"relay-{kind}": "relay" for kind in ("vehicle", "roadside")}

@@ -107,12 +107,12 @@ _B, _P, _T = Delivery.BULK, Delivery.PROMPT, Delivery.TELEMETRY
 
 _AGENTS = frozenset({"vehicle", "infra"})
 _SIM, _EDGE, _SIGNAL, _RECORD = (frozenset({r}) for r in ("sim", "edge", "signal", "record"))
-OBSERVERS = frozenset({"view", "tape"})
-"""Who hears all and says nothing (a tape: how its clock goes)."""
+OBSERVERS = frozenset({"view", "mcap"})
+"""Who hears all and says nothing (a recording: how its clock goes)."""
 _WATCH = frozenset({"watch"})  # the supervisor on each machine: how the run goes, and no more
 _RELAY = frozenset({"relay"})
 _ALL = _AGENTS | _SIM | _EDGE | _SIGNAL | _RECORD
-_CLOCKS = _ALL | _RELAY | {"tape"}
+_CLOCKS = _ALL | _RELAY | {"mcap"}
 ROLES = _ALL | OBSERVERS | _WATCH | _RELAY
 """Whoever may be on a bus."""
 

@@ -22,8 +22,8 @@ def expected_processes(scenario: dict[str, Any]) -> list[str]:
     """Returns the ids of all processes that frame 0 waits for, except the world's own."""
     vehicles = [f"vehicle-{i}" for i in range(scenario["processes"]["vehicle"])]
     posts = [f"infra-{i}" for i in range(len(scenario["roadside_mounts"]))]
-    tape = ["tape"] if scenario.get("record", {}).get("tape") else []
-    return ["edge", "signal", "record", *tape, *posts, *vehicles]
+    mcap = ["mcap"] if scenario.get("record", {}).get("mcap") else []
+    return ["edge", "signal", "record", *mcap, *posts, *vehicles]
 
 
 class Readiness:

@@ -186,7 +186,7 @@ class SimRole:
                 self._readiness.note(item)
 
     def _is_written(self) -> bool:
-        return any(self._readiness.is_on(BusName.WORLD, name) for name in ("record", "tape"))
+        return any(self._readiness.is_on(BusName.WORLD, name) for name in ("record", "mcap"))
 
     def _note_presence(self, presence: Presence) -> None:
         self._readiness.note(presence)

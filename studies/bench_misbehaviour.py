@@ -24,7 +24,7 @@ from edge_server.placing import Place
 from edge_server.scenario import mounts_of
 from perception.roadway import Roadway
 from protocol.roadmap import RoadMap
-from recorder.run import Run
+from recording.run import Run
 from studies.attacks import (
     GHOST,
     Attack,

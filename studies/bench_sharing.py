@@ -18,7 +18,7 @@ from edge_server.config import EdgeConfig
 from edge_server.frame import Frame
 from edge_server.pipeline import Pipeline
 from protocol.messages import NEVER_NS, Scan, Setup, Truth
-from recorder.rows import count_rows, detection_rows, truth_rows
+from recording.rows import count_rows, detection_rows, truth_rows
 from sensing.config import SceneConfig
 from sensing.link_channel import Channel as LinkPath
 from sensing.link_channel import VirtualLink

@@ -10,8 +10,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from recorder.run import Run
-from recorder.tables import CountRow, DetectionRow, TruthRow
+from recording.run import Run
+from recording.tables import CountRow, DetectionRow, TruthRow
 from studies.bench import WARM_UP_FRAMES
 from studies.count_error import PerceptionTally
 from studies.ecvpr import by_frame

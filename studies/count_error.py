@@ -11,8 +11,8 @@ from edge_server.lanes import LaneIndex, LanePositions
 from perception.arrays import Floats
 from protocol.messages import Setup
 from protocol.roadmap import RoadMap
-from recorder.run import Run
-from recorder.tables import CountRow, DetectionRow, TruthRow
+from recording.run import Run
+from recording.tables import CountRow, DetectionRow, TruthRow
 from studies.ecvpr import DOWNSTREAM_M, UPSTREAM_M, EvaluationArea, by_frame, matched_vehicles
 
 

@@ -22,8 +22,8 @@ import numpy.typing as npt
 from perception.arrays import Floats
 from protocol.messages import Equipment, VehicleType
 from protocol.roadmap import RoadMap
-from recorder.run import Run
-from recorder.tables import CountRow, DetectionRow, SightingRow, TruthRow
+from recording.run import Run
+from recording.tables import CountRow, DetectionRow, SightingRow, TruthRow
 
 UPSTREAM_M = 200.0
 DOWNSTREAM_M = 100.0

@@ -23,7 +23,7 @@ from protocol.messages import Setup
 from protocol.process import Context, Role, deliver
 from protocol.topics import BusName
 from protocol.wire import encode
-from recorder.role import RecordRole
+from recording.role import RecordRole
 from signal_controller.role import SignalRole
 from sim_host.role import SimRole
 from sim_host.setup import build_setup
@@ -107,8 +107,8 @@ def _role_builders(scenario: dict[str, Any]) -> tuple[Builder, list[tuple[str, B
     infra: Builder = InfraRole
     vehicle: Builder = VehicleRole
     if scenario.get("replay"):
-        from player.role import PlayerRole  # tapes need an extra
-        from player.sim import sim_role
+        from recording.playback.role import PlayerRole  # MCAP recordings need an extra
+        from recording.playback.world import sim_role
 
         world, infra, vehicle = sim_role, PlayerRole.build, PlayerRole.build
     return world, [

@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from recorder.run import Run
+from recording.run import Run
 from studies import palette
 from studies.over_time import FrameClock, over_time, thinned_series
 from studies.page.model import Block, Cell, Chart, Column, Section, Series, Table, Text

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from perception.arrays import Floats
-from recorder.run import Run
+from recording.run import Run
 from studies.page.model import Chart, ChartKind, Numbers, Series
 
 MAX_POINTS = 1500

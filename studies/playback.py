@@ -11,8 +11,8 @@ import numpy as np
 from edge_server.frame import Chunk, Frame
 from protocol.codec import decode
 from protocol.messages import AgentPose, Equipment, VehicleType
-from recorder.run import Run
-from recorder.tables import CloudRow, TruthRow
+from recording.run import Run
+from recording.tables import CloudRow, TruthRow
 from sensing.config import PoseErrorConfig, UploadConfig
 from sensing.noise import stream
 from sensing.pose import estimated_pose, position_std_m

@@ -8,7 +8,7 @@ from pathlib import Path
 import yaml
 
 from protocol.errors import ConfigError
-from recorder.run import Run
+from recording.run import Run
 from studies.ecvpr import FrameScore, score
 from studies.latency import latency_section, latency_table
 from studies.over_time import FrameClock

@@ -13,8 +13,8 @@ import numpy as np
 from protocol.errors import ConfigError
 from protocol.messages import VehicleType
 from protocol.roadmap import RoadMap, Signal
-from recorder.run import Run
-from recorder.tables import CountRow, DetectionRow, PhaseRow, RequestRow, TruthRow
+from recording.run import Run
+from recording.tables import CountRow, DetectionRow, PhaseRow, RequestRow, TruthRow
 from studies import palette
 from studies.count_error import counts_with_truth
 from studies.ecvpr import EvaluationArea, FrameScore, matches

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from itertools import groupby
 
 from protocol.roadmap import Signal
-from recorder.run import Run
-from recorder.tables import PhaseRow
+from recording.run import Run
+from recording.tables import PhaseRow
 from sim_host.config import CabinetConfig, TrafficConfig
 
 _RED, _YELLOW, _GREEN = "red", "yellow", "green"

@@ -15,8 +15,8 @@ from protocol.codec import decode
 from protocol.errors import CodecError, ConfigError
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
-from recorder.run import Run
-from recorder.tables import CloudRow, CountRow, DetectionRow, FrameRow, PhaseRow, TruthRow
+from recording.run import Run
+from recording.tables import CloudRow, CountRow, DetectionRow, FrameRow, PhaseRow, TruthRow
 from studies.ecvpr import EvaluationArea, FrameScore, score_frame
 
 _LISTED = 20

@@ -18,8 +18,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from protocol.errors import ConfigError
-from recorder.run import Run
-from recorder.tables import DropRow
+from recording.run import Run
+from recording.tables import DropRow
 from studies.ecvpr import score
 from studies.latency import STAGES, clock_error_ms, latencies
 from studies.uplink import by_agent, total_mbps
@@ -50,7 +50,7 @@ def summarise(run_dir: Path) -> Summary:
             "scenario": run.scenario.get("name"),
             "seed": run.scenario.get("seed"),
             "mode": run.scenario.get("mode"),
-            "replay_of": (run.scenario.get("replay") or {}).get("tape"),
+            "replay_of": (run.scenario.get("replay") or {}).get("recording"),
             "ended": run.meta.get("end_reason"),
             **_pace(run, period_s),
             "agents": by_agent(run, period_s),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 
-from recorder.run import Run
+from recording.run import Run
 from studies import palette
 from studies.over_time import FrameClock, over_time, thinned_series
 from studies.page.model import Cell, Chart, Column, Section, Series, Table, Text

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from protocol.messages import SignalRequest, VehicleType
 from protocol.roadmap import RoadMap
-from recorder.rows import detection_rows, truth_rows
+from recording.rows import detection_rows, truth_rows
 from studies.ecvpr import EvaluationArea, FrameScore, score_frame
 from viewer.moments import Moment
 from viewer.road import approaches

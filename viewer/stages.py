@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from protocol.errors import MessageError
 from protocol.messages import ClockReading, LaneCounts, Message, Metrics, Tick
-from recorder.ledger import Ledger
-from recorder.tables import AccountRow
+from recording.frame_aggregator import FrameAggregator
+from recording.tables import AccountRow
 
 LAG_FRAMES = 3
 """Measuring travels last: so much later what is said of a frame is there."""
@@ -41,7 +41,7 @@ class Stages:
     """Puts frames' accounts together as the recorder does."""
 
     def __init__(self, frame_period_ns: int) -> None:
-        self._ledger = Ledger(frame_period_ns)
+        self._ledger = FrameAggregator(frame_period_ns)
         self._clocks: dict[str, tuple[int, int]] = {}
         self._told = -1
 

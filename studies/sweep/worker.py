@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from protocol.errors import ConfigError
-from recorder.run import Run
+from recording.run import Run
 from studies.count_error import lane_errors
 from studies.ecvpr import FrameScore, score
 from studies.in_process import run_in_process

@@ -25,9 +25,9 @@ from unittest.mock import patch
 from cpnet.__main__ import main
 from cpnet.endpoints import free_locator
 from cpnet.fork_server import ONE_THREAD
-from recorder.account import stage_sum_ns
-from recorder.run import Run
-from recorder.tables import AccountRow, FrameRow
+from recording.latency_breakdown import stage_sum_ns
+from recording.run import Run
+from recording.tables import AccountRow, FrameRow
 from tests.waiting import PATIENCE_S, wait_until
 
 T = TypeVar("T")

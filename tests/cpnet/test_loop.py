@@ -13,9 +13,9 @@ import zenoh
 from protocol.messages import Roster, SignalState
 from protocol.topics import PREFIX
 from protocol.wire import decode, encode
-from recorder.compare import differences
-from recorder.run import Run
-from recorder.tables import PhaseRow
+from recording.compare import differences
+from recording.run import Run
+from recording.tables import PhaseRow
 from studies.in_process import run_in_process
 from studies.safety import violations_of
 from tests.cpnet.commands import check_account, children_of, free_ports, rows, wait_for_frames

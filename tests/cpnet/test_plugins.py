@@ -12,8 +12,8 @@ from cpnet import scenario as scenarios
 from cpnet.evaluation import detectors_of
 from perception.registry import check
 from protocol.errors import ConfigError
-from recorder.run import Run
-from recorder.tables import DetectionRow, RequestRow, UploadRow
+from recording.run import Run
+from recording.tables import DetectionRow, RequestRow, UploadRow
 from studies.in_process import run_in_process
 from studies.sweep.worker import measure
 from tests.cpnet.commands import Shell

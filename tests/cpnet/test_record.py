@@ -1,4 +1,4 @@
-"""Runs that are taped: from their start, or by whoever comes along."""
+"""Runs that are recorded: from their start, or by whoever comes along."""
 
 import json
 import os
@@ -10,14 +10,16 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("mcap", reason="needs the extra `tape`")
+pytest.importorskip("mcap", reason="needs the extra `mcap`")
 
 from mcap.reader import make_reader
 
 from protocol.errors import ConfigError
-from recorder.rows import count_rows, detection_rows, phase_row, request_row, truth_rows
-from recorder.run import Run
-from recorder.tables import (
+from recording.mcap.format import CLOSING_METADATA
+from recording.mcap.reader import McapReader
+from recording.rows import count_rows, detection_rows, phase_row, request_row, truth_rows
+from recording.run import Run
+from recording.tables import (
     CountRow,
     DetectionRow,
     FrameRow,
@@ -26,20 +28,18 @@ from recorder.tables import (
     TruthRow,
     UploadRow,
 )
-from tape.names import CLOSING
-from tape.reader import Tape
 from tests.cpnet.commands import children_of
 
 
 def test_a_tape_holds_what_the_database_was_made_of(shell):
     status, output = shell.up("--duration=5", "--record", "--out=run").finish()
     assert status == 0, output
-    assert "sim, record, tape, signal" in output
-    tape = Tape(shell.folder / "run")
+    assert "sim, record, recording, signal" in output
+    recording = McapReader(shell.folder / "run")
     heard: dict[str, list] = {}
-    for item in tape.heard():
+    for item in recording.heard():
         heard.setdefault(item.topic, []).append(item.message)
-    assert (tape.is_whole, tape.drops.total()) == (True, 0)
+    assert (recording.is_whole, recording.drops.total()) == (True, 0)
     assert [end.reason for end in heard["end"]] == ["finished"]
     made = {
         PhaseRow: map(phase_row, heard["state"]),
@@ -61,17 +61,17 @@ def size_bytes(path: Path) -> int:
 
 
 def frames_on(run_dir: Path) -> list[int]:
-    """Returns the frames whose tick can be read off a tape that may still grow."""
+    """Returns the frames whose tick can be read off a recording that may still grow."""
     try:
-        return [item.message.frame for item in Tape(run_dir).heard(["tick"])]
+        return [item.message.frame for item in McapReader(run_dir).heard(["tick"])]
     except ConfigError:  # not so far yet
         return []
 
 
 def drops_on(path: Path) -> int:
-    """Returns how many messages a tape says that it lacks: those it was too slow for."""
+    """Returns how many messages a recording says that it lacks: those it was too slow for."""
     with path.open("rb") as file:
-        told = [one for one in make_reader(file).iter_metadata() if one.name == CLOSING]
+        told = [one for one in make_reader(file).iter_metadata() if one.name == CLOSING_METADATA]
     return sum(json.loads(told[0].metadata["drops"]).values())
 
 
@@ -80,18 +80,18 @@ def test_a_dead_tape_stops_no_city(shell):
     command.read_until("vehicles")
     run_dir = shell.folder / "run"
     command.wait_until(lambda: len(frames_on(run_dir)) > 5)  # in realtime, for no run that is over
-    os.kill(children_of(run_dir)["tape"], signal.SIGKILL)
-    command.read_until("tape was killed by SIGKILL; the run goes on without it")
+    os.kill(children_of(run_dir)["mcap"], signal.SIGKILL)
+    command.read_until("recording was killed by SIGKILL; the run goes on without it")
     status, output = command.finish()
     assert status == 1
-    assert "the tape is not whole: tape was killed by SIGKILL" in output
+    assert "the recording is not whole: recording was killed by SIGKILL" in output
     assert "Traceback" not in output
     with sqlite3.connect(run_dir / "run.sqlite") as database:
         assert database.execute("SELECT count(*) FROM frames").fetchone() == (200,)
     seen = frames_on(run_dir)
     assert seen == [*range(len(seen))]
     assert len(seen) > 5
-    assert not Tape(run_dir).is_whole
+    assert not McapReader(run_dir).is_whole
 
 
 def test_a_tape_is_started_again_and_others_come_and_go(shell):
@@ -99,8 +99,8 @@ def test_a_tape_is_started_again_and_others_come_and_go(shell):
     options = ["--duration=600", "--mode=realtime", "--restart", "--record", f"--out={run_dir}"]
     command = shell.up(*options)
     command.read_until("vehicles")
-    os.kill(children_of(run_dir)["tape"], signal.SIGKILL)
-    command.read_until("tape was killed by SIGKILL; started again")
+    os.kill(children_of(run_dir)["mcap"], signal.SIGKILL)
+    command.read_until("recording was killed by SIGKILL; started again")
     to_the_end = shell.start("record", str(run_dir), "--no-truth")
     to_the_end.read_until("Ctrl-C ends it")
     until_told = shell.start("record", "--out=mine.mcap")  # the newest run
@@ -117,14 +117,14 @@ def test_a_tape_is_started_again_and_others_come_and_go(shell):
         told = re.search(r"(\d+) dropped", output)  # 0, if the machine is not too slow
         assert told is not None, output
         assert int(told[1]) == drops_on(shell.folder / name)
-    ticks = [item.message.frame for item in Tape(run_dir).heard(["tick"])]
+    ticks = [item.message.frame for item in McapReader(run_dir).heard(["tick"])]
     assert ticks == sorted(set(ticks))
     names = (run_dir / "record.mcap", run_dir / "record-2.mcap", shell.folder / "mine.mcap")
-    tapes = [Tape(path) for path in (run_dir / "run-2.mcap", *names)]
-    assert all(tape.is_whole for tape in tapes)
-    assert all([*tape.heard(["detections"])] for tape in tapes)
-    assert [item.message.reason for item in tapes[1].heard(["end"])] == ["stopped"]
-    assert not [*tapes[1].heard(["truth", "sighting"])]
+    recordings = [McapReader(path) for path in (run_dir / "run-2.mcap", *names)]
+    assert all(recording.is_whole for recording in recordings)
+    assert all([*recording.heard(["detections"])] for recording in recordings)
+    assert [item.message.reason for item in recordings[1].heard(["end"])] == ["stopped"]
+    assert not [*recordings[1].heard(["truth", "sighting"])]
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_a_tape_is_started_again_and_others_come_and_go(shell):
         (["record"], "no run goes on in runs/"),
         (["record", "nowhere"], "nowhere: no run goes on there"),
         (["record", "run", "--connect", "h:1"], "give a run folder or --connect, not both"),
-        (["up", "--only=sim,edge,tape"], "--only tape: the scenario has record.tape false"),
+        (["up", "--only=sim,edge,recording"], "--only mcap: the scenario has record.mcap false"),
     ],
 )
 def test_what_cannot_be_taped_is_said(shell, words, said):

@@ -1,11 +1,11 @@
-"""A run that was taped, played again: as it was, and to others."""
+"""A run that was recorded, played again: as it was, and to others."""
 
 import json
 from pathlib import Path
 
 import pytest
 
-pytest.importorskip("mcap", reason="needs the extra `tape`")
+pytest.importorskip("mcap", reason="needs the extra `mcap`")
 
 from rich.console import Console
 from typer.testing import CliRunner
@@ -14,9 +14,9 @@ from cpnet import scenario as scenarios
 from cpnet.cli import app
 from cpnet.replay import Pace, replay_of_recording, setup_of
 from protocol.errors import ConfigError
-from recorder.compare import differences
-from recorder.run import Run
-from recorder.tables import (
+from recording.compare import differences
+from recording.run import Run
+from recording.tables import (
     AccountRow,
     DetectionRow,
     FrameRow,
@@ -33,9 +33,9 @@ REAP = ["upload.policy=reap", "link.profile=300kbit,20ms", "link.roadside_profil
 
 
 @pytest.fixture(scope="module")
-def taped(tmp_path_factory) -> Path:
+def recorded(tmp_path_factory) -> Path:
     """Returns a run over virtual links that are too slow for all that agents have to say."""
-    shell = Shell(tmp_path_factory.mktemp("taped"))
+    shell = Shell(tmp_path_factory.mktemp("recorded"))
     settings = [f"--set={setting}" for setting in REAP]
     status, output = shell.up(
         "--duration=3", "--record", "--cav-rate=0.1", "--cv-rate=0.1", "--out=run", *settings
@@ -44,10 +44,10 @@ def taped(tmp_path_factory) -> Path:
     return shell.folder / "run"
 
 
-def solo(taped: Path, folder: Path, *settings: str) -> Path:
+def solo(recorded: Path, folder: Path, *settings: str) -> Path:
     overrides = dict(scenarios.parse_assignment(setting) for setting in settings)
     folder.mkdir()
-    run_setup_in_process(setup_of(taped, overrides, Pace()), folder)
+    run_setup_in_process(setup_of(recorded, overrides, Pace()), folder)
     return folder
 
 
@@ -62,24 +62,24 @@ def sent_by(run_dir: Path) -> list:
     return [(row.agent, row.chunk, row.payload_bytes, row.link_sim_ns) for row in sent]
 
 
-def test_with_its_own_settings_every_result_is_the_same(shell, taped):
-    status, output = shell.run("replay", str(taped), "--out", "again")
+def test_with_its_own_settings_every_result_is_the_same(shell, recorded):
+    status, output = shell.run("replay", str(recorded), "--out", "again")
     assert status == 0, output
     assert "edge, sim, record, signal, infra, vehicle" in output
-    status, output = shell.run("report", str(taped), "--against", "again")
+    status, output = shell.run("report", str(recorded), "--against", "again")
     assert (status, output.strip()) == (0, "the results are the same, row for row")
     again = shell.folder / "again"
-    sent = [sent_by(run) for run in (taped, again)]
+    sent = [sent_by(run) for run in (recorded, again)]
     assert sent[0] == sent[1]
-    sensed = [sum(row.sense_ns for row in rows(run, AccountRow)) for run in (taped, again)]
+    sensed = [sum(row.sense_ns for row in rows(run, AccountRow)) for run in (recorded, again)]
     assert sensed[0] == sensed[1] > 0
-    assert json.loads((again / "scenario.json").read_text())["replay"]["tape"] == str(taped)
+    assert json.loads((again / "scenario.json").read_text())["replay"]["recording"] == str(recorded)
 
 
-def test_edge_and_signal_may_be_elsewhere(shell, taped):
+def test_edge_and_signal_may_be_elsewhere(shell, recorded):
     port = free_ports()
     here = shell.start(
-        *("replay", str(taped), "--only=sim,vehicle,infra,record", "--out=here"),
+        *("replay", str(recorded), "--only=sim,vehicle,infra,record", "--out=here"),
         *(f"--listen=world=127.0.0.1:{port + 1}", f"--connect=v2x=127.0.0.1:{port}"),
     )
     there = shell.start(
@@ -89,31 +89,31 @@ def test_edge_and_signal_may_be_elsewhere(shell, taped):
     for command in (here, there):
         status, output = command.finish()
         assert status == 0, output
-    assert differences(taped, shell.folder / "here") == []
+    assert differences(recorded, shell.folder / "here") == []
 
 
-def test_a_replay_is_begun_where_the_tape_is(shell, taped):
-    status, output = shell.run("replay", str(taped), "--only=edge")
+def test_a_replay_is_begun_where_the_tape_is(shell, recorded):
+    status, output = shell.run("replay", str(recorded), "--only=edge")
     assert (status, "a replay is begun where the role sim runs" in output) == (2, True)
 
 
-def test_over_another_link_more_arrives(tmp_path, taped):
-    faster = solo(taped, tmp_path / "faster", "link.profile=none", "link.roadside_profile=none")
-    used = [sum(row.points or 0 for row in rows(run, FrameRow)) for run in (taped, faster)]
+def test_over_another_link_more_arrives(tmp_path, recorded):
+    faster = solo(recorded, tmp_path / "faster", "link.profile=none", "link.roadside_profile=none")
+    used = [sum(row.points or 0 for row in rows(run, FrameRow)) for run in (recorded, faster)]
     assert used[1] > used[0]
 
 
-def test_over_a_slower_link_less_is_sent(tmp_path, taped):
-    slower = solo(taped, tmp_path / "slower", "link.profile=60kbit,20ms", "duration_s=1")
+def test_over_a_slower_link_less_is_sent(tmp_path, recorded):
+    slower = solo(recorded, tmp_path / "slower", "link.profile=60kbit,20ms", "duration_s=1")
     sent = [
         sum(row.agent != "rsu-0" and row.frame < 10 for row in rows(run, UploadRow))
-        for run in (taped, slower)
+        for run in (recorded, slower)
     ]
     assert 0 < sent[1] < sent[0]
 
 
-def test_of_a_tape_that_was_cut_off_all_are_told_and_it_is_counted_once(tmp_path, taped, capsys):
-    whole = (taped / "run.mcap").read_bytes()
+def test_of_a_tape_that_was_cut_off_all_are_told_and_it_is_counted_once(tmp_path, recorded, capsys):
+    whole = (recorded / "run.mcap").read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) * 3 // 4])
     setup = replay_of_recording(cut, {}, Pace(), Console()).setup(tmp_path)
@@ -123,16 +123,18 @@ def test_of_a_tape_that_was_cut_off_all_are_told_and_it_is_counted_once(tmp_path
     assert 5 < frames < 30
     run_dir = solo(cut, tmp_path / "played")
     summary = summarise(run_dir)
-    counts = [reasons.get("damaged_on_tape", 0) for reasons in summary["drops_by_reason"].values()]
+    counts = [
+        reasons.get("damaged_in_recording", 0) for reasons in summary["drops_by_reason"].values()
+    ]
     assert sum(counts) == 1
     assert summary["frames"] == frames
-    replay_of_recording(taped, {}, Pace(), Console())
+    replay_of_recording(recorded, {}, Pace(), Console())
     assert capsys.readouterr().out == ""
 
 
-def test_another_detector_finds_others_in_the_same_scans(tmp_path, taped):
+def test_another_detector_finds_others_in_the_same_scans(tmp_path, recorded):
     other = solo(
-        taped,
+        recorded,
         tmp_path / "other",
         "edge.boxes.complete=false",
         "signal.policy=fixed",
@@ -140,12 +142,12 @@ def test_another_detector_finds_others_in_the_same_scans(tmp_path, taped):
     )
     assert {row.policy for row in rows(other, RequestRow)} == {"fixed"}
     for table, is_same in ((TruthRow, True), (SightingRow, True), (DetectionRow, False)):
-        before = [row for row in rows(taped, table) if row.frame < 20]
+        before = [row for row in rows(recorded, table) if row.frame < 20]
         assert (rows(other, table) == before) is is_same
 
 
-def test_in_realtime_a_tape_goes_as_fast_as_asked(shell, taped):
-    status, output = shell.run("replay", str(taped), "--speed=2", "--set=link.profile=none",
+def test_in_realtime_a_tape_goes_as_fast_as_asked(shell, recorded):
+    status, output = shell.run("replay", str(recorded), "--speed=2", "--set=link.profile=none",
                                "--set=link.roadside_profile=none", "--out=fast")  # fmt: skip
     assert status == 0, output
     facts = json.loads(shell.run("report", "fast", "--json")[1])
@@ -156,28 +158,36 @@ def test_in_realtime_a_tape_goes_as_fast_as_asked(shell, taped):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["none"], "there is no such tape, neither a file nor"),
-        ([], "give the tape that is to be played, or --scans DIR --poses FILE"),
-        (["{tape}", "--scans=x"], "--scans DIR --poses FILE; not both"),
-        (["{tape}", "--frames=3"], "needs --scans DIR"),
-        (["{tape}", "--refine"], "needs --scans DIR"),
-        (["{tape}", "--width=30"], "needs --scans DIR"),
+        (["none"], "there is no such recording, neither a file nor"),
+        ([], "give the recording that is to be played, or --scans DIR --poses FILE"),
+        (["{recording}", "--scans=x"], "--scans DIR --poses FILE; not both"),
+        (["{recording}", "--frames=3"], "needs --scans DIR"),
+        (["{recording}", "--refine"], "needs --scans DIR"),
+        (["{recording}", "--width=30"], "needs --scans DIR"),
         (["--scans=x"], "--scans needs --poses FILE"),
         (["--scans=x", "--poses=y", "--refine"], "--refine needs --extrinsics FILE"),
-        (["{tape}", "--lockstep", "--speed=2"], "--lockstep has no speed"),
-        (["{tape}", "--set=upload.policy=full"], "upload.policy: what it decides is on the tape"),
-        (["{tape}", "--set=seed=2"], "seed: what it decides is on the tape already"),
-        (["{tape}", "--set=mode=realtime"], "mode: a replay takes --lockstep or --speed N instead"),
-        (["{tape}", "--set=duration_s=9"], "duration_s is 9, the tape has 3 s"),
-        (["{tape}", "--set=cabinet.control=actuated"], "add --set cabinet.control=requests"),
+        (["{recording}", "--lockstep", "--speed=2"], "--lockstep has no speed"),
         (
-            ["{tape}", "--set=edge.detecter=fast"],
+            ["{recording}", "--set=upload.policy=full"],
+            "upload.policy: what it decides is in the recording",
+        ),
+        (["{recording}", "--set=seed=2"], "seed: what it decides is in the recording already"),
+        (
+            ["{recording}", "--set=mode=realtime"],
+            "mode: a replay takes --lockstep or --speed N instead",
+        ),
+        (["{recording}", "--set=duration_s=9"], "duration_s is 9, the recording has 3 s"),
+        (["{recording}", "--set=cabinet.control=actuated"], "add --set cabinet.control=requests"),
+        (
+            ["{recording}", "--set=edge.detecter=fast"],
             "unknown key edge.detecter; did you mean detector",
         ),
     ],
 )
-def test_what_cannot_be_played_is_said(taped, options, said):
-    asked = CliRunner().invoke(app, ["replay", *(word.format(tape=taped) for word in options)])
+def test_what_cannot_be_played_is_said(recorded, options, said):
+    asked = CliRunner().invoke(
+        app, ["replay", *(word.format(recording=recorded) for word in options)]
+    )
     assert isinstance(asked.exception, ConfigError)
     assert said in str(asked.exception)
 
@@ -185,14 +195,14 @@ def test_what_cannot_be_played_is_said(taped, options, said):
 def test_a_mistake_is_said_in_a_line_and_leaves_nothing_behind(shell):
     status, output = shell.run("replay", "none")
     assert status == 2
-    assert "there is no such tape" in output
+    assert "there is no such recording" in output
     assert "Traceback" not in output
     assert not (shell.folder / "runs").exists()
 
 
-def test_a_scenario_of_a_replay_is_not_simulated(tmp_path, taped):
-    saved = json.loads((taped / "scenario.json").read_text())
-    saved["replay"] = {"tape": str(taped), "speed": 1.0}
+def test_a_scenario_of_a_replay_is_not_simulated(tmp_path, recorded):
+    saved = json.loads((recorded / "scenario.json").read_text())
+    saved["replay"] = {"recording": str(recorded), "speed": 1.0}
     (tmp_path / "saved.yaml").write_text(json.dumps(saved))
     asked = CliRunner().invoke(app, ["up", str(tmp_path / "saved.yaml")])
     assert "that is played by `cpnet replay" in str(asked.exception)

@@ -53,7 +53,7 @@ def test_a_stopped_process_is_known_by_its_state():
 
 
 class Dying:
-    """A supervisor of whose processes one dies just after it was asked for a dead tape."""
+    """A supervisor of whose processes one dies just after it was asked for a dead recording."""
 
     def __init__(self, failure: ExitReport) -> None:
         self._coming = failure
@@ -74,7 +74,7 @@ class Dying:
 
 
 @pytest.mark.parametrize(("name", "has_begun", "ends"), [
-    ("tape", True, False), ("tape", False, True), ("edge", True, True),
+    ("mcap", True, False), ("mcap", False, True), ("edge", True, True),
 ])  # fmt: skip
 def test_a_death_that_comes_at_an_odd_moment_ends_the_run_unless_it_is_a_tapes(
     name, has_begun, ends
@@ -83,14 +83,14 @@ def test_a_death_that_comes_at_an_odd_moment_ends_the_run_unless_it_is_a_tapes(
     supervisor = Dying(failure)
     if not has_begun:
         supervisor.remove_failed("", at_end=False)  # which is not asked for
-    said, tapes = io.StringIO(), []
+    said, recordings = io.StringIO(), []
     monitor = RunMonitor(supervisor, None, None, Console(file=said), restart=False)
     progress = object() if has_begun else None
     watch = SimpleNamespace(end=None, progress=progress, await_end=lambda _: None)
-    assert monitor._fatal(watch, tapes) == (failure if ends else None)
+    assert monitor._fatal(watch, recordings) == (failure if ends else None)
     if not ends:
-        assert monitor._fatal(watch, tapes) is None
-        assert tapes == [failure]
+        assert monitor._fatal(watch, recordings) is None
+        assert recordings == [failure]
         assert "the run goes on without it" in said.getvalue()
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import ConfigError
-from recorder.compare import differences
-from recorder.run import Run
+from recording.compare import differences
+from recording.run import Run
 from sensing.link_channel import on_air_bytes
 from tests.cpnet.city import City, Host
 from tests.cpnet.commands import SMALL, Command, Shell

@@ -251,6 +251,8 @@ def test_every_role_is_a_package_with_a_main_module():
 def test_what_was_named_runs_whatever_the_scenario_is():
     found = [
         process.id
-        for process in processes_without_scenario(parse_only("edge,tape,infra,vehicle-7,vehicle-1"))
+        for process in processes_without_scenario(
+            parse_only("edge,recording,infra,vehicle-7,vehicle-1")
+        )
     ]
     assert found == ["edge", "vehicle-1", "vehicle-7"]

@@ -12,8 +12,8 @@ import numpy as np
 
 from protocol.messages import Scan, Setup
 from protocol.wire import encode
-from recorder.run import Run
-from recorder.tables import CloudRow
+from recording.run import Run
+from recording.tables import CloudRow
 from tests.edge_server.golden_scans import EXPECTED, SCANS, SETUP, replay
 
 FRAMES = 2

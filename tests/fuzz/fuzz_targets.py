@@ -50,7 +50,7 @@ MESSAGE_MIB = 64
 SCAN_MIB = (MAX_BODY_BYTES + MAX_POINTS * (24 + 24 + 24 + 8 + 12 + 4)) >> 20
 FILE_MIB = 64
 # A chunk unpacked, and its messages.
-TAPE_MIB = 4 * MAX_BODY_BYTES >> 20
+RECORDING_MIB = 4 * MAX_BODY_BYTES >> 20
 
 _SCRATCH = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())
 
@@ -91,7 +91,7 @@ def _through_inbox(topic: Topic) -> Callable[[bytes], None]:
     key = topic.key(**dict.fromkeys(_parts(topic), "a"))
 
     def read(data: bytes) -> None:
-        with suppress(ProtocolError):  # a tape asks for no more
+        with suppress(ProtocolError):  # a recording asks for no more
             peek_frame_time(data, topic.message)
         inbox.put(RawMessage(topic, key, data, 0))
         item = inbox.get()
@@ -194,13 +194,13 @@ def _read_recording(data: bytes) -> None:
         recording.scan(recording.agents[0], 1)
 
 
-def _read_tape(path: Path) -> None:
-    from tape.reader import Tape
+def _read_recording(path: Path) -> None:
+    from recording.mcap.reader import McapReader
 
-    tape = Tape(path)
-    for item in tape.heard():
+    recording = McapReader(path)
+    for item in recording.heard():
         encode(item.message)
-    assert not tape.is_whole or not tape.drops["damaged"]
+    assert not recording.is_whole or not recording.drops["damaged"]
 
 
 def _message_target(message: type[Message]) -> Target:
@@ -252,8 +252,16 @@ TARGETS = {
         Target("trace-csv", _from_file(".csv", read_trace), (ConfigError,), _table, FILE_MIB),
         Target("trace-mahimahi", _from_file(".up", read_trace), (ConfigError,), shake, FILE_MIB),
         *(
-            [Target("tape", _from_file(".mcap", _read_tape), (ConfigError,), shake, TAPE_MIB)]
-            if find_spec("mcap")  # the extra `tape`
+            [
+                Target(
+                    "mcap",
+                    _from_file(".mcap", _read_recording),
+                    (ConfigError,),
+                    shake,
+                    RECORDING_MIB,
+                )
+            ]
+            if find_spec("mcap")  # the extra `mcap`
             else []
         ),
         Target("recording", _read_recording, (ConfigError,), shake_parts, FILE_MIB, weight=0.25),

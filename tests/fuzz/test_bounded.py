@@ -35,13 +35,13 @@ from protocol.messages import MAX_ITEMS
 from protocol.process import Context
 from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
-from recorder.database import MAX_PENDING_ROWS
-from recorder.drops import MAX_PROCESSES as MAX_RECORDED
-from recorder.drops import MAX_REASONS, Drops
-from recorder.glance import MAX_AGENTS as MAX_GLANCED
-from recorder.ledger import MAX_ENTRIES, MAX_WIRED
-from recorder.pulse import OPEN_FRAMES
-from recorder.role import RecordRole
+from recording.database import MAX_PENDING_ROWS
+from recording.frame_aggregator import MAX_ENTRIES, MAX_WIRED
+from recording.frame_aggregator import MAX_OPEN_FRAMES as MAX_RECORDED_FRAMES
+from recording.losses import MAX_PROCESSES as MAX_RECORDED
+from recording.losses import MAX_REASONS, DropCounts
+from recording.role import MAX_PROGRESS_AGENTS as MAX_GLANCED
+from recording.role import RecordRole
 from sensing.limits import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES
 from sensing.uplink import PlanHistory
 from sim_host.limits import MAX_PROCESSES as MAX_HOSTS
@@ -318,13 +318,13 @@ def test_a_recorder_keeps_so_much_of_each_frame_and_writes_the_rest(recorder: Re
                 try:
                     recorder._on_metrics(message, 1)
                 except MessageError:
-                    recorder._drops = Drops()
+                    recorder._drops = DropCounts()
                 if recorder._database.is_full:
                     recorder._database.commit()
                 assert recorder._database.pending_rows <= MAX_PENDING_ROWS + 100
         notes = recorder._ledger._notes.values()
         assert max(note.entries for note in notes) <= MAX_ENTRIES
-        assert len(notes) <= 2 * OPEN_FRAMES + 1
+        assert len(notes) <= 2 * MAX_RECORDED_FRAMES + 1
         assert growth.mib < 128
     finally:
         recorder.close()
@@ -336,7 +336,7 @@ def test_a_recorder_knows_so_many_processes_and_agents(recorder: RecordRole):
             reading = m.ClockReading(process=f"{n}", offset_ns=0, error_ns=0)
             for take, message in (
                 (recorder._on_clock, reading),
-                (recorder._on_metrics, metrics(f"{n}", n % OPEN_FRAMES, spans=1)),
+                (recorder._on_metrics, metrics(f"{n}", n % MAX_RECORDED_FRAMES, spans=1)),
             ):
                 known = recorder._clocks if take == recorder._on_clock else recorder._drops._counts
                 if len(known) < MAX_RECORDED:

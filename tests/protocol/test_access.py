@@ -69,7 +69,7 @@ def test_each_may_say_and_hear_what_the_table_says_and_say_it_under_its_own_id(
         assert not may(other, process_id, "egress", "put", key)
 
 
-@pytest.mark.parametrize("process_id", ["view", "tape"])
+@pytest.mark.parametrize("process_id", ["view", "mcap"])
 def test_onlookers_may_ask_for_all_before_they_know_the_region(process_id):
     for topic in TOPICS.values():
         if topic.name not in QUERIED:

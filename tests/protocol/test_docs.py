@@ -5,7 +5,7 @@ from pathlib import Path
 
 from protocol.topics import QUERIED, ROLES, TOPICS
 
-OBSERVERS = frozenset({"view", "tape"})
+OBSERVERS = frozenset({"view", "mcap"})
 PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
 
 

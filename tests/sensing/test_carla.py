@@ -15,8 +15,8 @@ from protocol.errors import BusError, ConfigError
 from protocol.geometry import SE3
 from protocol.messages import Tick, VehicleType
 from protocol.scans import ScanPattern
-from recorder.run import Run
-from recorder.tables import UploadRow
+from recording.run import Run
+from recording.tables import UploadRow
 from sensing.carla import CarlaSource, carla_pose, load_carla, scan_of
 from sensing.config import CarlaConfig, LidarConfig
 from studies.in_process import run_in_process

@@ -15,8 +15,8 @@ import numpy as np
 
 from cpnet.supervisor import LIST_NAME
 from protocol.errors import BusError
-from recorder.run import Run
-from recorder.tables import GapRow
+from recording.run import Run
+from recording.tables import GapRow
 from studies.safety import violations_of
 
 PAGE_MIB = 4096 / 2**20

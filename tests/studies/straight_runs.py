@@ -6,7 +6,7 @@ import numpy as np
 
 from protocol.messages import Setup, VehicleType
 from protocol.wire import encode
-from recorder.run import SETUP_NAME
+from recording.run import SETUP_NAME
 from tests.roads import straight_road
 
 CAR = VehicleType(name="car", mesh="car", length_m=4.0, width_m=2.0, height_m=1.5)

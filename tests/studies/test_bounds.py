@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import Equipment
-from recorder.database import Database
-from recorder.run import Run
-from recorder.tables import MetaRow, SightingRow, TruthRow
+from recording.database import Database
+from recording.run import Run
+from recording.tables import MetaRow, SightingRow, TruthRow
 from studies.ecvpr import VISIBLE_POINTS, PerceptionBounds
 from tests.studies.straight_runs import write_setup
 

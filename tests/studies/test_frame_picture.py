@@ -13,9 +13,9 @@ from protocol.errors import ConfigError
 from protocol.messages import Setup, VehicleType
 from protocol.scans import PointCloud
 from protocol.wire import encode
-from recorder.database import Database
-from recorder.run import SETUP_NAME, Run
-from recorder.tables import CloudRow, CountRow, DetectionRow, FrameRow, PhaseRow, TruthRow
+from recording.database import Database
+from recording.run import SETUP_NAME, Run
+from recording.tables import CloudRow, CountRow, DetectionRow, FrameRow, PhaseRow, TruthRow
 from studies.snapshot import draw_frame, load_snapshot
 from tests.roads import WEST_TO_EAST
 

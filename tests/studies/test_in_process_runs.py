@@ -9,9 +9,9 @@ import pytest
 
 from cpnet import scenario as scenarios
 from protocol.errors import ConfigError
-from recorder.compare import differences
-from recorder.run import Run
-from recorder.tables import CountRow, PhaseRow, TripRow
+from recording.compare import differences
+from recording.run import Run
+from recording.tables import CountRow, PhaseRow, TripRow
 from studies.in_process import run_in_process
 from studies.sweep.study_file import MEASURES
 from studies.sweep.worker import HISTOGRAM_BINS, measure

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.database import Database
-from recorder.run import Run
-from recorder.tables import DetectionRow, FrameRow, TruthRow
+from recording.database import Database
+from recording.run import Run
+from recording.tables import DetectionRow, FrameRow, TruthRow
 from studies.ecvpr import EvaluationArea, FrameScore, match, score
 from tests.roads import straight_road
 from tests.studies.straight_runs import write_setup

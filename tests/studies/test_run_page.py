@@ -11,9 +11,9 @@ import pytest
 from protocol.errors import ConfigError
 from protocol.messages import Setup, VehicleType
 from protocol.wire import encode
-from recorder.database import FILE_NAME, Database
-from recorder.run import SETUP_NAME
-from recorder.tables import (
+from recording.database import FILE_NAME, Database
+from recording.run import SETUP_NAME
+from recording.tables import (
     AccountRow,
     CountRow,
     DetectionRow,

@@ -8,8 +8,8 @@ import pytest
 from rich.console import Console
 
 from protocol.errors import ConfigError
-from recorder.database import Database
-from recorder.tables import (
+from recording.database import Database
+from recording.tables import (
     AccountRow,
     DropRow,
     FrameRow,

@@ -31,7 +31,7 @@ def test_a_flood_of_agents_is_bounded() -> None:
 
 
 def test_every_stage_of_the_account_is_drawn_once() -> None:
-    from recorder.tables import AccountRow
+    from recording.tables import AccountRow
 
     stages = [stage for group in GROUPS.values() for stage in group]
     kept = {name.removesuffix("_ns") for name in AccountRow._fields if name.endswith("_ns")}

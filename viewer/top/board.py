@@ -20,7 +20,7 @@ from protocol.messages import (
     Tick,
 )
 from protocol.topics import BusName
-from recorder.drops import Drops
+from recording.losses import DropCounts
 from viewer.figures import phase_names, pressures
 from viewer.rates import MAX_AGENTS, Rates
 from viewer.stages import GROUPS, Account, Stages
@@ -110,7 +110,7 @@ class Board:
         self._accounts: deque[Account] = deque(maxlen=AVERAGED_FRAMES)
         self._points: dict[str, int] = {}
         self._scores: dict[str, AgentScore] = {}
-        self._drops = Drops()
+        self._drops = DropCounts()
         self._dropped: dict[tuple[str, str], int] = {}
         self._shown: _Shown | None = None
         self._request: SignalRequest | None = None

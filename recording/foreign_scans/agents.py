@@ -1,0 +1,149 @@
+"""The agents of a folder of scans: whose clouds, their poses and times."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from protocol.errors import ConfigError
+from protocol.geometry import SE3, Floats
+from protocol.scans import PointCloud
+from recording.foreign_scans.alignment import refined
+from recording.foreign_scans.folder import scans_in, sensors_in
+from recording.foreign_scans.poses import Track, read_extrinsics, read_poses
+from sensing.point_files import read_points
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Agent:
+    """Its clouds come from one sensor or from several, merged into the vehicle's frame.
+
+    `files` has those of a frame together, by sensor; `mounts` are `vehicle_SE3_sensor`.
+    """
+
+    name: str
+    files: list[dict[str, Path]]
+    mounts: dict[str, SE3]
+    track: Track
+
+    def cloud(self, number: int) -> PointCloud:
+        """Returns the points of a frame's files in the frame of the sensor, or of the vehicle.
+
+        Raises:
+            ConfigError: a file cannot be read.
+        """
+        parts = [
+            (self.mounts[name], read_points(path)) for name, path in self.files[number].items()
+        ]
+        points = [mount.apply(cloud.points).astype(np.float32) for mount, cloud in parts]
+        shade = [cloud.intensity for _, cloud in parts]
+        return PointCloud(np.concatenate(points), np.concatenate(shade))
+
+    def pose(self, number: int) -> Floats:
+        """Returns the pose (6,) of a frame's files; of a sensor that stood still, always one."""
+        return np.asarray(self.track.poses[number if len(self.track.poses) > 1 else 0])
+
+    @property
+    def times_s(self) -> Floats | None:
+        """When each frame was (N,); None if nobody told, or of the one pose alone."""
+        times_s = self.track.times_s
+        return times_s if times_s is not None and len(times_s) == len(self.files) else None
+
+    def moved(self, by_m: Floats) -> Agent:
+        """Returns the agent with its poses shifted in the map frame by (3,)."""
+        shift = np.concatenate([by_m, np.zeros(3)])
+        return replace(self, track=replace(self.track, poses=self.track.poses + shift))
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """What the user named: a folder of clouds, poses, and how sensors are mounted, if several.
+
+    With `refine`, that is a first guess; see `recording.foreign_scans.alignment`.
+    """
+
+    scans: Path
+    poses: Path
+    extrinsics: Path | None = None
+    sensors: Sequence[str] = ()
+    refine: bool = False
+
+
+def agents_of(source: Source) -> list[Agent]:
+    """Returns the agents, sorted; all have equally many frames.
+
+    Raises:
+        ConfigError: files are missing or wrong, or do not fit one another.
+    """
+    if source.extrinsics is None:
+        groups = {
+            name: [{"": file} for file in files] for name, files in scans_in(source.scans).items()
+        }
+        mounts = {"": SE3.identity()}
+    else:
+        mounts = read_extrinsics(source.extrinsics, source.sensors)
+        by_sensor = sensors_in(source.scans, list(mounts))
+        if source.refine:
+            first = {
+                name: read_points(files[0]).points.astype(np.float64)
+                for name, files in by_sensor.items()
+            }
+            mounts = refined(mounts, first)
+        rows = zip(*by_sensor.values(), strict=True)
+        frames = [dict(zip(by_sensor, row, strict=True)) for row in rows]
+        groups = {source.scans.resolve().name or "agent": frames}
+    tracks = read_poses(source.poses)
+    agents = [
+        Agent(name, files, mounts, _track_of(name, tracks, len(groups), source.poses))
+        for name, files in sorted(groups.items())
+    ]
+    for agent in agents:
+        _check(agent, len(agents[0].files), source.poses)
+    return agents
+
+
+def check_clocks(agents: Sequence[Agent], period_s: float, path: Path) -> None:
+    """Finds agents whose poses were timed by other clocks, or whose frames are not together.
+
+    Raises:
+        ConfigError: the times of a frame are more than half a period apart.
+    """
+    timed = [agent for agent in agents if agent.times_s is not None]
+    for other in timed[1:]:
+        assert timed[0].times_s is not None
+        assert other.times_s is not None
+        apart = np.abs(other.times_s - timed[0].times_s) > period_s / 2
+        if apart.any():
+            raise ConfigError(
+                f"{path}: agents {timed[0].name} and {other.name} have other times in frame "
+                f"{int(apart.argmax())}: all need one clock"
+            )
+
+
+def _track_of(name: str, tracks: Mapping[str, Track], agents: int, path: Path) -> Track:
+    if name in tracks:
+        return tracks[name]
+    if agents == 1 and len(tracks) == 1:
+        return next(iter(tracks.values()))
+    raise ConfigError(
+        f"{path}: has no poses of the agent {name!r}; it has those of "
+        f"{', '.join(repr(known) for known in tracks)}. With several agents, a table needs the "
+        "column agent, or a folder has one for each"
+    )
+
+
+def _check(agent: Agent, frames: int, path: Path) -> None:
+    poses = len(agent.track.poses)
+    if len(agent.files) != frames:
+        raise ConfigError(
+            f"agent {agent.name} has {len(agent.files)} scans, others have {frames}: all need "
+            "equally many"
+        )
+    if poses not in (1, frames):
+        raise ConfigError(
+            f"{path}: has {poses} poses for the {frames} scans of {agent.name}; needs as many, or "
+            "one if it stood still"
+        )

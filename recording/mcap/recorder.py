@@ -1,0 +1,212 @@
+"""Records both buses into MCAP files."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from protocol.courtesy import Budget, step_back
+from protocol.inbox import Envelope, Inbox, Presence
+from protocol.messages import End, Setup
+from protocol.onlooker import ALL_TOPICS
+from protocol.process import Context
+from protocol.topics import TOPICS, BusName
+from protocol.version import own_version
+from recording.mcap.format import next_file
+from recording.mcap.foxglove import BOXES_PER_CORE, CLOUDS_PER_CORE, FoxgloveConverter
+from recording.mcap.writer import McapWriter
+
+PATIENCE_NS = 4_000_000_000
+SILENCE_NS = 150_000_000
+
+
+class EndOfRecording:
+    """The recorder knows when the last frame is whole: as long as it is there, more may come."""
+
+    def __init__(self) -> None:
+        self._ended_ns: int | None = None
+        self._left_ns: int | None = None
+        self._heard_ns = 0
+        self._recorders: set[tuple[str, BusName]] = set()
+
+    def look(self, presence: Presence, now_ns: int) -> None:
+        """A process appeared or left; without a world nothing more is to come, until it is back.
+
+        On the V2X bus all are gone for a moment when the edge dies, which hosts it.
+        """
+        if presence.role == "record":
+            one = presence.id, presence.bus
+            (self._recorders.add if presence.alive else self._recorders.discard)(one)
+        elif presence.role == "sim" and presence.bus is BusName.WORLD:
+            self._left_ns = None if presence.alive else now_ns
+
+    def begin(self, now_ns: int) -> None:
+        """The world stops."""
+        self._ended_ns = now_ns if self._ended_ns is None else self._ended_ns
+
+    def heard(self, now_ns: int) -> None:
+        """Something was said."""
+        self._heard_ns = now_ns
+
+    def is_over(self, now_ns: int) -> bool:
+        """Whether nothing more is to come, or patience has run out."""
+        began_ns = self._left_ns if self._ended_ns is None else self._ended_ns
+        if began_ns is None:
+            return False
+        is_silent = not self._recorders and now_ns - self._heard_ns >= SILENCE_NS
+        return is_silent or now_ns - began_ns >= PATIENCE_NS
+
+
+POLL_S = 0.2
+"""Nobody waits for a recording: what comes meanwhile is taken together, for less work."""
+TRUTH_TOPICS = frozenset({"truth", "sighting"})
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedContent:
+    """What is recorded: with the truth or without, for Foxglove as well or not."""
+
+    truth: bool = True
+    foxglove: bool = True
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """Names in the topic table."""
+        return ALL_TOPICS if self.truth else ALL_TOPICS - TRUTH_TOPICS
+
+
+class McapRecorder:
+    """Keeps what comes; a role, see `protocol.process.Role`."""
+
+    def __init__(
+        self,
+        setup: Setup,
+        next_path: Callable[[], Path],
+        inbox: Inbox,
+        choice: RecordedContent,
+        stop: threading.Event,
+    ) -> None:
+        """Begins a recording; `stop` is set once the run is over.
+
+        Raises:
+            ConfigError: the recording cannot be written there.
+        """
+        inbox.keep_encoded()
+        inbox.gather()
+        self._inbox = inbox
+        self._stop = stop
+        self._ending = EndOfRecording()
+        self._reason = "unknown"
+        self.writer = McapWriter(next_path, setup, _facts(setup, choice))
+        self.scene = _scene(setup, self.writer) if choice.foxglove else None
+
+    @property
+    def dropped(self) -> int:
+        """How many messages came that are not in the recording."""
+        return self._inbox.drops.total()
+
+    def on(self, item: Envelope | Presence) -> None:
+        """Keeps a message.
+
+        Raises:
+            ProtocolError: it cannot be kept.
+            CpnetError: the disk is full, or fails.
+        """
+        if isinstance(item, Presence):
+            self._ending.look(item, time.monotonic_ns())
+            return
+        end = item.message if item.topic == "end" else None
+        moment = self.writer.write(item)
+        self._ending.heard(time.monotonic_ns())
+        if isinstance(end, End):
+            self._reason = end.reason
+            self._ending.begin(time.monotonic_ns())
+        if self.scene is not None and moment.frame is not None:
+            self.scene.take(item, moment.frame)
+
+    def poll(self) -> None:
+        """Does what is due when all that came was taken.
+
+        Raises:
+            CpnetError: the disk is full, or fails.
+        """
+        while self.scene is not None and self._inbox.is_empty and self.scene.step():
+            pass
+        now_ns = time.monotonic_ns()
+        self.writer.settle(now_ns)
+        is_idle = self._inbox.is_empty
+        if not is_idle:
+            self._ending.heard(now_ns)
+        if self._ending.is_over(now_ns):
+            self._stop.set()
+        elif is_idle:
+            time.sleep(POLL_S)
+
+    def close(self) -> None:
+        """Ends the recording.
+
+        Raises:
+            CpnetError: the disk is full, or fails.
+        """
+        facts = {
+            "end_reason": self._reason,
+            "messages": str(self.writer.messages),
+            "drops": json.dumps(self._inbox.drops),
+        }
+        if self.scene is not None:
+            facts["frames_left_out"] = str(self.scene.frames_left_out)
+            facts["clouds_left_out"] = str(self.scene.clouds_left_out)
+        self.writer.close(facts)
+
+
+def _scene(setup: Setup, writer: McapWriter) -> FoxgloveConverter:
+    now_ns = time.monotonic_ns()
+    boxes, clouds = (
+        Budget.of_this_machine(share, now_ns) for share in (BOXES_PER_CORE, CLOUDS_PER_CORE)
+    )
+    return FoxgloveConverter(setup, writer, boxes, clouds)
+
+
+def _facts(setup: Setup, choice: RecordedContent) -> dict[str, str]:
+    scenario = setup.scenario
+    told = {key: str(scenario.get(key, "")) for key in ("name", "mode", "seed", "region")}
+    return told | {
+        "cpnet": own_version(),
+        "truth": json.dumps(choice.truth),
+        "log_time": "when it arrived, on time.monotonic_ns of the process that recorded",
+        "publish_time": "simulated time; the log time where a message has none",
+    }
+
+
+def build(context: Context) -> McapRecorder:
+    """Begins `run.mcap`, or the next of that name if it is there; announces that it listens.
+
+    Raises:
+        ConfigError: the run folder cannot take it.
+    """
+    step_back()
+    scenario = context.setup.scenario
+    choice = content_of(scenario)
+    recorder = McapRecorder(
+        context.setup, lambda: next_file(context.run_dir), context.inbox, choice, context.stop
+    )
+    for name in sorted(choice.topics):
+        topic = TOPICS[name]
+        bus = context.world if topic.bus is BusName.WORLD else context.v2x
+        own = {"region": str(scenario["region"])} if "{region}" in topic.template else {}
+        bus.subscribe(name, **own)
+    context.world.watch()
+    context.v2x.watch()
+    context.announce("mcap")
+    return recorder
+
+
+def content_of(scenario: dict[str, Any]) -> RecordedContent:
+    """Returns what a scenario wants recorded."""
+    record = scenario.get("record", {})
+    return RecordedContent(truth=record.get("truth", True), foxglove=record.get("foxglove", True))

@@ -1,0 +1,258 @@
+"""Writes an MCAP recording: every message as received, on one channel per key.
+
+Chunks are small, so that a killed process loses about a second.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from protocol.errors import ConfigError, CpnetError, MessageError
+from protocol.inbox import Envelope
+from protocol.messages import Setup
+from protocol.topics import TOPICS
+from protocol.version import own_version
+from protocol.wire import FrameTime, encode, peek_frame_time
+from recording.mcap.format import (
+    CLOSING_METADATA,
+    ENCODING,
+    PREVIOUS_FILE,
+    RUN_METADATA,
+    SETUP_ATTACHMENT,
+    SETUP_TYPE,
+    TOPIC,
+    name_of,
+    schema_of,
+)
+from recording.mcap.format import SCHEMA_ENCODING as SCHEMA_ENCODING
+from recording.mcap.foxglove_messages import Shape
+
+CHUNK_BYTES = 256 << 10
+CHUNK_NS = 700_000_000  # then a chunk is closed, however small it is
+MAX_CHANNELS = 16_384  # a quarter of what the format allows
+MAX_CHUNKS = 10_000  # the index of each stays in memory until the end
+_NEVER_BYTES = 1 << 62
+
+
+class McapFile:
+    """Takes messages; what is older than a second is in the file, if `settle` is called often."""
+
+    def __init__(self, path: Path, setup: bytes, facts: dict[str, str]) -> None:
+        """Begins a file with what is known of the run, and its setup.
+
+        Raises:
+            ConfigError: the file is there already or cannot be written.
+        """
+        self.path = path
+        self._counts: dict[int, int] = {}
+        self._log_ns = 0
+        self._began_ns = 0
+        self._waiting_bytes = 0
+        self._chunks = 0
+        self._is_closed = False
+        self.size_bytes = 0
+        try:
+            self._file = path.open("xb")
+        except OSError as error:
+            raise ConfigError(f"{path} cannot be written: {error.strerror or error}") from None
+        # Chunks end here and not in the library, so that each is in the file as soon as it ends.
+        self._writer = Writer(self._file, _NEVER_BYTES, CompressionType.ZSTD)
+        with self._named_faults():
+            self._writer.start(library=f"cpnet {own_version()}")
+            self._writer.add_metadata(RUN_METADATA, facts)
+            self._writer.add_attachment(0, 0, SETUP_ATTACHMENT, SETUP_TYPE, setup)
+            self._writer.flush()
+
+    @property
+    def is_full(self) -> bool:
+        """Whether another file should go on, before the index of this one takes too much memory."""
+        return len(self._counts) >= MAX_CHANNELS or self._chunks >= MAX_CHUNKS
+
+    def schema(self, name: str, encoding: str, data: bytes) -> int:
+        """Returns the number of a new schema."""
+        number: int = self._writer.register_schema(name, encoding, data)
+        return number
+
+    def channel(self, topic: str, encoding: str, schema: int, facts: dict[str, str]) -> int:
+        """Returns the number of a new channel."""
+        number: int = self._writer.register_channel(topic, encoding, schema, facts)
+        self._counts[number] = 0
+        return number
+
+    def write(self, channel: int, data: bytes, log_ns: int, sim_time_ns: int | None) -> None:
+        """Adds a message; its log time is never before that of an earlier one.
+
+        Raises:
+            CpnetError: the disk is full, or fails.
+        """
+        self._log_ns = max(self._log_ns, log_ns)
+        if not self._waiting_bytes:
+            self._began_ns = self._log_ns
+        count = self._counts[channel]
+        self._counts[channel] = (count + 1) & 0xFFFFFFFF
+        published_ns = self._log_ns if sim_time_ns is None or sim_time_ns < 0 else sim_time_ns
+        self._writer.add_message(channel, self._log_ns, data, published_ns, count)
+        self._waiting_bytes += len(data)
+        if self._waiting_bytes >= CHUNK_BYTES:
+            self._end_chunk()
+
+    def settle(self, now_ns: int) -> None:
+        """Ends the chunk if it is old.
+
+        Raises:
+            CpnetError: the disk is full, or fails.
+        """
+        if self._waiting_bytes and now_ns - self._began_ns >= CHUNK_NS:
+            self._end_chunk()
+
+    def close(self, facts: dict[str, str]) -> None:
+        """Writes what came of it, the index and the end, unless that was done or the disk failed.
+
+        Raises:
+            CpnetError: the disk is full, or fails.
+        """
+        if self._is_closed:
+            return
+        self._is_closed = True
+        with self._named_faults():
+            self._writer.flush()
+            self._writer.add_metadata(CLOSING_METADATA, facts)
+            self._writer.finish()
+            self.size_bytes = self._file.tell()
+            self._file.close()
+
+    def _end_chunk(self) -> None:
+        self._waiting_bytes = 0
+        self._chunks += 1
+        with self._named_faults():
+            self._writer.flush()
+        self.size_bytes = self._file.tell()
+
+    @contextlib.contextmanager
+    def _named_faults(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self._is_closed = True
+            with contextlib.suppress(OSError):
+                self._file.close()
+            raise CpnetError(f"{self.path} cannot be written: {error.strerror or error}") from None
+
+
+_PROTOBUF = "protobuf"
+
+
+class McapWriter:
+    """Writes one file after another: the next begins when the index of one has grown large.
+
+    `messages` counts the native ones. `files` are all that were begun.
+    """
+
+    def __init__(self, next_path: Callable[[], Path], setup: Setup, facts: dict[str, str]) -> None:
+        """Begins the first file.
+
+        Args:
+            next_path: says where a new file is to be.
+            setup: what every process of the run was given.
+            facts: what else readers are to know of the run.
+
+        Raises:
+            ConfigError: the file is there already or cannot be written.
+        """
+        self._next_path = next_path
+        self._setup = encode(setup)
+        self._facts = facts
+        self._ended_bytes = 0
+        self.messages = 0
+        self.files: list[Path] = []
+        self._reel = self._load()
+
+    @property
+    def size_bytes(self) -> int:
+        """How much is in the files."""
+        return self._ended_bytes + self._reel.size_bytes
+
+    def write(self, item: Envelope) -> FrameTime:
+        """Adds a message as it came; returns of which moment it is.
+
+        Raises:
+            ProtocolError: it has no key, or nobody could read its bytes.
+            CpnetError: the disk is full, or fails.
+        """
+        moment = peek_frame_time(item.data, TOPICS[item.topic].message)
+        place = (item.topic, *item.parts.values())
+        channel = self._channels.get(place)
+        if channel is None:
+            channel = self._channels[place] = self._native(item)
+        self._reel.write(channel, item.data, item.received_ns, moment.sim_time_ns)
+        self.messages += 1
+        return moment
+
+    def write_shape(self, topic: str, shape: Shape, log_ns: int, sim_time_ns: int | None) -> None:
+        """Adds a message for other tools, of this simulated time or of none.
+
+        Its log time is later where something later is in the recording already.
+
+        Raises:
+            CpnetError: the disk is full, or fails.
+        """
+        place = (topic,)
+        channel = self._channels.get(place)
+        if channel is None:
+            channel = self._channels[place] = self._foreign(topic, shape)
+        self._reel.write(channel, shape.SerializeToString(), log_ns, sim_time_ns)
+
+    def settle(self, now_ns: int) -> None:
+        """Sees to it that what came is in the file soon; to be called many times a second.
+
+        Raises:
+            CpnetError: the disk is full, or fails.
+        """
+        self._reel.settle(now_ns)
+        if self._reel.is_full:
+            self._reel.close({})
+            self._ended_bytes += self._reel.size_bytes
+            self._reel = self._load()
+
+    def close(self, facts: dict[str, str]) -> None:
+        """Ends the last file; the facts say what came of it.
+
+        Raises:
+            CpnetError: the disk is full, or fails.
+        """
+        self._reel.close(facts)
+
+    def _load(self) -> McapFile:
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[tuple[str, ...], int] = {}
+        before = {PREVIOUS_FILE: self.files[-1].name} if self.files else {}
+        reel = McapFile(self._next_path(), self._setup, self._facts | before)
+        self.files.append(reel.path)
+        return reel
+
+    def _native(self, item: Envelope) -> int:
+        """Returns a new channel for messages of this key."""
+        topic = TOPICS[item.topic]
+        try:
+            key = topic.key(**item.parts)
+        except ValueError as error:
+            raise MessageError(str(error)) from None
+        name = name_of(topic.message)
+        if name not in self._schemas:
+            schema = schema_of(topic.message)
+            self._schemas[name] = self._reel.schema(name, SCHEMA_ENCODING, schema)
+        facts = {TOPIC: topic.name, "bus": topic.bus.value}
+        return self._reel.channel(key, ENCODING, self._schemas[name], facts)
+
+    def _foreign(self, topic: str, shape: Shape) -> int:
+        """Returns a new channel for messages like this one."""
+        name = shape.DESCRIPTOR.full_name
+        if name not in self._schemas:
+            described = build_file_descriptor_set(type(shape)).SerializeToString()
+            self._schemas[name] = self._reel.schema(name, _PROTOBUF, described)
+        return self._reel.channel(topic, _PROTOBUF, self._schemas[name], {})

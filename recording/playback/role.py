@@ -1,0 +1,137 @@
+"""The player role: publishes, frame by frame, what the agents of one process published."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from protocol.bus import Bus
+from protocol.inbox import Envelope, Presence
+from protocol.messages import Tick
+from protocol.process import Context
+from recording.config import ReplayConfig
+from recording.mcap.reader import McapReader
+from recording.playback.frames import FRAME_TOPIC, RecordedFrames
+from recording.playback.upload import AGENT_TOPICS, AgentFrame, Pace, ReplayedUpload, agent_frames
+from sensing.radio import ENVELOPE_BYTES, AgentKind, Radio
+from sensing.station import Station
+from sensing.uplink import Uplink, UplinkContext
+from vehicle_agent.role import Connections
+
+FORGET_FRAMES = 600  # an agent whose link was full for so long is taken to have left
+
+
+class PlayerRole:
+    """Stands in for one process of agents, under its id.
+
+    All that depends on the link is of this run: which chunks leave, when they arrive, which frames
+    an agent leaves out because its link is full. What was left out of the recording stays out.
+    """
+
+    def __init__(self, context: Context, frames: RecordedFrames) -> None:
+        scenario = context.setup.scenario
+        role = context.id.rpartition("-")[0]
+        self._kind: AgentKind = "roadside" if role == "infra" else "vehicle"
+        self._context = context
+        self._frames = frames
+        self._lockstep = scenario["mode"] == "lockstep"
+        self._speed = ReplayConfig.model_validate(scenario["replay"]).speed
+        self._period_ns = round(scenario["frame_period_s"] * 1e9)
+        self._station = Station(context, self._kind)
+        self._terms = UplinkContext(
+            self._station.region, context.id, lockstep=self._lockstep, period_ns=self._period_ns
+        )
+        self._connections = Connections(context.open_v2x, wait=self._lockstep)
+        self._shapes_poses = self._station.link.channel(scenario["mode"]) == "emulated"
+        self._seen: dict[str, int] = {}
+        self._buses: dict[str, Bus] = {}
+        self._radios: dict[str, Radio] = {}
+        self._ways: dict[str, Uplink] = {}
+        self._station.open(role)
+
+    @classmethod
+    def build(cls, context: Context) -> PlayerRole:
+        """Opens the recording that the scenario names.
+
+        Raises:
+            ConfigError: it cannot be read.
+        """
+        recording = McapReader(
+            Path(ReplayConfig.model_validate(context.setup.scenario["replay"]).recording)
+        )
+        frames = RecordedFrames(recording.heard([*AGENT_TOPICS, FRAME_TOPIC]))
+        frames.first()  # is read before the first tick, which would be late otherwise
+        return cls(context, frames)
+
+    def on(self, item: Envelope | Presence) -> None:
+        """Takes a tick, a plan or the end."""
+        self._station.take(item)
+
+    def poll(self) -> None:
+        """Plays the newest frame."""
+        if tick := self._station.pop():
+            self._play(tick)
+        self._station.report(tick)
+
+    def close(self) -> None:
+        """Accounts for the last frame and hangs up every agent's connection."""
+        self._forget_all_but(set())
+        self._station.report()
+        self._connections.close()
+
+    def _play(self, tick: Tick) -> None:
+        begun_ns = time.monotonic_ns()
+        said = agent_frames(self._context.id, self._kind, self._frames.take(tick.frame))
+        drops = {"late_in_recording": self._frames.late, "absurd_in_recording": self._frames.absurd}
+        self._context.inbox.drops |= {reason: n for reason, n in drops.items() if n}
+        self._seen |= dict.fromkeys(said, tick.frame)
+        here = {agent: words for agent, words in said.items() if self._connect(agent, words)}
+        self._station.begin(tick)
+        self._forget_all_but({a for a, n in self._seen.items() if n > tick.frame - FORGET_FRAMES})
+        admitted = {a for a in here if self._station.admits(self._radios[a], tick)}
+        mine = [a for a in here if a in admitted or self._kind == "roadside"]
+        scanning = [agent for agent in mine if agent in admitted and here[agent].parts]
+        self._station.publish_roster(tick, mine, scanning)
+        pace = self._pace(said, begun_ns)
+        for agent in sorted(admitted, key=mine.index):
+            self._say(tick, agent, here[agent], pace)
+
+    def _say(self, tick: Tick, agent: str, words: AgentFrame, pace: Pace | None) -> None:
+        if words.pose is not None:
+            passage = self._radios[agent].transmit(tick.sim_time_ns, ENVELOPE_BYTES, is_chunk=False)
+            arrival = {"arrival_sim_ns": passage and passage.arrival_ns}
+            where = {"region": self._station.region, "process": self._context.id, "agent": agent}
+            self._buses[agent].publish("pose", words.pose.model_copy(update=arrival), **where)
+        if words.parts:
+            self._ways[agent].submit(ReplayedUpload(tick, self._ways[agent], words, pace))
+        if words.sighting is not None:
+            self._station.publish_sighting(words.sighting)
+
+    def _pace(self, said: dict[str, AgentFrame], begun_ns: int) -> Pace | None:
+        starts = [w.sense_start_ns for w in said.values() if w.sense_start_ns is not None]
+        if self._lockstep or not starts:
+            return None
+        return Pace(min(starts), begun_ns, self._period_ns, self._speed)
+
+    def _connect(self, agent: str, words: AgentFrame) -> bool:
+        """Gives a newcomer its connection and radio; false while the connection is being opened."""
+        if agent in self._radios:
+            return True
+        has_own = words.has_sensor or self._shapes_poses
+        bus = self._connections.get(agent) if has_own else self._context.v2x
+        if bus is None:
+            return False
+        self._buses[agent] = bus
+        self._radios[agent] = radio = self._station.radio(agent, bus)
+        if words.has_sensor:
+            self._ways[agent] = self._station.add(Uplink(agent, bus, radio, self._terms))
+        return True
+
+    def _forget_all_but(self, present: set[str]) -> None:
+        for agent in sorted(self._ways.keys() - present):
+            del self._ways[agent]
+            self._station.close_uplink(agent)
+        for known in (self._buses, self._radios, self._seen):
+            for agent in sorted(known.keys() - present):
+                del known[agent]
+        self._connections.close_all_but(present)

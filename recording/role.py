@@ -1,0 +1,355 @@
+"""The record role: subscribes to both buses and writes one database."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sqlite3
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+from protocol import messages as m
+from protocol.errors import CpnetError, MessageError
+from protocol.inbox import Envelope, Presence
+from protocol.messages import Equipment, Metrics, Progress, Tick
+from protocol.process import Context
+from protocol.topics import TOPICS, BusName, Delivery
+from recording import rows, tables
+from recording.config import RecordConfig
+from recording.database import Database, versions
+from recording.frame_aggregator import FrameAggregator
+from recording.losses import MAX_PROCESSES, BusGaps, DropCounts, RestartGaps
+
+MAX_PROGRESS_AGENTS = 1024
+
+
+@dataclass(slots=True)
+class ProgressTracker:
+    """Gathers between two reports; rates are per simulated second, as the agents would see them."""
+
+    frame_period_ns: int
+    frame: int = 0
+    sim_time_ns: int = 0
+    vehicles: int = 0
+    cavs: int = 0
+    cvs: int = 0
+    detections: int = 0
+    state: str = ""
+    end_to_end_ns: int = 0
+    payload_bytes: Counter[str] = field(default_factory=Counter)
+    _since: tuple[int, int] | None = None
+
+    def ticked(self, tick: Tick, now_ns: int) -> None:
+        """Notes where the world is."""
+        equipment = tick.equipment.tolist()
+        self.frame, self.sim_time_ns = tick.frame, tick.sim_time_ns
+        self.vehicles = len(tick.ids)
+        self.cavs = equipment.count(Equipment.CAV)
+        self.cvs = equipment.count(Equipment.CV)
+        if self._since is None:
+            self._since = (tick.sim_time_ns - self.frame_period_ns, now_ns)
+
+    def measured(self, metrics: Metrics) -> None:
+        """Notes what was sent; of too many agents no more are told of."""
+        for upload in metrics.uploads:
+            if upload.agent in self.payload_bytes or len(self.payload_bytes) < MAX_PROGRESS_AGENTS:
+                self.payload_bytes[upload.agent] += upload.payload_bytes
+
+    def report(self, now_ns: int, drops: int) -> Progress:
+        """Returns what happened since the last report and begins anew."""
+        sim_ns, wall_ns = self._since or (self.sim_time_ns, now_ns)
+        sim_passed_ns, wall_passed_ns = self.sim_time_ns - sim_ns, now_ns - wall_ns
+        self._since = (self.sim_time_ns, now_ns)
+        # Mbit/s = 8e-6 Mbit per byte over 1e-9 s per ns
+        mbps = {
+            agent: count * 8e3 / sim_passed_ns if sim_passed_ns > 0 else 0.0
+            for agent, count in sorted(self.payload_bytes.items())
+        }
+        self.payload_bytes.clear()
+        return Progress(
+            frame=self.frame,
+            sim_time_ns=self.sim_time_ns,
+            real_time_factor=sim_passed_ns / wall_passed_ns if wall_passed_ns > 0 else 0.0,
+            vehicles=self.vehicles,
+            cavs=self.cavs,
+            cvs=self.cvs,
+            detections=self.detections,
+            mbps=mbps,
+            end_to_end_ms=self.end_to_end_ns / 1e6,
+            state=self.state,
+            drops=drops,
+        )
+
+
+PATIENCE_NS = 2_000_000_000
+SILENCE_NS = 150_000_000
+LAST_TO_PUBLISH = frozenset({"edge", "signal"})
+
+
+class EndOfRun:
+    """Waits for stragglers: topics of two buses and many processes keep no common order."""
+
+    def __init__(self) -> None:
+        self._began_ns: int | None = None
+        self._awaits_last_frame = True
+        self._heard_ns = 0
+
+    def begin(self, now_ns: int, *, in_time: bool) -> None:
+        """The world stops; if before its time, the last frame is not waited for."""
+        self._began_ns = now_ns
+        self._awaits_last_frame = in_time
+
+    def heard(self, now_ns: int) -> None:
+        """Something was said."""
+        self._heard_ns = max(self._heard_ns, now_ns)
+
+    def is_over(self, now_ns: int, ledger: FrameAggregator) -> bool:
+        """Whether the last frame is whole and all are silent, or patience has run out."""
+        if self._began_ns is None:
+            return False
+        if now_ns - self._began_ns >= PATIENCE_NS:
+            return True
+        if self._awaits_last_frame and not _is_complete(ledger):
+            return False
+        return now_ns - self._heard_ns >= SILENCE_NS
+
+
+def _is_complete(ledger: FrameAggregator) -> bool:
+    last = ledger.get(ledger.newest_tick)
+    return last is not None and last.heard >= LAST_TO_PUBLISH and last.detections is not None
+
+
+COMMIT_NS = 1_000_000_000
+COMMIT_ROWS = 5_000
+PROGRESS_NS = 1_000_000_000
+_log = logging.getLogger(__name__)
+_SUBSCRIBED_LAST = ("tick", "state")  # of each bus one: who hears it hears all others too
+MAX_TOTAL = (1 << 53) - 1  # what a message takes
+
+
+class RecordRole:
+    """Writes what the run says of itself; never in the way of a frame."""
+
+    def __init__(self, context: Context) -> None:
+        """Opens the database and subscribes.
+
+        Raises:
+            ConfigError: the run folder cannot take a recording.
+        """
+        scenario = context.setup.scenario
+        self._context = context
+        self._config = RecordConfig.model_validate(scenario.get("record", {}))
+        self._frame_period_ns = round(float(scenario.get("frame_period_s", 0.1)) * 1e9)
+        written = json.dumps(scenario)
+        self._database = Database(context.run_dir, written)
+        self._is_broken = False
+        self._ledger = FrameAggregator(self._frame_period_ns, self._database.last_tick)
+        self._glance = ProgressTracker(self._frame_period_ns)
+        self._ending = EndOfRun()
+        self._clocks: dict[str, tuple[int, int]] = {}
+        self._drops = DropCounts(self._database.known_drops())
+        self._last_request = -1 if self._database.last_whole is None else self._database.last_whole
+        self._return: RestartGaps | None = None
+        self._reaches = [BusGaps(BusName.V2X, context.v2x), BusGaps(BusName.WORLD, context.world)]
+        self._commit_ns = COMMIT_NS if scenario.get("mode") == "lockstep" else 0
+        self._committed_ns = self._told_ns = time.monotonic_ns()
+        self._handlers = self._routes()
+        resumed = self._database.last_frame
+        if resumed is None:
+            self._begin(written)
+        else:
+            _log.warning("the recording goes on after frame %d", resumed)
+            self._ledger.settle(resumed)
+            self._return = RestartGaps(self._last_request)
+
+    @classmethod
+    def build(cls, context: Context) -> RecordRole:
+        """Makes the role and announces that it listens."""
+        role = cls(context)
+        region = str(context.setup.scenario.get("region", "r0"))
+        for name in sorted(role._handlers, key=_SUBSCRIBED_LAST.__contains__):
+            topic = TOPICS[name]
+            bus = context.world if topic.bus is BusName.WORLD else context.v2x
+            bus.subscribe(name, **({"region": region} if "{region}" in topic.template else {}))
+        context.announce("record")
+        return role
+
+    def on(self, item: Envelope | Presence) -> None:
+        """Takes a message; one of a frame that cannot be is counted and dropped."""
+        if isinstance(item, Presence) or item.topic not in self._handlers:
+            return
+        self._look(time.monotonic_ns())
+        try:
+            self._handlers[item.topic](item.message, item.received_ns)
+            self._note_gaps(item)
+        except MessageError as error:
+            self._context.inbox.refuse(item.topic, error)
+        self._ending.heard(item.received_ns)
+        if self._database.is_full:
+            self._commit(time.monotonic_ns())
+
+    def poll(self) -> None:
+        """Commits and reports when it is time, and stops once the run is written."""
+        now_ns = time.monotonic_ns()
+        self._look(now_ns)
+        due = now_ns - self._committed_ns >= self._commit_ns
+        if due or self._database.pending_rows >= COMMIT_ROWS:
+            self._commit(now_ns)
+        if self._ledger.newest_tick >= 0 and now_ns - self._told_ns >= PROGRESS_NS:
+            self._tell(now_ns)
+        if self._ending.is_over(now_ns, self._ledger):
+            self._context.stop.set()
+
+    def close(self) -> None:
+        """Writes the rest and leaves one plain file, unless the disk has failed before."""
+        if self._is_broken:
+            return
+        self._commit(time.monotonic_ns())
+        self._database.close()
+
+    def _routes(self) -> dict[str, Callable[[Any, int], None]]:
+        routes: dict[str, Callable[[Any, int], None]] = {
+            "tick": self._on_tick,
+            "trips": self._on_trips,
+            "metrics": self._on_metrics,
+            "clock": self._on_clock,
+            "end": self._on_end,
+            "state": self._on_state,
+            "request": self._on_request,
+            "detections": self._on_detections,
+            "lanes": self._on_lanes,
+        }
+        if self._config.truth:
+            routes["truth"] = self._on_truth
+            routes["sighting"] = self._on_sighting
+        if self._config.snapshot_period_s:
+            routes["scan"] = self._on_scan
+        return routes
+
+    def _on_tick(self, tick: m.Tick, received_ns: int) -> None:
+        note = self._ledger.tick(tick.frame, tick.sim_time_ns)
+        self._glance.ticked(tick, received_ns)
+        note.sim_time_ns, note.tick_ns = tick.sim_time_ns, received_ns
+        note.vehicles, note.cavs, note.cvs = (
+            self._glance.vehicles,
+            self._glance.cavs,
+            self._glance.cvs,
+        )
+
+    def _on_truth(self, truth: m.Truth, _: int) -> None:
+        self._ledger.check(truth.frame)
+        self._database.add(tables.TruthRow, rows.truth_rows(truth))
+
+    def _on_sighting(self, sighting: m.Sighting, _: int) -> None:
+        self._ledger.check(sighting.frame)
+        self._database.add(tables.SightingRow, [rows.sighting_row(sighting)])
+
+    def _on_trips(self, trips: m.Trips, _: int) -> None:
+        self._database.add(tables.TripRow, rows.trip_rows(trips))
+
+    def _on_metrics(self, metrics: m.Metrics, _: int) -> None:
+        self._drops.heard(metrics.process, metrics.drops)
+        note = self._ledger.measured(metrics)
+        self._glance.measured(metrics)
+        if metrics.process == "sim":
+            took_ns = note.end_to_end_ns(self._clocks)
+            self._glance.end_to_end_ns = took_ns or self._glance.end_to_end_ns
+        self._database.add(tables.StageRow, rows.stage_rows(metrics))
+        self._database.add(tables.AgentScoreRow, rows.agent_score_rows(metrics))
+
+    def _on_clock(self, reading: m.ClockReading, _: int) -> None:
+        if reading.process not in self._clocks and len(self._clocks) >= MAX_PROCESSES:
+            raise MessageError(f"{reading.process} is one process more than {MAX_PROCESSES}")
+        found = (reading.offset_ns, reading.error_ns)
+        self._clocks[reading.process] = found
+        self._database.add(tables.ClockRow, [tables.ClockRow(reading.process, *found)])
+
+    def _on_end(self, end: m.End, received_ns: int) -> None:
+        self._ending.begin(received_ns, in_time=end.reason == "finished")
+        facts = {
+            "end_frames": str(end.frames),
+            "end_reason": end.reason,
+            "end_waiting": str(end.waiting),
+        }
+        self._database.add(tables.MetaRow, facts.items())
+
+    def _on_state(self, state: m.SignalState, _: int) -> None:
+        self._ledger.check(state.frame)
+        self._glance.state = state.state
+        self._database.add(tables.PhaseRow, [rows.phase_row(state)])
+
+    def _on_request(self, request: m.SignalRequest, received_ns: int) -> None:
+        self._ledger.note(request.frame).request_ns = received_ns
+        self._last_request = max(self._last_request, request.frame)
+        self._database.add(tables.RequestRow, [rows.request_row(request)])
+
+    def _on_detections(self, detections: m.Detections, _: int) -> None:
+        note = self._ledger.note(detections.frame)
+        self._database.add(tables.DetectionRow, rows.detection_rows(detections))
+        note.detections = self._glance.detections = len(detections.boxes)
+
+    def _on_lanes(self, lanes: m.LaneCounts, _: int) -> None:
+        note = self._ledger.note(lanes.frame)
+        note.counted(lanes)
+        self._database.add(tables.CountRow, rows.count_rows(lanes))
+
+    def _on_scan(self, scan: m.Scan, _: int) -> None:
+        self._ledger.check(scan.frame)
+        period_ns = round(self._config.snapshot_period_s * 1e9)
+        if scan.sim_time_ns % period_ns < self._frame_period_ns:
+            self._database.add(tables.CloudRow, [rows.cloud_row(scan)])
+
+    def _look(self, now_ns: int) -> None:
+        for reach in self._reaches:
+            reach.look(self._last_request, now_ns)
+
+    def _note_gaps(self, heard: Envelope) -> None:
+        """Notes the gaps that a message ends; those that measure are of frames long gone."""
+        frame = getattr(heard.message, "frame", None)
+        topic = TOPICS[heard.topic]
+        if frame is None or topic.delivery is Delivery.TELEMETRY:
+            return
+        found = [reach.heard(topic.bus, frame, heard.received_ns) for reach in self._reaches]
+        if self._return is not None and topic.name in _SUBSCRIBED_LAST:
+            found.append(self._return.heard(topic.bus, frame))
+        self._database.add(tables.GapRow, filter(None, found))
+
+    def _begin(self, scenario: str) -> None:
+        used = versions()
+        facts = {
+            "scenario": scenario,
+            "version": used.get("cpnet-edge", "unknown"),  # a checkout that was never installed
+            "versions": json.dumps(used),
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        }
+        self._database.add(tables.MetaRow, facts.items())
+        self._commit(time.monotonic_ns())
+
+    def _commit(self, now_ns: int) -> None:
+        for note in self._ledger.take_changed():
+            self._database.add(tables.FrameRow, [note.row(self._clocks)])
+            self._database.add(tables.AccountRow, note.accounts(self._clocks))
+            self._database.add(tables.UploadRow, note.upload_rows())
+        self._count_own_drops()
+        self._database.add(tables.DropRow, self._drops.take_changed())
+        try:
+            self._database.commit()
+        except sqlite3.OperationalError as error:
+            self._is_broken = True
+            raise CpnetError(f"{self._database.path} cannot be written: {error}") from None
+        self._committed_ns = now_ns
+
+    def _tell(self, now_ns: int) -> None:
+        drops = min(self._drops.total(), MAX_TOTAL)
+        self._context.world.publish("progress", self._glance.report(now_ns, drops))
+        self._told_ns = now_ns
+
+    def _count_own_drops(self) -> None:
+        own = dict(self._context.inbox.drops)
+        if self._database.refused_rows:
+            own["refused_row"] = self._database.refused_rows
+        self._drops.heard(self._context.id, own)

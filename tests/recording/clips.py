@@ -1,0 +1,164 @@
+"""Short stretches of what a recording holds."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cpnet import scenario as scenarios
+from protocol import messages as m
+from protocol.in_process import InProcessRouter
+from protocol.inbox import Envelope, Inbox
+from protocol.process import Context
+from protocol.topics import BusName
+from protocol.wire import encode
+from recording.playback.frames import RecordedFrames
+from recording.playback.role import PlayerRole
+from tests.roads import no_road
+
+PERIOD_NS = 100_000_000
+REGION = "r0"
+
+
+def item(topic: str, message: m.Message, **parts: str) -> Envelope:
+    return Envelope(topic, parts, message, 0, encode(message))
+
+
+def state(frame: int, sim_time_ns: int | None = None) -> Envelope:
+    at_ns = frame * PERIOD_NS if sim_time_ns is None else sim_time_ns
+    shown = m.SignalState(
+        frame=frame,
+        sim_time_ns=at_ns,
+        tls="J",
+        state="",
+        stage="",
+        green="",
+        source="",
+        earliest_change_ns=at_ns,
+    )
+    return item("state", shown, tls="J")
+
+
+def tick(frame: int, sim_time_ns: int | None = None, ids: tuple[str, ...] = ()) -> Envelope:
+    count = len(ids)
+    at = m.Tick(
+        frame=frame,
+        sim_time_ns=frame * PERIOD_NS if sim_time_ns is None else sim_time_ns,
+        processes=["vehicle-0"],
+        ids=[*ids],
+        types=["car"] * count,
+        poses=np.zeros((count, 6)),
+        speeds_mps=np.zeros(count, np.float32),
+        equipment=np.zeros(count, np.uint8),
+        hosts=np.full(count, -1, np.int32),
+    )
+    return item("tick", at)
+
+
+def roster(frame: int, agents: list[str], process: str = "vehicle-0") -> Envelope:
+    said = m.Roster(frame=frame, process=process, agents=agents, scanning=agents)
+    return item("roster", said, region=REGION, process=process)
+
+
+def pose(frame: int, agent: str, process: str = "vehicle-0", *, cav: bool = True) -> Envelope:
+    said = m.AgentPose(
+        frame=frame,
+        sim_time_ns=frame * PERIOD_NS,
+        agent=agent,
+        equipment=m.Equipment.CAV if cav else m.Equipment.CV,
+        pose=np.zeros(6),
+        length_m=4.5,
+        width_m=1.8,
+        height_m=1.5,
+        position_std_m=0.1,
+        arrival_sim_ns=7,
+    )
+    return item("pose", said, region=REGION, process=process, agent=agent)
+
+
+def scan(
+    frame: int,
+    agent: str,
+    chunk: int = 0,
+    chunks: int = 1,
+    process: str = "vehicle-0",
+    size: int = 9,
+) -> Envelope:
+    begun_ns = 1_000_000_000 + frame * PERIOD_NS
+    said = m.Scan(
+        frame=frame,
+        sim_time_ns=frame * PERIOD_NS,
+        agent=agent,
+        chunk=chunk,
+        chunks=chunks,
+        points=3,
+        plan_frame=max(frame - 2, -1),
+        sensor_pose=np.arange(6.0),
+        sense_start_ns=begun_ns,
+        sense_end_ns=begun_ns + 2_000_000,
+        encode_end_ns=begun_ns + 5_000_000 + chunk * 1_000_000,
+        arrival_sim_ns=7,
+        payload=np.full(size, (100 * chunk + frame) % 256, np.uint8),
+    )
+    where = {"region": REGION, "process": process, "agent": agent}
+    return item("scan", said, **where, chunk=str(chunk))
+
+
+class Rig:
+    """A player and whoever hears it, on local buses."""
+
+    def __init__(self, said: list[Envelope], process: str = "vehicle-0", **more: Any) -> None:
+        data = scenarios.load("t_junction", {"replay": {"recording": "none"}, **more})
+        setup = m.Setup(
+            scenario=data.model_dump(mode="json"),
+            road_map=no_road("J", [(9, "G")]),
+            vehicle_types=[],
+            meshes=[],
+            mesh_vertices=np.zeros((0, 3), np.float32),
+            mesh_triangles=np.zeros((0, 3), np.int32),
+        )
+        self.v2x, self.world = InProcessRouter(), InProcessRouter(BusName.WORLD)
+        self.inbox, self.heard = Inbox(), Inbox()
+        self.ear = self.v2x.bus(self.heard)
+        self.mouth = self.world.bus(self.heard)
+        for topic in ("roster", "pose", "scan", "objects"):
+            self.ear.subscribe(topic)
+        for topic in ("metrics", "sighting"):
+            self.mouth.subscribe(topic)
+        context = Context(
+            process,
+            setup,
+            Path(),
+            self.world.bus(self.inbox),
+            self.v2x.bus(self.inbox),
+            self.inbox,
+            threading.Event(),
+            lambda: self.v2x.bus(self.inbox),
+        )
+        self.role = PlayerRole(context, RecordedFrames(said))
+
+    def play(self, frame: int) -> list[Envelope]:
+        """Lets the world tick; returns what the player says."""
+        said = tick(frame)
+        assert isinstance(said.message, m.Tick)
+        self.mouth.publish("tick", said.message)
+        return self.turn()
+
+    def turn(self) -> list[Envelope]:
+        while (come := self.inbox.get()) is not None:
+            self.role.on(come)
+        self.role.poll()
+        return self.told()
+
+    def told(self) -> list[Envelope]:
+        said = []
+        while isinstance(come := self.heard.get(), Envelope):
+            said.append(come)
+        return said
+
+
+def of(kind: type[Any], said: list[Envelope]) -> list[Any]:
+    return [one.message for one in said if isinstance(one.message, kind)]

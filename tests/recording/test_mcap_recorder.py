@@ -1,0 +1,201 @@
+"""Taping as a whole: what is asked for, what is said of it, when it is over."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+
+import pytest
+from cassette import envelope, golden, same, setup
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from protocol.in_process import InProcessRouter
+from protocol.inbox import Envelope, Inbox, Presence
+from protocol.onlooker import ALL_TOPICS
+from protocol.process import Context, loop
+from protocol.topics import TOPICS, BusName
+from protocol.wire import encode
+from recording.mcap import recorder
+from recording.mcap.format import next_file
+from recording.mcap.reader import McapReader
+from recording.mcap.recorder import (
+    PATIENCE_NS,
+    SILENCE_NS,
+    TRUTH_TOPICS,
+    EndOfRecording,
+    McapRecorder,
+    RecordedContent,
+)
+
+pytest.importorskip("mcap", reason="needs the extra `mcap`")
+
+
+@pytest.fixture(autouse=True)
+def stay_nice(monkeypatch):
+    monkeypatch.setattr(recorder, "step_back", lambda: None)
+
+
+def context_in(folder, record) -> Context:
+    """Returns what a recording's process is handed, on buses of this process."""
+    asked = setup()
+    scenario = {"name": "n", "mode": "lockstep", "seed": 1, "region": "r0", "record": record}
+    made = asked.model_copy(update={"scenario": scenario})
+    inbox, stop = Inbox(), threading.Event()
+    world, v2x = (InProcessRouter(name).bus(inbox) for name in (BusName.WORLD, BusName.V2X))
+    return Context("mcap", made, folder, world, v2x, inbox, stop, lambda: v2x)
+
+
+def said(context, topic: str) -> None:
+    bus = context.world if TOPICS[topic].bus is BusName.WORLD else context.v2x
+    item = envelope(topic, 0)
+    bus.deliver(topic, item.data, **item.parts | {"region": "r0"})
+
+
+@pytest.mark.parametrize("truth", [True, False])
+def test_all_topics_of_both_buses_are_kept_but_truth_that_nobody_wants(tmp_path, truth):
+    context = context_in(tmp_path, {"mcap": True, "truth": truth, "foxglove": False})
+    taping = recorder.build(context)
+    for topic in sorted(ALL_TOPICS - {"end"}):
+        said(context, topic)
+    said(context, "end")
+    loop(taping, context.inbox, context.stop)  # until it is over
+    taping.close()
+    recording = McapReader(tmp_path)
+    assert {item.topic for item in recording.heard()} == ALL_TOPICS - (
+        set() if truth else TRUTH_TOPICS
+    )
+    assert recording.facts["truth"] == json.dumps(truth)
+    assert (recording.is_whole, recording.facts["region"]) == (True, "r0")
+
+
+def test_another_regions_messages_are_not_kept(tmp_path):
+    context = context_in(tmp_path, {"mcap": True})
+    taping = recorder.build(context)
+    item = envelope("detections", 0)
+    context.v2x.deliver("detections", item.data, region="r1")
+    context.v2x.deliver("detections", item.data, region="r0")
+    found = [one for one in iter(context.inbox.get, None) if isinstance(one, Envelope)]
+    assert [one.parts for one in found] == [{"region": "r0"}]
+    taping.close()
+
+
+def test_the_tape_says_at_its_end_what_came_of_it(tmp_path):
+    inbox = Inbox()
+    taping = McapRecorder(
+        setup(), lambda: next_file(tmp_path), inbox, RecordedContent(), threading.Event()
+    )
+    inbox.drops["inbox_full"] = 3
+    for topic in ("tick", "end"):
+        taping.on(envelope(topic, time.monotonic_ns()))
+    assert taping.dropped == 3
+    taping.close()
+    with (tmp_path / "run.mcap").open("rb") as file:
+        closing = [one.metadata for one in make_reader(file).iter_metadata()][-1]
+    end = envelope("end", 0).message
+    assert closing == {
+        "messages": "2",
+        "drops": '{"inbox_full": 3}',
+        "end_reason": end.reason,
+        "frames_left_out": "0",
+        "clouds_left_out": "0",
+    }
+
+
+def test_what_nobody_could_read_is_not_kept_and_the_rest_as_it_came(tmp_path):
+    context = context_in(tmp_path, {"mcap": True})
+    taping = recorder.build(context)
+    good = envelope("detections", 0).data
+    odd = good[:24] + b"\xc1" + good[25:]  # no msgpack
+    for data in (b"junk", good[:-8], odd, good):
+        context.v2x.deliver("detections", data, region="r0")
+    said(context, "end")
+    loop(taping, context.inbox, context.stop)
+    taping.close()
+    recording = McapReader(tmp_path)
+    assert [item.data for item in recording.heard(["detections"])] == [good]
+    assert (taping.dropped, recording.drops.total()) == (3, 0)
+
+
+def test_messages_come_before_what_is_made_of_them(tmp_path):
+    inbox = Inbox()
+    taping = McapRecorder(
+        setup(), lambda: next_file(tmp_path), inbox, RecordedContent(), threading.Event()
+    )
+    found, _ = golden(TOPICS["detections"].message)
+    heard = []
+    for frame in range(2):
+        data = encode(found.model_copy(update={"frame": frame}))
+        heard.append(Envelope("detections", {"region": "r0"}, None, frame, data))
+        taping.on(heard[-1])
+    inbox.put(Presence("edge", "edge", alive=True))
+    taping.poll()  # there is no time for other tools
+    assert taping.scene._frames.is_due
+    inbox.get()
+    taping.poll()
+    assert not taping.scene._frames.is_due
+    assert taping.scene.frames_left_out == 0
+    taping.close()
+    assert same(McapReader(tmp_path).heard(), heard)
+
+
+def test_who_never_falls_silent_keeps_no_tape_from_ending(tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder, "PATIENCE_NS", 1)
+    inbox, stop = Inbox(), threading.Event()
+    taping = McapRecorder(setup(), lambda: next_file(tmp_path), inbox, RecordedContent(), stop)
+    inbox.fetch_from(lambda now_ns: [(now_ns, Presence("vehicle", "v", alive=True))])
+    taping.poll()
+    assert not stop.is_set()
+    taping.on(envelope("end", 0))
+    taping.poll()
+    assert stop.is_set()
+    taping.close()
+
+
+def test_a_tape_is_over_when_the_recorder_is_gone_and_nobody_speaks():
+    recorder = EndOfRecording()
+    recorder.look(Presence("record", "record", alive=True, bus=BusName.WORLD), 0)
+    recorder.heard(5)
+    assert not recorder.is_over(10**12)
+    recorder.begin(10)
+    assert not recorder.is_over(SILENCE_NS * 2)
+    recorder.look(Presence("record", "record", alive=False, bus=BusName.WORLD), 20)
+    assert not recorder.is_over(5 + SILENCE_NS - 1)
+    assert recorder.is_over(5 + SILENCE_NS)
+    recorder.heard(SILENCE_NS)
+    assert not recorder.is_over(5 + SILENCE_NS)
+
+
+@given(st.lists(st.integers(0, PATIENCE_NS * 2)))
+def test_patience_has_an_end(times_ns):
+    recorder = EndOfRecording()
+    recorder.look(Presence("record", "record", alive=True), 0)
+    recorder.begin(0)
+    for now_ns in sorted(times_ns):
+        recorder.heard(now_ns)
+        assert recorder.is_over(now_ns) == (now_ns >= PATIENCE_NS)
+
+
+def test_without_a_world_nothing_more_is_awaited():
+    recorder = EndOfRecording()
+    recorder.look(Presence("edge", "edge", alive=False), 0)
+    assert not recorder.is_over(10**12)
+    recorder.look(Presence("sim", "sim", alive=False, bus=BusName.WORLD), 7)
+    assert recorder.is_over(7 + SILENCE_NS)
+
+
+def test_a_tape_outlives_the_edge_and_a_short_loss_of_the_world():
+    recorder = EndOfRecording()
+    recorder.look(Presence("record", "record", alive=True, bus=BusName.V2X), 0)
+    for gone in ("edge", "record", "sim"):  # the edge's router goes, and all tokens with it
+        recorder.look(Presence(gone, gone, alive=False, bus=BusName.V2X), 0)
+    assert not recorder.is_over(10**12)
+    recorder.look(Presence("record", "record", alive=True, bus=BusName.V2X), 0)
+    for alive in (False, True):
+        recorder.look(Presence("sim", "sim", alive=alive, bus=BusName.WORLD), 5)
+        assert recorder.is_over(5 + PATIENCE_NS) != alive
+    recorder.begin(10)
+    recorder.look(Presence("sim", "sim", alive=True, bus=BusName.WORLD), 20)
+    assert recorder.is_over(10 + PATIENCE_NS)
