@@ -53,7 +53,7 @@ def dataset_command(
 def train_command(
     dataset: Annotated[Path, typer.Argument(help="a folder that `cpnet dataset` wrote")],
     *,
-    out: Annotated[Path, typer.Option(help="for weights and state; training goes on from there")],
+    out: Annotated[Path, typer.Option(help="for weights and state; training resumes from it")],
     network: Annotated[
         str, typer.Option(help="pointpillars or pointpillars-full")
     ] = "pointpillars",

@@ -50,10 +50,10 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     listen: Listen = None,
     connect: Connect = None,
     record: Annotated[
-        bool, typer.Option("--record", help="keep all that is said in RUN/run.mcap, to play again")
+        bool, typer.Option("--record", help="keep all messages in RUN/run.mcap, for `replay`")
     ] = False,
     restart: Annotated[
-        bool, typer.Option("--restart", help="start processes again that die; realtime only")
+        bool, typer.Option("--restart", help="restart processes that fail; realtime only")
     ] = False,
     metrics: ServeMetrics = None,
     view: View = None,

@@ -69,7 +69,7 @@ def keys_command(
     vehicles: Annotated[
         int, typer.Option(min=0, max=MAX_VEHICLE_PROCESSES, help="vehicle processes")
     ] = 2,
-    posts: Annotated[int, typer.Option(min=0, max=1000, help="roadside processes")] = 1,
+    roadside: Annotated[int, typer.Option(min=0, max=1000, help="roadside processes")] = 1,
     days: Annotated[int, typer.Option(min=1, max=3650, help="how long they hold")] = 365,
     router_config: Annotated[
         Path | None,
@@ -86,13 +86,13 @@ def keys_command(
         ) from None
     from cpnet.keys import ROUTER, write_router_config
 
-    ids = [*roles_of(vehicles, posts), *([ROUTER] if router_config else [])]
+    ids = [*roles_of(vehicles, roadside), *([ROUTER] if router_config else [])]
     made = add_keys(folder, ids, host or [], days)
     console.print(f"{folder}: made {', '.join(made) or 'nothing, all is there'}", soft_wrap=True)
     console.print(
         "Each machine gets ca.pem, watch.pem, watch.key and the .pem and .key of the processes it "
         "runs (relay-* where links are emulated), nothing else, but view.pem and view.key where "
-        "somebody looks on or records; ca.key stays here.",
+        "an observer attaches or records; ca.key stays here.",
         soft_wrap=True,
     )
     if router_config is not None:

@@ -31,7 +31,7 @@ _ORDER = (BusName.V2X, BusName.WORLD)
 
 @dataclass(frozen=True, slots=True)
 class RunLocation:
-    """A run that goes on, here or elsewhere; the folder is None where it is elsewhere."""
+    """The buses of a running run, and its folder; None if it runs on another machine."""
 
     v2x: Endpoint
     world: Endpoint

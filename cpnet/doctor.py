@@ -284,7 +284,7 @@ def examine_bus(name: BusName, endpoint: Endpoint) -> Iterator[Finding]:
     if not reached.ok:
         return
     try:
-        # Opened as the world's, whichever it is meant to be: only the world's host tells the time.
+        # Opened as the world's, whichever it is meant to be: only the world's host serves the time.
         bus = open_bus(BusName.WORLD, endpoint, Inbox(), ZENOH_MS)
     except BusError:
         advice = _WITH_KEYS if endpoint.keys else _PLAIN
@@ -320,7 +320,7 @@ def _ask(name: BusName, bus: ZenohBus) -> Iterator[Finding]:
 
 
 def ask_clock(bus: ZenohBus) -> RemoteClock | None:
-    """Returns what the world's host tells of its clock, None if nobody there does.
+    """Returns the offset of the world's clock, None if no process there serves it.
 
     Raises:
         ProtocolError: the answer is none.
@@ -414,7 +414,7 @@ def examine_keys(folder: Path) -> list[Finding]:
 
 
 def examine_buses(places: Mapping[BusName, Endpoint], *, implied: bool = False) -> list[Finding]:
-    """Asks the buses that are reached so; `implied` if nobody said where the world's is."""
+    """Asks the buses that are reached so; `implied` if the user did not name the world bus."""
     checks = [
         Check(f"{bus.value}_bus", partial(examine_bus, bus, endpoint), REMOTE_S)
         for bus, endpoint in places.items()

@@ -82,7 +82,7 @@ def implies_world(texts: list[str]) -> bool:
 
 
 def free_locator(protocol: str = "tcp") -> str:
-    """Returns a place on loopback that nobody uses now."""
+    """Returns a locator on loopback with a port that is free now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"{protocol}/127.0.0.1:{probe.getsockname()[1]}"

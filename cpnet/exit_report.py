@@ -21,8 +21,8 @@ def readable_line(line: str) -> str:
         return line
     words = (record.get(key) for key in ("time", "process", "level", "logger"))
     head = " ".join(str(word) for word in words if word)
-    told = f"{head}: {record['message']}"
-    return f"{told}\n{record['exception']}" if record.get("exception") else told
+    text = f"{head}: {record['message']}"
+    return f"{text}\n{record['exception']}" if record.get("exception") else text
 
 
 TAIL_LINES = 12
@@ -30,7 +30,7 @@ FULL_BYTES = 1 << 20
 CLEAN_STATUSES = (
     0,
     UNKNOWN_STATUS,
-)  # at the end; who outlived the fork server has nobody to tell of it
+)  # at the end; the status is unknown if the fork server has gone
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +65,8 @@ def log_tail(path: Path, lines: int = TAIL_LINES) -> str:
         text = path.read_text("utf-8", errors="replace")
     except OSError as error:
         return f"(no log: {error})"
-    told = "\n".join(map(readable_line, text.splitlines()[-lines:]))
-    return "\n".join(told.splitlines()[-lines:]) or _why_empty(path.parent)
+    shown = "\n".join(map(readable_line, text.splitlines()[-lines:]))
+    return "\n".join(shown.splitlines()[-lines:]) or _why_empty(path.parent)
 
 
 def _why_empty(folder: Path) -> str:

@@ -58,8 +58,8 @@ class ChildProcess:
     @property
     def orphaned(self) -> bool:
         """Whether it runs while the fork server has gone."""
-        told = self._process.exitcode  # first: who has ended since is no orphan
-        return told is not None and self.poll() is None
+        status = self._process.exitcode  # first: a process that has ended since is no orphan
+        return status is not None and self.poll() is None
 
     def poll(self) -> int | None:
         """Returns its exit status, minus the number of the signal that ended it, or None."""
@@ -69,8 +69,8 @@ class ChildProcess:
         """Waits for its end; returns as `poll`."""
         if self._status is None and (self._pidfd is None or wait([self._pidfd], timeout_s)):
             self._process.join(STATUS_WAIT_S)
-            told = self._process.exitcode
-            self._status = UNKNOWN_STATUS if told is None else told
+            status = self._process.exitcode
+            self._status = UNKNOWN_STATUS if status is None else status
         return self._status
 
     def send_signal(self, number: int) -> None:
@@ -173,6 +173,6 @@ def _run_module(module: str, arguments: list[str], log: str, lifeline: Connectio
     setproctitle(" ".join(["python -m", *sys.argv]))
     try:
         runpy.run_module(module, run_name="__main__", alter_sys=True)
-    except Exception:  # noqa: BLE001 - told as it would be of a process that was not forked
+    except Exception:  # noqa: BLE001 - printed as for a process that was not forked
         sys.excepthook(*sys.exc_info())
         sys.exit(1)

@@ -40,7 +40,7 @@ from sensing.upload_policies import policy_of
 from signal_controller.policies import check_policy as check_policy
 
 SENSING = {"vehicle", "infra"}
-PLAYERS = SENSING | {"sim"}  # who plays a recording, if there is one
+PLAYERS = SENSING | {"sim"}  # roles that play a recording, if there is one
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +198,7 @@ def _setup(
 def _refuse_duplicates(
     world: Endpoint, processes: list[ProcessEntry], restart: bool, console: Console
 ) -> None:
-    if not world.listen:  # else nobody can be there yet
+    if not world.listen:  # else no process can be there yet
         with connected_to_world(connecting(world), console, wait_forever=restart) as found:
             found.refuse_duplicates(process.id for process in processes)
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RoleEntry:
-    """One row: `hosts` is the bus whose router lives in this role's process."""
+    """One row: `hosts` is the bus whose router runs in this role's process."""
 
     role: str
     module: str

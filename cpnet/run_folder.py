@@ -52,7 +52,7 @@ class RunFolder:
             raise ConfigError(f"--out {self.path}: {error}") from None
 
     def take_back(self) -> None:
-        """Removes what was made, so that the same command can be given again."""
+        """Removes what was made, so that the same command can be repeated."""
         if not self.was_there:
             shutil.rmtree(self.path, ignore_errors=True)
             return

@@ -152,7 +152,7 @@ STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class StopSignals:
-    """Turns the signals that ask for an end into an event while a run goes on."""
+    """Turns SIGINT, SIGTERM and SIGHUP into an event for as long as a run lasts."""
 
     def __init__(self) -> None:
         self.event = threading.Event()
@@ -314,11 +314,10 @@ class RunMonitor:
         if not self.restart:
             needed.update(process for _, process in all_processes(self.scenario))
             needed.discard(MCAP.role)
-        for who in watch.lost():
-            process = who[1]
+        for role, process in watch.lost():
             if process in needed and not self.supervisor.holds(process):
                 watch.await_end(LATE_END_S)  # it may still be on its way, or a link was broken
-                if watch.end is None and who in watch.lost():
+                if watch.end is None and (role, process) in watch.lost():
                     how = "left another machine before the run ended"
                     return ExitReport(process, how, "(no log here)")
         return None

@@ -45,7 +45,7 @@ RENAMED_KEYS: dict[str, str] = {
 
 
 class LidarPair(Section):
-    """The two kinds of LiDAR, and who casts their scans."""
+    """The two kinds of LiDAR, and what simulates their scans."""
 
     source: Literal["cast", "carla"] = Field(
         "cast",
@@ -60,7 +60,7 @@ class ProcessConfig(Section):
     """How the work is spread."""
 
     vehicle: int = Field(
-        2, ge=1, le=64, description="vehicle processes; CAVs are spread over those that live"
+        2, ge=1, le=64, description="vehicle processes; CAVs are spread over those that run"
     )
 
 
@@ -102,7 +102,9 @@ class Scenario(Section):
     sensor_height_m: float = Field(
         2.4, gt=0, le=10, description="of a CAV's LiDAR, above the centre of its footprint"
     )
-    roadside_mounts: list[Mount] = Field([Mount()], description="posts with a LiDAR; may be empty")
+    roadside_mounts: list[Mount] = Field(
+        [Mount()], description="roadside units with a LiDAR; may be empty"
+    )
     carla: CarlaConfig = CarlaConfig()
     scene: SceneConfig = SceneConfig()
     pose: PoseErrorConfig = PoseErrorConfig()
@@ -295,7 +297,7 @@ def _check_carla(scenario: Scenario, source: str) -> None:
         return
     if scenario.recording is not None:
         needs.append("no recording")
-    if scenario.scene.terrain_amplitude_m:  # bodies and posts stand on CARLA's ground
+    if scenario.scene.terrain_amplitude_m:  # bodies and roadside units stand on CARLA's ground
         needs.append(f"scene.terrain_amplitude_m 0 (got {scenario.scene.terrain_amplitude_m:g})")
     if lidar.vehicle.rotation_frequency != lidar.roadside.rotation_frequency:  # it has one step
         needs.append("the same rotation_frequency for lidar.vehicle and lidar.roadside")

@@ -115,7 +115,7 @@ def _why(error: ssl.SSLCertVerificationError, keys: Keys) -> str:
 WATCH = "watch"
 """The id of the supervisor of each machine."""
 VIEW = "view"
-"""The id of whoever looks on and hears all."""
+"""The id of observers, which may subscribe to everything."""
 
 
 def secured_endpoints(

@@ -1,4 +1,4 @@
-"""`cpnet up`: from options to a run that ends well, or that says what went wrong."""
+"""`cpnet up`: runs the processes of this machine to the end of the run, then prints results."""
 
 from __future__ import annotations
 

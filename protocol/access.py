@@ -93,10 +93,10 @@ def members_of(scenario: dict[str, Any]) -> Members:
     return Members(roles, scenario["region"])
 
 
-def roles_of(vehicles: int, posts: int) -> dict[str, str]:
+def roles_of(vehicles: int, roadside: int) -> dict[str, str]:
     """Returns the role of each process of a run with so many processes of agents, by its id."""
     alone = ("edge", "sim", "record", "signal", "mcap", "view", "watch")
-    numbers = {"vehicle": vehicles, "infra": posts}
+    numbers = {"vehicle": vehicles, "infra": roadside}
     numbered = {f"{role}-{n}": role for role, most in numbers.items() for n in range(most)}
     relays = {f"relay-{kind}": "relay" for kind in ("vehicle", "roadside")}
     return {name: name for name in alone} | numbered | relays

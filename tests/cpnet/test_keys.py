@@ -98,7 +98,7 @@ def test_without_the_extra_it_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "cryptography", None)
     monkeypatch.delitem(sys.modules, "cpnet.keys", raising=False)
     with pytest.raises(ConfigError, match=r"\(extra `keys`\): .* -m pip install 'cpnet-edge\[keys"):
-        keys_command(tmp_path / "keys", vehicles=1, posts=1, days=1)
+        keys_command(tmp_path / "keys", vehicles=1, roadside=1, days=1)
     assert not (tmp_path / "keys").exists()
 
 
