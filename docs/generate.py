@@ -152,14 +152,14 @@ def _round(value: object) -> object:
 
 def topics_page() -> str:
     """Returns the topic table."""
-    head = ["topic", "key", "message", "bus", "delivery", "says", "hears"]
+    head = ["topic", "key", "message", "bus", "delivery", "published by", "subscribed by"]
     rows = [_row(head), _row(["---"] * len(head))]
     rows += [_row(_topic_cells(topic)) for topic in TOPICS.values()]
     delivery = inspect.getdoc(Delivery) or ""
     return "\n\n".join(
         [
             "# Topics",
-            f"Keys stand under `{PREFIX}/`; those marked (query) are not sent but asked for. "
+            f"Keys stand under `{PREFIX}/`; those marked (query) are not published but queried. "
             "[How a frame travels](../protocol.md) says what happens on the way.",
             "\n".join(rows),
             _text(delivery),
@@ -172,8 +172,8 @@ def _topic_cells(topic: Topic) -> list[str]:
     key = f"`{topic.template}`" + (" (query)" if topic.name in QUERIED else "")
     message = topic.message.__name__
     link = f"[{message}](messages.md#{message.lower()})"
-    says, hears = _roles(topic.publishers), _roles(topic.subscribers)
-    return [topic.name, key, link, topic.bus.value, topic.delivery.value, says, hears]
+    by, to = _roles(topic.publishers), _roles(topic.subscribers)
+    return [topic.name, key, link, topic.bus.value, topic.delivery.value, by, to]
 
 
 def _roles(roles: Roles) -> str:

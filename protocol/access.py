@@ -59,14 +59,14 @@ class Keys:
 MAX_VEHICLE_PROCESSES = 64
 """Vehicle processes that can have keys: `vehicle-0` and on."""
 
-_SAY, _HEAR = "say", "hear"
+_PUB, _SUB = "publish", "subscribe"
 _PUBLISH = {
-    _SAY: (("ingress", ["put"]),),
-    _HEAR: (("ingress", ["declare_subscriber"]), ("egress", ["put"])),
+    _PUB: (("ingress", ["put"]),),
+    _SUB: (("ingress", ["declare_subscriber"]), ("egress", ["put"])),
 }
 _QUERY = {
-    _SAY: (("ingress", ["declare_queryable", "reply"]), ("egress", ["query"])),
-    _HEAR: (("ingress", ["query"]), ("egress", ["declare_queryable", "reply"])),
+    _PUB: (("ingress", ["declare_queryable", "reply"]), ("egress", ["query"])),
+    _SUB: (("ingress", ["query"]), ("egress", ["declare_queryable", "reply"])),
 }
 _DECLARE_TOKEN = (("ingress", ["liveliness_token"]),)
 _SUBSCRIBE_TOKENS = (
@@ -78,7 +78,7 @@ Flows = tuple[tuple[str, list[str]], ...]
 
 @dataclass(frozen=True, slots=True)
 class Members:
-    """Who takes part in a run: each process's role by its id; and the run's region, if known."""
+    """The processes of a run: the role of each by its id; and the run's region, if known."""
 
     roles: dict[str, str]
     region: str | None = None
@@ -123,23 +123,23 @@ def _rules(
 ) -> Iterable[dict[str, Any]]:
     """Yields what one process may do, one rule for each direction and kind of message.
 
-    Onlookers ask before they know of which region, so they may hear all that is on the bus.
+    Observers subscribe before they know the region, so they may subscribe to all of the bus.
     """
     place = {} if region is None or role in OBSERVERS else {"region": region}
     for topic in TOPICS.values():
         if topic.bus is not bus:
             continue
-        for verb, roles in ((_SAY, topic.publishers), (_HEAR, topic.subscribers)):
+        for verb, roles in ((_PUB, topic.publishers), (_SUB, topic.subscribers)):
             if role in roles:
                 flows = (_QUERY if topic.name in QUERIED else _PUBLISH)[verb]
-                own = {"process": process_id} if verb == _SAY else {}
+                own = {"process": process_id} if verb == _PUB else {}
                 key = topic.key(**place, **own)
-                yield from _allow(f"{process_id} {verb}s {topic.name}", flows, key)
+                yield from _allow(f"{process_id}: {verb} {topic.name}", flows, key)
     yield from _allow(
-        f"{process_id} shows itself", _DECLARE_TOKEN, f"{ALIVE}/{role}/{quote(process_id)}"
+        f"{process_id}: presence", _DECLARE_TOKEN, f"{ALIVE}/{role}/{quote(process_id)}"
     )
     if role in PRESENCE_WATCHERS[bus]:
-        yield from _allow(f"{process_id} looks who is there", _SUBSCRIBE_TOKENS, ALIVE_IN_ANY)
+        yield from _allow(f"{process_id}: watch presence", _SUBSCRIBE_TOKENS, ALIVE_IN_ANY)
 
 
 def _allow(name: str, flows: Flows, key: str) -> Iterable[dict[str, Any]]:

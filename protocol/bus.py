@@ -66,13 +66,13 @@ class Bus(Protocol):
         """Sends a message; the parts fill the topic's key. Returns its size in bytes."""
 
     def subscribe(self, topic_name: str, **parts: str) -> None:
-        """Asks for a topic; parts that are left out match everything."""
+        """Subscribes to a topic; parts that are not given match everything."""
 
     def announce(self, role: str, process_id: str) -> None:
-        """Shows the others that this process lives, until it ends."""
+        """Declares this process present, until the bus is closed."""
 
     def watch(self) -> None:
-        """Asks for the presence of all processes, those already there included."""
+        """Subscribes to the presence of all processes, those already present included."""
 
     def router(self) -> str:
         """Returns which router this bus is connected to now, by a name; empty if to none."""
@@ -92,7 +92,7 @@ class Endpoint:
     """How to reach a bus: `listen` hosts its router at the locator, otherwise connect to it.
 
     With keys the locator is one of TLS, and what is not allowed to a certificate is refused.
-    Who `yields` misses what it is too slow for, instead of holding up those who say it.
+    A client that `yields` loses messages when it is too slow, instead of blocking publishers.
     """
 
     locator: str
@@ -234,7 +234,7 @@ class ZenohBus:
 
     def close(self) -> None:
         """See `Bus.close`."""
-        self._session.close()  # type: ignore[no-untyped-call]  # zenoh says nothing of its types
+        self._session.close()  # type: ignore[no-untyped-call]  # zenoh is untyped here
 
     def _locator(self) -> str | None:
         links = self._session.info.links()
@@ -256,7 +256,7 @@ def open_bus(
 ) -> ZenohBus:
     """Opens a bus, as its router's host or as a client that waits for the host.
 
-    A host with keys lets nobody but `members` say or hear anything.
+    A host with keys lets `members` alone publish and subscribe.
 
     Raises:
         BusError: the port is in use, or nothing answers there in time.
@@ -273,7 +273,7 @@ def with_send_buffer(endpoint: Endpoint) -> Endpoint:
 
 
 def unanswered(name: BusName, endpoint: Endpoint, waited_s: float) -> str:
-    """Returns what to say of a bus that was waited for in vain."""
+    """Returns the error text for a bus that did not answer in time."""
     host = endpoint.locator.partition("/")[2].rpartition(":")[0]
     why = "without --keys"
     if endpoint.keys:

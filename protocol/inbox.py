@@ -44,7 +44,7 @@ class _Sender:
 
 
 class SenderQuotas:
-    """Counts what waits by sender. `is_paced` is for the wall clock: a rate holds as well."""
+    """Counts waiting messages by sender; with `is_paced`, for the wall clock, limits rates too."""
 
     def __init__(self, capacity: int, max_bytes: int, *, is_paced: bool) -> None:
         self._capacity = capacity
@@ -54,7 +54,7 @@ class SenderQuotas:
         self._senders: dict[str, _Sender] = {STRANGERS: _Sender(), UNSIGNED: _Sender()}
 
     def show(self, process: str, *, alive: bool) -> None:
-        """Takes note of a process that appeared or vanished."""
+        """Registers a process that appeared or left."""
         if not alive:
             self._known.discard(process)
             self._forget(process)
@@ -62,7 +62,7 @@ class SenderQuotas:
             self._known.add(process)
 
     def sender_of(self, process: str | None) -> str:
-        """Returns whose share a message of a process takes; None for one that none signs."""
+        """Returns whose quota a message takes; `process` is None where the key names none."""
         if process is None:
             return UNSIGNED
         return process if process in self._known else STRANGERS
@@ -136,7 +136,7 @@ class Envelope:
 
     @property
     def message(self) -> Message:
-        """What was said; read when it is asked for first, unless the inbox did so.
+        """The decoded message; decoded at first use, unless the inbox did so.
 
         Raises:
             ProtocolError: it cannot be read.
@@ -158,7 +158,7 @@ class Presence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawMessage:
-    """Bytes as they came, not yet read; `sender` is whose share of an inbox they take."""
+    """Bytes as they arrived, not yet decoded; `sender` is whose quota of an inbox they take."""
 
     topic: Topic
     key: str
@@ -177,7 +177,7 @@ class Inbox:
         self._queue: queue.Queue[_Entry] = queue.Queue(capacity)
         self._capacity = capacity
         self._max_bytes = max_bytes
-        self._shares: SenderQuotas | None = None
+        self._quotas: SenderQuotas | None = None
         self._bytes = 0
         self._limits: dict[str, int] = {}
         self._waiting: dict[_Place, deque[RawMessage]] = {}
@@ -193,12 +193,12 @@ class Inbox:
     def limit(self, topic_name: str, waiting: int) -> None:
         """Lets so many messages of each key of a topic wait; a newer one drives out the oldest.
 
-        So whoever floods a key is in nobody's way but its own.
+        So a sender that floods a key drops its own messages alone.
         """
         self._limits[topic_name] = waiting
 
     def keep_encoded(self) -> None:
-        """Hands messages over unread, to one who keeps most of them as they came."""
+        """Delivers messages undecoded, for a role that stores most of them as they arrived."""
         self._reads = False
 
     def gather(self) -> None:
@@ -214,16 +214,16 @@ class Inbox:
         self._fetches.append(fetch)
 
     def set_quotas(self, *, is_paced: bool) -> None:
-        """Gives each process a share of its own, and a rate where the wall clock paces them.
+        """Gives each process a quota of its own, and a rate limit where the wall clock paces them.
 
         To be called before anything comes in. What is beyond is counted as `rate_limited`.
         """
-        self._shares = SenderQuotas(self._capacity, self._max_bytes, is_paced=is_paced)
+        self._quotas = SenderQuotas(self._capacity, self._max_bytes, is_paced=is_paced)
 
     def flooding(self, now_ns: int) -> set[str]:
         """Returns the processes that send faster than they may."""
         with self._lock:
-            return self._shares.flooding(now_ns) if self._shares else set()
+            return self._quotas.flooding(now_ns) if self._quotas else set()
 
     def put(self, item: RawMessage | Presence) -> None:
         """Takes an item from a transport's thread; a full inbox counts and drops it."""
@@ -235,7 +235,7 @@ class Inbox:
             item = self._signed(item)
             oldest = self._oldest_beside(item)
             growth = _size_bytes(item) - _size_bytes(oldest)
-            if not self._has_share(item, (int(oldest is None), growth)):
+            if not self._has_quota(item, (int(oldest is None), growth)):
                 self.drops["rate_limited"] += 1
                 return
             no_place = oldest is None and self._queue.full()
@@ -243,10 +243,10 @@ class Inbox:
                 self.drops["inbox_full"] += 1
                 return
             self._bytes += growth
-            self._take_share(item, 1)
+            self._use_quota(item, 1)
             if oldest is not None:  # the newer one is read in the place of the oldest
                 self._waiting[_place(oldest)].popleft()
-                self._take_share(oldest, -1)
+                self._use_quota(oldest, -1)
                 self.drops["overtaken"] += 1
             entry = self._wait(item)
             if oldest is None:
@@ -282,7 +282,7 @@ class Inbox:
             if isinstance(item, tuple):
                 item = self._pop_waiting(item)
             self._bytes -= _size_bytes(item)
-            self._take_share(item, -1)
+            self._use_quota(item, -1)
         return item if isinstance(item, Presence) else self._open(item)
 
     def refuse(self, topic: str, error: ProtocolError, key: str = "") -> None:
@@ -323,23 +323,23 @@ class Inbox:
             self.put(item)
 
     def _signed(self, item: RawMessage | Presence) -> RawMessage | Presence:
-        """Returns an item with the sender whose share it takes; learns who is there."""
-        if self._shares is None:
+        """Returns an item with the sender whose quota it takes; keeps track of presence."""
+        if self._quotas is None:
             return item
         if isinstance(item, RawMessage):
-            return replace(item, sender=self._shares.sender_of(item.topic.process(item.key)))
-        self._shares.show(item.id, alive=item.alive)
+            return replace(item, sender=self._quotas.sender_of(item.topic.process(item.key)))
+        self._quotas.show(item.id, alive=item.alive)
         return item
 
-    def _has_share(self, item: RawMessage | Presence, growth: tuple[int, int]) -> bool:
-        if self._shares is None or isinstance(item, Presence):
+    def _has_quota(self, item: RawMessage | Presence, growth: tuple[int, int]) -> bool:
+        if self._quotas is None or isinstance(item, Presence):
             return True
-        return self._shares.admits(item.sender, growth, item.received_ns)
+        return self._quotas.admits(item.sender, growth, item.received_ns)
 
-    def _take_share(self, item: RawMessage | Presence, times: int) -> None:
+    def _use_quota(self, item: RawMessage | Presence, times: int) -> None:
         """Counts an item as one that waits, or with -1 as one that does so no more."""
-        if self._shares is not None and isinstance(item, RawMessage):
-            self._shares.add(item.sender, (times, times * len(item.data)))
+        if self._quotas is not None and isinstance(item, RawMessage):
+            self._quotas.add(item.sender, (times, times * len(item.data)))
 
     def _oldest_beside(self, item: RawMessage | Presence) -> RawMessage | None:
         """Returns what an item drives out: the oldest of its key, if no more may wait."""

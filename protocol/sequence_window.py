@@ -7,15 +7,15 @@ from collections.abc import Iterable
 
 from protocol.limits import MAX_FRAMES_AHEAD
 
-_STEPS = 3  # states of so many consecutive frames are believed, wherever they are
+_STEPS = 3  # states of so many consecutive frames are accepted, wherever they are
 _TRAIL = 16
 
 
 class SequenceWindow:
-    """Keeps the newest frame that is known to be real.
+    """Accepts frame numbers up to a few beyond the newest one known to be real.
 
     That is one that was finished, or one that the signal's states reached step by step: a process
-    that was started in mid-run finds in again. Until there is one, the lowest frame heard of
+    that was started in mid-run finds in again. Until there is one, the lowest frame received
     counts.
     """
 
@@ -26,17 +26,17 @@ class SequenceWindow:
 
     @property
     def newest(self) -> int:
-        """The newest real frame, else the lowest heard of, else -1."""
+        """The newest real frame, else the lowest received, else -1."""
         if self._newest is not None:
             return self._newest
         return -1 if self._lowest is None else self._lowest
 
     def reach(self, frame: int) -> None:
-        """Takes note of a frame that is known to be real."""
+        """Registers a frame that is known to be real."""
         self._newest = frame if self._newest is None else max(self._newest, frame)
 
     def follow(self, frame: int) -> None:
-        """Takes note of the frame of a signal state."""
+        """Registers the frame of a signal state."""
         self._trail.append(frame)
         if all(frame - back in self._trail for back in range(_STEPS)):
             self.reach(frame)

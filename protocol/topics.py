@@ -1,4 +1,4 @@
-"""The topic table: what is said where, on which bus and with which delivery."""
+"""The topic table: what is published under which key, on which bus, by whom, for whom."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ Roles = frozenset[str]
 class Topic:
     """One row of the table; `{names}` in the template are filled in by `key`.
 
-    Only `publishers` may say it and only `subscribers` hear it, by role; where the key holds
-    `{process}`, each speaker under its own id alone.
+    Only `publishers` may publish it and only `subscribers` receive it, by role; where the key holds
+    `{process}`, each publisher under its own id alone.
     """
 
     name: str
@@ -108,8 +108,8 @@ _B, _P, _T = Delivery.BULK, Delivery.PROMPT, Delivery.TELEMETRY
 _AGENTS = frozenset({"vehicle", "infra"})
 _SIM, _EDGE, _SIGNAL, _RECORD = (frozenset({r}) for r in ("sim", "edge", "signal", "record"))
 OBSERVERS = frozenset({"view", "mcap"})
-"""Who hears all and says nothing (a recording: how its clock goes)."""
-_WATCH = frozenset({"watch"})  # the supervisor on each machine: how the run goes, and no more
+"""Roles that subscribe to everything and publish nothing (a recording: its clock alone)."""
+_WATCH = frozenset({"watch"})  # the supervisor on each machine: progress alone
 _RELAY = frozenset({"relay"})
 _ALL = _AGENTS | _SIM | _EDGE | _SIGNAL | _RECORD
 _CLOCKS = _ALL | _RELAY | {"mcap"}
@@ -154,7 +154,7 @@ TOPICS = _table(
 """All topics by name. Liveliness tokens stand at `alive/{role}/{id}` on both buses."""
 
 QUERIED = frozenset({"setup", "time"})
-"""Topics that are not sent but asked for, from the host of their bus."""
+"""Topics that are not published but queried, from the host of their bus."""
 
 ALIVE = f"{PREFIX}/alive"
 ALIVE_IN_ANY = "cpnet/*/alive/*/*"
@@ -166,7 +166,7 @@ PRESENCE_WATCHERS = {
     BusName.WORLD: _SIM | OBSERVERS | _WATCH,
     BusName.V2X: _SIM | _EDGE | OBSERVERS | _WATCH,
 }
-"""Who sees, on each bus, which processes are there."""
+"""Roles that see, on each bus, which processes are present."""
 
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")  # none of these either
 

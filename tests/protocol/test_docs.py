@@ -30,5 +30,5 @@ def test_the_topic_table_of_the_page_is_that_of_the_code():
 
 def roles(cell: str) -> frozenset[str]:
     """Reads a cell of the table: roles, or a word for several."""
-    several = {"all": ROLES, "agents": frozenset({"vehicle", "infra"}), "onlookers": OBSERVERS}
+    several = {"all": ROLES, "agents": frozenset({"vehicle", "infra"}), "observers": OBSERVERS}
     return frozenset().union(*(several.get(name, {name}) for name in cell.split(", ")))

@@ -164,6 +164,6 @@ def test_who_shows_itself_late_keeps_what_waits_and_leaves_nothing_behind():
     inbox.get()
     inbox.put(Presence("vehicle", "late", alive=False))
     inbox.get()
-    shares = inbox._shares
+    shares = inbox._quotas
     assert shares is not None
     assert [(one.messages, one.size_bytes) for one in shares._senders.values()] == [(0, 0)] * 2
