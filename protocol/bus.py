@@ -170,12 +170,12 @@ class ZenohBus:
         )
 
     def serve(self, topic_name: str, message: Message) -> None:
-        """Answers whoever asks for this topic with this message."""
+        """Replies to queries of this topic with this message."""
         data = encode(message)
         self._answer(topic_name, lambda: data)
 
     def answer(self, topic_name: str, make: Callable[[], Message]) -> None:
-        """Answers whoever asks for this topic with a message made there and then."""
+        """Replies to queries of this topic with a message made for each."""
         self._answer(topic_name, lambda: encode(make()))
 
     def ask(self, topic_name: str, message: type[M], timeout_s: float) -> M | None:
@@ -190,7 +190,7 @@ class ZenohBus:
         return None
 
     def list_present(self, timeout_s: float) -> list[tuple[str, str, str]]:
-        """Returns protocol version, role and id of all that live, whatever version they speak."""
+        """Returns protocol version, role and id of all processes present, of any version."""
         replies = self._session.liveliness().get(ALIVE_IN_ANY, timeout=timeout_s)
         keys = [str(reply.ok.key_expr).split("/") for reply in replies if reply.ok is not None]
         names = {(key[1], key[3], key[4]) for key in keys if len(key) == 5}  # no `**` among them

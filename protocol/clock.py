@@ -42,7 +42,7 @@ class ClockBus(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """One question and its answer: asked and answered by this clock, heard and told by that."""
+    """One query and its reply: sent and answered by this clock, received and replied by that."""
 
     asked_ns: int
     received_ns: int

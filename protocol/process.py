@@ -75,7 +75,7 @@ class Role(Protocol):
 
 
 def run(role_name: str, build: Callable[[Context], Role]) -> None:
-    """Runs a role until it is told to stop; exits 0, or 1 with the reason in the log."""
+    """Runs a role until it is stopped; exits 0, or 1 with the reason in the log."""
     arguments = _parse(role_name, sys.argv[1:])
     configure(arguments.id, arguments.log)
     stop = threading.Event()

@@ -1,4 +1,4 @@
-"""What processes did in a frame, for the recorder and for whoever watches."""
+"""Metrics of processes per frame, and the progress of a run, for the recorder and observers."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class Metrics(Message):
 
 
 class Progress(Message):
-    """The run at a glance, about once a second, for whoever watches."""
+    """The progress of the run, about once a second, for observers."""
 
     kind: ClassVar[int] = 14
     frame: FrameNumber

@@ -42,7 +42,7 @@ from protocol.messages.fields import (
 
 
 class Roster(Message):
-    """Which agents a process speaks for in a frame, and which of them send a scan."""
+    """The agents that a process hosts in a frame, and which of them send a scan."""
 
     kind: ClassVar[int] = 8
     frame: FrameNumber
@@ -52,7 +52,7 @@ class Roster(Message):
 
 
 class AgentPose(Message):
-    """Where an agent believes it is (footprint centre on the ground), and how large it is."""
+    """An agent's estimated pose (footprint centre on the ground) and its size."""
 
     kind: ClassVar[int] = 9
     frame: FrameNumber
@@ -68,7 +68,7 @@ class AgentPose(Message):
 
 
 class Scan(Message):
-    """One chunk of an encoded scan. `sensor_pose` is `map_SE3_sensor` as the agent believes it.
+    """One chunk of an encoded scan. `sensor_pose` is `map_SE3_sensor` as the agent estimates it.
 
     Chunks are numbered from 0 and sent in this order. `plan_frame` is the frame of the plan that
     the chunks were cut by, -1 for none. `ground_free` says that the agent has taken away what
@@ -101,7 +101,7 @@ class Scan(Message):
 class Objects(Message):
     """What an agent that detects for itself found, in the place of a scan.
 
-    Boxes are as in `Detections`, in the map frame as the agent believes it.
+    Boxes are as in `Detections`, in the map frame as the agent estimates it.
     """
 
     kind: ClassVar[int] = 16
@@ -180,7 +180,7 @@ class Plan(Message):
     the order of `agents`; `weights_m2` holds for each agent the tight, the plain and the wide
     weight. All agents of a frame get the same arrays; without cells they are empty.
 
-    `mbps` is what the agent's uplink carries as the edge believes, 0 if it does not know. Of
+    `mbps` is what the agent's uplink carries by the edge's estimate, 0 if it has none. Of
     `enough` and the frames before it no more chunks are needed; where links are virtual,
     `enough_sim_ns` says since when.
     """
