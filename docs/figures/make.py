@@ -1,0 +1,230 @@
+"""`scripts/figures`: makes the tables and pictures of README and docs again, one command each.
+
+Each figure of the registry has a file `docs/figures/NAME.json`: what was measured, by which
+command, at which commit, on what machine, in how long, and a digest of the code that it measures.
+Pages show its parts between `<!-- figure: NAME.PART -->` and `<!-- /figure -->`; below stands its
+age. A figure is older than its code if the digest is another one now. What is fresh is not measured
+again, so that an interrupted call goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from registry import FIGURES, Figure, Part
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = Path(__file__).resolve().parent
+WORK = ROOT / "runs" / "figures"  # data sets and runs of the commands, kept
+_BLOCK = re.compile(r"<!-- figure: ([\w.-]+) -->\n.*?<!-- /figure -->\n?", re.DOTALL)
+
+Record = dict[str, Any]
+
+
+def digest(figure: Figure) -> str:
+    """Returns a hash of all files that the figure measures."""
+    found = hashlib.sha256()
+    for path in _sources(figure):
+        found.update(f"{path.relative_to(ROOT)}\0".encode())
+        found.update(path.read_bytes())
+    return found.hexdigest()[:16]
+
+
+def _sources(figure: Figure) -> Iterator[Path]:
+    for name in figure.sources:
+        path = ROOT / name
+        if not path.exists():
+            raise FileNotFoundError(f"figure {figure.name}: there is no {name} to measure")
+        below = [path] if path.is_file() else sorted(path.rglob("*"))
+        yield from (p for p in below if p.is_file() and "__pycache__" not in p.parts)
+
+
+def load(figure: Figure) -> Record | None:
+    """Returns what was measured last, if anything."""
+    path = FOLDER / f"{figure.name}.json"
+    return json.loads(path.read_text("utf-8")) if path.exists() else None
+
+
+def is_fresh(figure: Figure) -> bool:
+    """Tells whether the code is that which was measured."""
+    record = load(figure)
+    return record is not None and record["sources"] == digest(figure)
+
+
+def age(figure: Figure, record: Record) -> str:
+    """Returns in words when a figure was measured, and whether the code has changed since."""
+    if record["commit"] is None:
+        return "measured before commits were recorded; the code has changed since"
+    machine = record["machine"]
+    measured = (
+        f"measured at commit {record['commit'][:7]}, {record['date']}, "
+        f"{machine['cores']} cores, {machine['cpu']}"
+    )
+    return measured if is_fresh(figure) else f"{measured}; the code has changed since"
+
+
+def measure(figure: Figure) -> None:
+    """Runs a figure's command and keeps what it says.
+
+    Raises:
+        subprocess.CalledProcessError: the command failed.
+    """
+    WORK.mkdir(parents=True, exist_ok=True)
+    sources, begin = digest(figure), time.monotonic()
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    environment = os.environ | {"PATH": path, "PYTHONPATH": str(ROOT), "ROOT": str(ROOT)}
+    done = subprocess.run(
+        ["/bin/sh", "-euc", figure.command],
+        cwd=WORK,
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    minutes = (time.monotonic() - begin) / 60
+    data = {"files": figure.digests(ROOT)} if figure.files else figure.read(done.stdout)
+    record: Record = {
+        "command": figure.command,
+        "commit": _git("rev-parse", "HEAD"),
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": {"cpu": _cpu(), "cores": os.cpu_count()},
+        "minutes": round(minutes, 1),
+        "sources": sources,
+        "data": data,
+        "parts": {},
+    }
+    save(figure, record)
+
+
+def refresh(figure: Figure, record: Record) -> Record:
+    """Returns the record with its parts as the registry lays out the data that were measured."""
+    if record["data"] is None or figure.files:
+        return record
+    parts = {p.name: p.layout(record["data"]) if p.layout else None for p in figure.parts}
+    kept = {name: record["parts"].get(name) if one is None else one for name, one in parts.items()}
+    return record | {"parts": kept}
+
+
+def save(figure: Figure, record: Record) -> None:
+    """Writes what was measured, with its parts as pages show them."""
+    lines = (f'"{key}": {_dumped(value)}' for key, value in refresh(figure, record).items())
+    text = "{\n" + ",\n".join(lines) + "\n}\n"
+    (FOLDER / f"{figure.name}.json").write_text(text, "utf-8")
+
+
+def _dumped(value: object) -> str:
+    """Returns JSON with a line for each entry of a list or map."""
+    if isinstance(value, list) and value:
+        return "[\n " + ",\n ".join(json.dumps(one, ensure_ascii=False) for one in value) + "\n]"
+    if isinstance(value, dict) and value:
+        lines = (f'"{key}": {json.dumps(one, ensure_ascii=False)}' for key, one in value.items())
+        return "{\n " + ",\n ".join(lines) + "\n}"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _git(*arguments: str) -> str:
+    done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def _cpu() -> str:
+    names = [
+        line.split(":")[1].strip()
+        for line in Path("/proc/cpuinfo").read_text("utf-8").splitlines()
+        if line.startswith("model name")
+    ]
+    return names[0] if names else "unknown processor"
+
+
+def written(page: str) -> str:
+    """Returns a page's text with all of its figures as they are in the JSON files."""
+    blocks = {}
+    for figure in FIGURES.values():
+        record = load(figure)
+        if record is not None:
+            for part in figure.parts:
+                if part.page == page:
+                    name = f"{figure.name}.{part.name}"
+                    blocks[name] = _block(name, figure, part, refresh(figure, record))
+
+    def put(found: re.Match[str]) -> str:
+        if found[1] not in blocks:
+            raise KeyError(f"{page}: figure {found[1]} is not in the registry, or has no data")
+        return blocks[found[1]]
+
+    text = (ROOT / page).read_text("utf-8")
+    missing = set(blocks) - set(_BLOCK.findall(text))
+    for name in sorted(missing):  # a page that a command wrote as a whole
+        title, rest = text.split("\n", 1)
+        text = f"{title}\n\n<!-- figure: {name} -->\n<!-- /figure -->\n{rest}"
+    return _BLOCK.sub(put, text)
+
+
+def _block(name: str, figure: Figure, part: Part, record: Record) -> str:
+    shown = record["parts"].get(part.name)
+    body = f"{shown}\n\n" if isinstance(shown, str) else f"{_table(shown)}\n\n" if shown else ""
+    return f"<!-- figure: {name} -->\n{body}*{age(figure, record)}*\n<!-- /figure -->\n"
+
+
+def _table(rows: list[list[str]]) -> str:
+    lines = [rows[0], ["---"] * len(rows[0]), *rows[1:]]
+    ruled = [" | ".join(line) for line in lines]
+    return "\n".join(f"| {line} |".replace("|  |", "| |") for line in ruled)
+
+
+def pages() -> list[str]:
+    """Returns all pages that show figures."""
+    return sorted({part.page for figure in FIGURES.values() for part in figure.parts})
+
+
+def _list() -> None:
+    for figure in FIGURES.values():
+        record = load(figure)
+        state = "fresh" if is_fresh(figure) else "older" if record else "missing"
+        when = (record["date"] or "unknown") if record else "never"
+        command = figure.command or "by hand"
+        line = f"{figure.name:16} {state:8} {when:10} {figure.minutes:3d} min  {command}"
+        sys.stdout.write(line + "\n")
+
+
+def main() -> None:
+    """Measures what is older than its code, and writes the pages."""
+    parser = argparse.ArgumentParser(prog="scripts/figures", description=main.__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="figures; else all")
+    parser.add_argument("--list", action="store_true", help="name, age, minutes, command")
+    parser.add_argument("--write", action="store_true", help="write the pages, measure nothing")
+    parser.add_argument("--again", action="store_true", help="measure what is fresh, too")
+    parser.add_argument("--within", type=int, help="leave out what takes more minutes than this")
+    options = parser.parse_args()
+    unknown = sorted(set(options.names) - set(FIGURES))
+    if unknown:
+        parser.error(f"no figure {unknown[0]}: must be one of {', '.join(FIGURES)}")
+    if options.list:
+        _list()
+        return
+    for figure in [] if options.write else FIGURES.values():
+        chosen = not options.names or figure.name in options.names
+        quick = options.within is None or figure.minutes <= options.within
+        if chosen and quick and figure.command and (options.again or not is_fresh(figure)):
+            sys.stderr.write(f"{figure.name}, about {figure.minutes} min: {figure.command}\n")
+            measure(figure)
+    for figure in FIGURES.values():
+        if (record := load(figure)) is not None:
+            save(figure, record)
+    for page in pages():
+        (ROOT / page).write_text(written(page), "utf-8")
+
+
+if __name__ == "__main__":
+    main()

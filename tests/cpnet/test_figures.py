@@ -1,0 +1,114 @@
+"""Figures in README and docs are those of docs/figures/*.json, and say how old they are."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = ["README.md", *(f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md")))]
+ADVICE = "run `scripts/figures --write`"
+
+
+@pytest.fixture
+def make(monkeypatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "figures"))
+    return importlib.import_module("make")
+
+
+@pytest.fixture
+def fresh(make, monkeypatch) -> dict:
+    """The record of `rate`, as if it had been measured on the code as it is."""
+    figure = make.FIGURES["rate"]
+    record = make.load(figure) | {
+        "commit": "0123456789abcdef", "date": "2026-11-23",
+        "machine": {"cpu": "Xeon", "cores": 2}, "sources": make.digest(figure),
+    }  # fmt: skip
+    monkeypatch.setattr(make, "load", lambda figure: record)
+    return record
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_pages_show_what_the_files_hold_and_its_age(make, page) -> None:
+    assert make.written(page) == (ROOT / page).read_text("utf-8"), ADVICE
+
+
+def test_each_figure_has_a_file_and_each_file_a_figure(make) -> None:
+    stored = {path.stem for path in (ROOT / "docs" / "figures").glob("*.json")}
+    assert stored == set(make.FIGURES)
+
+
+def test_each_part_stands_on_its_page_once(make) -> None:
+    for figure in make.FIGURES.values():
+        for part in figure.parts:
+            text = (ROOT / part.page).read_text("utf-8")
+            assert text.count(f"<!-- figure: {figure.name}.{part.name} -->") == 1
+
+
+def test_parts_are_those_that_the_measured_data_give(make) -> None:
+    for figure in make.FIGURES.values():
+        record = make.load(figure)
+        assert make.refresh(figure, record) == record, ADVICE
+
+
+def test_generated_pages_and_pictures_are_as_their_commands_left_them(make) -> None:
+    for figure in make.FIGURES.values():
+        if figure.files:
+            assert figure.digests(ROOT) == make.load(figure)["data"]["files"], figure.name
+
+
+def test_every_measured_source_exists(make) -> None:
+    for figure in make.FIGURES.values():
+        assert re.fullmatch(r"[0-9a-f]{16}", make.digest(figure))
+
+
+def test_a_figure_of_the_code_as_it_is_names_commit_and_machine(make, fresh) -> None:
+    figure = make.FIGURES["rate"]
+    assert make.age(figure, fresh) == "measured at commit 0123456, 2026-11-23, 2 cores, Xeon"
+    assert make.is_fresh(figure)
+
+
+def test_a_figure_older_than_its_code_says_so(make, fresh, monkeypatch) -> None:
+    figure = make.FIGURES["rate"]
+    monkeypatch.setattr(make, "digest", lambda figure: "another")
+    assert make.age(figure, fresh).endswith("Xeon; the code has changed since")
+    assert not make.is_fresh(figure)
+
+
+def test_a_changed_source_changes_the_digest(make, monkeypatch, tmp_path) -> None:
+    figure = make.FIGURES["codec"]
+    monkeypatch.setattr(make, "ROOT", tmp_path)
+    for name in figure.sources:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("1\n")
+    before = make.digest(figure)
+    (tmp_path / figure.sources[0]).write_text("2\n")
+    assert make.digest(figure) != before
+
+
+def test_a_marker_of_no_figure_is_an_error(make, monkeypatch, tmp_path) -> None:
+    (tmp_path / "page.md").write_text("# Page\n<!-- figure: nothing.here -->\n<!-- /figure -->\n")
+    monkeypatch.setattr(make, "ROOT", tmp_path)
+    with pytest.raises(KeyError, match="nothing.here"):
+        make.written("page.md")
+
+
+def test_a_measurement_keeps_commit_machine_command_and_data(make, monkeypatch, tmp_path) -> None:
+    figure = make.Figure(
+        "tiny", "echo '[1, 2]'", ("docs/figures/make.py",), 0,
+        (make.Part("all", "docs/uplink.md", lambda data: [["n"], *([str(n)] for n in data)]),),
+    )  # fmt: skip
+    monkeypatch.setattr(make, "FOLDER", tmp_path)
+    monkeypatch.setattr(make, "WORK", tmp_path / "work")
+    monkeypatch.setattr(make, "_git", lambda *_: "c0ffee")
+    make.measure(figure)
+    record = make.load(figure)
+    assert record["data"] == [1, 2]
+    assert record["parts"] == {"all": [["n"], ["1"], ["2"]]}
+    assert (record["commit"], record["command"]) == ("c0ffee", "echo '[1, 2]'")
+    assert record["machine"]["cores"] >= 1
+    assert make.is_fresh(figure)
