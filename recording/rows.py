@@ -36,8 +36,23 @@ def detection_rows(message: Detections) -> Iterator[DetectionRow]:
     scores, distances = message.scores.tolist(), message.distances_m.tolist()
     columns = zip(boxes, scores, message.lanes, distances, message.sources, strict=True)
     return (
-        DetectionRow._make((message.frame, index, *box, score, lane, distance_m, source))
+        DetectionRow(
+            frame=message.frame,
+            detection=index,
+            x_m=x,
+            y_m=y,
+            z_m=z,
+            length_m=length,
+            width_m=width,
+            height_m=height,
+            yaw_rad=yaw,
+            score=score,
+            lane=lane,
+            distance_m=distance_m,
+            source=source,
+        )
         for index, (box, score, lane, distance_m, source) in enumerate(columns)
+        for x, y, z, length, width, height, yaw in [box]
     )
 
 
@@ -48,7 +63,7 @@ def count_rows(message: LaneCounts) -> Iterator[CountRow]:
         "downstream": (message.downstream, message.stationary_downstream),
     }
     return (
-        CountRow(message.frame, lane, side, vehicles, queued.get(lane, 0))
+        CountRow(message.frame, lane, side, vehicles=vehicles, queued=queued.get(lane, 0))
         for side, (lanes, queued) in sides.items()
         for lane, vehicles in lanes.items()
     )
@@ -57,15 +72,28 @@ def count_rows(message: LaneCounts) -> Iterator[CountRow]:
 def phase_row(message: SignalState) -> PhaseRow:
     """Returns the signal's state in a frame."""
     m = message
-    return PhaseRow(m.frame, m.tls, m.sim_time_ns, m.state, m.stage, m.green, m.source)
+    return PhaseRow(
+        frame=m.frame,
+        tls=m.tls,
+        sim_time_ns=m.sim_time_ns,
+        state=m.state,
+        stage=m.stage,
+        green=m.green,
+        source=m.source,
+    )
 
 
 def request_row(message: SignalRequest) -> RequestRow:
     """Returns a policy's wish in a frame."""
-    pressures = json.dumps(message.pressures)
-    m = message
-    unknown = " ".join(m.unknown)
-    return RequestRow(m.frame, m.tls, m.state, m.policy, pressures, m.delay_sim_ns, unknown)
+    return RequestRow(
+        frame=message.frame,
+        tls=message.tls,
+        state=message.state,
+        policy=message.policy,
+        pressures=json.dumps(message.pressures),
+        delay_sim_ns=message.delay_sim_ns,
+        unknown=" ".join(message.unknown),
+    )
 
 
 def truth_rows(message: Truth) -> Iterator[TruthRow]:
@@ -74,8 +102,23 @@ def truth_rows(message: Truth) -> Iterator[TruthRow]:
     speeds, positions = message.speeds_mps.tolist(), message.lane_positions_m.tolist()
     columns = (message.ids, message.types, equipment, poses, speeds, message.lanes, positions)
     return (
-        TruthRow._make((message.frame, vehicle, kind, carries, *pose, speed_mps, lane, position_m))
+        TruthRow(
+            frame=message.frame,
+            vehicle=vehicle,
+            type=kind,
+            equipment=carries,
+            x_m=x,
+            y_m=y,
+            z_m=z,
+            roll_rad=roll,
+            pitch_rad=pitch,
+            yaw_rad=yaw,
+            speed_mps=speed_mps,
+            lane=lane,
+            lane_position_m=position_m,
+        )
         for vehicle, kind, carries, pose, speed_mps, lane, position_m in zip(*columns, strict=True)
+        for x, y, z, roll, pitch, yaw in [pose]
     )
 
 
@@ -89,12 +132,12 @@ def trip_rows(message: Trips) -> Iterator[TripRow]:
     """Returns a row per journey."""
     return (
         TripRow(
-            trip.vehicle,
-            int(trip.equipment),
-            trip.depart_s,
-            trip.arrive_s,
-            trip.time_loss_s,
-            int(trip.teleported),
+            vehicle=trip.vehicle,
+            equipment=int(trip.equipment),
+            depart_s=trip.depart_s,
+            arrive_s=trip.arrive_s,
+            time_loss_s=trip.time_loss_s,
+            teleported=int(trip.teleported),
         )
         for trip in message.trips
     )
@@ -104,12 +147,12 @@ def stage_rows(message: Metrics) -> Iterator[StageRow]:
     """Returns a row per span."""
     return (
         StageRow(
-            message.frame,
-            message.process,
-            span.agent,
-            span.stage,
-            span.start_ns,
-            span.end_ns - span.start_ns,
+            frame=message.frame,
+            process=message.process,
+            agent=span.agent,
+            stage=span.stage,
+            start_ns=span.start_ns,
+            duration_ns=span.end_ns - span.start_ns,
         )
         for span in message.spans
     )
@@ -119,13 +162,13 @@ def agent_score_rows(message: Metrics) -> Iterator[AgentScoreRow]:
     """Returns a row per agent that the edge told of."""
     return (
         AgentScoreRow(
-            message.frame,
-            one.agent,
-            one.score,
-            int(one.trusted),
-            one.motion,
-            one.place,
-            one.ground,
+            frame=message.frame,
+            agent=one.agent,
+            score=one.score,
+            trusted=int(one.trusted),
+            motion=one.motion,
+            place=one.place,
+            ground=one.ground,
         )
         for one in message.scores
     )
@@ -133,8 +176,17 @@ def agent_score_rows(message: Metrics) -> Iterator[AgentScoreRow]:
 
 def cloud_row(message: Scan) -> CloudRow:
     """Returns an upload as it went over the bus."""
-    pose = message.sensor_pose.tolist()
-    payload = message.payload.tobytes()
-    return CloudRow._make(
-        (message.frame, message.agent, message.chunk, message.points, *pose, payload)
+    x, y, z, roll, pitch, yaw = message.sensor_pose.tolist()
+    return CloudRow(
+        frame=message.frame,
+        agent=message.agent,
+        chunk=message.chunk,
+        points=message.points,
+        sensor_x_m=x,
+        sensor_y_m=y,
+        sensor_z_m=z,
+        sensor_roll_rad=roll,
+        sensor_pitch_rad=pitch,
+        sensor_yaw_rad=yaw,
+        payload=message.payload.tobytes(),
     )

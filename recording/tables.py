@@ -1,15 +1,21 @@
-"""The tables of a run: one row type each, from which both the writing and the reading side work.
+"""The tables of a run: one row type each, the only place where their columns are named.
+
+The SQL statements, the types and the reading side follow from the row types; `recording.rows`
+fills them by column name. A change of columns needs a new entry in `SCHEMA_DIGESTS`.
 
 A column's unit is the end of its name. `_ns` without `sim_time` is a process's monotonic clock.
 """
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, get_args, get_type_hints
 
-SCHEMA_VERSION = 8
+SCHEMA_DIGESTS = {8: "9d40949d070f5328"}
+"""`schema_digest()` by schema version. Never change an entry: add one with the next number."""
+SCHEMA_VERSION = max(SCHEMA_DIGESTS)
 _SQL_TYPES = {int: "INTEGER", float: "REAL", str: "TEXT", bytes: "BLOB"}
 
 
@@ -324,3 +330,9 @@ TABLES: dict[type, Table] = {
     )
 }
 """Every table by its row type."""
+
+
+def schema_digest() -> str:
+    """Returns a digest of all tables with their columns, types and keys, in order."""
+    statements = "\n".join(table.create for table in TABLES.values())
+    return hashlib.sha256(statements.encode()).hexdigest()[:16]
