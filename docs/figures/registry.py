@@ -21,7 +21,7 @@ SYSTEM = (
     *PERCEPTION,
     "signal_controller",
     "link_relay",
-    "recorder",
+    "recording",
     "cpnet/supervisor.py",
 )
 STUDY = (*SYSTEM, "studies", "learning")
