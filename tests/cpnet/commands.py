@@ -5,6 +5,7 @@ forked off one process that has imported everything; from outside it is the same
 own in a folder of its own, with arguments and a pipe.
 """
 
+import ctypes
 import multiprocessing
 import os
 import signal
@@ -51,8 +52,11 @@ class Command:
         self.arguments = arguments
         ours, theirs = multiprocessing.Pipe(duplex=False)
         with ours, theirs:
-            start = _interpreter if fresh or within else _Fork
-            self.process = start(folder, arguments, theirs, within)
+            if fresh:
+                self.process: _Fork | subprocess.Popen[bytes]
+                self.process = _interpreter(folder, arguments, theirs)
+            else:
+                self.process = _Fork(folder, arguments, theirs, within)
             own = os.dup(ours.fileno())
         self._news = threading.Condition()
         self._lines: list[str] = []
@@ -97,13 +101,9 @@ class Command:
             self._news.notify_all()
 
 
-def _interpreter(
-    folder: Path, arguments: list[str], output: Connection, within: str
-) -> subprocess.Popen[bytes]:
-    """Starts a new interpreter, in a network namespace if one is named."""
-    enter = ["ip", "netns", "exec", within] if within else []
+def _interpreter(folder: Path, arguments: list[str], output: Connection) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        [*enter, sys.executable, "-m", "cpnet", *arguments],
+        [sys.executable, "-m", "cpnet", *arguments],
         cwd=folder, stdout=output.fileno(), stderr=output.fileno(), env=os.environ | _SETTINGS,
     )  # fmt: skip
 
@@ -111,9 +111,10 @@ def _interpreter(
 class _Fork:
     """As much of `subprocess.Popen` as is asked of a command."""
 
-    def __init__(self, folder: Path, arguments: list[str], output: Connection, _: str) -> None:
+    def __init__(self, folder: Path, arguments: list[str], output: Connection, within: str) -> None:
+        words = ["cpnet", *arguments]
         self._process = _fork_server().Process(
-            target=_become, args=(["cpnet", *arguments], str(folder), dict(os.environ), output)
+            target=_become, args=(words, str(folder), dict(os.environ), output, within)
         )
         self._process.start()
 
@@ -147,8 +148,14 @@ def _fork_server() -> ForkServerContext:
 
 
 def _become(
-    arguments: list[str], folder: str, environment: dict[str, str], output: Connection
+    arguments: list[str],
+    folder: str,
+    environment: dict[str, str],
+    output: Connection,
+    within: str,
 ) -> None:
+    if within:
+        enter_namespace(within)
     for stream in (1, 2):
         os.dup2(output.fileno(), stream)
     output.close()
@@ -159,6 +166,15 @@ def _become(
     main()
 
 
+def enter_namespace(name: str) -> None:
+    """Moves this process, which has one thread, into a network namespace."""
+    clone_newnet = 0x40000000
+    with Path(f"/var/run/netns/{name}").open("rb") as place:
+        libc = ctypes.CDLL(None, use_errno=True)
+        if libc.setns(place.fileno(), clone_newnet):
+            raise OSError(ctypes.get_errno(), f"setns {name}")
+
+
 class Shell:
     """Starts commands in a folder and leaves none running."""
 
@@ -167,7 +183,7 @@ class Shell:
         self._started: list[Command] = []
 
     def start(self, *arguments: str, fresh: bool = False, within: str = "") -> Command:
-        """Starts a command, by a new interpreter or in a network namespace where asked."""
+        """Starts a command, by a new interpreter or in a network namespace if asked."""
         command = Command(self.folder, list(arguments), fresh=fresh, within=within)
         self._started.append(command)
         return command

@@ -1,6 +1,6 @@
 """Real runs: `cpnet up` as a user starts it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -27,15 +27,34 @@ def shell(tmp_path: Path) -> Iterator[Shell]:
     made.stop_all()
 
 
+Make = Callable[[Path], None]
+Shared = Callable[[str, Make], Path]
+
+
 @pytest.fixture(scope="session")
-def first_run(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
-    """Returns a finished run, which tests only read; all workers share it."""
+def shared(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Shared:
+    """Returns a folder by name, which whoever asks first fills for the tests of all workers."""
     base = tmp_path_factory.getbasetemp()
-    folder = (base if worker_id == "master" else base.parent) / "first"
-    with FileLock(f"{folder}.lock"):
-        if not (folder / "done").exists():
-            folder.mkdir()
-            status, output = Shell(folder).up("--duration", "8", "--out", "first").finish()
-            assert status == 0, output
-            (folder / "done").touch()
-    return folder / "first"
+    place = base if worker_id == "master" else base.parent
+
+    def folder(name: str, make: Make) -> Path:
+        made = place / name
+        with FileLock(f"{made}.lock"):
+            if not (place / f"{name}.done").exists():
+                made.mkdir()
+                make(made)
+                (place / f"{name}.done").touch()
+        return made
+
+    return folder
+
+
+@pytest.fixture(scope="session")
+def first_run(shared: Shared) -> Path:
+    """Returns a finished run, which tests only read."""
+
+    def make(folder: Path) -> None:
+        status, output = Shell(folder).up("--duration", "8", "--out", "first").finish()
+        assert status == 0, output
+
+    return shared("first", make) / "first"

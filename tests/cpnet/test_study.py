@@ -8,7 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -44,6 +44,17 @@ def folder(shell: Shell) -> Path:
     return shell.folder
 
 
+@pytest.fixture(scope="session")
+def whole(shared: Callable[..., Path]) -> Path:
+    """Returns the finished study, made by one process, which tests only read."""
+
+    def make(folder: Path) -> None:
+        (folder / "small.yaml").write_text(STUDY)
+        finish(Shell(folder), "--out", "whole", "--jobs", "1")
+
+    return shared("study", make) / "whole"
+
+
 def kept(out: Path) -> dict[str, int]:
     """Returns when each finished cell was written."""
     return {path.name: path.stat().st_mtime_ns for path in (out / "cells").glob("*.json")}
@@ -60,7 +71,9 @@ def finish(shell: Shell, *arguments: str) -> str:
 
 
 @pytest.mark.slow
-def test_after_a_kill_finished_cells_are_not_run_again_and_the_table_is_the_same(shell, folder):
+def test_after_a_kill_finished_cells_are_not_run_again_and_the_table_is_the_same(
+    shell, folder, whole
+):
     killed = shell.start("study", "small.yaml", "--out", "killed", "--jobs", "2")
     killed.wait_until(lambda: kept(folder / "killed"), what="no cell was ever done")
     killed.process.kill()
@@ -73,10 +86,9 @@ def test_after_a_kill_finished_cells_are_not_run_again_and_the_table_is_the_same
     second = kept(folder / "killed")
     assert len(second) == CELLS
     assert first.items() <= second.items()
-    finish(shell, "--out", "whole", "--jobs", "1")
-    assert table(folder / "killed").equals(table(folder / "whole"))
-    assert len(table(folder / "whole")) == CELLS
-    assert kept(folder / "killed").keys() == kept(folder / "whole").keys()
+    assert table(folder / "killed").equals(table(whole))
+    assert len(table(whole)) == CELLS
+    assert kept(folder / "killed").keys() == kept(whole).keys()
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
@@ -143,13 +155,13 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
 
 
 @pytest.mark.slow
-def test_a_scheduler_with_two_workers_gives_the_table_of_this_machine(shell, folder, cluster):
+def test_a_scheduler_with_two_workers_gives_the_table_of_this_machine(
+    shell, folder, cluster, whole
+):
     finish(shell, "--out", "there", "--scheduler", cluster[0])
-    finish(shell, "--out", "here", "--jobs", "1")
-    assert table(folder / "there").equals(table(folder / "here"))
-    assert (folder / "there" / "results.parquet").read_bytes() == (
-        folder / "here" / "results.parquet"
-    ).read_bytes()
+    assert table(folder / "there").equals(table(whole))
+    there = (folder / "there" / "results.parquet").read_bytes()
+    assert there == (whole / "results.parquet").read_bytes()
 
 
 @pytest.mark.slow
