@@ -9,7 +9,7 @@ import typer
 
 from cpnet.cli_options import AsJson, Override, assigned, show, show_measured
 from perception.config import DETECTORS
-from studies.bench import FRAME_PERIOD_S, LINK_CHOICES, LOOKING_WAYS, POLICY_CHOICES, WARM_UP_FRAMES
+from studies.bench import FRAME_PERIOD_S, LINK_CHOICES, POLICY_CHOICES, WARM_UP_FRAMES
 
 bench_app = typer.Typer(help="Measure parts of the system.", no_args_is_help=True)
 
@@ -139,25 +139,3 @@ def bench_misbehaviour_command(
         keys["record.snapshot_period_s"] = scenario.frame_period_s
         scenarios.append(load("t_junction", keys).model_dump(mode="json"))
     show_measured(measure_misbehaviour(scenarios), None, print_misbehaviour, as_json=as_json)
-
-
-@bench_app.command("looking")
-def bench_looking_command(
-    *,
-    ways: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME,...", help=f"of {', '.join(LOOKING_WAYS)}; NAME+NAME: both at once"
-        ),
-    ] = ",".join(LOOKING_WAYS),
-    pairs: Annotated[int, typer.Option(min=1, max=1000, help="of stretches, in each way")] = 8,
-    frames: Annotated[int, typer.Option(min=40, max=10_000, help="of each stretch")] = 100,
-    overrides: Override = None,
-    as_json: AsJson = False,
-) -> None:
-    """Measure what of its frame rate a lockstep run keeps while it is recorded or viewed."""
-    from cpnet.bench_looking import LookingBench, measure_looking
-    from studies.looking_table import print_looking
-
-    bench = LookingBench(tuple(ways.split(",")), pairs, frames, assigned(overrides))
-    show_measured(measure_looking(bench), len(bench.ways), print_looking, as_json=as_json)

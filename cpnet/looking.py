@@ -11,7 +11,7 @@ from rich.console import Console
 from cpnet.discovery import RunLocation
 
 TELL_AFTER_S = 2.0
-FPS = 10.0
+FPS = 2.0
 """So many pictures a second at most, where nothing else is asked for."""
 
 

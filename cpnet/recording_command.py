@@ -14,9 +14,8 @@ from cpnet.discovery import RunLocation
 from cpnet.looking import looking_for
 from cpnet.run_monitor import StopSignals
 from protocol.config import is_file, is_folder, is_free
-from protocol.courtesy import step_back
 from protocol.errors import ConfigError, CpnetError
-from protocol.onlooker import Onlooker
+from protocol.onlooker import Onlooker, lower_priority
 from protocol.process import loop
 from recording.mcap.format import next_file
 from recording.mcap.foxglove import export_foxglove
@@ -50,7 +49,7 @@ def record_run(
             yields = running.run_dir is None
             onlooker = stack.enter_context(Onlooker(running.v2x, running.world, (), yields=yields))
             setup = onlooker.setup()
-        step_back()  # but for Zenoh's own threads: who is waited for must not be slow to take
+        lower_priority()  # but for Zenoh's own threads: who is waited for must not be slow to take
         onlooker.hear(choice.topics)
         stop = stack.enter_context(StopSignals()).event
         recorder = McapRecorder(setup, next_path, onlooker.inbox, choice, stop)

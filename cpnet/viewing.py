@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -17,10 +16,9 @@ from cpnet.discovery import RunLocation, find_run
 from cpnet.exit_report import describe_status
 from cpnet.looking import looking_for
 from cpnet.run_monitor import StopSignals
-from protocol.courtesy import Budget, step_back
 from protocol.errors import ConfigError, CpnetError
 from protocol.messages import Setup
-from protocol.onlooker import Onlooker
+from protocol.onlooker import Onlooker, lower_priority
 from viewer import live
 from viewer.live import Live, modest_inbox
 from viewer.scene import Scene
@@ -50,7 +48,7 @@ def view(
         ProtocolError: what the run says of itself cannot be read.
         CpnetError: the page's server ended, or the file is not whole.
     """
-    step_back()
+    lower_priority()
     with needs_extra():
         from viewer.log import Log
         from viewer.sinks import check, opened
@@ -61,7 +59,7 @@ def view(
         with opened(screen.port, screen.save, scene) as sink:
             console.print(sink.where, markup=False, highlight=False, soft_wrap=True)
             log = Log(sink.recording, scene)
-            following = Live(onlooker.inbox, scene, log, screen.fps, budget())
+            following = Live(onlooker.inbox, scene, log, screen.fps)
             if sink.server is not None:
                 _stop_without(sink.server, interruption.event)
             following.follow(interruption.event)
@@ -88,7 +86,7 @@ def top(
         ConfigError: there is no such run.
         BusError: the run does not answer.
     """
-    step_back()
+    lower_priority()
     found = find_run(run, connect, keys)
     with _attached(found, board.TOPICS, console) as (onlooker, setup, interruption):
         filled = board.Board(setup)
@@ -96,11 +94,6 @@ def top(
             show.show_once(onlooker, filled, console, interruption.event)
         else:
             show.show(onlooker, filled, console, interruption.event)
-
-
-def budget() -> Budget:
-    """Returns what pictures may take of this machine's time from now on."""
-    return Budget.of_this_machine(live.SHARE_PER_CORE, time.monotonic_ns())
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -20,6 +21,30 @@ _CLOSE_S = 1.0
 _POLL_S = 0.1
 
 T = TypeVar("T")
+
+
+def lower_priority() -> None:
+    """Lets all other processes run first (SCHED_IDLE), whatever priority this one started with.
+
+    A low nice value still keeps a core for milliseconds from a process that wakes up meanwhile,
+    which a frame that passes through many processes feels; idle work yields it at once.
+    """
+    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+
+
+class RateCap:
+    """Lets at most so many works begin in a second."""
+
+    def __init__(self, per_s: float) -> None:
+        self._period_ns = round(1e9 / per_s)
+        self._due_ns = 0
+
+    def take(self, now_ns: int) -> bool:
+        """Whether one may begin now; then the next one must wait."""
+        is_due = now_ns >= self._due_ns
+        if is_due:
+            self._due_ns = now_ns + self._period_ns
+        return is_due
 
 
 class Onlooker:

@@ -13,7 +13,6 @@ POLICY_CHOICES = (
     "objects", SHARING,
 )  # fmt: skip
 LINK_CHOICES = ("5mbit", "lte", "5g-urban")
-LOOKING_WAYS = ("record", "save", "web")
 
 
 _ANY_WIDTH = 1000

@@ -8,7 +8,6 @@ from contextlib import suppress
 from typing import Protocol
 
 from protocol import topics
-from protocol.courtesy import Budget
 from protocol.errors import MessageError, ProtocolError
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Metrics
@@ -26,10 +25,8 @@ TOLD = frozenset({"tick", "metrics", "clock", "end", ENDING})
 TOPICS = DRAWN | TOLD
 _WAITING = {"scan": 4, "truth": 4, "tick": 8, "detections": 4, "metrics": 64}
 _INBOX_ITEMS, _INBOX_BYTES = 4096, 64 << 20
-REST_S, LONGEST_REST_S = 0.1, 0.4
+REST_S = 0.1
 """Nobody waits for a picture: what comes meanwhile is taken together, for less work."""
-SHARE_PER_CORE = 0.01
-"""Of the machine: so much of a core's time, for each core, may pictures take."""
 
 
 class Shows(Protocol):
@@ -53,21 +50,18 @@ def modest_inbox() -> Inbox:
 class Live:
     """Follows a run until it ends.
 
-    A picture costs about as much as the edge's own decoding: they have a budget.
+    A picture costs about as much as the edge's own decoding: `fps` is a cap.
     """
 
-    def __init__(
-        self, inbox: Inbox, scene: Scene, shows: Shows, fps: float, budget: Budget
-    ) -> None:
+    def __init__(self, inbox: Inbox, scene: Scene, shows: Shows, fps: float) -> None:
         inbox.keep_encoded()
         self._inbox = inbox
         self._scene = scene
         self._shows = shows
         self._period_ns = round(1e9 / fps)
-        self._budget = budget
         self._frames = Unread(ENDING)
         self._stages = Stages(round(float(scene.setup.scenario["frame_period_s"]) * 1e9))
-        self._drawn_ns = 0
+        self._drawn_ns = -self._period_ns
         self.is_over = False
         self.drawn = 0
 
@@ -84,13 +78,9 @@ class Live:
             if self._frames.is_due:
                 self._draw_when_due()
             if self._inbox.is_empty:
-                stop.wait(self._rest_s())
+                stop.wait(REST_S)
         self._frames.finish()
         self._draw()
-
-    def _rest_s(self) -> float:
-        left_s = self._budget.wait_s(time.monotonic_ns())
-        return min(max(left_s, REST_S), LONGEST_REST_S)
 
     def _take(self, item: Envelope | Presence) -> None:
         if isinstance(item, Presence):
@@ -121,12 +111,8 @@ class Live:
 
     def _draw_when_due(self) -> None:
         now_ns = time.monotonic_ns()
-        if now_ns - self._drawn_ns < self._period_ns or not self._budget.has_some(now_ns):
-            return
-        start_ns = time.thread_time_ns()
-        if self._draw():
+        if now_ns - self._drawn_ns >= self._period_ns and self._draw():
             self._drawn_ns = now_ns
-        self._budget.spend(time.thread_time_ns() - start_ns)
 
     def _draw(self) -> bool:
         frame = self._frames.next()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -13,9 +14,9 @@ import numpy as np
 
 from protocol import messages as m
 from protocol.codec import decode
-from protocol.courtesy import Budget
 from protocol.errors import CodecError, CpnetError
 from protocol.inbox import Envelope
+from protocol.onlooker import RateCap
 from protocol.topics import TOPICS
 from protocol.unread import Unread, UnreadFrame
 from protocol.wire import peek_frame_time
@@ -24,10 +25,8 @@ from recording.mcap.format import PREVIOUS_FILE
 from recording.mcap.reader import McapReader
 from recording.mcap.writer import McapWriter
 
-BOXES_PER_CORE = 0.005
-"""Of the machine: so much of a core's time, for each core, may boxes and poses take."""
-CLOUDS_PER_CORE = 0.005
-"""And so much the clouds."""
+BOXES_PER_S, CLOUDS_PER_S = 2.0, 0.5
+"""Frames per second that are converted during a run: with boxes and poses, and with clouds."""
 WAITING_FRAMES = 4
 """The recorder polls less often than frames end: whole frames that wait to be converted."""
 LAST_TOPIC = "detections"
@@ -72,18 +71,22 @@ class _FrameMessages:
 class FoxgloveConverter:
     """Converts the newest frames that are whole; older ones are left out.
 
-    Boxes and poses are cheap. Clouds cost about as much as the edge's own decoding. Both have a
-    budget, and a frame for whose clouds there is no time is left without.
+    Boxes and poses are cheap; clouds cost about as much as the edge's own decoding. Both have a
+    cap on frames per second: frames beyond it are left out, or have no clouds.
     """
 
     def __init__(
-        self, setup: m.Setup, writer: McapWriter, box_budget: Budget, cloud_budget: Budget
+        self,
+        setup: m.Setup,
+        writer: McapWriter,
+        boxes_per_s: float = math.inf,
+        clouds_per_s: float = math.inf,
     ) -> None:
         self._types = {kind.name: kind for kind in setup.vehicle_types}
         self._road_map = setup.road_map
         self._writer = writer
-        self._box_budget = box_budget
-        self._cloud_budget = cloud_budget
+        self._box_cap = RateCap(boxes_per_s)
+        self._cloud_cap = RateCap(clouds_per_s)
         self._frames = Unread(LAST_TOPIC, WAITING_FRAMES)
         self._now = _FrameMessages()
         self._clouds: list[str] = []
@@ -113,11 +116,11 @@ class FoxgloveConverter:
         """
         if self._clouds:
             agent = self._clouds.pop()
-            _pay(self._cloud_budget, lambda: self._convert_cloud(agent))
+            self._convert_cloud(agent)
         elif (due := self._frames.next()) is not None:
             self._draw_road(due.heard[0].received_ns)
-            if self._box_budget.has_some(time.monotonic_ns()):
-                _pay(self._box_budget, lambda: self._convert(due))
+            if self._box_cap.take(time.monotonic_ns()):
+                self._convert(due)
             else:
                 self._not_afforded += 1
         else:
@@ -158,7 +161,7 @@ class FoxgloveConverter:
             )
 
     def _begin_clouds(self, frame: _FrameMessages) -> None:
-        if self._cloud_budget.has_some(time.monotonic_ns()):
+        if self._cloud_cap.take(time.monotonic_ns()):
             self._now = frame
             self._clouds = sorted(frame.scans, reverse=True)
         else:
@@ -174,13 +177,6 @@ class FoxgloveConverter:
 
     def _add(self, frame: _FrameMessages, topic: str, shape: foxglove_messages.Shape) -> None:
         self._writer.write_shape(topic, shape, frame.heard_ns, frame.sim_time_ns)
-
-
-def _pay(budget: Budget, work: Callable[[], None]) -> None:
-    """Works, and takes away from a budget what it has cost."""
-    start_ns = time.thread_time_ns()
-    work()
-    budget.spend(time.thread_time_ns() - start_ns)
 
 
 def _sensor(agent: str) -> str:
@@ -217,7 +213,7 @@ def export_foxglove(
     facts = {name: fact for name, fact in recording.facts.items() if name != PREVIOUS_FILE}
     facts["made_of"] = ", ".join(file.name for file in recording.files)
     writer = McapWriter(next_path, recording.setup, facts)
-    scene = FoxgloveConverter(recording.setup, writer, Budget.endless(), Budget.endless())
+    scene = FoxgloveConverter(recording.setup, writer)
     try:
         for item in recording.heard(CONVERTED_TOPICS):
             number = peek_frame_time(item.data, TOPICS[item.topic].message).frame

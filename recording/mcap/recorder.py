@@ -10,15 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from protocol.courtesy import Budget, step_back
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Setup
-from protocol.onlooker import ALL_TOPICS
+from protocol.onlooker import ALL_TOPICS, lower_priority
 from protocol.process import Context
 from protocol.topics import TOPICS, BusName
 from protocol.version import own_version
 from recording.mcap.format import next_file
-from recording.mcap.foxglove import BOXES_PER_CORE, CLOUDS_PER_CORE, FoxgloveConverter
+from recording.mcap.foxglove import BOXES_PER_S, CLOUDS_PER_S, FoxgloveConverter
 from recording.mcap.writer import McapWriter
 
 PATIENCE_NS = 4_000_000_000
@@ -103,7 +102,9 @@ class McapRecorder:
         self._ending = EndOfRecording()
         self._reason = "unknown"
         self.writer = McapWriter(next_path, setup, _facts(setup, choice))
-        self.scene = _scene(setup, self.writer) if choice.foxglove else None
+        self.scene = None
+        if choice.foxglove:
+            self.scene = FoxgloveConverter(setup, self.writer, BOXES_PER_S, CLOUDS_PER_S)
 
     @property
     def dropped(self) -> int:
@@ -164,14 +165,6 @@ class McapRecorder:
         self.writer.close(facts)
 
 
-def _scene(setup: Setup, writer: McapWriter) -> FoxgloveConverter:
-    now_ns = time.monotonic_ns()
-    boxes, clouds = (
-        Budget.of_this_machine(share, now_ns) for share in (BOXES_PER_CORE, CLOUDS_PER_CORE)
-    )
-    return FoxgloveConverter(setup, writer, boxes, clouds)
-
-
 def _facts(setup: Setup, choice: RecordedContent) -> dict[str, str]:
     scenario = setup.scenario
     told = {key: str(scenario.get(key, "")) for key in ("name", "mode", "seed", "region")}
@@ -189,7 +182,7 @@ def build(context: Context) -> McapRecorder:
     Raises:
         ConfigError: the run folder cannot take it.
     """
-    step_back()
+    lower_priority()
     scenario = context.setup.scenario
     choice = content_of(scenario)
     recorder = McapRecorder(

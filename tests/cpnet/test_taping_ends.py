@@ -46,7 +46,7 @@ def test_a_full_disk_leaves_what_can_be_read_and_says_so(tmp_path, monkeypatch):
 
     monkeypatch.setattr(recording_command, "Onlooker", lambda *_, **__: nullcontext(Silent()))
     monkeypatch.setattr(recording_command, "loop", loop)
-    monkeypatch.setattr(recording_command, "step_back", lambda: None)
+    monkeypatch.setattr(recording_command, "lower_priority", lambda: None)
     said = io.StringIO()
     before = signal.getsignal(signal.SIGTSTP)
     try:

@@ -17,7 +17,6 @@ from mcap_protobuf.decoder import DecoderFactory
 from protocol import messages as m
 from protocol import wire
 from protocol.codec import decode, encode_cloud
-from protocol.courtesy import Budget
 from protocol.geometry import SE3, euler_rotation
 from protocol.inbox import Envelope
 from protocol.scans import PointCloud
@@ -101,10 +100,10 @@ def heard(topic: str, message: m.Message, received_ns: int) -> Envelope:
 class Booth:
     """A writer with a scene that has all the time in the world, or none for boxes or clouds."""
 
-    def __init__(self, folder: Path, boxes: float = 1e6, clouds: float = 1e6) -> None:
+    def __init__(self, folder: Path, boxes: float = 1e9, clouds: float = 1e9) -> None:
         self.path = folder / "run.mcap"
         self.writer = writer_in(folder)
-        self.scene = FoxgloveConverter(setup(), self.writer, Budget(boxes, 0), Budget(clouds, 0))
+        self.scene = FoxgloveConverter(setup(), self.writer, boxes, clouds)
 
     def take(
         self, topic: str, message: m.Message, received_ns: int, frame: int | None = None
@@ -232,22 +231,22 @@ def test_the_road_is_drawn_once_in_each_file(tmp_path, monkeypatch):
     assert [(p.x, p.y) for p in road.entities[0].lines[0].points] == [(-50, 0), (0, 0)]
 
 
-def test_without_time_there_are_boxes_but_no_clouds(tmp_path):
-    booth = Booth(tmp_path, clouds=0.0)
+def test_beyond_the_rate_of_clouds_frames_have_boxes_alone(tmp_path):
+    booth = Booth(tmp_path, clouds=1e-3)
     for frame in range(5):
         booth.hear(frame)
-    assert (booth.scene.frames_left_out, booth.scene.clouds_left_out) == (0, 5)
+    assert (booth.scene.frames_left_out, booth.scene.clouds_left_out) == (0, 4)
     found = booth.read()
     assert len(found["foxglove/v2x/detections"]) == 5
-    assert not [topic for topic in found if "cloud" in topic]
+    assert [len(clouds) for topic, clouds in found.items() if "cloud" in topic] == [1]
 
 
-def test_without_time_for_boxes_a_frame_is_left_out(tmp_path):
-    booth = Booth(tmp_path, boxes=0.0)
+def test_beyond_the_rate_of_boxes_frames_are_left_out(tmp_path):
+    booth = Booth(tmp_path, boxes=1e-3)
     for frame in range(5):
         booth.hear(frame)
-    assert (booth.scene.frames_left_out, booth.scene.clouds_left_out) == (5, 0)
-    assert list(booth.read()) == ["foxglove/v2x/road"]
+    assert (booth.scene.frames_left_out, booth.scene.clouds_left_out) == (4, 0)
+    assert len(booth.read()["foxglove/v2x/detections"]) == 1
 
 
 def test_frames_that_nobody_had_time_for_are_counted(tmp_path):

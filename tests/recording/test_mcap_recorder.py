@@ -35,7 +35,7 @@ pytest.importorskip("mcap", reason="needs the extra `mcap`")
 
 @pytest.fixture(autouse=True)
 def stay_nice(monkeypatch):
-    monkeypatch.setattr(recorder, "step_back", lambda: None)
+    monkeypatch.setattr(recorder, "lower_priority", lambda: None)
 
 
 def context_in(folder, record) -> Context:

@@ -3,7 +3,6 @@
 import threading
 
 from protocol import messages as m
-from protocol.courtesy import Budget
 from protocol.inbox import Inbox, Presence, RawMessage
 from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
@@ -36,30 +35,30 @@ def sealed(topic: str, key: str, message: m.Message) -> RawMessage:
 def test_a_lost_v2x_bus_is_not_the_end_and_a_lost_world_is() -> None:
     for bus, is_over in ((BusName.V2X, False), (BusName.WORLD, True)):
         inbox, stop = Inbox(), threading.Event()
-        live = Live(inbox, Scene(SETUP), Drawn(), 1e9, Budget(1.0, 0))
+        live = Live(inbox, Scene(SETUP), Drawn(), 1e9)
         inbox.put(Presence("sim", "sim", alive=False, bus=bus))
         threading.Timer(0.3, stop.set).start()
         live.follow(stop)
         assert live.is_over == is_over
 
 
-def frames_drawn(share: float) -> list[int]:
+def frames_drawn(fps: float) -> list[int]:
     """Returns what is drawn of a run of which all was said before anybody looked."""
     inbox = Inbox()
     for frame in range(FRAMES):
         inbox.put(sealed("lanes", TOPICS["lanes"].key(region="r0", tls="J"), lane_counts(frame)))
     inbox.put(sealed("end", TOPICS["end"].key(), m.End(reason="finished", frames=FRAMES)))
     shows = Drawn()
-    live = Live(inbox, Scene(SETUP), shows, 1e9, Budget(share, 0))
+    live = Live(inbox, Scene(SETUP), shows, fps)
     live.follow(threading.Event())
     assert not inbox.drops
     assert live.left_out == FRAMES - len(shows.frames)
     return shows.frames
 
 
-def test_every_frame_is_drawn_where_there_is_time() -> None:
+def test_every_frame_is_drawn_below_the_frame_rate() -> None:
     assert frames_drawn(1e9) == [*range(FRAMES)]
 
 
-def test_the_last_frame_alone_is_drawn_where_there_is_none() -> None:
-    assert frames_drawn(0.0) == [FRAMES - 1]
+def test_beyond_the_frame_rate_only_the_first_and_the_last_frame_are_drawn() -> None:
+    assert frames_drawn(1e-3) == [0, FRAMES - 1]
