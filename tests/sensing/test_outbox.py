@@ -11,9 +11,7 @@ import pytest
 from protocol.errors import BusError
 from sensing import uplink as module
 from sensing.uplink import Outbox
-from tests.waiting import wait_until
-
-PATIENCE_S = 10.0
+from tests.waiting import PATIENCE_S, wait_until
 
 
 class Parcel:

@@ -7,6 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from sim_host.config import CabinetConfig, TrafficConfig
+from tests.waiting import PATIENCE_S
 
 
 @pytest.mark.parametrize(
@@ -43,4 +44,4 @@ def test_configuration_and_cabinet_need_no_sumo() -> None:
         "import sys, sim_host.config, sim_host.cabinet, sim_host.world, sim_host.setup;"
         "assert not {'sumo', 'libsumo', 'sumolib'} & set(sys.modules)"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=PATIENCE_S)

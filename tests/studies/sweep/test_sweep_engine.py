@@ -18,6 +18,7 @@ from distributed import get_worker
 from studies.sweep.cluster import local, remote, usable_cores
 from studies.sweep.engine import Engine, missing
 from studies.sweep.worker import Outcome, in_own_folder
+from tests.waiting import PATIENCE_S
 
 
 class Told:
@@ -124,7 +125,7 @@ def where():
 
 
 def test_a_run_is_written_where_dask_tidies_up_after_a_killed_worker(client):
-    folder, own = client.submit(where, pure=False).result(timeout=30)
+    folder, own = client.submit(where, pure=False).result(timeout=PATIENCE_S)
     assert folder.startswith(f"{own}/")
     assert not Path(folder).exists()
     with in_own_folder() as elsewhere:
