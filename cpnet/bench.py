@@ -129,18 +129,25 @@ def _recorded(bench: UplinkBench) -> Iterator[tuple[Path, Path]]:
 
 
 def run_cell(bench: UplinkBench, traffic: Path, policy: str, link: str, run_dir: Path) -> UplinkRow:
-    """Runs one policy on one link and reads what came of it.
+    """Runs one policy on one link and reads its row.
 
     Raises:
         ConfigError: the run failed; the text holds what it printed.
     """
-    said = io.StringIO()
+    output = io.StringIO()
     options = Options(_SCENARIO, overrides(bench, traffic, policy, link), None, [], [], run_dir)
-    status, _ = up(options, Console(file=said))
+    status, _ = up(options, Console(file=output))
     if status > 128:  # a signal asked for the end
         raise SystemExit(status)
     if status != 0:
-        raise ConfigError(f"{policy} on {link} failed:\n{said.getvalue()}")
+        raise ConfigError(f"{policy} on {link} failed:\n{output.getvalue()}")
+    return read_cell(bench, traffic, policy, link, run_dir)
+
+
+def read_cell(
+    bench: UplinkBench, traffic: Path, policy: str, link: str, run_dir: Path
+) -> UplinkRow:
+    """Returns the row of a run that is over."""
     recording, visible = Recording(traffic), visible_vehicles(traffic)
     with Run(run_dir) as run:
         return row_of(

@@ -66,14 +66,16 @@ class EdgeBench:
 
 @dataclass(frozen=True, slots=True)
 class EdgeRow:
-    """A stage of a detector for so many agents; `points` are a frame's, `peak_mb` the process's.
+    """A stage of a detector for so many agents; `points` and `detections` are a frame's, means.
 
+    `peak_mb` is the most memory of its process.
     `decode` and `place` are sums over threads that work at the same time, `total` is by the clock.
     """
 
     detector: str
     agents: int
     points: int
+    detections: float
     stage: str
     ms_p50: float
     ms_p95: float
@@ -131,18 +133,19 @@ def _measure(traffic: Path, detector: str, agents: int) -> list[EdgeRow]:
     chosen = [RSU, *(name for name in recording.agents if name != RSU)][:agents]
     post = rsu_pose(road_map, Terrain(road_map, SceneConfig(), SEED))
     times_ms: dict[str, list[float]] = {stage: [] for stage in STAGES}
-    points = []
+    points, detections = [], []
     for frame, truth in enumerate(recording.truths):
         scans = [uploaded_scan(recording, agent, truth, post) for agent in chosen]
         poses = agent_poses(chosen, truth, setup)
-        spent, seen = _run(pipeline, pool, scans, poses, truth)
+        spent, seen, found = _run(pipeline, pool, scans, poses, truth)
         if frame >= WARM_UP:
             points.append(seen)
+            detections.append(found)
             for stage in STAGES:
                 times_ms[stage].append(spent.get(stage, 0.0))
     pool.close()
     peak_mb = _peak_mb()
-    shape = (detector, agents, round(float(np.mean(points))))
+    shape = (detector, agents, round(float(np.mean(points))), float(np.mean(detections)))
     rows = []
     for stage in STAGES:
         p50, p95 = np.percentile(times_ms[stage], [50, 95]).tolist()
@@ -174,8 +177,8 @@ def _run(
     scans: list[Scan],
     poses: list[AgentPose],
     truth: Truth,
-) -> tuple[dict[str, float], int]:
-    """Returns the ms of each stage, those of threads summed, and how many points came."""
+) -> tuple[dict[str, float], int, int]:
+    """Returns the ms of each stage, those of threads summed; the points; the detections."""
     begin_ns = time.monotonic_ns()
     opened = [pending for scan in scans for pending in pool.put(scan, 0)] + list(pool.rest())
     chunks = [pending.chunk() for pending in opened]
@@ -193,7 +196,7 @@ def _run(
     spent = {TOTAL: (time.monotonic_ns() - begin_ns) / 1e6}
     for span in [*(span for chunk in chunks for span in chunk.spans), *state.spans]:
         spent[span.stage] = spent.get(span.stage, 0.0) + (span.end_ns - span.start_ns) / 1e6
-    return spent, state.points
+    return spent, state.points, len(state.detections.boxes)
 
 
 _BESIDE = "reference"

@@ -6,7 +6,15 @@ import pytest
 from rich.console import Console
 
 from protocol.errors import ConfigError
-from studies.bench_codec import BenchCloud, BenchRow, bench, print_bench
+from studies.bench_codec import (
+    DRACO_BITS,
+    BenchCloud,
+    BenchRow,
+    bench,
+    cast_scans,
+    draco_beside,
+    print_bench,
+)
 
 
 def file_of(folder: Path, rows: list[list[float]]) -> Path:
@@ -56,3 +64,19 @@ def test_no_number_of_a_table_is_cut_where_a_file_is_large_and_its_path_long():
     assert "…mewhere/somewhere/x.bin, 1 points" in said.getvalue()
     for number in ("10432123456", "12345.67", "76543.21", "123.45", "10.00", "12.34"):
         assert number in said.getvalue()
+
+
+def test_a_scan_takes_less_than_half_of_draco_s_bytes_within_the_same_error():
+    pytest.importorskip("DracoPy")
+    rows = bench(BenchCloud.of_scan(cast_scans()[0]), runs=1)
+    most = {"fast": 1.3, "default": 0.5}  # of Draco's bytes
+    compared = 0
+    for row in rows:
+        draco = draco_beside(row, rows)
+        assert row.max_error_m <= row.bound_m * 1.0001
+        if draco is not None and draco is not row:
+            compared += 1
+            assert row.bytes < most[row.codec] * draco.bytes
+    assert compared == 2 * len(DRACO_BITS)
+    (floor,) = [row for row in rows if row.codec == "default" and row.bound_m == 0.01]
+    assert floor.bits_per_point < 1.45 * (floor.noise_floor_bits + floor.loss_floor_bits)

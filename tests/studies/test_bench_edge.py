@@ -22,11 +22,12 @@ def test_each_detector_and_number_of_agents_has_a_row_for_each_stage() -> None:
         # two frames: a median is their mean, so that what follows one another adds up
         assert sum(ms[s] for s in ("merge", "ground", "detect", "fuse", "count")) < ms["total"]
     assert rows[-1].points > 1.5 * rows[0].points
+    assert rows[-1].detections > rows[0].detections > 10
     said = io.StringIO()
     print_edge(rows, Console(file=said, width=60))
     assert str(rows[-1].points) in said.getvalue()
     assert set(rows[0].as_json()) == {
-        "detector", "agents", "points", "stage", "ms_p50", "ms_p95", "peak_mb",
+        "detector", "agents", "points", "detections", "stage", "ms_p50", "ms_p95", "peak_mb",
     }  # fmt: skip
 
 
