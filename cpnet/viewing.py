@@ -19,10 +19,9 @@ from cpnet.run_monitor import StopSignals
 from protocol.errors import ConfigError, CpnetError
 from protocol.messages import Setup
 from protocol.onlooker import Onlooker, lower_priority
-from viewer import live
+from viewer import board, live, terminal
 from viewer.live import Live, modest_inbox
 from viewer.scene import Scene
-from viewer.top import board, show
 
 CONNECT_MS = 20_000  # a run that has just been started
 SETUP_S = 30.0
@@ -50,7 +49,7 @@ def view(
     """
     lower_priority()
     with needs_extra():
-        from viewer.log import Log
+        from viewer.rerun_log import Log
         from viewer.sinks import check, opened
     check(screen.port, screen.save)
     found = find_run(run, connect, keys)
@@ -88,12 +87,12 @@ def top(
     """
     lower_priority()
     found = find_run(run, connect, keys)
-    with _attached(found, board.TOPICS, console) as (onlooker, setup, interruption):
+    with _attached(found, board.BOARD_TOPICS, console) as (onlooker, setup, interruption):
         filled = board.Board(setup)
         if once:
-            show.show_once(onlooker, filled, console, interruption.event)
+            terminal.show_once(onlooker, filled, console, interruption.event)
         else:
-            show.show(onlooker, filled, console, interruption.event)
+            terminal.show(onlooker, filled, console, interruption.event)
 
 
 @contextmanager

@@ -14,8 +14,7 @@ from protocol.messages import End, Metrics
 from protocol.topics import BusName
 from protocol.unread import Unread
 from protocol.wire import peek_frame_time
-from viewer.moments import Moment
-from viewer.scene import Picture, Scene
+from viewer.scene import Moment, Picture, Scene
 from viewer.stages import Account, Stages
 
 ENDING = "lanes"

@@ -1,20 +1,161 @@
-"""A frame as a picture: what of a moment is shown, and in whose colour."""
+"""A frame as a picture: its messages, clouds, figures and layers, ready to be drawn."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import logging
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
-from protocol.messages import Metrics, Setup
-from studies.ecvpr import FrameScore
+import numpy as np
+
+from perception.arrays import Floats, Floats32
+from protocol.codec import claimed_points, decode
+from protocol.errors import CodecError
+from protocol.geometry import SE3
+from protocol.messages import (
+    Detections,
+    LaneCounts,
+    Message,
+    Metrics,
+    Plan,
+    Scan,
+    Setup,
+    SignalRequest,
+    SignalState,
+    Truth,
+    VehicleType,
+)
+from protocol.roadmap import RoadMap
+from protocol.unread import UnreadFrame
+from recording.rows import detection_rows, truth_rows
+from studies.ecvpr import EvaluationArea, FrameScore, score_frame
 from viewer import layers
-from viewer.clouds import Cloud, clouds
-from viewer.colours import Colours, Rgb
-from viewer.figures import Judge, phase_names, pressures
-from viewer.layers import Boxes, Lines, Texts
-from viewer.moments import Moment
-from viewer.rates import Rates
-from viewer.road import Heads, count_places, heads
+from viewer.layers import Boxes, Colours, Lines, Rgb, Texts
+from viewer.road import Heads, approaches, count_places, heads
+from viewer.stages import Rates
+
+
+@dataclass(slots=True, eq=False)
+class Moment:
+    """What was said of one frame, as far as it came and could be read."""
+
+    frame: int
+    scans: list[Scan] = field(default_factory=list)
+    detections: Detections | None = None
+    truth: Truth | None = None
+    counts: LaneCounts | None = None
+    state: SignalState | None = None
+    request: SignalRequest | None = None
+    plan: Plan | None = None
+
+    @property
+    def sim_time_ns(self) -> int | None:
+        """The world's time at the frame, None as long as nobody said it."""
+        told = (self.counts, self.detections, self.truth, self.state, self.request)
+        return next((message.sim_time_ns for message in told if message is not None), None)
+
+    @classmethod
+    def of(cls, frame: UnreadFrame) -> Moment:
+        """Reads what was heard of a frame."""
+        moment = cls(frame.number)
+        for message in frame.messages():
+            moment._add(message)
+        return moment
+
+    def _add(self, message: Message) -> None:
+        match message:
+            case Scan():
+                self.scans.append(message)
+            case Detections():
+                self.detections = message
+            case Truth():
+                self.truth = message
+            case LaneCounts():
+                self.counts = message
+            case SignalState():
+                self.state = message
+            case SignalRequest():
+                self.request = message
+            case Plan():
+                self.plan = message
+
+
+MAX_POINTS = 50_000  # of a frame
+MAX_AGENTS = 64
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cloud:
+    """An agent's points (N, 3), and where its sensor stands (3,), both in the map frame."""
+
+    agent: str
+    points: Floats32
+    sensor_m: Floats
+
+
+def clouds(scans: Iterable[Scan], most_points: int = MAX_POINTS) -> list[Cloud]:
+    """Returns a cloud per agent; of all points every n-th, so that no more than these are left.
+
+    A chunk that cannot be read is left out.
+    """
+    by_agent: dict[str, list[Scan]] = defaultdict(list)
+    for scan in scans:
+        if scan.agent in by_agent or len(by_agent) < MAX_AGENTS:
+            by_agent[scan.agent].append(scan)
+    claimed = sum(claimed_points(scan.payload) for own in by_agent.values() for scan in own)
+    step = max(1, -(-claimed // most_points))
+    found = []
+    for agent in sorted(by_agent):
+        own = by_agent[agent]
+        parts = [part for scan in own if (part := _placed(scan, step)) is not None]
+        if parts:
+            found.append(Cloud(agent, np.concatenate(parts), own[0].sensor_pose[:3].copy()))
+    return found
+
+
+def _placed(scan: Scan, step: int) -> Floats32 | None:
+    try:
+        points = decode(scan.payload).points
+    except CodecError as error:
+        _log.debug("chunk %d of %s is left out: %s", scan.chunk, scan.agent, error)
+        return None
+    map_SE3_sensor = SE3.from_pose(scan.sensor_pose)
+    return map_SE3_sensor.apply(points[::step]).astype(np.float32)
+
+
+class TruthScorer:
+    """Compares what was detected with the truth."""
+
+    def __init__(self, road_map: RoadMap, types: Mapping[str, VehicleType]) -> None:
+        self._reach = EvaluationArea(road_map)
+        self._types = dict(types)
+
+    def score(self, moment: Moment) -> FrameScore | None:
+        """Returns a frame's score; None without truth or detections."""
+        if moment.detections is None or moment.truth is None:
+            return None
+        found, vehicles = detection_rows(moment.detections), truth_rows(moment.truth)
+        return score_frame(moment.frame, [*found], [*vehicles], self._types, self._reach)
+
+
+def phase_names(road_map: RoadMap) -> list[str]:
+    """Returns a name for each phase of the signal: who gets green, such as "east_in, west_in"."""
+    signal = road_map.signal
+    names = []
+    for green in signal.greens:
+        lanes = [link.from_lane for link in signal.links if green[link.index] in "Gg"]
+        names.append(", ".join(approaches(road_map, lanes)) or green)
+    doubled = {name for name in names if names.count(name) > 1}
+    return [f"{name} ({n + 1})" if name in doubled else name for n, name in enumerate(names)]
+
+
+def pressures(request: SignalRequest | None, names: list[str]) -> dict[str, float]:
+    """Returns the pressure of each phase; nothing where the policy knows none."""
+    if request is None or len(request.pressures) != len(names):
+        return {}
+    return dict(zip(names, request.pressures, strict=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +186,7 @@ class Scene:
         self._places = count_places(setup.road_map)
         self.phases = phase_names(setup.road_map)
         self._types = {kind.name: kind for kind in setup.vehicle_types}
-        self._judge = Judge(setup.road_map, self._types)
+        self._judge = TruthScorer(setup.road_map, self._types)
         self._colours = Colours()
         self._rates = Rates(round(float(setup.scenario["frame_period_s"]) * 1e9))
 

@@ -21,7 +21,7 @@ import rerun_cli
 
 from protocol.config import is_free
 from protocol.errors import ConfigError, CpnetError
-from viewer.blueprint import blueprint
+from viewer.rerun_log import blueprint
 from viewer.scene import Scene
 
 APPLICATION = "cpnet"

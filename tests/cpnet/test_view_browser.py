@@ -11,7 +11,7 @@ import pytest
 
 from studies import palette
 from tests.cpnet.commands import Shell, free_port
-from viewer.colours import Rgb, rgb
+from viewer.layers import Rgb, rgb
 
 pytest.importorskip("rerun", reason="the extra `view` is not installed")
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")

@@ -14,9 +14,9 @@ from protocol.inbox import Envelope, Presence
 from protocol.topics import TOPICS, BusName
 from tests.messages import EXAMPLES
 from tests.viewer.shown import PERIOD_NS, SETUP, measured, sent, tick
-from viewer.top import board as boards
-from viewer.top.board import Board
-from viewer.top.screen import picture
+from viewer import board as boards
+from viewer.board import Board
+from viewer.terminal import picture
 
 NAMES = {row.message: row.name for row in TOPICS.values()}
 

@@ -11,11 +11,9 @@ from tests.messages import SCAN
 from tests.roads import CROSSING
 from tests.viewer.shown import CAR, detections, truth
 from viewer import layers
-from viewer.clouds import clouds
-from viewer.colours import MAX_REMEMBERED, Colours, rgb
-from viewer.figures import Judge, phase_names, pressures
-from viewer.moments import Moment
+from viewer.layers import MAX_REMEMBERED, Colours, rgb
 from viewer.road import camera, count_place, count_places, heads, surface
+from viewer.scene import Moment, TruthScorer, clouds, phase_names, pressures
 
 
 def test_boxes_are_labelled_with_who_and_where() -> None:
@@ -133,7 +131,7 @@ def test_phases_are_named_by_who_gets_green() -> None:
 
 def test_the_score_of_a_moment_is_that_of_the_study() -> None:
     moment = Moment(1, detections=detections(), truth=truth())
-    score = Judge(CROSSING, {"car": CAR}).score(moment)
+    score = TruthScorer(CROSSING, {"car": CAR}).score(moment)
     assert score is not None
     assert (score.present, score.true) == (2, 1)
-    assert Judge(CROSSING, {}).score(Moment(1)) is None
+    assert TruthScorer(CROSSING, {}).score(Moment(1)) is None

@@ -14,10 +14,8 @@ from tests.viewer.shown import (  # noqa: E402
     detections,
     truth,
 )
-from viewer.blueprint import blueprint  # noqa: E402
-from viewer.log import Log  # noqa: E402
-from viewer.moments import Moment  # noqa: E402
-from viewer.scene import Scene  # noqa: E402
+from viewer.rerun_log import Log, blueprint  # noqa: E402
+from viewer.scene import Moment, Scene  # noqa: E402
 from viewer.stages import GROUPS, Account  # noqa: E402
 
 

@@ -5,8 +5,7 @@ import pytest
 from protocol import messages as m
 from protocol.errors import MessageError
 from tests.viewer.shown import MS, PERIOD_NS, measured, sent, tick
-from viewer.rates import MAX_AGENTS, Rates
-from viewer.stages import GROUPS, LAG_FRAMES, Stages
+from viewer.stages import GROUPS, LAG_FRAMES, MAX_RATED_AGENTS, Rates, Stages
 
 
 def test_a_rate_is_that_of_the_last_second_of_the_world() -> None:
@@ -25,9 +24,9 @@ def test_who_came_just_now_has_its_rate_at_once() -> None:
 
 def test_a_flood_of_agents_is_bounded() -> None:
     rates = Rates(PERIOD_NS)
-    for n in range(MAX_AGENTS + 10):
+    for n in range(MAX_RATED_AGENTS + 10):
         rates.take(sent(0, str(n), 1))
-    assert len(rates.mbps(0)) == MAX_AGENTS
+    assert len(rates.mbps(0)) == MAX_RATED_AGENTS
 
 
 def test_every_stage_of_the_account_is_drawn_once() -> None:

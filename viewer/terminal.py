@@ -1,18 +1,25 @@
-"""The rows of a board as one picture for a terminal of any width; what matters most is on top."""
+"""Draws a board in a terminal of any width, repeatedly or once."""
 
 from __future__ import annotations
 
+import threading
+import time
+from contextlib import suppress
+
 from rich.columns import Columns
-from rich.console import Group, RenderableType
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from viewer.top.board import AgentRow, Board, LaneRow
+from protocol.errors import BusError, MessageError
+from protocol.onlooker import Onlooker
+from viewer.board import AgentRow, Board, LaneRow
 
-MAX_AGENTS = 16
+MAX_SHOWN_AGENTS = 16
 MAX_LANES = 24
-MAX_ALERTS = 5
+MAX_SHOWN_ALERTS = 5
 _LEAST_NAME = 6
 
 
@@ -46,7 +53,7 @@ def _head(board: Board) -> RenderableType:
 
 def _agents(rows: list[AgentRow]) -> Table:
     table = _table("agent", "points", "Mbit/s", "score")
-    for row in rows[:MAX_AGENTS]:
+    for row in rows[:MAX_SHOWN_AGENTS]:
         style = "" if row.trusted else "red"
         table.add_row(
             _name(row.agent, style or "cyan"),
@@ -54,8 +61,8 @@ def _agents(rows: list[AgentRow]) -> Table:
             f"{row.mbps:.2f}",
             Text(f"{row.score:.2f}", style),
         )
-    if len(rows) > MAX_AGENTS:
-        rest = rows[MAX_AGENTS:]
+    if len(rows) > MAX_SHOWN_AGENTS:
+        rest = rows[MAX_SHOWN_AGENTS:]
         points, mbps = sum(row.points for row in rest), sum(row.mbps for row in rest)
         table.add_row(_name(f"and {len(rest)} more"), f"{points}", f"{mbps:.2f}", "")
     return table
@@ -98,9 +105,9 @@ def _lanes(rows: list[LaneRow], side: str) -> Table:
 def _alerts(alerts: list[str]) -> RenderableType:
     if not alerts:
         return Text("no alerts", "dim")
-    lines = alerts[:MAX_ALERTS]
-    if len(alerts) > MAX_ALERTS:
-        lines.append(f"and {len(alerts) - MAX_ALERTS} more")
+    lines = alerts[:MAX_SHOWN_ALERTS]
+    if len(alerts) > MAX_SHOWN_ALERTS:
+        lines.append(f"and {len(alerts) - MAX_SHOWN_ALERTS} more")
     return Panel(Text("\n".join(lines)), title="alerts", title_align="left", border_style="red")
 
 
@@ -119,3 +126,46 @@ def _table(first: str, *others: str) -> Table:
 
 def _name(text: str, style: str = "") -> Text:
     return Text(text, style, no_wrap=True, overflow="ellipsis")
+
+
+EVERY_NS = 500_000_000
+PATIENCE_NS = 15_000_000_000
+_POLL_S = 0.1
+
+
+def show(onlooker: Onlooker, board: Board, console: Console, stop: threading.Event) -> None:
+    """Draws twice a second until the run ends or somebody stops it."""
+    with Live(console=console, screen=True, auto_refresh=False) as live:
+        drawn_ns = 0
+        while not (stop.is_set() or board.is_over):
+            listen(onlooker, board)
+            if time.monotonic_ns() - drawn_ns >= EVERY_NS:
+                drawn_ns = time.monotonic_ns()
+                live.update(picture(board, drawn_ns), refresh=True)
+    console.print(picture(board, time.monotonic_ns()))
+
+
+def show_once(onlooker: Onlooker, board: Board, console: Console, stop: threading.Event) -> None:
+    """Draws once there is something of all kinds to be shown.
+
+    Raises:
+        BusError: nothing was said for long.
+    """
+    give_up_ns = time.monotonic_ns() + PATIENCE_NS
+    while not (board.is_filled or board.is_over or stop.is_set()):
+        if time.monotonic_ns() > give_up_ns:
+            break
+        listen(onlooker, board)
+    if stop.is_set():
+        return
+    if board.frame < 0:
+        raise BusError(f"the run is there, but nothing happened for {PATIENCE_NS / 1e9:g} s")
+    console.print(picture(board, time.monotonic_ns()))
+
+
+def listen(onlooker: Onlooker, board: Board) -> None:
+    """Takes what comes next."""
+    if (item := onlooker.next(_POLL_S)) is None:
+        return
+    with suppress(MessageError):  # whoever comes into a run hears ends of what had begun before
+        board.take(item)

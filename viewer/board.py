@@ -21,11 +21,10 @@ from protocol.messages import (
 )
 from protocol.topics import BusName
 from recording.losses import DropCounts
-from viewer.figures import phase_names, pressures
-from viewer.rates import MAX_AGENTS, Rates
-from viewer.stages import GROUPS, Account, Stages
+from viewer.scene import phase_names, pressures
+from viewer.stages import GROUPS, MAX_RATED_AGENTS, Account, Rates, Stages
 
-TOPICS = frozenset(
+BOARD_TOPICS = frozenset(
     {"tick", "metrics", "clock", "progress", "end", "state", "request", "lanes"}
 )  # no scans: they are what is heavy
 AVERAGED_FRAMES = 50
@@ -225,7 +224,7 @@ class Board:
         who = (presence.role, presence.id)
         if presence.alive:
             known = who in self.present or who in self.gone
-            if known or len(self.present) + len(self.gone) < MAX_AGENTS:
+            if known or len(self.present) + len(self.gone) < MAX_RATED_AGENTS:
                 self.present.setdefault(who, set()).add(presence.bus)
                 self.gone.discard(who)
         elif who in self.present:  # a bus whose host died is missed by all who are still there
@@ -258,7 +257,7 @@ class Board:
             sent[upload.agent] = sent.get(upload.agent, 0) + upload.points
         self._points |= sent
         for score in metrics.scores:
-            if score.agent in self._scores or len(self._scores) < MAX_AGENTS:
+            if score.agent in self._scores or len(self._scores) < MAX_RATED_AGENTS:
                 self._scores[score.agent] = score
         self._drops.heard(metrics.process, metrics.drops)
         self._dropped |= {(r.process, r.reason): r.times for r in self._drops.take_changed()}

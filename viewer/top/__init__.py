@@ -1,1 +1,0 @@
-"""A running system in a terminal."""
