@@ -414,10 +414,9 @@ _LIST = (
         (),
         files=("docs/frame.png",),
     ),
-    # By hand: from the pages of the studies, from two calls of a bench, from a browser.
+    # By hand: from the pages of the studies, from a browser.
     Figure("paper-readme", "", STUDY, 0, (Part("table", "README.md"),)),
     Figure("bandwidth-readme", "", STUDY, 0, (Part("table", "README.md"),)),
-    Figure("observers", "", ("cpnet", "viewer"), 0, (Part("all", "docs/running.md"),)),
     Figure("view", "", ("viewer",), 0, (), files=("docs/view.png",)),
 )
 FIGURES = {figure.name: figure for figure in _LIST}
