@@ -25,6 +25,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     }
 
 
+@pytest.mark.slow
 def test_the_bytes_depend_on_the_arguments_alone(folder, tmp_path):
     generate(tmp_path / "again", SPEC, jobs=1)
     one, other = contents(folder), contents(tmp_path / "again")

@@ -16,6 +16,8 @@ from learning.training import Recipe, Trainer  # noqa: E402
 from perception.pillars.config import PillarsConfig  # noqa: E402
 from protocol.errors import ConfigError  # noqa: E402
 
+pytestmark = pytest.mark.slow
+
 TINY = PillarsConfig(pillar_channels=8, channels=(8, 8, 8), layers=(0, 0, 0), up_channels=8)
 RECIPE = Recipe(steps=4, windows=2, cells=64)
 CPU = torch.device("cpu")

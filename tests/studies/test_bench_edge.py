@@ -10,6 +10,8 @@ from rich.console import Console
 from protocol.errors import ConfigError
 from studies.bench_edge import STAGES, EdgeBench, measure_edge, numbers_of, print_edge
 
+pytestmark = pytest.mark.slow
+
 
 def test_each_detector_and_number_of_agents_has_a_row_for_each_stage() -> None:
     bench = EdgeBench(("fast",), (1, 2), frames=2)

@@ -14,6 +14,8 @@ from studies.attacks import GHOST, Displaced, Emptied, GhostReport, Peopled, Rep
 from studies.bench_misbehaviour import HONEST, RecordedRun, attacks_on, print_misbehaviour
 from studies.in_process import run_in_process
 
+pytestmark = pytest.mark.slow
+
 SHORT = {
     "duration_s": 12,
     "traffic.cav_rate": 0.1,

@@ -20,6 +20,8 @@ from studies.sweep.engine import Engine, missing
 from studies.sweep.worker import Outcome, in_own_folder
 from tests.waiting import PATIENCE_S
 
+pytestmark = pytest.mark.process
+
 
 class Told:
     """A watcher that remembers."""
