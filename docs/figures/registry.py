@@ -242,14 +242,6 @@ def _edge(rows: Rows) -> Table:
     return table
 
 
-def _edge_readme(rows: Rows) -> Table:
-    totals = _totals(rows)
-    names = ("fast", "pointpillars")
-    return [["", "payloads to counts, six agents"]] + [
-        [f"`{name}`", f"{_fixed(totals[name, 6]['ms_p50'], 1)} ms"] for name in names
-    ]
-
-
 def _misbehaviour(rows: Rows) -> Table:
     heads = [["what one agent sends"]]
     lines: dict[str, list[str]] = {}
@@ -277,7 +269,12 @@ def _run_readme(data: dict[str, Any]) -> Table:
 
 
 def _run_text(data: dict[str, Any]) -> str:
-    return f"```\n{data['text'].strip()}\n```"
+    """Returns the head of the summary, its end-to-end latency and the first agents."""
+    lines = data["text"].strip().split("\n")
+    end = next(i for i, line in enumerate(lines) if "end to end" in line)
+    agents = next(i for i, line in enumerate(lines) if line.startswith(" agent "))
+    shown = [*lines[:10], " …", lines[end], "", *lines[agents : agents + 5], " …", *lines[-2:]]
+    return "\n".join(["```", *shown, "```"])
 
 
 def _text(data: dict[str, str]) -> str:
@@ -352,7 +349,7 @@ _LIST = (
         "cpnet bench edge --agents 1,2,4,6,8,16 --frames 8 --json",
         (*PERCEPTION, "protocol", "studies/bench_edge.py"),
         8,
-        (Part("all", "docs/detection.md", _edge), Part("readme", "README.md", _edge_readme)),
+        (Part("all", "docs/detection.md", _edge),),
     ),
     Figure(
         "accuracy",
