@@ -1,8 +1,8 @@
 """Pages of the documentation that are made from the code when the site is built.
 
-A hook of MkDocs (`mkdocs.yml`). The front page is the README; scenario keys come from the
-scenario's classes, topics and messages from the protocol's. What a page links to in the repository
-outside `docs/` becomes a file of the site, so that such links are checked and lead somewhere.
+A hook of MkDocs (`mkdocs.yml`). The front page, contributing and changes are files of the repository's
+root; scenario keys come from the scenario's classes, topics and messages from the protocol's. Files
+outside `docs/` to which a page links become files of the site, so that such links are checked.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -45,9 +45,9 @@ def scenario_page() -> str:
     schema = Scenario.model_json_schema()
     parts = [
         "# Scenario keys",
-        "Every key of a scenario, with its default: this is what `cpnet scenario` prints and what "
-        "`--set KEY=VALUE` takes. A file needs only what differs. An unknown key or a value out of "
-        "range is refused. Made from the classes that check a scenario.",
+        "Every key of a scenario with its default, as `cpnet scenario` prints them and "
+        "`--set KEY=VALUE` takes them. A file needs only the keys that differ. Unknown keys and "
+        "values out of range are refused. Made from the classes that validate a scenario.",
     ]
     for path, section in sections(schema):
         about = "A whole run." if not path else _text(section.get("description", ""))
@@ -99,7 +99,7 @@ def _keys_table(path: str, section: JsonSchemaValue, schema: JsonSchemaValue) ->
 
 
 def description(field: JsonSchemaValue, schema: JsonSchemaValue) -> str:
-    """Returns what a key says of itself, or what its section does."""
+    """Returns the description of a key, or else of its section."""
     about = field.get("description")
     return _text(about or _target(field, schema).get("description", "").split("\n\n")[0])
 
@@ -133,14 +133,14 @@ def _type(field: JsonSchemaValue, schema: JsonSchemaValue) -> str:
 def _bounds(field: JsonSchemaValue, schema: JsonSchemaValue) -> str:
     target = _target(field, schema)
     named = target.get("enum") or ([target["const"]] if "const" in target else [])
-    told = [f"`{value}`" for value in named]
+    shown = [f"`{value}`" for value in named]
     if "prefixItems" not in target:
         bounds = {name: target[name] for name in _BOUNDS if name in target}
-        told += [_BOUNDS[name].format(_round(value)) for name, value in bounds.items()]
+        shown += [_BOUNDS[name].format(_round(value)) for name, value in bounds.items()]
     for choice in [*target.get("anyOf", []), target.get("items", {})]:
         inner = _bounds(choice, schema) if choice else ""
-        told += [inner] if inner else []
-    return ", ".join(dict.fromkeys(told))
+        shown += [inner] if inner else []
+    return ", ".join(dict.fromkeys(shown))
 
 
 def _round(value: object) -> object:
@@ -181,7 +181,7 @@ def _roles(roles: Roles) -> str:
 
 
 class _Schema(GenerateJsonSchema):
-    """Arrays have no JSON schema; their own declaration says more."""
+    """Arrays have no JSON schema; `_array` describes them."""
 
     def function_plain_schema(self, schema: core_schema.CoreSchema) -> JsonSchemaValue:  # noqa: ARG002 - as the base has it
         return {}
@@ -191,8 +191,8 @@ def messages_page() -> str:
     """Returns every message with its fields."""
     parts = [
         "# Messages",
-        "What stands in the header and the arrays of each message; "
-        "[on the wire](../protocol.md#on-the-wire) says how they become bytes. Made from the "
+        "Fields of the header and arrays of each message; "
+        "[on the wire](../protocol.md#on-the-wire) describes their encoding. Made from the "
         "classes in `protocol/messages/`.",
         _paragraphs(inspect.getdoc(protocol.messages) or ""),
     ]
@@ -219,8 +219,14 @@ def _array(array: Array) -> str:
     return f"array of {np.dtype(array.dtype).name}, ({shape}{',' if len(array.shape) == 1 else ''})"
 
 
-def _front() -> str:
-    return (ROOT / "README.md").read_text("utf-8").replace("](docs/", "](")
+def _of_root(name: str) -> Callable[[], str]:
+    """Returns what reads a page of the repository's root, with links as the site has them."""
+
+    def read() -> str:
+        text = (ROOT / name).read_text("utf-8").replace("](docs/", "](")
+        return re.sub(r"\]\((CONTRIBUTING|CHANGELOG)\.md", lambda m: m.group().lower(), text)
+
+    return read
 
 
 def _paragraphs(text: str) -> str:
@@ -254,7 +260,7 @@ def on_files(files: Any, config: Any) -> Any:  # noqa: ANN401 - MkDocs, which te
 
 
 def on_page_markdown(markdown: str, page: Any, **_: object) -> str:  # noqa: ANN401 - the same
-    """Leads links out of `docs/` to the site's own copies; writes tables as MkDocs reads them."""
+    """Points links out of `docs/` to the site's copies; writes tables as MkDocs reads them."""
     if page.file.src_uri not in GENERATED:
         markdown = _OUTSIDE.sub(_inward, markdown)
     return "\n".join(
@@ -273,7 +279,9 @@ def _copy(path: str) -> str:
 
 
 GENERATED = {
-    "index.md": _front,
+    "index.md": _of_root("README.md"),
+    "contributing.md": _of_root("CONTRIBUTING.md"),
+    "changelog.md": _of_root("CHANGELOG.md"),
     "reference/scenario.md": scenario_page,
     "reference/topics.md": topics_page,
     "reference/messages.md": messages_page,

@@ -156,25 +156,6 @@ def _codec(rows: Rows) -> Table:
     return table
 
 
-def _codec_readme(rows: Rows) -> Table:
-    means = [
-        [sum(values) / len(values) for values in zip(*ratios, strict=True)]
-        for _, codec, ratios in _beside_draco(rows)
-        if codec == "default"
-    ]
-    smaller, encode, decode = zip(*means, strict=True)
-    return [
-        ["profile `default` beside Draco, at equal error", "from", "to"],
-        [
-            "bytes of a structured scan, of Draco's",
-            _fixed(min(smaller), 2),
-            _fixed(max(smaller), 2),
-        ],
-        ["encodes faster, times", _fixed(min(encode), 0), _fixed(max(encode), 0)],
-        ["decodes faster, times", _fixed(min(decode), 0), _fixed(max(decode), 0)],
-    ]
-
-
 def _codec_floor(rows: Rows) -> Table:
     table = [["cloud", "`default` bits/point", "x noise", "x noise and losses"]]
     for row in rows:
@@ -213,18 +194,6 @@ def _accuracy(rows: Rows) -> Table:
         figures = [_fixed(cells[cell]["ap40"], 1, 100) for cell in _CELLS]
         figures += [_fixed(at["recall"], 1, 100), _fixed(at["precision"], 1, 100)]
         table.append([f"`{detector}`", cloud, "yes" if geofence else "no", *figures])
-    return table
-
-
-def _accuracy_readme(rows: Rows) -> Table:
-    lines = _visible(rows)
-    table = [["", "one scan", "merged clouds", "Chen et al."]]
-    for detector, words, paper in (
-        ("fast", "`fast`, clustering", "15.2"),
-        ("pointpillars", "`pointpillars` (extra `learn`)", "84.8"),
-    ):
-        cells = [lines[detector, cloud, True]["bev", 0.1] for cloud in ("one scan", "merged")]
-        table.append([words, *(_fixed(cell["ap40"], 1, 100) for cell in cells), paper])
     return table
 
 
@@ -273,7 +242,7 @@ def _run_text(data: dict[str, Any]) -> str:
     lines = data["text"].strip().split("\n")
     end = next(i for i, line in enumerate(lines) if "end to end" in line)
     agents = next(i for i, line in enumerate(lines) if line.startswith(" agent "))
-    shown = [*lines[:10], " …", lines[end], "", *lines[agents : agents + 5], " …", *lines[-2:]]
+    shown = [*lines[:10], " …", lines[end], "", *lines[agents : agents + 4], " …", *lines[-2:]]
     return "\n".join(["```", *shown, "```"])
 
 
@@ -314,7 +283,6 @@ _LIST = (
         (
             Part("draco", "docs/codec.md", _codec),
             Part("floor", "docs/codec.md", _codec_floor),
-            Part("readme", "README.md", _codec_readme),
         ),
     ),
     Figure(
@@ -357,10 +325,7 @@ _LIST = (
         "cpnet eval data100 --detectors fast,pointpillars --json",
         (*PERCEPTION, "sensing", "learning", "studies/evaluate.py", "studies/average_precision.py"),
         40,
-        (
-            Part("all", "docs/detection.md", _accuracy),
-            Part("readme", "README.md", _accuracy_readme),
-        ),
+        (Part("all", "docs/detection.md", _accuracy),),
     ),
     Figure(
         "reference",
