@@ -1,8 +1,9 @@
 """Pages of the documentation that are made from the code when the site is built.
 
-A hook of MkDocs (`mkdocs.yml`). The front page, contributing and changes are files of the repository's
-root; scenario keys come from the scenario's classes, topics and messages from the protocol's. Files
-outside `docs/` to which a page links become files of the site, so that such links are checked.
+A hook of MkDocs (`mkdocs.yml`). The front page, contributing and changes are files of the
+repository's root; scenario keys come from the scenario's classes, topics and messages from the
+protocol's. Files outside `docs/` to which a page links become files of the site, so that such
+links are checked.
 """
 
 from __future__ import annotations
