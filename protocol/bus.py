@@ -11,13 +11,12 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import zenoh
 
 from protocol.access import Keys, Members, access_control
 from protocol.errors import BusError, MessageError
-from protocol.gathering import CAPACITY, Gathering, Read
 from protocol.inbox import Envelope, Inbox, Presence, RawMessage
 from protocol.manners import dropping, onlooker_id
 from protocol.messages import Message
@@ -47,6 +46,8 @@ __all__ = [
 ]
 
 M = TypeVar("M", bound=Message)
+_Read = Callable[[zenoh.Sample], RawMessage | Presence | None]
+_Take = Callable[[zenoh.Sample], None]
 
 CONNECT_TIMEOUT_MS = 60_000
 NOBODY = Members({})
@@ -120,7 +121,6 @@ class ZenohBus:
         self._name = name
         self._inbox = inbox
         self._kept: list[object] = []
-        self._gathering: Gathering | None = None
 
     def publish(self, topic_name: str, message: Message, **parts: str) -> int:
         """See `Bus.publish`; blocks while the link is full."""
@@ -142,11 +142,12 @@ class ZenohBus:
         """See `Bus.subscribe`."""
         topic = self._topic(topic_name)
 
-        def read(sample: zenoh.Sample, arrived_ns: int) -> RawMessage:
-            return RawMessage(topic, str(sample.key_expr), sample.payload.to_bytes(), arrived_ns)
+        def read(sample: zenoh.Sample) -> RawMessage:
+            now_ns = time.monotonic_ns()
+            return RawMessage(topic, str(sample.key_expr), sample.payload.to_bytes(), now_ns)
 
         key = topic.key(**parts)
-        self._hear(lambda handler: self._session.declare_subscriber(key, handler), read)
+        self._receive(lambda handler: self._session.declare_subscriber(key, handler), read)
 
     def announce(self, role: str, process_id: str) -> None:
         """See `Bus.announce`."""
@@ -156,7 +157,7 @@ class ZenohBus:
     def watch(self) -> None:
         """See `Bus.watch`."""
 
-        def read(sample: zenoh.Sample, _arrived_ns: int) -> Presence | None:
+        def read(sample: zenoh.Sample) -> Presence | None:
             try:
                 role, process_id = alive_parts(str(sample.key_expr))
             except MessageError as error:
@@ -165,7 +166,7 @@ class ZenohBus:
             return Presence(role, process_id, sample.kind == zenoh.SampleKind.PUT, self._name)
 
         tokens = self._session.liveliness()
-        self._hear(
+        self._receive(
             lambda handler: tokens.declare_subscriber(f"{ALIVE}/*/*", handler, history=True), read
         )
 
@@ -196,22 +197,14 @@ class ZenohBus:
         names = {(key[1], key[3], key[4]) for key in keys if len(key) == 5}  # no `**` among them
         return sorted(names)
 
-    def _hear(self, declare: Callable[[Any], Any], read: Read) -> None:
-        """Takes what comes of a subscription, at once or when the inbox asks for it."""
-        if self._inbox.gathers:
-            if self._gathering is None:
-                self._gathering = Gathering()
-                self._inbox.fetch_from(self._gathering.fetch)
-            subscriber = declare(zenoh.handlers.FifoChannel(CAPACITY))
-            self._gathering.add(subscriber, read)
-        else:
+    def _receive(self, declare: Callable[[_Take], object], read: _Read) -> None:
+        """Puts what a subscription receives into the inbox."""
 
-            def take(sample: zenoh.Sample) -> None:
-                if (item := read(sample, time.monotonic_ns())) is not None:
-                    self._inbox.put(item)
+        def take(sample: zenoh.Sample) -> None:
+            if (item := read(sample)) is not None:
+                self._inbox.put(item)
 
-            subscriber = declare(take)
-        self._kept.append(subscriber)
+        self._kept.append(declare(take))
 
     def _answer(self, topic_name: str, make: Callable[[], bytes]) -> None:
         key = self._topic(topic_name).key()

@@ -9,11 +9,8 @@ from __future__ import annotations
 
 import queue
 import threading
-import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from operator import itemgetter
 
 from protocol.errors import MessageError, ProtocolError
 from protocol.limits import (
@@ -111,9 +108,6 @@ class SenderQuotas:
         return tokens >= 1.0
 
 
-FETCH_S = 0.05  # so often does who waits look whether a transport has something
-
-
 class Envelope:
     """A message with its topic's name, the parts of its key, when it arrived, and as it came."""
 
@@ -184,9 +178,6 @@ class Inbox:
         self._lock = threading.Lock()
         self._woken = False
         self._reads = True
-        self._fetches: list[_Fetch] = []
-        self._held: list[_Came] = []
-        self.gathers = False
         self._complaints = RateLimitedLog()
         self.drops: Counter[str] = Counter()
 
@@ -200,18 +191,6 @@ class Inbox:
     def keep_encoded(self) -> None:
         """Delivers messages undecoded, for a role that stores most of them as they arrived."""
         self._reads = False
-
-    def gather(self) -> None:
-        """Lets transports keep what comes until this inbox is read, which is less work for them.
-
-        To be called before anything is asked for. When something arrived is then known as well as
-        the clocks of two machines agree, or to within the time since the inbox was read last.
-        """
-        self.gathers = True
-
-    def fetch_from(self, fetch: _Fetch) -> None:
-        """Asks a transport for what it has kept, when it is time; it says when each arrived."""
-        self._fetches.append(fetch)
 
     def set_quotas(self, *, is_paced: bool) -> None:
         """Gives each process a quota of its own, and a rate limit where the wall clock paces them.
@@ -254,10 +233,8 @@ class Inbox:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing waits, here or with a transport."""
-        if self.gathers and self._queue.empty():
-            self._fetch()
-        return self._queue.empty() and not self._held
+        """Whether nothing waits."""
+        return self._queue.empty()
 
     def wake(self) -> None:
         """Ends the wait of whoever waits for an item, or else the next one; from any thread."""
@@ -272,7 +249,7 @@ class Inbox:
         None comes at once if there is no item and `wake` was called since the last wait.
         """
         try:
-            item = self._wait_for_one(timeout_s)
+            item = self._queue.get(timeout_s > 0, timeout_s or None)
             while item is None:
                 self._woken = False
                 item = self._queue.get_nowait()
@@ -294,33 +271,6 @@ class Inbox:
         """Counts a message that its role could not take, by a fault of the role."""
         self.drops["role_error"] += 1
         self._complaints.failed(topic, error)
-
-    def _wait_for_one(self, timeout_s: float) -> _Entry:
-        if not self.gathers:
-            return self._queue.get(timeout_s > 0, timeout_s or None)
-        until_s = time.monotonic() + timeout_s
-        while True:
-            if self._queue.empty():
-                self._fetch()
-            left_s = min(until_s - time.monotonic(), FETCH_S)
-            try:
-                return self._queue.get(left_s > 0, max(left_s, 0.0))
-            except queue.Empty:
-                if left_s <= 0:
-                    raise
-
-    def _fetch(self) -> None:
-        """Takes what all transports have kept, in the order in which it arrived.
-
-        What came while they were asked is left for the next time: on a topic that was asked before
-        there may be something older.
-        """
-        now_ns = time.monotonic_ns()
-        came = self._held + [one for fetch in self._fetches for one in fetch(now_ns)]
-        came.sort(key=itemgetter(0))
-        self._held = [one for one in came if one[0] > now_ns]
-        for _, item in came[: len(came) - len(self._held)]:
-            self.put(item)
 
     def _signed(self, item: RawMessage | Presence) -> RawMessage | Presence:
         """Returns an item with the sender whose quota it takes; keeps track of presence."""
@@ -375,8 +325,6 @@ class Inbox:
 
 _Place = tuple[str, str]
 _Entry = _Place | RawMessage | Presence | None
-_Came = tuple[int, RawMessage | Presence]
-_Fetch = Callable[[int], Iterable[_Came]]
 
 
 def _place(item: RawMessage) -> _Place:

@@ -79,7 +79,6 @@ class Onlooker:
             BusError: a bus is not there.
         """
         self.inbox = Inbox() if inbox is None else inbox
-        self.inbox.gather()
         self._buses: dict[BusName, ZenohBus] = {}
         try:
             for name, endpoint in ((BusName.V2X, v2x), (BusName.WORLD, world)):

@@ -96,7 +96,6 @@ class McapRecorder:
             ConfigError: the recording cannot be written there.
         """
         inbox.keep_encoded()
-        inbox.gather()
         self._inbox = inbox
         self._stop = stop
         self._ending = EndOfRecording()
