@@ -169,9 +169,9 @@ def test_in_realtime_a_tape_goes_as_fast_as_asked(shell, recorded):
         (["{recording}", "--lockstep", "--speed=2"], "--lockstep has no speed"),
         (
             ["{recording}", "--set=upload.policy=full"],
-            "upload.policy: what it decides is in the recording",
+            "upload.policy: it is part of the recording already",
         ),
-        (["{recording}", "--set=seed=2"], "seed: what it decides is in the recording already"),
+        (["{recording}", "--set=seed=2"], "seed: it is part of the recording already"),
         (
             ["{recording}", "--set=mode=realtime"],
             "mode: a replay takes --lockstep or --speed N instead",

@@ -245,14 +245,12 @@ def test_an_unknown_role_is_refused_with_the_allowed_ones():
 def test_every_role_is_a_package_with_a_main_module():
     root = Path(__file__).parents[2]
     for row in ROLES:
-        assert (root / row.module / "__main__.py").is_file(), row.module
+        assert (root / row.module.replace(".", "/") / "__main__.py").is_file(), row.module
 
 
 def test_what_was_named_runs_whatever_the_scenario_is():
     found = [
         process.id
-        for process in processes_without_scenario(
-            parse_only("edge,recording,infra,vehicle-7,vehicle-1")
-        )
+        for process in processes_without_scenario(parse_only("edge,mcap,infra,vehicle-7,vehicle-1"))
     ]
     assert found == ["edge", "vehicle-1", "vehicle-7"]

@@ -194,7 +194,7 @@ def _read_recording(data: bytes) -> None:
         recording.scan(recording.agents[0], 1)
 
 
-def _read_recording(path: Path) -> None:
+def _read_mcap(path: Path) -> None:
     from recording.mcap.reader import McapReader
 
     recording = McapReader(path)
@@ -255,7 +255,7 @@ TARGETS = {
             [
                 Target(
                     "mcap",
-                    _from_file(".mcap", _read_recording),
+                    _from_file(".mcap", _read_mcap),
                     (ConfigError,),
                     shake,
                     RECORDING_MIB,
