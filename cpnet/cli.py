@@ -15,6 +15,7 @@ from rich.markup import escape
 from cpnet import scenario as scenarios
 from cpnet.cli_bench import bench_app
 from cpnet.cli_learn import learn_app
+from cpnet.cli_observe import recording_app, view_app
 from cpnet.cli_options import (
     AsJson,
     Override,
@@ -25,8 +26,6 @@ from cpnet.cli_options import (
 from cpnet.cli_run import run_app
 from cpnet.cli_setup import doctor_app, keys_app
 from cpnet.cli_study import study_app
-from cpnet.cli_tape import recording_app
-from cpnet.cli_view import view_app
 from protocol.errors import CpnetError
 
 app = typer.Typer(
@@ -73,8 +72,7 @@ def report_command(
 ) -> None:
     """Print the summary of a run, write it as a page, or compare its results with another run's."""
     from cpnet.reproduce import command_of
-    from recording.compare import differences
-    from recording.run import Run
+    from recording.run import Run, differences
     from studies.page.write import check_target, save_html
     from studies.run_page import run_page
     from studies.summary import print_report, summarise, to_json

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import track
 
 from cpnet import scenario as scenarios
-from cpnet.beside import Viewing
+from cpnet.viewer_process import Viewing
 from protocol.logs import LogStyle
 
 console = Console()

@@ -17,9 +17,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from protocol.access import AUTHORITY, Keys, Members, access_control
-from protocol.bus import settings_of
+from protocol.bus import drop_for_observers, settings_of
 from protocol.errors import ConfigError
-from protocol.manners import dropping
 from protocol.topics import ROLES, BusName
 
 HOSTS = ("edge", "sim", "router")
@@ -248,7 +247,7 @@ def router_config(folder: Path) -> dict[str, Any]:
         for name in parents:
             inner = inner.setdefault(name, {})
         inner[last] = value
-    config["qos"] = {"network": dropping()}
+    config["qos"] = {"network": drop_for_observers()}
     config["access_control"] = access_control(BusName.V2X, members_in(folder))
     return config
 

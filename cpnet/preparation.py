@@ -11,7 +11,6 @@ from typing import Any
 from rich.console import Console
 
 from cpnet import scenario as scenarios
-from cpnet.beside import Viewing
 from cpnet.discovery import connected_to_world
 from cpnet.endpoints import Endpoints, connecting
 from cpnet.fork_server import preload
@@ -27,6 +26,7 @@ from cpnet.processes import (
 )
 from cpnet.run_folder import RunFolder, written
 from cpnet.security import check_keys, secured_endpoints
+from cpnet.viewer_process import Viewing
 from perception.registry import check
 from protocol.bus import Endpoint
 from protocol.errors import ConfigError

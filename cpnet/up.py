@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from cpnet.beside import check_viewing, viewed
 from cpnet.discovery import discoverable
 from cpnet.endpoints import connecting
 from cpnet.preparation import Options, Replay, prepare_run
 from cpnet.run_monitor import RunMonitor, StopSignals
 from cpnet.supervisor import Supervisor
+from cpnet.viewer_process import check_viewing, viewed
 from cpnet.watch import all_processes
 from protocol.topics import BusName
 

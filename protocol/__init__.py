@@ -6,6 +6,7 @@
 `limits`            bounds on what others may send
 `codec/`            scans as bytes within an error bound; `scans` holds scans, clouds, profiles
 `bus`, `in_process` the buses over Zenoh and within one process; `inbox` queues what arrives
+`observer`          attaches to a run from outside; the frame buffer of its messages
 `access`            certificates, and who may publish and subscribe to what
 `process`           the life of a role's process; `logs`, `version`, `plugins`, `config` serve it
 `clock`             offsets between the clocks of machines

@@ -8,17 +8,17 @@ memory of a process that has ended, or that was not scheduled for a while, is lo
 from __future__ import annotations
 
 import json
+import secrets
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import zenoh
 
 from protocol.access import Keys, Members, access_control
 from protocol.errors import BusError, MessageError
 from protocol.inbox import Envelope, Inbox, Presence, RawMessage
-from protocol.manners import dropping, onlooker_id
 from protocol.messages import Message
 from protocol.tcpinfo import sent_bytes, unsent_bytes
 from protocol.topics import (
@@ -58,6 +58,32 @@ _PRIORITY = {
     Delivery.PROMPT: zenoh.Priority.INTERACTIVE_HIGH,
     Delivery.TELEMETRY: zenoh.Priority.DATA_LOW,
 }
+
+_OBSERVER_IDS = tuple(f"c9{number:03x}f" for number in range(1024))
+"""Session ids of observers that yield: so many that two hardly ever choose the same one.
+
+A router forwards to one receiver after the other: an observer that is stopped, or behind a slow
+network, would block all others for 5 s. To these ids every router drops what a link cannot take.
+"""
+
+
+def observer_id() -> str:
+    """Returns a session id for an observer that yields."""
+    return secrets.choice(_OBSERVER_IDS)
+
+
+def drop_for_observers() -> list[dict[str, Any]]:
+    """Returns a router's setting `qos/network`: it drops what observers are too slow for."""
+    return [
+        {
+            "id": "observers",
+            "zids": list(_OBSERVER_IDS),
+            "flows": ["egress"],
+            "messages": ["put"],
+            "key_exprs": ["**"],
+            "overwrite": {"congestion_control": "drop"},
+        }
+    ]
 
 
 class Bus(Protocol):
@@ -313,9 +339,9 @@ def _config(name: BusName, endpoint: Endpoint, timeout_ms: int, members: Members
         "connect/retry": {"period_init_ms": 50, "period_max_ms": 400, "period_increase_factor": 2},
     }
     if endpoint.listen:
-        settings["qos/network"] = dropping()
+        settings["qos/network"] = drop_for_observers()
     elif endpoint.yields:
-        settings["id"] = onlooker_id()
+        settings["id"] = observer_id()
     if endpoint.keys is not None and endpoint.listen:
         settings["access_control"] = access_control(name, members)
     for key, value in settings.items():

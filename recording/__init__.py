@@ -8,8 +8,7 @@ Database of a run:
     losses             messages dropped, gaps while a bus was away
     database           writes the database
     role               the record role: subscribes, aggregates, writes
-    run                reads a run folder
-    compare            whether two runs have the same results
+    run                reads run folders, compares the results of two
     config             scenario sections `record` and `replay`
 All messages:
     mcap               MCAP files: writer, reader, conversion for Foxglove (extra `mcap`)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from protocol.errors import MessageError
 from protocol.messages import LaneCounts, Metrics, Upload
 from recording.latency_breakdown import FrameTimings
-from recording.tables import AccountRow, FrameRow, UploadRow
+from recording.tables import FrameRow, LatencyRow, UploadRow
 
 MAX_OPEN_FRAMES = 256
 """So many frames before the newest tick are still changed; what is older is settled."""
@@ -70,7 +70,7 @@ class FrameRecord:
     request_ns: int | None = None
     wire: dict[str, int] = field(default_factory=dict)
     evidence: FrameTimings = field(default_factory=FrameTimings)
-    heard: set[str] = field(default_factory=set)
+    received: set[str] = field(default_factory=set)
     entries: int = 0
 
     def measured(self, metrics: Metrics) -> None:
@@ -85,7 +85,7 @@ class FrameRecord:
                 f"frame {self.frame} has {self.entries} entries, limit {MAX_ENTRIES}"
             )
         self.entries += more
-        self.heard.add(metrics.process)
+        self.received.add(metrics.process)
         known = self.evidence
         known.spans[metrics.process] += metrics.spans
         known.senders |= {upload.agent: metrics.process for upload in metrics.uploads}
@@ -105,18 +105,18 @@ class FrameRecord:
         self.evidence.complete = lanes.complete
         self.evidence.delay_sim_ns = lanes.delay_sim_ns
 
-    def accounts(self, clocks: Clocks) -> list[AccountRow]:
+    def latencies(self, clocks: Clocks) -> list[LatencyRow]:
         """Returns where the frame's time went, by agent."""
-        return self.evidence.accounts(self.frame, clocks)
+        return self.evidence.latencies(self.frame, clocks)
 
     def end_to_end_ns(self, clocks: Clocks) -> int | None:
         """From the first sensing until the signal cabinet has acted.
 
         Where no scan was used, of the scans that were not; where there was none, from the tick.
         """
-        accounts = self.accounts(clocks)
-        if accounts:
-            return max(account.end_to_end_ns for account in accounts)
+        latencies = self.latencies(clocks)
+        if latencies:
+            return max(latency.end_to_end_ns for latency in latencies)
         return self.evidence.unused_end_to_end_ns(clocks, self.tick_ns)
 
     def row(self, clocks: Clocks) -> FrameRow:
@@ -157,7 +157,7 @@ class FrameAggregator:
         self._notes: dict[int, FrameRecord] = {}
         self._changed: set[int] = set()
         self._entries = 0  # of all notes
-        self._pulse = TickCheck(frame_period_ns, last_tick)
+        self._tick_check = TickCheck(frame_period_ns, last_tick)
         self._settled = -1
 
     def __len__(self) -> int:
@@ -166,7 +166,7 @@ class FrameAggregator:
     @property
     def newest_tick(self) -> int:
         """The frame that the world began last, -1 before the first."""
-        return self._pulse.frame
+        return self._tick_check.frame
 
     def tick(self, frame: int, sim_time_ns: int) -> FrameRecord:
         """Returns the note of a frame that the world has begun.
@@ -174,7 +174,7 @@ class FrameAggregator:
         Raises:
             MessageError: it does not follow the ticks so far.
         """
-        self._pulse.take(frame, sim_time_ns)
+        self._tick_check.take(frame, sim_time_ns)
         return self.note(frame)
 
     def note(self, frame: int) -> FrameRecord:

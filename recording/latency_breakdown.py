@@ -19,7 +19,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from protocol.messages import Arrival, Span, Upload
-from recording.tables import AccountRow
+from recording.tables import LatencyRow
 
 MAX_END_TO_END_NS = 60_000_000_000
 SENDER_STAGES = ("sense", "select", "encode", "send")
@@ -42,7 +42,7 @@ class FrameTimings:
     delay_sim_ns: int | None = None
     complete: bool | None = None
 
-    def accounts(self, frame: int, clocks: Mapping[str, tuple[int, int]]) -> list[AccountRow]:
+    def latencies(self, frame: int, clocks: Mapping[str, tuple[int, int]]) -> list[LatencyRow]:
         """Returns a row for each agent whose scan was used; none until the cabinet has acted."""
         acted = self._acted()
         ready = [span.end_ns for span in self.spans.get("edge", ()) if span.stage == "wait"]
@@ -98,7 +98,7 @@ class FrameTimings:
         shared = _sums(s for s in self.spans["edge"] if not s.agent)
         decided = _sums(self.spans.get("signal", ()))
         return _AgentPath(
-            row=AccountRow(
+            row=LatencyRow(
                 frame,
                 agent,
                 **{f"{stage}_ns": sent.get(stage, 0) for stage in SENDER_STAGES},
@@ -119,7 +119,7 @@ class FrameTimings:
 
     def _real(
         self, way: _AgentPath, ready_ns: int, acted: Span, clocks: Mapping[str, tuple[int, int]]
-    ) -> AccountRow | None:
+    ) -> LatencyRow | None:
         row, upload, arrival = way.row, way.upload, way.arrival
         sender, edge, sim = (
             clocks.get(process, SAME_CLOCK) for process in (self.senders[row.agent], "edge", "sim")
@@ -141,7 +141,7 @@ class FrameTimings:
         )
         return row._replace(other_ns=took_ns - stage_sum_ns(row))
 
-    def _virtual(self, ways: list[_AgentPath], acted: Span) -> list[AccountRow]:
+    def _virtual(self, ways: list[_AgentPath], acted: Span) -> list[LatencyRow]:
         rows = [way.row._replace(link_ns=self._virtual_link_ns(way)) for way in ways]
         there_ns = [_until_placed_ns(row) for row in rows]
         deadline_ns = 0 if self.complete else self.delay_sim_ns or 0
@@ -179,19 +179,19 @@ class FrameTimings:
 
 @dataclass(frozen=True, slots=True)
 class _AgentPath:
-    row: AccountRow
+    row: LatencyRow
     upload: Upload
     arrival: Arrival
 
 
-def stage_sum_ns(row: AccountRow) -> int:
+def stage_sum_ns(row: LatencyRow) -> int:
     """Returns the sum of all stages of a row, `other` included."""
     names = (name for name in row._fields if name.endswith("_ns"))
     skipped = ("end_to_end_ns", "clock_error_ns")
     return sum(getattr(row, name) for name in names if name not in skipped)
 
 
-def _until_placed_ns(row: AccountRow) -> int:
+def _until_placed_ns(row: LatencyRow) -> int:
     sent_ns = row.sense_ns + row.select_ns + row.encode_ns + row.send_ns
     return sent_ns + row.link_ns + row.decode_ns + row.place_ns
 

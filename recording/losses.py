@@ -21,23 +21,23 @@ class RestartSafeCounts:
     """
 
     total: Counter[str] = field(default_factory=Counter)
-    told: dict[str, int] = field(default_factory=dict)
+    reported: dict[str, int] = field(default_factory=dict)
 
-    def take(self, told: Mapping[str, int]) -> None:
+    def take(self, reported: Mapping[str, int]) -> None:
         """Adds what is new; counts of which one has fallen are those of a new process."""
-        if any(told.get(reason, 0) < count for reason, count in self.told.items()):
+        if any(reported.get(reason, 0) < count for reason, count in self.reported.items()):
             self.restart()
-        for reason, count in told.items():
-            self.total[reason] += count - self.told.get(reason, 0)
-        self.told = dict(told)
+        for reason, count in reported.items():
+            self.total[reason] += count - self.reported.get(reason, 0)
+        self.reported = dict(reported)
 
-    def take_highest(self, told: Mapping[str, int]) -> None:
+    def take_highest(self, reported: Mapping[str, int]) -> None:
         """Keeps the most that any of several processes told, which is less than their sum."""
-        self.total |= Counter(told)
+        self.total |= Counter(reported)
 
     def restart(self) -> None:
         """Expects counts from 0."""
-        self.told = {}
+        self.reported = {}
 
 
 MAX_PROCESSES = 512
@@ -52,9 +52,9 @@ class DropCounts:
         self._changed: set[str] = set()
         for row in known:
             counts = self._counts.setdefault(row.process, RestartSafeCounts())
-            counts.total[row.reason] = counts.told[row.reason] = row.times
+            counts.total[row.reason] = counts.reported[row.reason] = row.times
 
-    def heard(self, process: str, reasons: Mapping[str, int]) -> None:
+    def received(self, process: str, reasons: Mapping[str, int]) -> None:
         """Takes what a process has counted since its start; of too many reasons the first.
 
         Raises:
@@ -66,9 +66,9 @@ class DropCounts:
         unknown = (reason for reason in reasons if reason not in counts.total)
         fresh = islice(unknown, MAX_REASONS - len(counts.total))
         named = counts.total.keys() | set(fresh)
-        told = {reason: times for reason, times in reasons.items() if reason in named}
-        if told != counts.told:
-            counts.take(told)
+        reported = {reason: times for reason, times in reasons.items() if reason in named}
+        if reported != counts.reported:
+            counts.take(reported)
             self._changed.add(process)
 
     def take_changed(self) -> list[DropRow]:
@@ -107,7 +107,7 @@ class BusGaps:
             self._since = last_whole
         self._router, self._changed_ns = router, now_ns
 
-    def heard(self, bus: BusName, frame: int, received_ns: int) -> GapRow | None:
+    def received(self, bus: BusName, frame: int, received_ns: int) -> GapRow | None:
         """Returns the gap that ends with a message of this frame, if one does.
 
         What came before the change was seen may have come through the router that is gone.
@@ -130,7 +130,7 @@ class RestartGaps:
         self._last_whole = last_whole
         self._first: dict[BusName, int] = {}
 
-    def heard(self, bus: BusName, frame: int) -> GapRow | None:
+    def received(self, bus: BusName, frame: int) -> GapRow | None:
         """Returns the gap as it is known now, if this tells more of it."""
         if bus in self._first:
             return None

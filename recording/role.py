@@ -96,31 +96,31 @@ class EndOfRun:
     def __init__(self) -> None:
         self._began_ns: int | None = None
         self._awaits_last_frame = True
-        self._heard_ns = 0
+        self._received_ns = 0
 
     def begin(self, now_ns: int, *, in_time: bool) -> None:
         """The world stops; if before its time, the last frame is not waited for."""
         self._began_ns = now_ns
         self._awaits_last_frame = in_time
 
-    def heard(self, now_ns: int) -> None:
+    def received(self, now_ns: int) -> None:
         """Something was said."""
-        self._heard_ns = max(self._heard_ns, now_ns)
+        self._received_ns = max(self._received_ns, now_ns)
 
-    def is_over(self, now_ns: int, ledger: FrameAggregator) -> bool:
+    def is_over(self, now_ns: int, aggregator: FrameAggregator) -> bool:
         """Whether the last frame is whole and all are silent, or patience has run out."""
         if self._began_ns is None:
             return False
         if now_ns - self._began_ns >= PATIENCE_NS:
             return True
-        if self._awaits_last_frame and not _is_complete(ledger):
+        if self._awaits_last_frame and not _is_complete(aggregator):
             return False
-        return now_ns - self._heard_ns >= SILENCE_NS
+        return now_ns - self._received_ns >= SILENCE_NS
 
 
-def _is_complete(ledger: FrameAggregator) -> bool:
-    last = ledger.get(ledger.newest_tick)
-    return last is not None and last.heard >= LAST_TO_PUBLISH and last.detections is not None
+def _is_complete(aggregator: FrameAggregator) -> bool:
+    last = aggregator.get(aggregator.newest_tick)
+    return last is not None and last.received >= LAST_TO_PUBLISH and last.detections is not None
 
 
 COMMIT_NS = 1_000_000_000
@@ -147,8 +147,8 @@ class RecordRole:
         written = json.dumps(scenario)
         self._database = Database(context.run_dir, written)
         self._is_broken = False
-        self._ledger = FrameAggregator(self._frame_period_ns, self._database.last_tick)
-        self._glance = ProgressTracker(self._frame_period_ns)
+        self._aggregator = FrameAggregator(self._frame_period_ns, self._database.last_tick)
+        self._progress = ProgressTracker(self._frame_period_ns)
         self._ending = EndOfRun()
         self._clocks: dict[str, tuple[int, int]] = {}
         self._drops = DropCounts(self._database.known_drops())
@@ -163,7 +163,7 @@ class RecordRole:
             self._begin(written)
         else:
             _log.warning("the recording goes on after frame %d", resumed)
-            self._ledger.settle(resumed)
+            self._aggregator.settle(resumed)
             self._return = RestartGaps(self._last_request)
 
     @classmethod
@@ -188,7 +188,7 @@ class RecordRole:
             self._note_gaps(item)
         except MessageError as error:
             self._context.inbox.refuse(item.topic, error)
-        self._ending.heard(item.received_ns)
+        self._ending.received(item.received_ns)
         if self._database.is_full:
             self._commit(time.monotonic_ns())
 
@@ -199,9 +199,9 @@ class RecordRole:
         due = now_ns - self._committed_ns >= self._commit_ns
         if due or self._database.pending_rows >= COMMIT_ROWS:
             self._commit(now_ns)
-        if self._ledger.newest_tick >= 0 and now_ns - self._told_ns >= PROGRESS_NS:
+        if self._aggregator.newest_tick >= 0 and now_ns - self._told_ns >= PROGRESS_NS:
             self._tell(now_ns)
-        if self._ending.is_over(now_ns, self._ledger):
+        if self._ending.is_over(now_ns, self._aggregator):
             self._context.stop.set()
 
     def close(self) -> None:
@@ -231,33 +231,33 @@ class RecordRole:
         return routes
 
     def _on_tick(self, tick: m.Tick, received_ns: int) -> None:
-        note = self._ledger.tick(tick.frame, tick.sim_time_ns)
-        self._glance.ticked(tick, received_ns)
+        note = self._aggregator.tick(tick.frame, tick.sim_time_ns)
+        self._progress.ticked(tick, received_ns)
         note.sim_time_ns, note.tick_ns = tick.sim_time_ns, received_ns
         note.vehicles, note.cavs, note.cvs = (
-            self._glance.vehicles,
-            self._glance.cavs,
-            self._glance.cvs,
+            self._progress.vehicles,
+            self._progress.cavs,
+            self._progress.cvs,
         )
 
     def _on_truth(self, truth: m.Truth, _: int) -> None:
-        self._ledger.check(truth.frame)
+        self._aggregator.check(truth.frame)
         self._database.add(tables.TruthRow, rows.truth_rows(truth))
 
     def _on_sighting(self, sighting: m.Sighting, _: int) -> None:
-        self._ledger.check(sighting.frame)
+        self._aggregator.check(sighting.frame)
         self._database.add(tables.SightingRow, [rows.sighting_row(sighting)])
 
     def _on_trips(self, trips: m.Trips, _: int) -> None:
         self._database.add(tables.TripRow, rows.trip_rows(trips))
 
     def _on_metrics(self, metrics: m.Metrics, _: int) -> None:
-        self._drops.heard(metrics.process, metrics.drops)
-        note = self._ledger.measured(metrics)
-        self._glance.measured(metrics)
+        self._drops.received(metrics.process, metrics.drops)
+        note = self._aggregator.measured(metrics)
+        self._progress.measured(metrics)
         if metrics.process == "sim":
             took_ns = note.end_to_end_ns(self._clocks)
-            self._glance.end_to_end_ns = took_ns or self._glance.end_to_end_ns
+            self._progress.end_to_end_ns = took_ns or self._progress.end_to_end_ns
         self._database.add(tables.StageRow, rows.stage_rows(metrics))
         self._database.add(tables.AgentScoreRow, rows.agent_score_rows(metrics))
 
@@ -278,27 +278,27 @@ class RecordRole:
         self._database.add(tables.MetaRow, facts.items())
 
     def _on_state(self, state: m.SignalState, _: int) -> None:
-        self._ledger.check(state.frame)
-        self._glance.state = state.state
+        self._aggregator.check(state.frame)
+        self._progress.state = state.state
         self._database.add(tables.PhaseRow, [rows.phase_row(state)])
 
     def _on_request(self, request: m.SignalRequest, received_ns: int) -> None:
-        self._ledger.note(request.frame).request_ns = received_ns
+        self._aggregator.note(request.frame).request_ns = received_ns
         self._last_request = max(self._last_request, request.frame)
         self._database.add(tables.RequestRow, [rows.request_row(request)])
 
     def _on_detections(self, detections: m.Detections, _: int) -> None:
-        note = self._ledger.note(detections.frame)
+        note = self._aggregator.note(detections.frame)
         self._database.add(tables.DetectionRow, rows.detection_rows(detections))
-        note.detections = self._glance.detections = len(detections.boxes)
+        note.detections = self._progress.detections = len(detections.boxes)
 
     def _on_lanes(self, lanes: m.LaneCounts, _: int) -> None:
-        note = self._ledger.note(lanes.frame)
+        note = self._aggregator.note(lanes.frame)
         note.counted(lanes)
         self._database.add(tables.CountRow, rows.count_rows(lanes))
 
     def _on_scan(self, scan: m.Scan, _: int) -> None:
-        self._ledger.check(scan.frame)
+        self._aggregator.check(scan.frame)
         period_ns = round(self._config.snapshot_period_s * 1e9)
         if scan.sim_time_ns % period_ns < self._frame_period_ns:
             self._database.add(tables.CloudRow, [rows.cloud_row(scan)])
@@ -307,15 +307,15 @@ class RecordRole:
         for reach in self._reaches:
             reach.look(self._last_request, now_ns)
 
-    def _note_gaps(self, heard: Envelope) -> None:
+    def _note_gaps(self, received: Envelope) -> None:
         """Notes the gaps that a message ends; those that measure are of frames long gone."""
-        frame = getattr(heard.message, "frame", None)
-        topic = TOPICS[heard.topic]
+        frame = getattr(received.message, "frame", None)
+        topic = TOPICS[received.topic]
         if frame is None or topic.delivery is Delivery.TELEMETRY:
             return
-        found = [reach.heard(topic.bus, frame, heard.received_ns) for reach in self._reaches]
+        found = [reach.received(topic.bus, frame, received.received_ns) for reach in self._reaches]
         if self._return is not None and topic.name in _SUBSCRIBED_LAST:
-            found.append(self._return.heard(topic.bus, frame))
+            found.append(self._return.received(topic.bus, frame))
         self._database.add(tables.GapRow, filter(None, found))
 
     def _begin(self, scenario: str) -> None:
@@ -330,9 +330,9 @@ class RecordRole:
         self._commit(time.monotonic_ns())
 
     def _commit(self, now_ns: int) -> None:
-        for note in self._ledger.take_changed():
+        for note in self._aggregator.take_changed():
             self._database.add(tables.FrameRow, [note.row(self._clocks)])
-            self._database.add(tables.AccountRow, note.accounts(self._clocks))
+            self._database.add(tables.LatencyRow, note.latencies(self._clocks))
             self._database.add(tables.UploadRow, note.upload_rows())
         self._count_own_drops()
         self._database.add(tables.DropRow, self._drops.take_changed())
@@ -345,11 +345,11 @@ class RecordRole:
 
     def _tell(self, now_ns: int) -> None:
         drops = min(self._drops.total(), MAX_TOTAL)
-        self._context.world.publish("progress", self._glance.report(now_ns, drops))
+        self._context.world.publish("progress", self._progress.report(now_ns, drops))
         self._told_ns = now_ns
 
     def _count_own_drops(self) -> None:
         own = dict(self._context.inbox.drops)
         if self._database.refused_rows:
             own["refused_row"] = self._database.refused_rows
-        self._drops.heard(self._context.id, own)
+        self._drops.received(self._context.id, own)

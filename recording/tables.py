@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, get_args, get_type_hints
 
-SCHEMA_DIGESTS = {8: "9d40949d070f5328"}
+SCHEMA_DIGESTS = {8: "9d40949d070f5328", 9: "242bbfd6b8778425"}
 """`schema_digest()` by schema version. Never change an entry: add one with the next number."""
 SCHEMA_VERSION = max(SCHEMA_DIGESTS)
 _SQL_TYPES = {int: "INTEGER", float: "REAL", str: "TEXT", bytes: "BLOB"}
@@ -72,7 +72,7 @@ class StageRow(NamedTuple):
     duration_ns: int
 
 
-class AccountRow(NamedTuple):
+class LatencyRow(NamedTuple):
     """Where the time of a frame went for one agent; the stages sum to `end_to_end_ns`."""
 
     frame: int
@@ -314,7 +314,7 @@ TABLES: dict[type, Table] = {
         Table("frames", FrameRow, 1),
         Table("uploads", UploadRow, 3),
         Table("stages", StageRow, 0),
-        Table("account", AccountRow, 2),
+        Table("latency", LatencyRow, 2),
         Table("detections", DetectionRow, 2, is_result=True),
         Table("counts", CountRow, 3, is_result=True),
         Table("phases", PhaseRow, 2, is_result=True),

@@ -49,7 +49,7 @@ def distribution_ms(durations_ns: list[int]) -> dict[str, float | None]:
 
 def clock_error_ms(run: Run) -> float | None:
     """Returns the largest error of a latency between machines; 0 on one machine."""
-    ((worst_ns,),) = run.query("SELECT max(clock_error_ns) FROM account")
+    ((worst_ns,),) = run.query("SELECT max(clock_error_ns) FROM latency")
     return None if worst_ns is None else worst_ns / 1e6
 
 
@@ -58,7 +58,7 @@ def _durations(run: Run) -> dict[str, list[int]]:
     for stage, duration_ns in run.query("SELECT stage, duration_ns FROM stages"):
         durations[stage].append(duration_ns)
     for stage in _BETWEEN_PROCESSES:
-        durations[stage] = [ns for (ns,) in run.query(f"SELECT {stage}_ns FROM account")]
+        durations[stage] = [ns for (ns,) in run.query(f"SELECT {stage}_ns FROM latency")]
     sql = "SELECT end_to_end_ns FROM frames WHERE end_to_end_ns IS NOT NULL"
     durations["end_to_end"] = [ns for (ns,) in run.query(sql)]
     return durations
@@ -130,7 +130,7 @@ def _by_agent(run: Run) -> list[Block]:
         f"avg({' + '.join(f'{s}_ns' for s in stages)}) / 1e6" for stages in STAGE_GROUPS.values()
     )
     rows = run.query(
-        f"SELECT agent, count(*), {means}, avg(end_to_end_ns) / 1e6 FROM account GROUP BY agent"
+        f"SELECT agent, count(*), {means}, avg(end_to_end_ns) / 1e6 FROM latency GROUP BY agent"
     )
     if not rows:
         return []

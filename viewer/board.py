@@ -22,7 +22,7 @@ from protocol.messages import (
 from protocol.topics import BusName
 from recording.losses import DropCounts
 from viewer.scene import phase_names, pressures
-from viewer.stages import GROUPS, MAX_RATED_AGENTS, Account, Rates, Stages
+from viewer.stages import GROUPS, MAX_RATED_AGENTS, FrameLatency, Rates, Stages
 
 BOARD_TOPICS = frozenset(
     {"tick", "metrics", "clock", "progress", "end", "state", "request", "lanes"}
@@ -106,7 +106,7 @@ class Board:
         self.gone: set[tuple[str, str]] = set()
         self._rates = Rates(period_ns)
         self._stages = Stages(period_ns)
-        self._accounts: deque[Account] = deque(maxlen=AVERAGED_FRAMES)
+        self._latencies: deque[FrameLatency] = deque(maxlen=AVERAGED_FRAMES)
         self._points: dict[str, int] = {}
         self._scores: dict[str, AgentScore] = {}
         self._drops = DropCounts()
@@ -120,7 +120,7 @@ class Board:
     def is_filled(self) -> bool:
         """Whether there is something of all kinds to be shown."""
         told = self.progress, self.counts, self._shown
-        return all(one is not None for one in told) and bool(self._accounts)
+        return all(one is not None for one in told) and bool(self._latencies)
 
     @property
     def is_over(self) -> bool:
@@ -143,7 +143,7 @@ class Board:
         if isinstance(message, Tick):
             self.frame, self.sim_time_ns = message.frame, message.sim_time_ns
             self._ticked_ns = item.received_ns
-            self._accounts.extend(self._stages.accounts())
+            self._latencies.extend(self._stages.latencies())
         elif isinstance(message, Metrics):
             self._take_metrics(message)
 
@@ -159,16 +159,16 @@ class Board:
 
     def stages(self) -> list[StageRow]:
         """Returns where the time goes, the whole way last; nothing before a frame is whole."""
-        if not self._accounts:
+        if not self._latencies:
             return []
-        newest = self._accounts[-1]
+        newest = self._latencies[-1]
         rows = [
             StageRow(
-                name, newest.groups_ms[name], _mean([a.groups_ms[name] for a in self._accounts])
+                name, newest.groups_ms[name], _mean([a.groups_ms[name] for a in self._latencies])
             )
             for name in GROUPS
         ]
-        whole = _mean([a.end_to_end_ms for a in self._accounts])
+        whole = _mean([a.end_to_end_ms for a in self._latencies])
         return [*rows, StageRow("end to end", newest.end_to_end_ms, whole)]
 
     def lanes(self, side: str) -> list[LaneRow]:
@@ -259,7 +259,7 @@ class Board:
         for score in metrics.scores:
             if score.agent in self._scores or len(self._scores) < MAX_RATED_AGENTS:
                 self._scores[score.agent] = score
-        self._drops.heard(metrics.process, metrics.drops)
+        self._drops.received(metrics.process, metrics.drops)
         self._dropped |= {(r.process, r.reason): r.times for r in self._drops.take_changed()}
 
 

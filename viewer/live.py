@@ -11,17 +11,17 @@ from protocol import topics
 from protocol.errors import MessageError, ProtocolError
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Metrics
+from protocol.observer import FrameBuffer
 from protocol.topics import BusName
-from protocol.unread import Unread
 from protocol.wire import peek_frame_time
 from viewer.scene import Moment, Picture, Scene
-from viewer.stages import Account, Stages
+from viewer.stages import FrameLatency, Stages
 
 ENDING = "lanes"
 DRAWN = frozenset({"truth", "state", "request", "scan", "plan", "detections", ENDING})
 """Of these only what is drawn is read."""
-TOLD = frozenset({"tick", "metrics", "clock", "end", ENDING})
-TOPICS = DRAWN | TOLD
+READ_AT_ONCE = frozenset({"tick", "metrics", "clock", "end", ENDING})
+TOPICS = DRAWN | READ_AT_ONCE
 _WAITING = {"scan": 4, "truth": 4, "tick": 8, "detections": 4, "metrics": 64}
 _INBOX_ITEMS, _INBOX_BYTES = 4096, 64 << 20
 REST_S = 0.1
@@ -34,7 +34,7 @@ class Shows(Protocol):
     def picture(self, picture: Picture) -> None:
         """Draws a frame."""
 
-    def account(self, account: Account) -> None:
+    def latency(self, latency: FrameLatency) -> None:
         """Adds a frame's times to the plots."""
 
 
@@ -58,7 +58,7 @@ class Live:
         self._scene = scene
         self._shows = shows
         self._period_ns = round(1e9 / fps)
-        self._frames = Unread(ENDING)
+        self._frames = FrameBuffer(ENDING)
         self._stages = Stages(round(float(scene.setup.scenario["frame_period_s"]) * 1e9))
         self._drawn_ns = -self._period_ns
         self.is_over = False
@@ -96,7 +96,7 @@ class Live:
         frame = peek_frame_time(item.data, topics.TOPICS[item.topic].message).frame
         if item.topic in DRAWN and frame is not None:
             self._frames.take(item, frame)
-        if item.topic not in TOLD:
+        if item.topic not in READ_AT_ONCE:
             return
         message = item.message
         self.is_over |= isinstance(message, End)
@@ -105,8 +105,8 @@ class Live:
         with suppress(MessageError):  # whoever comes into a run hears ends of what had begun before
             self._stages.take(message)
         if item.topic == "tick":
-            for account in self._stages.accounts():
-                self._shows.account(account)
+            for latency in self._stages.latencies():
+                self._shows.latency(latency)
 
     def _draw_when_due(self) -> None:
         now_ns = time.monotonic_ns()

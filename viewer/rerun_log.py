@@ -10,7 +10,7 @@ from studies import palette
 from viewer.layers import Boxes, Rgb, Texts, rgb
 from viewer.road import camera, surface
 from viewer.scene import Picture, Scene
-from viewer.stages import GROUPS, Account
+from viewer.stages import GROUPS, FrameLatency
 
 FRAME, TIME = "frame", "sim time"
 TRUTH = "/scene/truth"
@@ -47,10 +47,10 @@ class Log:
         self._cells(picture)
         self._figures(picture)
 
-    def account(self, account: Account) -> None:
+    def latency(self, latency: FrameLatency) -> None:
         """See `viewer.live.Shows.account`."""
-        self._set_time(account.frame, account.sim_time_ns)
-        self._scalars("/latency", [*account.groups_ms.values(), account.end_to_end_ms])
+        self._set_time(latency.frame, latency.sim_time_ns)
+        self._scalars("/latency", [*latency.groups_ms.values(), latency.end_to_end_ms])
 
     def _set_time(self, frame: int, sim_time_ns: int) -> None:
         self._to.set_time(FRAME, sequence=frame)

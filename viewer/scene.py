@@ -26,8 +26,8 @@ from protocol.messages import (
     Truth,
     VehicleType,
 )
+from protocol.observer import BufferedFrame
 from protocol.roadmap import RoadMap
-from protocol.unread import UnreadFrame
 from recording.rows import detection_rows, truth_rows
 from studies.ecvpr import EvaluationArea, FrameScore, score_frame
 from viewer import layers
@@ -56,7 +56,7 @@ class Moment:
         return next((message.sim_time_ns for message in told if message is not None), None)
 
     @classmethod
-    def of(cls, frame: UnreadFrame) -> Moment:
+    def of(cls, frame: BufferedFrame) -> Moment:
         """Reads what was heard of a frame."""
         moment = cls(frame.number)
         for message in frame.messages():

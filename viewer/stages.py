@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from protocol.errors import MessageError
 from protocol.messages import ClockReading, LaneCounts, Message, Metrics, Tick
 from recording.frame_aggregator import FrameAggregator
-from recording.tables import AccountRow
+from recording.tables import LatencyRow
 
 WINDOW_NS = 1_000_000_000
 MAX_RATED_AGENTS = 1024
@@ -65,7 +65,7 @@ GROUPS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Account:
+class FrameLatency:
     """The slowest way of a frame: milliseconds by group of stages, and of all of them."""
 
     frame: int
@@ -78,7 +78,7 @@ class Stages:
     """Puts frames' accounts together as the recorder does."""
 
     def __init__(self, frame_period_ns: int) -> None:
-        self._ledger = FrameAggregator(frame_period_ns)
+        self._aggregator = FrameAggregator(frame_period_ns)
         self._clocks: dict[str, tuple[int, int]] = {}
         self._told = -1
 
@@ -90,28 +90,28 @@ class Stages:
         """
         match message:
             case Tick():
-                note = self._ledger.tick(message.frame, message.sim_time_ns)
+                note = self._aggregator.tick(message.frame, message.sim_time_ns)
                 note.sim_time_ns = message.sim_time_ns
             case Metrics():
-                self._ledger.measured(message)
+                self._aggregator.measured(message)
             case LaneCounts():
-                self._ledger.note(message.frame).counted(message)
+                self._aggregator.note(message.frame).counted(message)
             case ClockReading():
                 self._hear(message)
 
-    def accounts(self) -> Iterator[Account]:
+    def latencies(self) -> Iterator[FrameLatency]:
         """Yields the frames whose times are known since the last call."""
-        self._ledger.take_changed()
-        newest = self._ledger.newest_tick - LAG_FRAMES
+        self._aggregator.take_changed()
+        newest = self._aggregator.newest_tick - LAG_FRAMES
         first = max(self._told + 1, newest - LAG_FRAMES)
         for frame in range(first, newest + 1):
-            note = self._ledger.get(frame)
+            note = self._aggregator.get(frame)
             if note is None or note.sim_time_ns is None:
                 continue
-            rows = note.accounts(self._clocks)
+            rows = note.latencies(self._clocks)
             if rows:
                 slowest = max(rows, key=lambda row: row.end_to_end_ns)
-                yield _account(slowest, note.sim_time_ns)
+                yield _frame_latency(slowest, note.sim_time_ns)
         self._told = max(self._told, newest)
 
     def _hear(self, reading: ClockReading) -> None:
@@ -120,10 +120,10 @@ class Stages:
         self._clocks[reading.process] = reading.offset_ns, reading.error_ns
 
 
-def _account(row: AccountRow, sim_time_ns: int) -> Account:
+def _frame_latency(row: LatencyRow, sim_time_ns: int) -> FrameLatency:
     took_ns = row._asdict()
     groups_ms = {
         group: sum(took_ns[f"{stage}_ns"] for stage in stages) / 1e6
         for group, stages in GROUPS.items()
     }
-    return Account(row.frame, sim_time_ns, groups_ms, row.end_to_end_ns / 1e6)
+    return FrameLatency(row.frame, sim_time_ns, groups_ms, row.end_to_end_ns / 1e6)

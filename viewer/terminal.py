@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from protocol.errors import BusError, MessageError
-from protocol.onlooker import Onlooker
+from protocol.observer import Observer
 from viewer.board import AgentRow, Board, LaneRow
 
 MAX_SHOWN_AGENTS = 16
@@ -133,19 +133,19 @@ PATIENCE_NS = 15_000_000_000
 _POLL_S = 0.1
 
 
-def show(onlooker: Onlooker, board: Board, console: Console, stop: threading.Event) -> None:
+def show(observer: Observer, board: Board, console: Console, stop: threading.Event) -> None:
     """Draws twice a second until the run ends or somebody stops it."""
     with Live(console=console, screen=True, auto_refresh=False) as live:
         drawn_ns = 0
         while not (stop.is_set() or board.is_over):
-            listen(onlooker, board)
+            listen(observer, board)
             if time.monotonic_ns() - drawn_ns >= EVERY_NS:
                 drawn_ns = time.monotonic_ns()
                 live.update(picture(board, drawn_ns), refresh=True)
     console.print(picture(board, time.monotonic_ns()))
 
 
-def show_once(onlooker: Onlooker, board: Board, console: Console, stop: threading.Event) -> None:
+def show_once(observer: Observer, board: Board, console: Console, stop: threading.Event) -> None:
     """Draws once there is something of all kinds to be shown.
 
     Raises:
@@ -155,7 +155,7 @@ def show_once(onlooker: Onlooker, board: Board, console: Console, stop: threadin
     while not (board.is_filled or board.is_over or stop.is_set()):
         if time.monotonic_ns() > give_up_ns:
             break
-        listen(onlooker, board)
+        listen(observer, board)
     if stop.is_set():
         return
     if board.frame < 0:
@@ -163,9 +163,9 @@ def show_once(onlooker: Onlooker, board: Board, console: Console, stop: threadin
     console.print(picture(board, time.monotonic_ns()))
 
 
-def listen(onlooker: Onlooker, board: Board) -> None:
+def listen(observer: Observer, board: Board) -> None:
     """Takes what comes next."""
-    if (item := onlooker.next(_POLL_S)) is None:
+    if (item := observer.next(_POLL_S)) is None:
         return
     with suppress(MessageError):  # whoever comes into a run hears ends of what had begun before
         board.take(item)

@@ -16,9 +16,8 @@ from protocol import messages as m
 from protocol.codec import decode
 from protocol.errors import CodecError, CpnetError
 from protocol.inbox import Envelope
-from protocol.onlooker import RateCap
+from protocol.observer import BufferedFrame, FrameBuffer, RateCap
 from protocol.topics import TOPICS
-from protocol.unread import Unread, UnreadFrame
 from protocol.wire import peek_frame_time
 from recording.mcap import foxglove_messages
 from recording.mcap.format import PREVIOUS_FILE
@@ -46,9 +45,9 @@ class _FrameMessages:
     detections: m.Detections | None = None
 
     @classmethod
-    def of(cls, frame: UnreadFrame) -> _FrameMessages:
+    def of(cls, frame: BufferedFrame) -> _FrameMessages:
         """Reads what was heard of a frame."""
-        picture = cls(frame.heard[0].received_ns)
+        picture = cls(frame.received[0].received_ns)
         for message in frame.messages():
             picture._add(message)
         return picture
@@ -87,7 +86,7 @@ class FoxgloveConverter:
         self._writer = writer
         self._box_cap = RateCap(boxes_per_s)
         self._cloud_cap = RateCap(clouds_per_s)
-        self._frames = Unread(LAST_TOPIC, WAITING_FRAMES)
+        self._frames = FrameBuffer(LAST_TOPIC, WAITING_FRAMES)
         self._now = _FrameMessages()
         self._clouds: list[str] = []
         self._drawn_in = 0
@@ -118,7 +117,7 @@ class FoxgloveConverter:
             agent = self._clouds.pop()
             self._convert_cloud(agent)
         elif (due := self._frames.next()) is not None:
-            self._draw_road(due.heard[0].received_ns)
+            self._draw_road(due.received[0].received_ns)
             if self._box_cap.take(time.monotonic_ns()):
                 self._convert(due)
             else:
@@ -127,7 +126,7 @@ class FoxgloveConverter:
             return False
         return True
 
-    def _convert(self, frame: UnreadFrame) -> None:
+    def _convert(self, frame: BufferedFrame) -> None:
         self.frames_drawn += 1
         picture = _FrameMessages.of(frame)
         self._draw(picture)
@@ -215,7 +214,7 @@ def export_foxglove(
     writer = McapWriter(next_path, recording.setup, facts)
     scene = FoxgloveConverter(recording.setup, writer)
     try:
-        for item in recording.heard(CONVERTED_TOPICS):
+        for item in recording.messages(CONVERTED_TOPICS):
             number = peek_frame_time(item.data, TOPICS[item.topic].message).frame
             if number is not None and (item.topic != "scan" or number % cloud_every == 0):
                 scene.take(item, number)

@@ -169,7 +169,7 @@ class McapReader:
         self.facts: dict[str, str] = {}
         self.setup = self._read_setup()
 
-    def heard(self, topics: Iterable[str] | None = None) -> Iterator[Envelope]:
+    def messages(self, topics: Iterable[str] | None = None) -> Iterator[Envelope]:
         """Yields the messages of these topics, or of all, in the order in which they came.
 
         `received_ns` is that of the recording process. All complete chunks are read; what cannot be
@@ -180,9 +180,9 @@ class McapReader:
         """
         wanted = frozenset(TOPICS if topics is None else topics)
         for file in self.files:
-            yield from self._heard_in(file, wanted)
+            yield from self._messages_in(file, wanted)
 
-    def _heard_in(self, file: Path, wanted: frozenset[str]) -> Iterator[Envelope]:
+    def _messages_in(self, file: Path, wanted: frozenset[str]) -> Iterator[Envelope]:
         channels: dict[int, tuple[Topic, str] | None] = {}
         inbox = Inbox()  # checks what comes off a recording as what comes off a bus
         is_cut = True

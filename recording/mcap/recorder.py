@@ -12,7 +12,7 @@ from typing import Any
 
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Setup
-from protocol.onlooker import ALL_TOPICS, lower_priority
+from protocol.observer import ALL_TOPICS, lower_priority
 from protocol.process import Context
 from protocol.topics import TOPICS, BusName
 from protocol.version import own_version
@@ -30,7 +30,7 @@ class EndOfRecording:
     def __init__(self) -> None:
         self._ended_ns: int | None = None
         self._left_ns: int | None = None
-        self._heard_ns = 0
+        self._received_ns = 0
         self._recorders: set[tuple[str, BusName]] = set()
 
     def look(self, presence: Presence, now_ns: int) -> None:
@@ -48,16 +48,16 @@ class EndOfRecording:
         """The world stops."""
         self._ended_ns = now_ns if self._ended_ns is None else self._ended_ns
 
-    def heard(self, now_ns: int) -> None:
+    def received(self, now_ns: int) -> None:
         """Something was said."""
-        self._heard_ns = now_ns
+        self._received_ns = now_ns
 
     def is_over(self, now_ns: int) -> bool:
         """Whether nothing more is to come, or patience has run out."""
         began_ns = self._left_ns if self._ended_ns is None else self._ended_ns
         if began_ns is None:
             return False
-        is_silent = not self._recorders and now_ns - self._heard_ns >= SILENCE_NS
+        is_silent = not self._recorders and now_ns - self._received_ns >= SILENCE_NS
         return is_silent or now_ns - began_ns >= PATIENCE_NS
 
 
@@ -122,7 +122,7 @@ class McapRecorder:
             return
         end = item.message if item.topic == "end" else None
         moment = self.writer.write(item)
-        self._ending.heard(time.monotonic_ns())
+        self._ending.received(time.monotonic_ns())
         if isinstance(end, End):
             self._reason = end.reason
             self._ending.begin(time.monotonic_ns())
@@ -141,7 +141,7 @@ class McapRecorder:
         self.writer.settle(now_ns)
         is_idle = self._inbox.is_empty
         if not is_idle:
-            self._ending.heard(now_ns)
+            self._ending.received(now_ns)
         if self._ending.is_over(now_ns):
             self._stop.set()
         elif is_idle:

@@ -231,9 +231,9 @@ class McapWriter:
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, ...], int] = {}
         before = {PREVIOUS_FILE: self.files[-1].name} if self.files else {}
-        reel = McapFile(self._next_path(), self._setup, self._facts | before)
-        self.files.append(reel.path)
-        return reel
+        file = McapFile(self._next_path(), self._setup, self._facts | before)
+        self.files.append(file.path)
+        return file
 
     def _native(self, item: Envelope) -> int:
         """Returns a new channel for messages of this key."""

@@ -11,8 +11,15 @@ from protocol.messages import Tick
 from protocol.process import Context
 from recording.config import ReplayConfig
 from recording.mcap.reader import McapReader
-from recording.playback.frames import FRAME_TOPIC, RecordedFrames
-from recording.playback.upload import AGENT_TOPICS, AgentFrame, Pace, ReplayedUpload, agent_frames
+from recording.playback.frames import (
+    AGENT_TOPICS,
+    FRAME_TOPIC,
+    AgentFrame,
+    Pace,
+    RecordedFrames,
+    ReplayedUpload,
+    agent_frames,
+)
 from sensing.radio import ENVELOPE_BYTES, AgentKind, Radio
 from sensing.station import Station
 from sensing.uplink import Uplink, UplinkContext
@@ -59,7 +66,7 @@ class PlayerRole:
         recording = McapReader(
             Path(ReplayConfig.model_validate(context.setup.scenario["replay"]).recording)
         )
-        frames = RecordedFrames(recording.heard([*AGENT_TOPICS, FRAME_TOPIC]))
+        frames = RecordedFrames(recording.messages([*AGENT_TOPICS, FRAME_TOPIC]))
         frames.first()  # is read before the first tick, which would be late otherwise
         return cls(context, frames)
 
@@ -81,49 +88,53 @@ class PlayerRole:
 
     def _play(self, tick: Tick) -> None:
         begun_ns = time.monotonic_ns()
-        said = agent_frames(self._context.id, self._kind, self._frames.take(tick.frame))
+        published = agent_frames(self._context.id, self._kind, self._frames.take(tick.frame))
         drops = {"late_in_recording": self._frames.late, "absurd_in_recording": self._frames.absurd}
         self._context.inbox.drops |= {reason: n for reason, n in drops.items() if n}
-        self._seen |= dict.fromkeys(said, tick.frame)
-        here = {agent: words for agent, words in said.items() if self._connect(agent, words)}
+        self._seen |= dict.fromkeys(published, tick.frame)
+        here = {
+            agent: recorded
+            for agent, recorded in published.items()
+            if self._connect(agent, recorded)
+        }
         self._station.begin(tick)
         self._forget_all_but({a for a, n in self._seen.items() if n > tick.frame - FORGET_FRAMES})
         admitted = {a for a in here if self._station.admits(self._radios[a], tick)}
         mine = [a for a in here if a in admitted or self._kind == "roadside"]
         scanning = [agent for agent in mine if agent in admitted and here[agent].parts]
         self._station.publish_roster(tick, mine, scanning)
-        pace = self._pace(said, begun_ns)
+        pace = self._pace(published, begun_ns)
         for agent in sorted(admitted, key=mine.index):
             self._say(tick, agent, here[agent], pace)
 
-    def _say(self, tick: Tick, agent: str, words: AgentFrame, pace: Pace | None) -> None:
-        if words.pose is not None:
+    def _say(self, tick: Tick, agent: str, recorded: AgentFrame, pace: Pace | None) -> None:
+        if recorded.pose is not None:
             passage = self._radios[agent].transmit(tick.sim_time_ns, ENVELOPE_BYTES, is_chunk=False)
             arrival = {"arrival_sim_ns": passage and passage.arrival_ns}
             where = {"region": self._station.region, "process": self._context.id, "agent": agent}
-            self._buses[agent].publish("pose", words.pose.model_copy(update=arrival), **where)
-        if words.parts:
-            self._ways[agent].submit(ReplayedUpload(tick, self._ways[agent], words, pace))
-        if words.sighting is not None:
-            self._station.publish_sighting(words.sighting)
+            self._buses[agent].publish("pose", recorded.pose.model_copy(update=arrival), **where)
+        if recorded.parts:
+            self._ways[agent].submit(ReplayedUpload(tick, self._ways[agent], recorded, pace))
+        if recorded.sighting is not None:
+            self._station.publish_sighting(recorded.sighting)
 
-    def _pace(self, said: dict[str, AgentFrame], begun_ns: int) -> Pace | None:
-        starts = [w.sense_start_ns for w in said.values() if w.sense_start_ns is not None]
+    def _pace(self, published: dict[str, AgentFrame], begun_ns: int) -> Pace | None:
+        starts = [w.sense_start_ns for w in published.values() if w.sense_start_ns is not None]
         if self._lockstep or not starts:
             return None
         return Pace(min(starts), begun_ns, self._period_ns, self._speed)
 
-    def _connect(self, agent: str, words: AgentFrame) -> bool:
+    def _connect(self, agent: str, recorded: AgentFrame) -> bool:
         """Gives a newcomer its connection and radio; false while the connection is being opened."""
         if agent in self._radios:
             return True
-        has_own = words.has_sensor or self._shapes_poses
+        has_own = recorded.has_sensor or self._shapes_poses
         bus = self._connections.get(agent) if has_own else self._context.v2x
         if bus is None:
             return False
         self._buses[agent] = bus
         self._radios[agent] = radio = self._station.radio(agent, bus)
-        if words.has_sensor:
+        if recorded.has_sensor:
             self._ways[agent] = self._station.add(Uplink(agent, bus, radio, self._terms))
         return True
 

@@ -129,7 +129,7 @@ def sim_role(context: Context) -> SimRole:
     replay = ReplayConfig.model_validate(scenario["replay"])
     traffic = traffic_config(scenario)
     world = RecordedWorld(
-        RecordedFrames(McapReader(Path(replay.recording)).heard(WORLD_TOPICS)),
+        RecordedFrames(McapReader(Path(replay.recording)).messages(WORLD_TOPICS)),
         step_ns=round(traffic.step_s * 1e9),
         steps=max(1, round(scenario["frame_period_s"] / traffic.step_s)),
         warmup_ns=round(traffic.warmup_s * 1e9),

@@ -28,7 +28,7 @@ from cpnet.endpoints import free_locator
 from cpnet.fork_server import ONE_THREAD
 from recording.latency_breakdown import stage_sum_ns
 from recording.run import Run
-from recording.tables import AccountRow, FrameRow
+from recording.tables import FrameRow, LatencyRow
 from tests.waiting import PATIENCE_S, wait_until
 
 T = TypeVar("T")
@@ -254,7 +254,7 @@ def wait_for_frames(command: Command, run_dir: Path) -> None:
 def check_account(run_dir: Path, *, exactly: bool) -> None:
     """Checks that the stages of every frame and agent sum to its end-to-end time."""
     with Run(run_dir) as run:
-        accounts = list(run.rows(AccountRow))
+        accounts = list(run.rows(LatencyRow))
         whole = {row.frame: row.end_to_end_ns for row in run.rows(FrameRow)}
     assert accounts
     for row in accounts:

@@ -13,8 +13,7 @@ import zenoh
 from protocol.messages import Roster, SignalState
 from protocol.topics import PREFIX
 from protocol.wire import decode, encode
-from recording.compare import differences
-from recording.run import Run
+from recording.run import Run, differences
 from recording.tables import PhaseRow
 from studies.in_process import run_in_process
 from studies.safety import violations_of

@@ -4,7 +4,7 @@ import shutil
 import sqlite3
 from pathlib import Path
 
-from recording.compare import differences
+from recording.run import differences
 from tests.certificates import make_keys
 from tests.cpnet.commands import Shell, check_account, free_ports
 

@@ -37,7 +37,7 @@ def test_a_tape_holds_what_the_database_was_made_of(shell):
     assert "sim, record, recording, signal" in output
     recording = McapReader(shell.folder / "run")
     heard: dict[str, list] = {}
-    for item in recording.heard():
+    for item in recording.messages():
         heard.setdefault(item.topic, []).append(item.message)
     assert (recording.is_whole, recording.drops.total()) == (True, 0)
     assert [end.reason for end in heard["end"]] == ["finished"]
@@ -63,7 +63,7 @@ def size_bytes(path: Path) -> int:
 def frames_on(run_dir: Path) -> list[int]:
     """Returns the frames whose tick can be read off a recording that may still grow."""
     try:
-        return [item.message.frame for item in McapReader(run_dir).heard(["tick"])]
+        return [item.message.frame for item in McapReader(run_dir).messages(["tick"])]
     except ConfigError:  # not so far yet
         return []
 
@@ -117,14 +117,14 @@ def test_a_tape_is_started_again_and_others_come_and_go(shell):
         told = re.search(r"(\d+) dropped", output)  # 0, if the machine is not too slow
         assert told is not None, output
         assert int(told[1]) == drops_on(shell.folder / name)
-    ticks = [item.message.frame for item in McapReader(run_dir).heard(["tick"])]
+    ticks = [item.message.frame for item in McapReader(run_dir).messages(["tick"])]
     assert ticks == sorted(set(ticks))
     names = (run_dir / "record.mcap", run_dir / "record-2.mcap", shell.folder / "mine.mcap")
     recordings = [McapReader(path) for path in (run_dir / "run-2.mcap", *names)]
     assert all(recording.is_whole for recording in recordings)
-    assert all([*recording.heard(["detections"])] for recording in recordings)
-    assert [item.message.reason for item in recordings[1].heard(["end"])] == ["stopped"]
-    assert not [*recordings[1].heard(["truth", "sighting"])]
+    assert all([*recording.messages(["detections"])] for recording in recordings)
+    assert [item.message.reason for item in recordings[1].messages(["end"])] == ["stopped"]
+    assert not [*recordings[1].messages(["truth", "sighting"])]
 
 
 @pytest.mark.parametrize(

@@ -14,12 +14,11 @@ from cpnet import scenario as scenarios
 from cpnet.cli import app
 from cpnet.replay import Pace, replay_of_recording, setup_of
 from protocol.errors import ConfigError
-from recording.compare import differences
-from recording.run import Run
+from recording.run import Run, differences
 from recording.tables import (
-    AccountRow,
     DetectionRow,
     FrameRow,
+    LatencyRow,
     RequestRow,
     SightingRow,
     TruthRow,
@@ -71,7 +70,7 @@ def test_with_its_own_settings_every_result_is_the_same(shell, recorded):
     again = shell.folder / "again"
     sent = [sent_by(run) for run in (recorded, again)]
     assert sent[0] == sent[1]
-    sensed = [sum(row.sense_ns for row in rows(run, AccountRow)) for run in (recorded, again)]
+    sensed = [sum(row.sense_ns for row in rows(run, LatencyRow)) for run in (recorded, again)]
     assert sensed[0] == sensed[1] > 0
     assert json.loads((again / "scenario.json").read_text())["replay"]["recording"] == str(recorded)
 

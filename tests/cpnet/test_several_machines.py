@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import ConfigError
-from recording.compare import differences
-from recording.run import Run
+from recording.run import Run, differences
 from sensing.link_channel import on_air_bytes
 from tests.cpnet.city import City, Host
 from tests.cpnet.commands import SMALL, Command, Shell

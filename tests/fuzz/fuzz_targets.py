@@ -198,7 +198,7 @@ def _read_mcap(path: Path) -> None:
     from recording.mcap.reader import McapReader
 
     recording = McapReader(path)
-    for item in recording.heard():
+    for item in recording.messages():
         encode(item.message)
     assert not recording.is_whole or not recording.drops["damaged"]
 

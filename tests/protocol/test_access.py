@@ -70,7 +70,7 @@ def test_each_may_say_and_hear_what_the_table_says_and_say_it_under_its_own_id(
 
 
 @pytest.mark.parametrize("process_id", ["view", "mcap"])
-def test_onlookers_may_ask_for_all_before_they_know_the_region(process_id):
+def test_observers_may_ask_for_all_before_they_know_the_region(process_id):
     for topic in TOPICS.values():
         if topic.name not in QUERIED:
             assert may(topic.bus, process_id, "ingress", "declare_subscriber", topic.key())

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from protocol.inbox import Envelope
 from protocol.messages import Message, Setup
-from protocol.onlooker import ALL_TOPICS
+from protocol.observer import ALL_TOPICS
 from protocol.topics import TOPICS
 from protocol.wire import decode
 from recording.mcap.format import next_file

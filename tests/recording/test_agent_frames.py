@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.messages import Objects, Sighting
-from recording.playback.upload import agent_frames
+from recording.playback.frames import agent_frames
 
 pytest.importorskip("mcap", reason="needs the extra `mcap`")
 

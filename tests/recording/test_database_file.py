@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import ConfigError
-from recording.compare import RESULTS, differences, results_digest
 from recording.database import FILE_NAME, Database
-from recording.run import Run
+from recording.run import RESULTS, Run, differences, results_digest
 from recording.tables import (
     SCHEMA_VERSION,
     TABLES,

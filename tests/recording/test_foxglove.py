@@ -19,9 +19,9 @@ from protocol import wire
 from protocol.codec import decode, encode_cloud
 from protocol.geometry import SE3, euler_rotation
 from protocol.inbox import Envelope
+from protocol.observer import MAX_OPEN_FRAMES
 from protocol.scans import PointCloud
 from protocol.topics import TOPICS
-from protocol.unread import MAX_OPEN_FRAMES
 from protocol.wire import encode
 from recording.mcap import foxglove_messages, writer
 from recording.mcap.foxglove import WAITING_FRAMES, FoxgloveConverter
@@ -315,7 +315,7 @@ def test_what_is_for_other_tools_is_not_heard_again(tmp_path):
     booth.hear(0)
     booth.writer.close({})
     recording = McapReader(booth.path)
-    assert same(recording.heard(), [item])
+    assert same(recording.messages(), [item])
     assert recording.is_whole
 
 

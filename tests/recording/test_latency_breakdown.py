@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from protocol.messages import Arrival, Span, Upload
 from recording.latency_breakdown import FrameTimings, stage_sum_ns
-from recording.tables import AccountRow
+from recording.tables import LatencyRow
 
 MS = 1_000_000
 HOSTS = {"a": "vehicle-0", "b": "vehicle-1"}
@@ -76,13 +76,13 @@ def evidence(link_ms: Mapping[str, float] | None = None) -> FrameTimings:
     return made
 
 
-def in_ms(row: AccountRow) -> dict[str, float]:
+def in_ms(row: LatencyRow) -> dict[str, float]:
     names = [name for name in row._fields if name.endswith("_ns")]
     return {name.removesuffix("_ns"): getattr(row, name) / MS for name in names}
 
 
 def test_the_stages_of_a_frame_sum_to_its_end_to_end_time() -> None:
-    a, b = evidence().accounts(7, {})
+    a, b = evidence().latencies(7, {})
     assert (a.frame, a.agent, b.agent) == (7, "a", "b")
     assert in_ms(a) == {
         "sense": 4, "select": 1, "encode": 4, "send": 2, "link": 12, "decode": 2, "place": 1,
@@ -104,7 +104,7 @@ def test_time_in_which_two_chunks_of_an_agent_were_opened_counts_once() -> None:
         span("decode", 21, 25, "a"),
         span("place", 25, 27, "a"),
     ]
-    a, _ = made.accounts(7, {})
+    a, _ = made.latencies(7, {})
     assert (in_ms(a)["decode"], in_ms(a)["place"], in_ms(a)["wait"]) == (4 + 3, 2, 11)
     assert stage_sum_ns(a) == a.end_to_end_ns == 60 * MS
 
@@ -112,14 +112,14 @@ def test_time_in_which_two_chunks_of_an_agent_were_opened_counts_once() -> None:
 def test_only_what_was_used_counts() -> None:
     made = evidence()
     del made.arrivals["a", 1], made.arrivals["b", 0]
-    (row,) = made.accounts(1, {})
+    (row,) = made.latencies(1, {})
     assert (row.agent, in_ms(row)["link"], in_ms(row)["encode"]) == ("a", 11, 2)
 
 
 def test_without_the_cabinets_word_there_is_no_account_yet() -> None:
     made = evidence()
     del made.spans["sim"]
-    assert made.accounts(1, {}) == []
+    assert made.latencies(1, {}) == []
     assert made.unused_end_to_end_ns({}, 5) is None
 
 
@@ -141,20 +141,20 @@ def test_clocks_of_other_machines_are_aligned_and_their_error_is_kept(vehicle, e
         moved = {"received_ns": came.received_ns - edge, "decoded_ns": came.decoded_ns - edge}
         there.arrivals[key] = came.model_copy(update=moved)
     clocks = {"vehicle-0": (vehicle, error), "vehicle-1": (vehicle, error), "edge": (edge, 7)}
-    expected = [row._replace(clock_error_ns=error + 7) for row in evidence().accounts(1, {})]
-    assert there.accounts(1, clocks) == expected
+    expected = [row._replace(clock_error_ns=error + 7) for row in evidence().latencies(1, {})]
+    assert there.latencies(1, clocks) == expected
 
 
 def test_an_arrival_before_the_call_returned_leaves_no_negative_link() -> None:
     made = evidence()
     made.arrivals["b", 0] = arrival("b", 0, 8.75)
-    b = made.accounts(1, {})[1]
+    b = made.latencies(1, {})[1]
     assert (in_ms(b)["send"], in_ms(b)["link"]) == (0.75, 0)
     assert stage_sum_ns(b) == b.end_to_end_ns
 
 
 def test_over_virtual_links_each_agents_time_is_laid_end_to_end() -> None:
-    a, b = evidence({"a": 30, "b": 70}).accounts(1, {})
+    a, b = evidence({"a": 30, "b": 70}).latencies(1, {})
     assert in_ms(a)["link"] == 30  # the second chunk was computed while the first was under way
     assert in_ms(b)["link"] == 70
     assert in_ms(b)["wait"] == 0
@@ -169,11 +169,11 @@ def test_a_virtual_frame_that_missed_something_took_until_the_deadline() -> None
     made = evidence({"a": 30, "b": 70})
     del made.arrivals["b", 0]
     made.complete, made.delay_sim_ns = False, 80 * MS
-    (a,) = made.accounts(1, {})
+    (a,) = made.latencies(1, {})
     assert a.end_to_end_ns == (80 + 17) * MS
     assert in_ms(a)["wait"] == 80 - 44
     del made.arrivals["a", 0], made.arrivals["a", 1]
-    assert made.accounts(1, {}) == []
+    assert made.latencies(1, {}) == []
     assert made.unused_end_to_end_ns({}, None) == 80 * MS
 
 
@@ -182,10 +182,10 @@ def test_what_took_more_than_a_minute_or_less_than_nothing_is_left_out(start_ms)
     made = evidence()
     for key, sent in made.uploads.items():
         made.uploads[key] = sent.model_copy(update={"sense_start_ns": start_ms * MS})
-    assert made.accounts(1, {}) == []
+    assert made.latencies(1, {}) == []
 
 
 def test_a_link_that_is_free_before_the_next_chunk_is_ready_waits_for_it() -> None:
     made = evidence({"a": 1, "b": 1})
-    (a, _) = made.accounts(1, {})
+    (a, _) = made.latencies(1, {})
     assert in_ms(a)["link"] == 4  # nothing was queued before it

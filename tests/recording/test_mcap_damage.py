@@ -67,7 +67,7 @@ def read(data: bytes) -> tuple[McapReader, list]:
         path = Path(folder) / "cut.mcap"
         path.write_bytes(data)
         recording = McapReader(path)
-        return recording, [*recording.heard()]
+        return recording, [*recording.messages()]
 
 
 def check_cut(at: int) -> None:
@@ -100,7 +100,7 @@ def test_a_file_that_had_no_time_to_begin_is_passed_over(tmp_path):
     for number, data in enumerate([b"", TAPE, TAPE[:5], TAPE[: SETUP_END - 1], TAPE], 1):
         (tmp_path / f"run-{number}.mcap").write_bytes(data)
     recording = McapReader(tmp_path)
-    assert same(recording.heard(), HEARD + HEARD)
+    assert same(recording.messages(), HEARD + HEARD)
     assert encode(recording.setup) == encode(setup())
     assert not recording.is_whole
 
@@ -122,7 +122,7 @@ def test_a_bad_message_alone_is_left_out(tmp_path):
     writer.write(bad)
     writer.close({})
     recording = McapReader(tmp_path)
-    assert same(recording.heard(), [good])
+    assert same(recording.messages(), [good])
     assert recording.drops == {"MessageError": 1}
 
 

@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 
 from protocol.in_process import InProcessRouter
 from protocol.inbox import Envelope, Inbox, Presence
-from protocol.onlooker import ALL_TOPICS
+from protocol.observer import ALL_TOPICS
 from protocol.process import Context, loop
 from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
@@ -64,7 +64,7 @@ def test_all_topics_of_both_buses_are_kept_but_truth_that_nobody_wants(tmp_path,
     loop(taping, context.inbox, context.stop)  # until it is over
     taping.close()
     recording = McapReader(tmp_path)
-    assert {item.topic for item in recording.heard()} == ALL_TOPICS - (
+    assert {item.topic for item in recording.messages()} == ALL_TOPICS - (
         set() if truth else TRUTH_TOPICS
     )
     assert recording.facts["truth"] == json.dumps(truth)
@@ -115,7 +115,7 @@ def test_what_nobody_could_read_is_not_kept_and_the_rest_as_it_came(tmp_path):
     loop(taping, context.inbox, context.stop)
     taping.close()
     recording = McapReader(tmp_path)
-    assert [item.data for item in recording.heard(["detections"])] == [good]
+    assert [item.data for item in recording.messages(["detections"])] == [good]
     assert (taping.dropped, recording.drops.total()) == (3, 0)
 
 
@@ -138,7 +138,7 @@ def test_messages_come_before_what_is_made_of_them(tmp_path):
     assert not taping.scene._frames.is_due
     assert taping.scene.frames_left_out == 0
     taping.close()
-    assert same(McapReader(tmp_path).heard(), heard)
+    assert same(McapReader(tmp_path).messages(), heard)
 
 
 def test_who_never_falls_silent_keeps_no_tape_from_ending(tmp_path, monkeypatch):
@@ -157,14 +157,14 @@ def test_who_never_falls_silent_keeps_no_tape_from_ending(tmp_path, monkeypatch)
 def test_a_tape_is_over_when_the_recorder_is_gone_and_nobody_speaks():
     recorder = EndOfRecording()
     recorder.look(Presence("record", "record", alive=True, bus=BusName.WORLD), 0)
-    recorder.heard(5)
+    recorder.received(5)
     assert not recorder.is_over(10**12)
     recorder.begin(10)
     assert not recorder.is_over(SILENCE_NS * 2)
     recorder.look(Presence("record", "record", alive=False, bus=BusName.WORLD), 20)
     assert not recorder.is_over(5 + SILENCE_NS - 1)
     assert recorder.is_over(5 + SILENCE_NS)
-    recorder.heard(SILENCE_NS)
+    recorder.received(SILENCE_NS)
     assert not recorder.is_over(5 + SILENCE_NS)
 
 
@@ -174,7 +174,7 @@ def test_patience_has_an_end(times_ns):
     recorder.look(Presence("record", "record", alive=True), 0)
     recorder.begin(0)
     for now_ns in sorted(times_ns):
-        recorder.heard(now_ns)
+        recorder.received(now_ns)
         assert recorder.is_over(now_ns) == (now_ns >= PATIENCE_NS)
 
 

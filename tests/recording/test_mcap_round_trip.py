@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 
 from protocol.errors import ConfigError, CpnetError
 from protocol.messages import MESSAGES
-from protocol.onlooker import ALL_TOPICS
+from protocol.observer import ALL_TOPICS
 from protocol.topics import TOPICS
 from protocol.wire import array_fields, encode
 from recording.mcap import writer as writer_module
@@ -35,8 +35,8 @@ def test_all_that_was_heard_comes_back_as_it_came(heard, wanted):
             writer.settle(item.received_ns)
         writer.close({})
         recording = McapReader(Path(folder))
-        assert same(recording.heard(), heard)
-        assert same(recording.heard(wanted), [item for item in heard if item.topic in wanted])
+        assert same(recording.messages(), heard)
+        assert same(recording.messages(wanted), [item for item in heard if item.topic in wanted])
         assert encode(recording.setup) == encode(setup())
         assert (recording.is_whole, recording.drops.total()) == (True, 0)
         assert recording.facts == {"name": "a test"}
@@ -50,7 +50,7 @@ def test_a_tape_that_could_not_go_on_says_why_and_can_be_closed(tmp_path, monkey
     with pytest.raises(ConfigError, match=r"run-2\.mcap cannot be written"):
         writer.settle(2)
     writer.close({})
-    assert [item.topic for item in McapReader(tmp_path).heard()] == ["tick"]
+    assert [item.topic for item in McapReader(tmp_path).messages()] == ["tick"]
 
 
 def test_other_readers_find_their_way(tmp_path):
@@ -97,7 +97,7 @@ def test_times_never_run_backwards(tmp_path):
     for time_ns in (50, 40, 60):
         writer.write(envelope("tick", time_ns))
     writer.close({})
-    assert [item.received_ns for item in McapReader(tmp_path).heard()] == [50, 50, 60]
+    assert [item.received_ns for item in McapReader(tmp_path).messages()] == [50, 50, 60]
 
 
 def test_what_is_a_second_old_is_in_the_file(tmp_path):
@@ -105,10 +105,10 @@ def test_what_is_a_second_old_is_in_the_file(tmp_path):
     item = envelope("tick", 10_000_000_000)
     writer.write(item)
     writer.settle(item.received_ns + writer_module.CHUNK_NS - 1)
-    assert not [*McapReader(tmp_path).heard()]
+    assert not [*McapReader(tmp_path).messages()]
     writer.settle(item.received_ns + writer_module.CHUNK_NS)
     recording = McapReader(tmp_path)
-    assert same(recording.heard(), [item])
+    assert same(recording.messages(), [item])
     assert not recording.is_whole
     writer.close({})
 
@@ -119,7 +119,7 @@ def test_what_is_much_is_in_the_file_at_once(tmp_path, monkeypatch):
     items = [envelope("scan", n) for n in range(100)]
     for item in items:
         writer.write(item)
-    found = [*McapReader(tmp_path).heard()]
+    found = [*McapReader(tmp_path).messages()]
     assert same(found, items[: len(found)])
     assert (len(items) - len(found)) * len(items[0].data) < 1000
     writer.close({})
@@ -132,8 +132,8 @@ def test_a_tape_that_is_started_again_leaves_the_first_alone(tmp_path):
     for writer in (first, second):
         writer.close({})
     assert [path.name for path in files_in(tmp_path)] == ["run.mcap", "run-2.mcap"]
-    assert [item.received_ns for item in McapReader(tmp_path).heard()] == [1, 2]
-    assert [item.received_ns for item in McapReader(tmp_path / "run-2.mcap").heard()] == [2]
+    assert [item.received_ns for item in McapReader(tmp_path).messages()] == [1, 2]
+    assert [item.received_ns for item in McapReader(tmp_path / "run-2.mcap").messages()] == [2]
 
 
 def test_a_long_tape_goes_on_in_another_file(tmp_path, monkeypatch):
@@ -149,8 +149,8 @@ def test_a_long_tape_goes_on_in_another_file(tmp_path, monkeypatch):
     assert writer.size_bytes == sum(path.stat().st_size for path in writer.files)
     recording = McapReader(tmp_path)
     assert recording.is_whole
-    assert same(recording.heard(), heard)
-    assert same(McapReader(writer.files[0]).heard(), heard)
+    assert same(recording.messages(), heard)
+    assert same(McapReader(writer.files[0]).messages(), heard)
     writer_in(tmp_path).close({})  # another recording
     assert McapReader(writer.files[0]).files == writer.files
     for path in writer.files:  # each can be opened alone

@@ -246,8 +246,8 @@ def test_the_role_waits_no_longer_than_its_patience_for_a_silent_edge(rig: Rig) 
     rig.metrics("signal", 0)
     rig.world.publish("end", m.End(frames=1, reason="finished"))
     rig.drain()
-    assert not rig.role._ending.is_over(time.monotonic_ns() + 1_500 * MS, rig.role._ledger)
-    assert rig.role._ending.is_over(time.monotonic_ns() + 2_000 * MS, rig.role._ledger)
+    assert not rig.role._ending.is_over(time.monotonic_ns() + 1_500 * MS, rig.role._aggregator)
+    assert rig.role._ending.is_over(time.monotonic_ns() + 2_000 * MS, rig.role._aggregator)
     rig.role.close()
 
 
@@ -255,7 +255,7 @@ def test_after_a_world_that_stopped_early_the_last_frame_is_not_waited_for(rig: 
     rig.metrics("signal", 0)
     rig.world.publish("end", m.End(frames=1, reason="stopped"))
     rig.drain()
-    assert rig.role._ending.is_over(time.monotonic_ns() + 200 * MS, rig.role._ledger)
+    assert rig.role._ending.is_over(time.monotonic_ns() + 200 * MS, rig.role._aggregator)
     rig.role.close()
 
 
@@ -309,7 +309,7 @@ def test_memory_holds_a_bounded_number_of_frames(rig: Rig, tmp_path: Path) -> No
         rig.world.publish("tick", tick)
         rig.drain()
     rig.role._commit(time.monotonic_ns())
-    assert len(rig.role._ledger) <= MAX_OPEN_FRAMES + 1
+    assert len(rig.role._aggregator) <= MAX_OPEN_FRAMES + 1
     rig.role.close()
     with Run(tmp_path) as run:
         assert len(list(run.rows(FrameRow))) == frames

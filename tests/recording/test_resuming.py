@@ -59,21 +59,21 @@ def test_another_scenarios_recording_and_one_that_ended_are_left_alone(
 
 
 def test_what_was_recorded_before_stays_as_it_is() -> None:
-    ledger = FrameAggregator(100_000_000)
-    ledger.tick(0, 0)
-    ledger.settle(0)
+    aggregator = FrameAggregator(100_000_000)
+    aggregator.tick(0, 0)
+    aggregator.settle(0)
     with pytest.raises(MessageError, match="before the recorder broke off"):
-        ledger.note(0)
-    assert ledger.note(1).frame == 1
+        aggregator.note(0)
+    assert aggregator.note(1).frame == 1
 
 
 def test_the_first_tick_after_a_break_is_believed_if_it_goes_on_from_the_last() -> None:
-    ledger = FrameAggregator(100_000_000, (999, 99_900_000_000))
-    ledger.settle(1000)
-    assert ledger.note(1002).frame == 1002  # before any tick: the recorder knows where it was
-    assert ledger.tick(1003, 100_300_000_000).frame == 1003
+    aggregator = FrameAggregator(100_000_000, (999, 99_900_000_000))
+    aggregator.settle(1000)
+    assert aggregator.note(1002).frame == 1002  # before any tick: the recorder knows where it was
+    assert aggregator.tick(1003, 100_300_000_000).frame == 1003
     with pytest.raises(MessageError, match="does not follow"):
-        ledger.tick(9000, 900_000_000_000)
+        aggregator.tick(9000, 900_000_000_000)
 
 
 @given(st.lists(st.lists(st.dictionaries(st.sampled_from("ab"), st.integers(0, 9)), max_size=4)))
@@ -81,11 +81,11 @@ def test_drops_add_up_over_restarts(lives: list[list[dict[str, int]]]) -> None:
     drops, expected = DropCounts(), Counter()
     for life in lives:
         total: Counter[str] = Counter()
-        drops.heard("p", {"since": 0})
+        drops.received("p", {"since": 0})
         for more in life:
             total += Counter(more)
-            drops.heard("p", dict(total))
-        drops.heard("p", dict(total) | {"since": 1})  # so that each new life is seen to begin
+            drops.received("p", dict(total))
+        drops.received("p", dict(total) | {"since": 1})  # so that each new life is seen to begin
         expected += total
     rows = {row.reason: row.times for row in drops.take_changed()}
     assert {k: n for k, n in rows.items() if n and k != "since"} == dict(expected)
@@ -93,7 +93,7 @@ def test_drops_add_up_over_restarts(lives: list[list[dict[str, int]]]) -> None:
 
 def test_what_a_process_counts_on_is_not_counted_twice_after_the_recorders_own_restart() -> None:
     drops = DropCounts([DropRow("edge", "late", 3)])
-    drops.heard("edge", {"late": 5})
+    drops.received("edge", {"late": 5})
     assert drops.take_changed() == [DropRow("edge", "late", 5)]
     assert drops.take_changed() == []
     assert drops.total() == 5
@@ -102,14 +102,14 @@ def test_what_a_process_counts_on_is_not_counted_twice_after_the_recorders_own_r
 def test_too_many_processes_are_not_remembered() -> None:
     drops = DropCounts()
     for number in range(MAX_PROCESSES):
-        drops.heard(str(number), {"late": 1})
+        drops.received(str(number), {"late": 1})
     with pytest.raises(MessageError, match="one process more than"):
-        drops.heard("another", {"late": 1})
+        drops.received("another", {"late": 1})
     assert drops.total() == MAX_PROCESSES
 
 
 def test_reasons_stay_bounded_however_often_they_change() -> None:
     drops = DropCounts()
     for number in range(3 * MAX_REASONS):
-        drops.heard("p", {f"reason {number}": 1})
+        drops.received("p", {f"reason {number}": 1})
     assert len(drops.take_changed()) == MAX_REASONS

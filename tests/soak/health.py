@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from protocol import observer as protocol_observer
 from protocol.bus import Endpoint
 from protocol.inbox import Envelope, Presence
 from protocol.messages import Equipment, LaneCounts, SignalRequest, SignalState, Tick
-from protocol.onlooker import Onlooker
 from protocol.topics import BusName
 
 STEADY_FRAMES = 3
@@ -47,7 +47,7 @@ class Health:
         self._streak.clear()
         self._counted.clear()
 
-    def hear(self, item: Envelope | Presence, now_ns: int) -> None:
+    def subscribe(self, item: Envelope | Presence, now_ns: int) -> None:
         """Takes what a bus said; monotonic ns."""
         if isinstance(item, Presence):
             self._note_presence(item)
@@ -125,20 +125,20 @@ class Observer:
         """
         self.health = health
         self.asked: set[int] = set()
-        self._onlooker = Onlooker(v2x, world, TOPICS)
+        self._observer = protocol_observer.Observer(v2x, world, TOPICS)
 
     def __enter__(self) -> Observer:
         return self
 
     def __exit__(self, *details: object) -> None:
-        self._onlooker.__exit__(*details)
+        self._observer.__exit__(*details)
 
     def listen(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
         """Takes what comes for so long, or until that holds; returns whether it held."""
-        for item in self._onlooker.listen(seconds):
+        for item in self._observer.listen(seconds):
             if isinstance(item, Envelope) and isinstance(item.message, SignalRequest):
                 self.asked.add(item.message.frame)
-            self.health.hear(item, time.monotonic_ns())
+            self.health.subscribe(item, time.monotonic_ns())
             if until():
                 return True
         return until()

@@ -9,8 +9,7 @@ import pytest
 
 from cpnet import scenario as scenarios
 from protocol.errors import ConfigError
-from recording.compare import differences
-from recording.run import Run
+from recording.run import Run, differences
 from recording.tables import CountRow, PhaseRow, TripRow
 from studies.in_process import run_in_process
 from studies.sweep.study_file import MEASURES

@@ -14,10 +14,10 @@ from protocol.wire import encode
 from recording.database import FILE_NAME, Database
 from recording.run import SETUP_NAME
 from recording.tables import (
-    AccountRow,
     CountRow,
     DetectionRow,
     FrameRow,
+    LatencyRow,
     MetaRow,
     PhaseRow,
     RequestRow,
@@ -55,14 +55,14 @@ def make_run(
         "versions": '{"numpy":"2"}',
     }
     database.add(MetaRow, facts.items())
-    took = dict.fromkeys(AccountRow._fields[2:], MS)
+    took = dict.fromkeys(LatencyRow._fields[2:], MS)
     for n in range(frames):
         ns, at = n * 100 * MS, -90 + 80 * n / frames
         seen = n % 2
         database.add(FrameRow, [FrameRow(n, ns, 2, 0, 0, 1, 9, seen, 1, ns, ns, 40 * MS)])
         stamps = (ns, ns, ns, ns, None, ns, ns)
         database.add(UploadRow, [UploadRow(n, "rsu", 0, 9, 2000 + n, None, *stamps)])
-        database.add(AccountRow, [AccountRow(n, "rsu", **took)])
+        database.add(LatencyRow, [LatencyRow(n, "rsu", **took)])
         cars = [(vehicle, at), ("unseen", -50.0)]
         database.add(
             TruthRow,
@@ -122,7 +122,7 @@ def test_an_empty_run_says_what_is_missing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "table",
-    ["frames", "uploads", "account", "truth", "detections", "counts", "phases", "requests", "meta"],
+    ["frames", "uploads", "latency", "truth", "detections", "counts", "phases", "requests", "meta"],
 )
 def test_no_table_needs_to_hold_anything(tmp_path: Path, table: str) -> None:
     make_run(tmp_path)

@@ -10,9 +10,9 @@ from rich.console import Console
 from protocol.errors import ConfigError
 from recording.database import Database
 from recording.tables import (
-    AccountRow,
     DropRow,
     FrameRow,
+    LatencyRow,
     MetaRow,
     PhaseRow,
     RequestRow,
@@ -42,11 +42,11 @@ def whole_run(run_dir: Path) -> None:
         upload = UploadRow(frame, "rsu-0", 0, 9, 2000, wire, *sent, None, start + 12 * MS, None)
         database.add(UploadRow, [upload])
         database.add(StageRow, [StageRow(frame, "edge", "", "detect", start, (frame + 1) * MS)])
-        took = dict.fromkeys(AccountRow._fields[2:], 0) | {
+        took = dict.fromkeys(LatencyRow._fields[2:], 0) | {
             "link_ns": 3 * MS,
             "clock_error_ns": frame,
         }
-        database.add(AccountRow, [AccountRow(frame, "rsu-0", **took)])
+        database.add(LatencyRow, [LatencyRow(frame, "rsu-0", **took)])
         state, stage = ("Gr", "green") if frame < 4 else ("rG", "green")
         stage = "yellow" if frame == 4 else stage
         database.add(PhaseRow, [PhaseRow(frame, "t", frame * 100 * MS, state, stage, state, "p")])

@@ -10,7 +10,7 @@ from tests.messages import lane_counts
 from tests.viewer.shown import SETUP
 from viewer.live import Live
 from viewer.scene import Picture, Scene
-from viewer.stages import Account
+from viewer.stages import FrameLatency
 
 FRAMES = 20
 
@@ -24,8 +24,8 @@ class Drawn:
     def picture(self, picture: Picture) -> None:
         self.frames.append(picture.frame)
 
-    def account(self, account: Account) -> None:
-        raise AssertionError(account)
+    def latency(self, latency: FrameLatency) -> None:
+        raise AssertionError(latency)
 
 
 def sealed(topic: str, key: str, message: m.Message) -> RawMessage:

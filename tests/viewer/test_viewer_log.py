@@ -16,7 +16,7 @@ from tests.viewer.shown import (  # noqa: E402
 )
 from viewer.rerun_log import Log, blueprint  # noqa: E402
 from viewer.scene import Moment, Scene  # noqa: E402
-from viewer.stages import GROUPS, Account  # noqa: E402
+from viewer.stages import GROUPS, FrameLatency  # noqa: E402
 
 
 @pytest.mark.parametrize("agents", [[], ["a"], ["a", "b/c d"]])
@@ -33,7 +33,7 @@ def test_a_frame_is_drawn_with_and_without_clouds(agents: list[str]) -> None:
         picture = scene.picture(moment)
         assert picture is not None
         log.picture(picture)
-    log.account(Account(1, 1, dict.fromkeys(GROUPS, 1.0), 9.0))
+    log.latency(FrameLatency(1, 1, dict.fromkeys(GROUPS, 1.0), 9.0))
     assert len(kept.drain_as_bytes()) > 1000
     assert scene.picture(Moment(4)) is None
 

@@ -30,10 +30,10 @@ def test_a_flood_of_agents_is_bounded() -> None:
 
 
 def test_every_stage_of_the_account_is_drawn_once() -> None:
-    from recording.tables import AccountRow
+    from recording.tables import LatencyRow
 
     stages = [stage for group in GROUPS.values() for stage in group]
-    kept = {name.removesuffix("_ns") for name in AccountRow._fields if name.endswith("_ns")}
+    kept = {name.removesuffix("_ns") for name in LatencyRow._fields if name.endswith("_ns")}
     assert sorted(stages) == sorted(kept - {"end_to_end", "clock_error"})
 
 
@@ -59,13 +59,13 @@ def test_accounts_come_some_frames_later_and_once() -> None:
     found = []
     for frame in range(10):
         stages.take(tick(frame))
-        found += list(stages.accounts())
+        found += list(stages.latencies())
         feed(stages, frame)
-    assert [account.frame for account in found] == list(range(10 - LAG_FRAMES))
-    account = found[0]
-    assert account.end_to_end_ms == 26
-    assert sum(account.groups_ms.values()) == pytest.approx(26)
-    assert (account.groups_ms["sense"], account.groups_ms["detect"]) == (4, 8)
+    assert [latency.frame for latency in found] == list(range(10 - LAG_FRAMES))
+    latency = found[0]
+    assert latency.end_to_end_ms == 26
+    assert sum(latency.groups_ms.values()) == pytest.approx(26)
+    assert (latency.groups_ms["sense"], latency.groups_ms["detect"]) == (4, 8)
 
 
 def test_who_comes_late_begins_where_the_world_is() -> None:
@@ -76,6 +76,6 @@ def test_who_comes_late_begins_where_the_world_is() -> None:
     for frame in range(5001, 5010):
         stages.take(tick(frame))
         feed(stages, frame)
-        found += list(stages.accounts())
+        found += list(stages.latencies())
     assert found
     assert found[-1].frame == 5009 - LAG_FRAMES

@@ -1,4 +1,4 @@
-"""A viewer that is started with a run and ends with it."""
+"""The viewer process of `cpnet up --view`: it starts and ends with the run."""
 
 from __future__ import annotations
 

@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol import messages as m
-from protocol import unread
+from protocol import observer
 from protocol.inbox import Envelope
-from protocol.unread import MAX_FRAME_MESSAGES, MAX_OPEN_FRAMES, Unread, UnreadFrame
+from protocol.observer import MAX_FRAME_MESSAGES, MAX_OPEN_FRAMES, BufferedFrame, FrameBuffer
 from protocol.wire import encode
 from tests.messages import SCAN, lane_counts
 
@@ -20,7 +20,7 @@ def scan(frame: int, agent: str = "a") -> m.Scan:
     return SCAN.model_copy(update={"frame": frame, "agent": agent})
 
 
-class Heard(Unread):
+class Heard(FrameBuffer):
     """Frames that end when they were counted."""
 
     def __init__(self) -> None:
@@ -31,7 +31,7 @@ class Heard(Unread):
             topic = "scan" if isinstance(message, m.Scan) else "lanes"
             self.take(envelope(topic, message), message.frame)
 
-    def whole(self) -> UnreadFrame:
+    def whole(self) -> BufferedFrame:
         """Returns the frame that must be whole now."""
         frame = self.next()
         assert frame is not None
@@ -68,7 +68,7 @@ def test_who_is_slow_gets_the_newest_and_leaves_out_whole_frames() -> None:
 
 
 def test_who_rests_gets_the_newest_few_one_after_the_other() -> None:
-    frames = Unread("lanes", 3)
+    frames = FrameBuffer("lanes", 3)
     for number in range(10):
         frames.take(envelope("lanes", lane_counts(number)), number)
     found = [frames.next() for _ in range(4)]
@@ -81,18 +81,18 @@ def test_absurd_frames_are_in_nobodys_way() -> None:
     frames.hear(*(scan((1 << 40) - 1 - n) for n in range(1000)))
     frames.hear(*(scan(3) for _ in range(10)), lane_counts(3), lane_counts(4))
     whole = frames.whole()
-    assert (whole.number, len(whole.heard)) == (3, 11)
+    assert (whole.number, len(whole.received)) == (3, 11)
 
 
 def test_no_more_messages_of_a_frame_are_kept_than_one_can_have() -> None:
     frames = Heard()
     frames.hear(*(scan(3) for _ in range(MAX_FRAME_MESSAGES + 10)))
-    assert len(frames._open[3].heard) == MAX_FRAME_MESSAGES
+    assert len(frames._open[3].received) == MAX_FRAME_MESSAGES
 
 
 def test_a_frame_of_endless_bytes_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     size = len(encode(scan(3)))
-    monkeypatch.setattr(unread, "MAX_FRAME_BYTES", 4 * size)
+    monkeypatch.setattr(observer, "MAX_FRAME_BYTES", 4 * size)
     frames = Heard()
     frames.hear(*(scan(3) for _ in range(10)))
     assert frames._open[3].size_bytes == 4 * size

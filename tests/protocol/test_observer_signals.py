@@ -11,7 +11,7 @@ from cpnet.endpoints import free_locator
 from protocol.bus import Endpoint, open_bus
 from protocol.errors import BusError
 from protocol.inbox import Inbox
-from protocol.onlooker import Onlooker
+from protocol.observer import Observer
 from protocol.topics import BusName
 
 pytestmark = pytest.mark.process
@@ -19,12 +19,12 @@ pytestmark = pytest.mark.process
 WAITER = """
 import sys
 from protocol.bus import Endpoint
-from protocol.onlooker import Onlooker
+from protocol.observer import Observer
 v2x, world = (Endpoint(place, listen=False) for place in sys.argv[1:])
 print("looking", flush=True)
 try:
-    with Onlooker(v2x, world, timeout_ms=60_000) as onlooker:
-        onlooker.setup(60)
+    with Observer(v2x, world, timeout_ms=60_000) as observer:
+        observer.setup(60)
 except KeyboardInterrupt:
     sys.exit(130)
 """
@@ -59,4 +59,4 @@ def test_a_signal_ends_the_wait_for_the_buses_and_for_the_setup(is_up):
 def test_a_bus_that_is_not_there_is_named_with_the_whole_wait():
     endpoint = Endpoint(free_locator(), listen=False)
     with pytest.raises(BusError, match=r"nothing answers at .* \(waited 0\.3 s\)"):
-        Onlooker(endpoint, endpoint, timeout_ms=300)
+        Observer(endpoint, endpoint, timeout_ms=300)

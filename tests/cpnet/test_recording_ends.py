@@ -8,12 +8,9 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
-
-pytest.importorskip("mcap", reason="needs the extra `mcap`")
-
 from rich.console import Console
 
-from cpnet import recording_command
+from cpnet import observe
 from cpnet.discovery import RunLocation
 from protocol.bus import Endpoint
 from protocol.errors import ConfigError, CpnetError
@@ -22,12 +19,15 @@ from recording.mcap.reader import McapReader
 from recording.mcap.recorder import RecordedContent
 from tests.recording.cassette import envelope, setup
 
+pytest.importorskip("mcap", reason="needs the extra `mcap`")
+
+
 NOWHERE = Endpoint("tcp/127.0.0.1:1", listen=False)
 PLAIN = RecordedContent(foxglove=False)
 
 
 class Silent:
-    """An onlooker of nobody."""
+    """An observer of nobody."""
 
     def __init__(self) -> None:
         self.inbox = Inbox()
@@ -35,7 +35,7 @@ class Silent:
     def setup(self):
         return setup()
 
-    def hear(self, topics):
+    def subscribe(self, topics):
         assert topics == PLAIN.topics
 
 
@@ -44,19 +44,19 @@ def test_a_full_disk_leaves_what_can_be_read_and_says_so(tmp_path, monkeypatch):
         role.on(envelope("tick", 1))
         raise CpnetError("record.mcap cannot be written: No space left on device")
 
-    monkeypatch.setattr(recording_command, "Onlooker", lambda *_, **__: nullcontext(Silent()))
-    monkeypatch.setattr(recording_command, "loop", loop)
-    monkeypatch.setattr(recording_command, "lower_priority", lambda: None)
+    monkeypatch.setattr(observe, "Observer", lambda *_, **__: nullcontext(Silent()))
+    monkeypatch.setattr(observe, "loop", loop)
+    monkeypatch.setattr(observe, "lower_priority", lambda: None)
     said = io.StringIO()
     before = signal.getsignal(signal.SIGTSTP)
     try:
         run = RunLocation(NOWHERE, NOWHERE, tmp_path)
         with pytest.raises(CpnetError, match="No space left"):
-            recording_command.record_run(run, PLAIN, None, None, Console(file=said, width=200))
+            observe.record_run(run, PLAIN, None, None, Console(file=said, width=200))
     finally:
         signal.signal(signal.SIGTSTP, before)
     assert f"readable as far as it goes: {tmp_path / 'record.mcap'}: 1 messages" in said.getvalue()
-    assert len([*McapReader(tmp_path / "record.mcap").heard(["tick"])]) == 1
+    assert len([*McapReader(tmp_path / "record.mcap").messages(["tick"])]) == 1
 
 
 @pytest.mark.parametrize(
@@ -65,6 +65,6 @@ def test_a_full_disk_leaves_what_can_be_read_and_says_so(tmp_path, monkeypatch):
 def test_what_cannot_be_a_new_file_is_refused_before_all_else(tmp_path, monkeypatch, name):
     (tmp_path / "there.mcap").touch()
     with pytest.raises(ConfigError, match="--out"):
-        recording_command.record_run(
+        observe.record_run(
             RunLocation(NOWHERE, NOWHERE), PLAIN, tmp_path / Path(name), None, Console(quiet=True)
         )

@@ -5,10 +5,10 @@ import threading
 
 from rich.console import Console
 
-from cpnet import looking
-from cpnet.beside import Viewing, viewed
+from cpnet import observe
 from cpnet.discovery import RunLocation
-from cpnet.looking import looking_for
+from cpnet.observe import connecting_to
+from cpnet.viewer_process import Viewing, viewed
 from protocol.bus import Endpoint
 from tests.waiting import wait_until
 
@@ -16,17 +16,17 @@ RUN = RunLocation(Endpoint("tcp/far:1", listen=False), Endpoint("tcp/far:2", lis
 
 
 def test_a_wait_that_lasts_is_told_of(monkeypatch):
-    monkeypatch.setattr(looking, "TELL_AFTER_S", 0.01)
+    monkeypatch.setattr(observe, "NOTICE_AFTER_S", 0.01)
     said = io.StringIO()
-    with looking_for(RUN, Console(file=said)):
+    with connecting_to(RUN, Console(file=said)):
         wait_until(lambda: "looking for the run at tcp/far:1 and tcp/far:2" in said.getvalue())
 
 
 def test_a_short_wait_is_not_told_of_and_leaves_nothing_that_would(monkeypatch):
-    monkeypatch.setattr(looking, "TELL_AFTER_S", 3600.0)
+    monkeypatch.setattr(observe, "NOTICE_AFTER_S", 3600.0)
     said = io.StringIO()
     before = threading.enumerate()
-    with looking_for(RUN, Console(file=said)):
+    with connecting_to(RUN, Console(file=said)):
         pass
     wait_until(lambda: not {*threading.enumerate()} - {*before})
     assert said.getvalue() == ""

@@ -1,18 +1,23 @@
-"""Listening to a running system from outside: both buses, nothing said, nobody disturbed."""
+"""Observers of a run: they attach to both buses, publish nothing and hold up nobody.
+
+An observer attaches and leaves at any time; no process waits for it, except for a recording on the
+same machine. `FrameBuffer` keeps the messages of the newest frames undecoded.
+"""
 
 from __future__ import annotations
 
 import os
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from protocol.bus import CONNECT_TIMEOUT_MS, Endpoint, ZenohBus, open_bus
-from protocol.errors import BusError
+from protocol.errors import BusError, ProtocolError
 from protocol.inbox import Envelope, Inbox, Presence
-from protocol.messages import Setup
+from protocol.messages import Message, Setup
 from protocol.topics import QUERIED, TOPICS, BusName
 
 ALL_TOPICS = frozenset(TOPICS) - QUERIED
@@ -47,11 +52,11 @@ class RateCap:
         return is_due
 
 
-class Onlooker:
-    """Hears what it asked for, presence included; a context manager.
+class Observer:
+    """Subscribes to topics of both buses and to presence; a context manager.
 
-    It may come and go at any time: no process knows of it. What comes waits until its inbox is
-    read. Who `yields` misses what there is no room for; for others the routers wait, see there.
+    Messages wait in its inbox. One that `yields` loses what it is too slow for; for others the
+    routers wait, see `protocol.bus`.
     """
 
     def __init__(
@@ -85,20 +90,20 @@ class Onlooker:
                 place = replace(endpoint, yields=yields)
                 self._open(name, place, timeout_ms)
         except BaseException:  # an interruption as well
-            self._hang_up()
+            self._close()
             raise
         self._world = world
-        self.hear(topics)
+        self.subscribe(topics)
         for bus in self._buses.values():
             bus.watch()
 
-    def __enter__(self) -> Onlooker:
+    def __enter__(self) -> Observer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._hang_up()
+        self._close()
 
-    def hear(self, topics: Iterable[str]) -> None:
+    def subscribe(self, topics: Iterable[str]) -> None:
         """Asks for these topics as well."""
         for topic in sorted(topics):
             self._buses[TOPICS[topic].bus].subscribe(topic)
@@ -112,7 +117,7 @@ class Onlooker:
         """
         until_ns = time.monotonic_ns() + round(patience_s * 1e9)
         while time.monotonic_ns() < until_ns:
-            if found := _aside(lambda: self._buses[BusName.WORLD].ask("setup", Setup, _ASK_S)):
+            if found := _in_thread(lambda: self._buses[BusName.WORLD].ask("setup", Setup, _ASK_S)):
                 return found
         raise BusError(f"{self._world.locator} is up, but nobody there tells the setup of a run")
 
@@ -128,9 +133,9 @@ class Onlooker:
                 yield item
 
     def _open(self, name: BusName, place: Endpoint, timeout_ms: int) -> None:
-        self._buses[name] = _aside(lambda: open_bus(name, place, self.inbox, timeout_ms))
+        self._buses[name] = _in_thread(lambda: open_bus(name, place, self.inbox, timeout_ms))
 
-    def _hang_up(self) -> None:
+    def _close(self) -> None:
         """Closes both buses; a router may be gone already, and nobody is to wait for it."""
         closing = [threading.Thread(target=bus.close, daemon=True) for bus in self._buses.values()]
         for thread in closing:
@@ -139,7 +144,7 @@ class Onlooker:
             thread.join(_CLOSE_S)
 
 
-def _aside(work: Callable[[], T]) -> T:
+def _in_thread(work: Callable[[], T]) -> T:
     """Works in another thread: within a call into Zenoh no signal would be heeded.
 
     Short tries would heed them too, but a handshake over a slow link may take longer than one.
@@ -160,3 +165,102 @@ def _aside(work: Callable[[], T]) -> T:
     if failed:
         raise failed[0]
     return done[0]
+
+
+MAX_OPEN_FRAMES = 8
+MAX_FRAME_BYTES = 64 << 20
+MAX_FRAME_MESSAGES = 1000
+
+
+@dataclass(slots=True, eq=False)
+class BufferedFrame:
+    """What was heard of a frame so far."""
+
+    number: int
+    received: list[Envelope] = field(default_factory=list)
+    size_bytes: int = 0
+
+    def add(self, item: Envelope, *, always: bool) -> None:
+        """Adds a message, always or if there is room for it."""
+        size_bytes = self.size_bytes + len(item.data)
+        is_room = size_bytes <= MAX_FRAME_BYTES and len(self.received) < MAX_FRAME_MESSAGES
+        if always or is_room:
+            self.size_bytes = size_bytes
+            self.received.append(item)
+
+    def messages(self) -> Iterator[Message]:
+        """Reads what was said, in the order in which it came; what cannot be read is left out."""
+        for item in self.received:
+            if (message := _message_of(self.number, item)) is not None:
+                yield message
+
+
+class FrameBuffer:
+    """The frames in the making.
+
+    A frame is whole once the next one was brought to an end: by then all that travels slower has
+    come, too. Only the newest whole ones wait, so that who is slow leaves frames out, whole ones,
+    and never falls behind. No frame's number is trusted: what counts is the order of arrival.
+    """
+
+    def __init__(self, ending: str, waiting: int = 1) -> None:
+        """Begins.
+
+        Args:
+            ending: a topic of which a message is said at the end of a frame, once in each.
+            waiting: so many whole frames are kept.
+        """
+        self._ending = ending
+        self._waiting = waiting
+        self._open: dict[int, BufferedFrame] = {}
+        self._ended: int | None = None
+        self._whole: deque[BufferedFrame] = deque()
+        self.left_out = 0
+
+    def take(self, item: Envelope, number: int) -> None:
+        """Adds a message to its frame."""
+        ends = item.topic == self._ending
+        if ends and _message_of(number, item) is None:
+            return
+        is_new_end = ends and number != self._ended
+        self._frame(number).add(item, always=is_new_end)
+        if is_new_end:
+            self.finish()
+            self._ended = number
+
+    def finish(self) -> None:
+        """Calls the frame that ended last whole."""
+        ended, self._ended = self._ended, None
+        if ended is None:
+            return
+        if (frame := self._open.pop(ended, None)) is not None:
+            self._whole.append(frame)
+        if frame is None or len(self._whole) > self._waiting:
+            self.left_out += 1
+        if len(self._whole) > self._waiting:
+            self._whole.popleft()
+
+    @property
+    def is_due(self) -> bool:
+        """Whether a whole frame waits."""
+        return bool(self._whole)
+
+    def next(self) -> BufferedFrame | None:
+        """Returns the first whole frame that waits, once."""
+        return self._whole.popleft() if self._whole else None
+
+    def _frame(self, number: int) -> BufferedFrame:
+        if number not in self._open:
+            while len(self._open) >= MAX_OPEN_FRAMES:
+                del self._open[next(iter(self._open))]  # the first that came: numbers may lie
+            self._open[number] = BufferedFrame(number)
+        return self._open[number]
+
+
+def _message_of(number: int, item: Envelope) -> Message | None:
+    """Returns what was said of a frame, None if it cannot be read or is of another frame."""
+    try:
+        message = item.message
+    except ProtocolError:
+        return None
+    return message if getattr(message, "frame", None) == number else None

@@ -18,7 +18,7 @@ from tests.waiting import wait_until
 
 pytestmark = pytest.mark.process
 
-LOOKER = """
+OBSERVER = """
 import sys
 from protocol.bus import Endpoint, open_bus
 from protocol.inbox import Inbox
@@ -42,20 +42,20 @@ def locator() -> str:
 
 
 @pytest.fixture
-def looker(locator: str) -> Iterator[subprocess.Popen[str]]:
-    command = [sys.executable, "-c", LOOKER, locator]
+def observer(locator: str) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-c", OBSERVER, locator]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         yield process
         process.kill()
 
 
-def test_a_stopped_onlooker_holds_up_nobody(locator, request):
+def test_a_stopped_observer_holds_up_nobody(locator, request):
     router = open_bus(BusName.V2X, Endpoint(locator, listen=True), Inbox())
     heard = Inbox()
     hearer = open_bus(BusName.V2X, Endpoint(locator, listen=False), heard)
     hearer.subscribe("scan")
     speaker = open_bus(BusName.V2X, Endpoint(locator, listen=False), Inbox())
-    looker = request.getfixturevalue("looker")
+    observer = request.getfixturevalue("observer")
     scan = SCAN.model_copy(update={"payload": np.zeros(40_000, np.uint8)})
 
     def say() -> None:
@@ -63,17 +63,17 @@ def test_a_stopped_onlooker_holds_up_nobody(locator, request):
         assert isinstance(heard.get(10.0), Envelope)
 
     try:
-        os.set_blocking(looker.stdout.fileno(), False)
-        wait_until(lambda: (say(), looker.stdout.readline())[1], ATTEMPTS_S)
-        looker.send_signal(signal.SIGSTOP)
+        os.set_blocking(observer.stdout.fileno(), False)
+        wait_until(lambda: (say(), observer.stdout.readline())[1], ATTEMPTS_S)
+        observer.send_signal(signal.SIGSTOP)
         slowest_s = 0.0
         for _ in range(MESSAGES):
             before_s = time.monotonic()
             say()
             slowest_s = max(slowest_s, time.monotonic() - before_s)
         assert slowest_s < 2  # a router that waits does so for 5 s
-        looker.send_signal(signal.SIGCONT)
-        wait_until(lambda: looker.stdout.readline(), ATTEMPTS_S)
+        observer.send_signal(signal.SIGCONT)
+        wait_until(lambda: observer.stdout.readline(), ATTEMPTS_S)
     finally:
         for bus in (speaker, hearer, router):
             bus.close()
