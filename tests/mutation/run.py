@@ -42,11 +42,29 @@ PARTS = {
         ["tests/sim_host/test_cabinet.py", "tests/sim_host/test_hostile_requests.py"],
     ),
     "policies": Part(
-        [
-            "signal_controller/policies.py",
-            "signal_controller/queue_estimator.py",
-        ],
+        ["signal_controller/policies.py", "signal_controller/queue_estimator.py"],
         ["tests/signal_controller"],
+    ),
+    "pipeline": Part(
+        ["edge_server/pipeline.py", "edge_server/placing.py"],
+        ["tests/edge_server/test_edge_pipeline.py", "tests/edge_server/test_placing.py"],
+    ),
+    "fusion": Part(["edge_server/fusion.py"], ["tests/edge_server/test_fusion.py"]),
+    "lanes": Part(
+        ["edge_server/lanes.py", "edge_server/stationary.py"],
+        [
+            "tests/edge_server/test_lane_counts.py",
+            "tests/edge_server/test_lane_coverage.py",
+            "tests/edge_server/test_stationary.py",
+        ],
+    ),
+    "rows": Part(
+        ["recording/rows.py"],
+        ["tests/recording/test_record_role.py", "tests/recording/test_latency_breakdown.py"],
+    ),
+    "codec": Part(
+        ["protocol/codec/forms.py"],
+        ["tests/protocol/test_codec.py", "tests/protocol/test_codec_rings.py"],
     ),
 }
 

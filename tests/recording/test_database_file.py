@@ -46,6 +46,7 @@ def kill_a_writer(run_dir: Path) -> None:
     receive, send = context.Pipe(duplex=False)
     writer = context.Process(target=_write_until_killed, args=(run_dir, send))
     writer.start()
+    send.close()  # so that the end of a writer that failed is noticed
     receive.recv()
     os.kill(writer.pid, signal.SIGKILL)
     writer.join()
