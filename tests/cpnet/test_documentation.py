@@ -17,6 +17,8 @@ import yaml
 from cpnet.scenario import Scenario
 from protocol.messages import MESSAGES
 from protocol.topics import TOPICS
+from sensing.upload_policies import POLICIES
+from studies.bench import POLICY_CHOICES
 
 ROOT = Path(__file__).parents[2]
 
@@ -97,6 +99,14 @@ def test_files_that_the_docs_include_are_there_and_marked_as_the_site_reads_it()
     included = [path for page in pages for path in re.findall(r'^--8<-- "([^"]+)"$', page, re.M)]
     assert included
     assert [path for path in included if not (ROOT / path).is_file()] == []
+
+
+def test_every_upload_policy_is_described_and_measured() -> None:
+    page = (ROOT / "docs" / "protocol.md").read_text("utf-8")
+    _, _, section = page.partition("## What agents upload")
+    assert [name for name in POLICIES if f"`{name}`" not in section.partition("\n## ")[0]] == []
+    measured = {choice.partition("+")[0] for choice in POLICY_CHOICES}
+    assert POLICIES.keys() - measured == {"pose"}  # without LiDAR there is nothing to compare
 
 
 @pytest.mark.skipif(
