@@ -109,7 +109,7 @@ def parse_only(only: str | None) -> RoleSelection:
 
 
 def in_replay(row: RoleEntry) -> RoleEntry:
-    """Returns the row as it is in a replay: what was recorded is said by the player."""
+    """Returns the row as it is in a replay: the playback publishes what was recorded."""
     return replace(row, module=PLAYER) if row.role in _RECORDED else row
 
 

@@ -104,7 +104,7 @@ class EndOfRun:
         self._awaits_last_frame = in_time
 
     def received(self, now_ns: int) -> None:
-        """Something was said."""
+        """A message arrived."""
         self._received_ns = max(self._received_ns, now_ns)
 
     def is_over(self, now_ns: int, aggregator: FrameAggregator) -> bool:

@@ -145,7 +145,7 @@ class RequestRow(NamedTuple):
     """What a policy asked for; `pressures` is a JSON list in vehicles.
 
     `delay_sim_ns`, with virtual links: how long after the frame's time it reached the cabinet.
-    `unknown`: the lanes that nobody saw and whose vehicles were reckoned, with spaces between.
+    `unknown`: lanes without coverage, whose vehicles were estimated, separated by spaces.
     """
 
     frame: int
@@ -226,7 +226,7 @@ class DropRow(NamedTuple):
 
 
 class GapRow(NamedTuple):
-    """Of what was said between these frames all may be lacking, or a part.
+    """Messages between these frames may be missing, all or some.
 
     `away` was the recorder itself, or the router of a bus: `recorder`, `v2x` or `world`.
     `after_frame` is the last of which there was the request when it broke off, `until_frame` the

@@ -149,7 +149,7 @@ def show_once(observer: Observer, board: Board, console: Console, stop: threadin
     """Draws once there is something of all kinds to be shown.
 
     Raises:
-        BusError: nothing was said for long.
+        BusError: no message arrived for long.
     """
     give_up_ns = time.monotonic_ns() + PATIENCE_NS
     while not (board.is_filled or board.is_over or stop.is_set()):

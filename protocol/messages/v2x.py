@@ -219,7 +219,7 @@ class SignalRequest(Message):
     """A policy's wish: the green state to be shown, one character per link.
 
     `policy` is what decided, "plan" where the policy knew too little and fell back on the fixed
-    plan. `unknown` are the lanes that nobody saw, whose vehicles were reckoned.
+    plan. `unknown` are the lanes without sensor coverage, whose vehicles were estimated.
     """
 
     kind: ClassVar[int] = 7

@@ -205,7 +205,7 @@ class _FrameWriter:
         self.empty = 0
 
     def frame(self, frame: int) -> list[Envelope]:
-        """Returns all that is said in a frame."""
+        """Returns all messages of a frame."""
         now_ns, names = self._times_ns[frame], [agent.name for agent in self._imported.agents]
         about = {"frame": frame, "sim_time_ns": now_ns}
         state = self._state(frame, now_ns)

@@ -35,7 +35,7 @@ _V2X, _WORLD = "foxglove/v2x", "foxglove/world"  # topics of what agents say, an
 
 @dataclass(slots=True)
 class _FrameMessages:
-    """What was said of a frame."""
+    """The messages of a frame."""
 
     heard_ns: int = 0
     sim_time_ns: int | None = None

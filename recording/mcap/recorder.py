@@ -49,7 +49,7 @@ class EndOfRecording:
         self._ended_ns = now_ns if self._ended_ns is None else self._ended_ns
 
     def received(self, now_ns: int) -> None:
-        """Something was said."""
+        """A message arrived."""
         self._received_ns = now_ns
 
     def is_over(self, now_ns: int) -> bool:
