@@ -2,7 +2,8 @@
 
 To import what `cpnet` needs takes longer than most of the commands that tests give. So a command is
 forked off one process that has imported everything; from outside it is the same: a process of its
-own in a folder of its own, with arguments and a pipe.
+own in a folder of its own, with arguments and a pipe. The fork server that such a command starts is
+forked off it in turn, for the same reason; `fresh=True` and `test_installed` start it as users do.
 """
 
 import ctypes
@@ -14,14 +15,16 @@ import sqlite3
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
-from contextlib import closing
-from multiprocessing import forkserver
+from collections.abc import Callable, Iterable
+from contextlib import closing, suppress
+from multiprocessing import forkserver, util
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from typing import Any, TypeVar
 from unittest.mock import patch
+
+from setproctitle import setproctitle
 
 from cpnet.__main__ import main
 from cpnet.endpoints import free_locator
@@ -41,7 +44,9 @@ SMALL = [
 ]
 """Sensors that are cheap to cast."""
 
+_ROLES = ["edge_server", "sim_host", "recording", "signal_controller", "infra_agent"]
 _PRELOAD = ["tests.cpnet.commands", "cpnet.cli", "cpnet.up", "sim_host.setup"]
+_PRELOAD += [f"{package}.role" for package in [*_ROLES, "vehicle_agent"]]
 _SETTINGS = {"COLUMNS": "120", "PYTHONWARNINGS": "error"}
 
 
@@ -163,7 +168,33 @@ def _become(
     os.environ.clear()
     os.environ.update(environment | _SETTINGS)
     sys.argv = arguments
+    util.spawnv_passfds = _spawn_fork_server
     main()
+
+
+_spawn = util.spawnv_passfds
+
+
+def _spawn_fork_server(path: bytes | str, arguments: list[str], passed: Iterable[int]) -> int:
+    """Forks the first fork server off this process, which has no threads yet, and imports nothing.
+
+    Otherwise as `multiprocessing.util.spawnv_passfds`: nothing but what is passed stays open.
+    """
+    if "multiprocessing.forkserver" not in arguments[-1]:
+        return int(_spawn(path, arguments, passed))
+    util.spawnv_passfds = _spawn
+    if pid := os.fork():
+        return pid
+    for number in [int(entry.name) for entry in Path("/proc/self/fd").iterdir()]:
+        if number > 2 and number not in passed:
+            with suppress(OSError):
+                os.close(number)
+    setproctitle(" ".join(["python -c", arguments[-1]]))
+    forkserver._forkserver._lock = threading.Lock()  # held by what was forked
+    try:
+        exec(arguments[-1])
+    finally:
+        os._exit(0)
 
 
 def enter_namespace(name: str) -> None:
