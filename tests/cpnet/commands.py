@@ -15,7 +15,7 @@ import sqlite3
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from multiprocessing import forkserver, util
 from multiprocessing.connection import Connection
@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 from unittest.mock import patch
 
-from setproctitle import setproctitle
+from setproctitle import getproctitle, setproctitle
 
 from cpnet.__main__ import main
 from cpnet.endpoints import free_locator
@@ -165,23 +165,24 @@ def _become(
         os.dup2(output.fileno(), stream)
     output.close()
     os.chdir(folder)
+    getproctitle()  # finds out how long titles may be, by where the environment is
     os.environ.clear()
     os.environ.update(environment | _SETTINGS)
     sys.argv = arguments
-    util.spawnv_passfds = _spawn_fork_server
+    patch.object(util, "spawnv_passfds", _spawn_fork_server).start()
     main()
 
 
 _spawn = util.spawnv_passfds
 
 
-def _spawn_fork_server(path: bytes | str, arguments: list[str], passed: Iterable[int]) -> int:
+def _spawn_fork_server(path: bytes, arguments: Sequence[Any], passed: Sequence[int]) -> int:
     """Forks the first fork server off this process, which has no threads yet, and imports nothing.
 
     Otherwise as `multiprocessing.util.spawnv_passfds`: nothing but what is passed stays open.
     """
     if "multiprocessing.forkserver" not in arguments[-1]:
-        return int(_spawn(path, arguments, passed))
+        return _spawn(path, arguments, passed)
     util.spawnv_passfds = _spawn
     if pid := os.fork():
         return pid
@@ -190,7 +191,7 @@ def _spawn_fork_server(path: bytes | str, arguments: list[str], passed: Iterable
             with suppress(OSError):
                 os.close(number)
     setproctitle(" ".join(["python -c", arguments[-1]]))
-    forkserver._forkserver._lock = threading.Lock()  # held by what was forked
+    vars(forkserver._forkserver)["_lock"] = threading.Lock()  # what was forked held the old one
     try:
         exec(arguments[-1])
     finally:
