@@ -225,7 +225,12 @@ def test_buses_with_keys_are_asked_with_the_keys_of_whoever_looks_on(shell: Shel
             probe.bind(("127.0.0.1", 0))
         ports = [probe.getsockname()[1] for probe in (first, second)]
     places = [f"v2x=127.0.0.1:{ports[0]}", f"world=127.0.0.1:{ports[1]}"]
-    run = shell.up("--keys=keys", "--duration=600", *(f"--listen={place}" for place in places))
+    run = shell.up(
+        "--keys=keys",
+        "--mode=realtime",
+        "--duration=600",
+        *(f"--listen={place}" for place in places),
+    )
     run.read_until("vehicles")
     asked = ["doctor", "--json", *(f"--connect={place}" for place in places)]
     found = json.loads(shell.run(*asked, "--keys=keys")[1])["findings"]

@@ -83,7 +83,8 @@ def test_a_machine_of_some_roles_exports_the_run_and_the_doctor_sees_the_other(s
     port, metrics = free_ports(), free_port()
     place = f"127.0.0.1:{port}"
     roles = "--only=sim,record,edge,signal"
-    here = shell.up("--duration=600", "--out=here", roles, f"--listen={place}")
+    without_end = ("--mode=realtime", "--duration=600")
+    here = shell.up(*without_end, "--out=here", roles, f"--listen={place}")
     there = shell.start(
         "up", "--only=vehicle,infra", f"--connect={place}", "--out=there", f"--metrics={metrics}"
     )

@@ -14,6 +14,7 @@ from sensing.link_channel import Channel, VirtualLink, on_air_bytes
 from sensing.link_profile import LinkProfile
 from tests.kernel_links import shaped_connection
 from tests.link_relay.sink import Rig, rigs
+from tests.waiting import PATIENCE_S
 
 MS = 1_000_000
 Make = Callable[[str], Rig]
@@ -68,7 +69,7 @@ def test_a_connection_that_the_agent_ends_ends_at_the_edge(make):
     rig = make("5mbit,20ms")
     rig.agent.sendall(b"last words")
     rig.agent.shutdown(socket.SHUT_WR)
-    assert rig.sink.ended.wait(10)
+    assert rig.sink.ended.wait(PATIENCE_S)
     assert bytes(rig.sink.data) == b"last words"
 
 
@@ -121,7 +122,7 @@ def test_an_edge_that_is_not_there_ends_the_agents_connection():
     with socket.create_connection(shaper.address) as agent:
         assert agent.recv(1) == b""
     shaper.stop()
-    thread.join(10)
+    thread.join(PATIENCE_S)
     assert not thread.is_alive()
 
 

@@ -14,7 +14,7 @@ from protocol.bus import Endpoint, open_bus
 from protocol.inbox import Envelope, Inbox
 from protocol.topics import BusName
 from tests.messages import SCAN
-from tests.waiting import wait_until
+from tests.waiting import PATIENCE_S, wait_until
 
 pytestmark = pytest.mark.process
 
@@ -60,7 +60,7 @@ def test_a_stopped_observer_holds_up_nobody(locator, request):
 
     def say() -> None:
         speaker.publish("scan", scan, region="r0", process="p", agent="rsu-0", chunk="0")
-        assert isinstance(heard.get(10.0), Envelope)
+        assert isinstance(heard.get(PATIENCE_S), Envelope)
 
     try:
         os.set_blocking(observer.stdout.fileno(), False)

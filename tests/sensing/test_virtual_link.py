@@ -167,15 +167,15 @@ def test_outages_go_over_a_trace_of_any_length():
 
 def test_outages_cost_no_more_on_a_trace_of_milliseconds():
     trace = TraceRate(starts_us=[0, 1000], rates_bps=[2000, 6000], period_us=2000)
-    begin = time.monotonic_ns()
+    begin = time.thread_time_ns()
     path = Channel.draw(LinkProfile(rate=trace, outages=Outages(per_minute=6, mean_s=2)), 4, "a")
-    assert time.monotonic_ns() - begin < 100 * MS
+    assert time.thread_time_ns() - begin < 100 * MS
     assert 0 < path.rate_bps.integral(0, path.rate_bps.period_ns) < 4000 * path.rate_bps.period_ns
 
 
 def test_a_message_under_way_for_hours_is_timed_at_once():
     trace = TraceRate(starts_us=[0, 1000], rates_bps=[2000, 0], rtt_us=[9, 5], period_us=2000)
     path = Channel.draw(LinkProfile(rate=trace), 1, "a")
-    begin = time.monotonic_ns()
+    begin = time.thread_time_ns()
     assert path.arrival_ns(0, 100_000_000 * MS) == 100_000_000 * MS + 4500
-    assert time.monotonic_ns() - begin < 100 * MS
+    assert time.thread_time_ns() - begin < 100 * MS
