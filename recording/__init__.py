@@ -9,6 +9,7 @@ Database of a run:
     database           writes the database
     role               the record role: subscribes, aggregates, writes
     run                reads run folders, compares the results of two
+    limits             bounds on messages and files of others
     config             scenario sections `record` and `replay`
 All messages:
     mcap               MCAP files: writer, reader, conversion for Foxglove (extra `mcap`)

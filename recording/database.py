@@ -16,10 +16,9 @@ from typing import Any
 
 from protocol.errors import ConfigError
 from protocol.plugins import packages
+from recording.limits import MAX_PENDING_BYTES, MAX_PENDING_ROWS
 from recording.tables import SCHEMA_VERSION, TABLES, CloudRow, DropRow, MetaRow
 
-MAX_PENDING_ROWS = 50_000
-MAX_PENDING_BYTES = 64 << 20  # of scans
 FILE_NAME = "run.sqlite"
 Row = tuple[Any, ...]
 _ROW_FAULTS = (OverflowError, sqlite3.IntegrityError, sqlite3.DataError, sqlite3.InterfaceError)

@@ -8,10 +8,8 @@ from dataclasses import dataclass, field
 from protocol.errors import MessageError
 from protocol.messages import LaneCounts, Metrics, Upload
 from recording.latency_breakdown import FrameTimings
+from recording.limits import MAX_ALL_ENTRIES, MAX_ENTRIES, MAX_OPEN_FRAMES, MAX_WIRED
 from recording.tables import FrameRow, LatencyRow, UploadRow
-
-MAX_OPEN_FRAMES = 256
-"""So many frames before the newest tick are still changed; what is older is settled."""
 
 
 class TickCheck:
@@ -46,9 +44,6 @@ class TickCheck:
         return 0 < frames <= MAX_OPEN_FRAMES and due_ns / 2 <= tick[1] - before[1] <= 2 * due_ns
 
 
-MAX_ENTRIES = 8192  # of a frame: spans, uploads, arrivals
-MAX_ALL_ENTRIES = 1 << 20  # of all open frames
-MAX_WIRED = 1024  # agents of a frame whose bytes on the wire are known
 Clocks = Mapping[str, tuple[int, int]]
 _NOBODY: tuple[None, ...] = (None,) * 8
 

@@ -19,9 +19,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from protocol.messages import Arrival, Span, Upload
+from recording.limits import MAX_END_TO_END_NS
 from recording.tables import LatencyRow
 
-MAX_END_TO_END_NS = 60_000_000_000
 SENDER_STAGES = ("sense", "select", "encode", "send")
 EDGE_STAGES = ("check", "merge", "ground", "detect", "fuse", "count")
 SAME_CLOCK = (0, 0)

@@ -10,6 +10,7 @@ from itertools import islice
 from protocol.bus import Bus
 from protocol.errors import MessageError
 from protocol.topics import BusName
+from recording.limits import MAX_PROCESSES, MAX_REASONS
 from recording.tables import DropRow, GapRow
 
 
@@ -38,10 +39,6 @@ class RestartSafeCounts:
     def restart(self) -> None:
         """Expects counts from 0."""
         self.reported = {}
-
-
-MAX_PROCESSES = 512
-MAX_REASONS = 64  # for which a process drops messages
 
 
 class DropCounts:

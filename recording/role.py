@@ -22,9 +22,8 @@ from recording import rows, tables
 from recording.config import RecordConfig
 from recording.database import Database, versions
 from recording.frame_aggregator import FrameAggregator
-from recording.losses import MAX_PROCESSES, BusGaps, DropCounts, RestartGaps
-
-MAX_PROGRESS_AGENTS = 1024
+from recording.limits import MAX_PROCESSES, MAX_PROGRESS_AGENTS, MAX_TOTAL_DROPS
+from recording.losses import BusGaps, DropCounts, RestartGaps
 
 
 @dataclass(slots=True)
@@ -128,7 +127,6 @@ COMMIT_ROWS = 5_000
 PROGRESS_NS = 1_000_000_000
 _log = logging.getLogger(__name__)
 _SUBSCRIBED_LAST = ("tick", "state")  # of each bus one: who hears it hears all others too
-MAX_TOTAL = (1 << 53) - 1  # what a message takes
 
 
 class RecordRole:
@@ -344,7 +342,7 @@ class RecordRole:
         self._committed_ns = now_ns
 
     def _tell(self, now_ns: int) -> None:
-        drops = min(self._drops.total(), MAX_TOTAL)
+        drops = min(self._drops.total(), MAX_TOTAL_DROPS)
         self._context.world.publish("progress", self._progress.report(now_ns, drops))
         self._told_ns = now_ns
 

@@ -20,6 +20,7 @@ from protocol.roadmap import Lane, PlanPhase, RoadMap, Signal
 from protocol.scans import PointCloud
 from protocol.wire import encode
 from recording.foreign_scans.agents import Agent
+from recording.limits import MAX_MOUNT_HEIGHT_M
 from recording.mcap.format import next_file
 from recording.mcap.writer import McapWriter
 from sensing.config import UploadConfig
@@ -97,7 +98,6 @@ PROCESS = "vehicle-0"
 STEM = "scans"
 _SIZE_M = {"length_m": 4.5, "width_m": 1.8, "height_m": 1.5}  # a usual car
 _STD_M = 0.05
-MAX_HEIGHT_M = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,8 +118,8 @@ class ImportedScans:
             ConfigError: a cloud cannot be read, the first of an agent is empty, or a name or the
                 height cannot be.
         """
-        if height_m is not None and not 0 <= height_m <= MAX_HEIGHT_M:
-            raise ConfigError(f"--height {height_m:g}: must be 0 to {MAX_HEIGHT_M:g} m")
+        if height_m is not None and not 0 <= height_m <= MAX_MOUNT_HEIGHT_M:
+            raise ConfigError(f"--height {height_m:g}: must be 0 to {MAX_MOUNT_HEIGHT_M:g} m")
         for agent in agents:
             _check_name(agent.name)
         heights_m: dict[str, float] = {}

@@ -32,8 +32,7 @@ from protocol.config import is_folder
 from protocol.errors import ConfigError
 from protocol.geometry import SE3, Floats
 from recording.foreign_scans.folder import by_agent
-
-MAX_FILE_BYTES = 64 << 20
+from recording.limits import MAX_POSE_FILE_BYTES
 
 
 def lines_of(path: Path) -> list[str]:
@@ -43,8 +42,10 @@ def lines_of(path: Path) -> list[str]:
         ConfigError: it cannot be read, or is too large.
     """
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise ConfigError(f"{path} has {path.stat().st_size} bytes, limit {MAX_FILE_BYTES}")
+        if path.stat().st_size > MAX_POSE_FILE_BYTES:
+            raise ConfigError(
+                f"{path} has {path.stat().st_size} bytes, limit {MAX_POSE_FILE_BYTES}"
+            )
         return path.read_text("utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path} cannot be read: {error}") from None

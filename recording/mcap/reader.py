@@ -24,10 +24,10 @@ from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Metadata
 from protocol.config import is_file, is_folder
 from protocol.errors import ConfigError, ProtocolError
 from protocol.inbox import Envelope, Inbox, RawMessage
-from protocol.limits import MAX_BODY_BYTES
 from protocol.messages import Setup
 from protocol.topics import TOPICS, Topic
 from protocol.wire import decode
+from recording.limits import MAX_CHUNK_BYTES, MAX_RECORD_BYTES
 from recording.mcap.format import (
     ENCODING,
     PREVIOUS_FILE,
@@ -39,8 +39,6 @@ from recording.mcap.format import (
 )
 
 MAGIC = b"\x89MCAP0\r\n"
-MAX_CHUNK_BYTES = 2 * MAX_BODY_BYTES  # one that is nearly full takes one more message
-MAX_RECORD_BYTES = 4 * MAX_BODY_BYTES
 _FRAME = struct.Struct("<BQ")  # opcode, length
 _FOOTER = struct.Struct("<BQQQI8s")  # opcode, length, summary, its offsets, its crc, magic
 _PARSE_ERRORS = (McapError, struct.error, ValueError, OverflowError, zstandard.ZstdError)

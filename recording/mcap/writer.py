@@ -18,6 +18,7 @@ from protocol.messages import Setup
 from protocol.topics import TOPICS
 from protocol.version import own_version
 from protocol.wire import FrameTime, encode, peek_frame_time
+from recording.limits import MAX_CHANNELS, MAX_CHUNKS
 from recording.mcap.format import (
     CLOSING_METADATA,
     ENCODING,
@@ -34,8 +35,6 @@ from recording.mcap.foxglove_messages import Shape
 
 CHUNK_BYTES = 256 << 10
 CHUNK_NS = 700_000_000  # then a chunk is closed, however small it is
-MAX_CHANNELS = 16_384  # a quarter of what the format allows
-MAX_CHUNKS = 10_000  # the index of each stays in memory until the end
 _NEVER_BYTES = 1 << 62
 
 

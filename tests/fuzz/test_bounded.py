@@ -35,12 +35,11 @@ from protocol.messages import MAX_ITEMS
 from protocol.process import Context
 from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
-from recording.database import MAX_PENDING_ROWS
-from recording.frame_aggregator import MAX_ENTRIES, MAX_WIRED
-from recording.frame_aggregator import MAX_OPEN_FRAMES as MAX_RECORDED_FRAMES
-from recording.losses import MAX_PROCESSES as MAX_RECORDED
-from recording.losses import MAX_REASONS, DropCounts
-from recording.role import MAX_PROGRESS_AGENTS as MAX_GLANCED
+from recording.limits import MAX_ENTRIES, MAX_PENDING_ROWS, MAX_REASONS, MAX_WIRED
+from recording.limits import MAX_OPEN_FRAMES as MAX_RECORDED_FRAMES
+from recording.limits import MAX_PROCESSES as MAX_RECORDED
+from recording.limits import MAX_PROGRESS_AGENTS as MAX_RATED
+from recording.losses import DropCounts
 from recording.role import RecordRole
 from sensing.limits import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES
 from sensing.uplink import PlanHistory
@@ -322,7 +321,7 @@ def test_a_recorder_keeps_so_much_of_each_frame_and_writes_the_rest(recorder: Re
                 if recorder._database.is_full:
                     recorder._database.commit()
                 assert recorder._database.pending_rows <= MAX_PENDING_ROWS + 100
-        notes = recorder._ledger._notes.values()
+        notes = recorder._aggregator._notes.values()
         assert max(note.entries for note in notes) <= MAX_ENTRIES
         assert len(notes) <= 2 * MAX_RECORDED_FRAMES + 1
         assert growth.mib < 128
@@ -348,9 +347,9 @@ def test_a_recorder_knows_so_many_processes_and_agents(recorder: RecordRole):
         known = recorder._drops._counts
         assert len(recorder._clocks) == len(known) == MAX_RECORDED
         assert max(len(counts.total) for counts in known.values()) == MAX_REASONS
-        assert len(recorder._glance.payload_bytes) == MAX_GLANCED
-        assert len(recorder._ledger.note(1).wire) == MAX_WIRED
-        assert len(encode(recorder._glance.report(1, 0))) < m.Progress.max_header_bytes
+        assert len(recorder._progress.payload_bytes) == MAX_RATED
+        assert len(recorder._aggregator.note(1).wire) == MAX_WIRED
+        assert len(encode(recorder._progress.report(1, 0))) < m.Progress.max_header_bytes
     finally:
         recorder.close()
 

@@ -14,7 +14,7 @@ from protocol.in_process import InProcessRouter
 from protocol.inbox import Inbox
 from protocol.process import Context
 from protocol.topics import BusName
-from recording.frame_aggregator import MAX_OPEN_FRAMES
+from recording.limits import MAX_OPEN_FRAMES
 from recording.role import RecordRole
 from recording.run import Run
 from recording.tables import (

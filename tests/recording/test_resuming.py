@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from protocol.errors import ConfigError, MessageError
 from recording.database import Database
 from recording.frame_aggregator import FrameAggregator
-from recording.losses import MAX_PROCESSES, MAX_REASONS, DropCounts
+from recording.limits import MAX_PROCESSES, MAX_REASONS
+from recording.losses import DropCounts
 from recording.run import Run
 from recording.tables import DropRow, FrameRow, MetaRow, RequestRow
 
