@@ -47,3 +47,29 @@ def test_the_mark_has_the_length_of_what_was_given(frames):
     standing = StationaryVehicles(1.4)
     for k, x_m in enumerate(frames):
         assert standing.mark(k * S, at(*x_m)).shape == (len(x_m),)
+
+
+@pytest.mark.parametrize(("apart_m", "is_stationary"), [(1.3, True), (1.3001, False)])
+def test_the_limit_is_the_way_at_the_limiting_speed_and_a_boxs_jitter(apart_m, is_stationary):
+    vehicles = StationaryVehicles(1.0)
+    vehicles.mark(0, at(0.0))
+    assert vehicles.mark(S, at(apart_m)).tolist() == [is_stationary]
+
+
+@pytest.mark.parametrize(("age_ns", "is_known"), [(2_100_000_000, True), (2_100_000_001, False)])
+def test_a_frame_is_remembered_for_2_1_s(age_ns, is_known):
+    vehicles = StationaryVehicles(1.4)
+    vehicles.mark(0, at(0.0))
+    assert vehicles.mark(age_ns, at(0.0)).tolist() == [is_known]
+
+
+@pytest.mark.parametrize(("age_ns", "is_old"), [(900_000_000, True), (899_999_999, False)])
+def test_a_frame_less_than_0_9_s_old_says_nothing(age_ns, is_old):
+    vehicles = StationaryVehicles(1.4)
+    vehicles.mark(0, at(0.0))
+    vehicles.mark(1, at())  # does not push out the frame before it
+    assert vehicles.mark(age_ns, at(0.0)).tolist() == [is_old]
+
+
+def test_without_an_earlier_frame_the_marks_are_booleans_too():
+    assert StationaryVehicles(1.4).mark(0, at(0.0, 1.0)).dtype == np.bool_

@@ -4,15 +4,47 @@ from pathlib import Path
 
 import numpy as np
 
-from protocol.messages import Detections, LaneCounts, Truth
-from recording.rows import count_rows, detection_rows, truth_rows
+from protocol.messages import (
+    AgentScore,
+    Detections,
+    Equipment,
+    LaneCounts,
+    Metrics,
+    Scan,
+    Sighting,
+    SignalRequest,
+    SignalState,
+    Span,
+    Trip,
+    Trips,
+    Truth,
+)
+from recording.rows import (
+    agent_score_rows,
+    cloud_row,
+    count_rows,
+    detection_rows,
+    phase_row,
+    request_row,
+    sighting_row,
+    stage_rows,
+    trip_rows,
+    truth_rows,
+)
 from recording.tables import (
     SCHEMA_DIGESTS,
     SCHEMA_VERSION,
     TABLES,
+    AgentScoreRow,
+    CloudRow,
     CountRow,
     DetectionRow,
+    PhaseRow,
+    RequestRow,
+    SightingRow,
+    StageRow,
     Table,
+    TripRow,
     TruthRow,
     schema_digest,
 )
@@ -93,3 +125,79 @@ def test_stationary_vehicles_are_no_count_of_all() -> None:
         CountRow(frame=7, lane="in_0", side="upstream", vehicles=5, queued=2),
         CountRow(frame=7, lane="out_0", side="downstream", vehicles=3, queued=0),
     ]
+
+
+def test_every_value_of_a_signal_state_stands_in_its_own_column() -> None:
+    message = SignalState(
+        frame=7, sim_time_ns=700, tls="j", state="GGr", stage="green", green="GGr", source="plan",
+        earliest_change_ns=900,
+    )  # fmt: skip
+    assert phase_row(message) == PhaseRow(
+        frame=7, tls="j", sim_time_ns=700, state="GGr", stage="green", green="GGr", source="plan"
+    )
+
+
+def test_every_value_of_a_signal_request_stands_in_its_own_column() -> None:
+    message = SignalRequest(
+        frame=7, sim_time_ns=700, tls="j", state="GGr", policy="max_pressure",
+        pressures=[1.5, -2.0], unknown=["in_0", "in_1"], delay_sim_ns=30,
+    )  # fmt: skip
+    assert request_row(message) == RequestRow(
+        frame=7, tls="j", state="GGr", policy="max_pressure", pressures="[1.5, -2.0]",
+        delay_sim_ns=30, unknown="in_0 in_1",
+    )  # fmt: skip
+
+
+def test_points_of_a_sighting_stand_beside_their_vehicle() -> None:
+    message = Sighting(frame=7, agent="a", vehicles=["x", "y"], points=np.array([3, 5], np.uint32))
+    assert sighting_row(message) == SightingRow(7, "a", '{"x": 3, "y": 5}')
+
+
+def test_every_value_of_a_trip_stands_in_its_own_column() -> None:
+    message = Trips(
+        frame=7,
+        trips=[
+            Trip(
+                vehicle="a", equipment=Equipment.CAV, depart_s=1.5, arrive_s=61.5, time_loss_s=9.25,
+                teleported=True,
+            ),
+            Trip(
+                vehicle="b", equipment=Equipment.NONE, depart_s=2.5, arrive_s=None, time_loss_s=4.0
+            ),
+        ],
+    )  # fmt: skip
+    assert list(trip_rows(message)) == [
+        TripRow("a", int(Equipment.CAV), 1.5, 61.5, 9.25, 1),
+        TripRow("b", int(Equipment.NONE), 2.5, None, 4.0, 0),
+    ]
+
+
+def test_the_duration_of_a_stage_is_the_time_from_its_start_to_its_end() -> None:
+    spans = [Span(stage="decode", agent="a", start_ns=100, end_ns=130)]
+    message = Metrics(process="edge-0", frame=7, sim_time_ns=700, spans=spans)
+    assert list(stage_rows(message)) == [
+        StageRow(frame=7, process="edge-0", agent="a", stage="decode", start_ns=100, duration_ns=30)
+    ]
+
+
+def test_every_part_of_an_agents_score_stands_in_its_own_column() -> None:
+    score = AgentScore(agent="a", score=0.5, trusted=True, motion=0.1, place=0.2, ground=0.3)
+    other = AgentScore(agent="b", score=0.25, trusted=False)
+    message = Metrics(process="edge-0", frame=7, sim_time_ns=700, scores=[score, other])
+    assert list(agent_score_rows(message)) == [
+        AgentScoreRow(7, "a", 0.5, trusted=1, motion=0.1, place=0.2, ground=0.3),
+        AgentScoreRow(7, "b", 0.25, trusted=0, motion=None, place=None, ground=None),
+    ]
+
+
+def test_every_value_of_a_cloud_stands_in_its_own_column() -> None:
+    message = Scan(
+        frame=7, sim_time_ns=700, agent="a", chunk=1, chunks=2, points=9,
+        sensor_pose=np.array([1.0, 2, 3, 0.1, 0.2, 0.3]),
+        sense_start_ns=1, sense_end_ns=2, encode_end_ns=3,
+        payload=np.frombuffer(b"scan", np.uint8),
+    )  # fmt: skip
+    assert cloud_row(message) == CloudRow(
+        frame=7, agent="a", chunk=1, points=9, sensor_x_m=1, sensor_y_m=2, sensor_z_m=3,
+        sensor_roll_rad=0.1, sensor_pitch_rad=0.2, sensor_yaw_rad=0.3, payload=b"scan",
+    )  # fmt: skip
