@@ -165,5 +165,5 @@ def _refusal(endpoint: Endpoint) -> str:
     option = "--listen" if endpoint.listen else "--connect"
     return (
         f"{option} {endpoint.locator}: without keys anybody on that network could read and forge "
-        "what is said; give --keys DIR (`cpnet keys DIR` makes them), or --insecure to do without"
+        "all messages; give --keys DIR (`cpnet keys DIR` makes them), or --insecure to do without"
     )

@@ -79,7 +79,7 @@ class ScanPattern:
 
     @property
     def _is_kept(self) -> bool:
-        """Whether it is of a usual size: who sends others must not fill the memory."""
+        """Whether its size is usual: others must not fill the memory of a receiver."""
         return self.channels * self.columns <= MAX_KEPT_BEAMS
 
 

@@ -72,7 +72,7 @@ class FrameRecord:
         """Adds what one process measured in this frame.
 
         Raises:
-            MessageError: more was said of the frame than there is room for.
+            MessageError: the frame has more messages than there is room for.
         """
         more = 1 + len(metrics.spans) + len(metrics.uploads) + len(metrics.arrivals)
         if self.entries + more > MAX_ENTRIES:

@@ -173,7 +173,7 @@ def paper_page(findings: StudyResults, sections: Sequence[Section] = ()) -> Page
         f"Control: its tables and figures, from {len(findings.frame)} runs of "
         f"{duration_s:g} s with perception every {period_s:g} s, {len(study.seeds)} seeds a cell. "
         "Theirs come from CARLA's Town04, ours from "
-        "another simulator and, where nothing else is said, a generated junction of the same "
+        "another simulator and, where nothing else is stated, a generated junction of the same "
         "shape and demand: they tell the order of magnitude, not a ranking." + findings.gaps()
     )
     return Page(

@@ -38,7 +38,7 @@ from viewer.stages import Rates
 
 @dataclass(slots=True, eq=False)
 class Moment:
-    """What was said of one frame, as far as it came and could be read."""
+    """The messages of one frame, as far as they arrived and could be read."""
 
     frame: int
     scans: list[Scan] = field(default_factory=list)

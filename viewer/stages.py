@@ -48,7 +48,7 @@ class Rates:
 
 
 LAG_FRAMES = 3
-"""Measuring travels last: so much later what is said of a frame is there."""
+"""Metrics arrive last: so much later the messages of a frame are complete."""
 MAX_PROCESSES = 512
 GROUPS = {
     "sense": ("sense",),

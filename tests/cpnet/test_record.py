@@ -111,8 +111,8 @@ def test_a_tape_is_started_again_and_others_come_and_go(shell):
     to_the_end.wait_until(lambda: size_bytes(run_dir / "run-2.mcap") > 300_000)
     command.process.send_signal(signal.SIGINT)
     assert command.finish()[0] == 130
-    for taping, name in ((to_the_end, run_dir / "record.mcap"), (until_told, "mine.mcap")):
-        status, output = taping.finish()
+    for command, name in ((to_the_end, run_dir / "record.mcap"), (until_told, "mine.mcap")):
+        status, output = command.finish()
         assert status == 0, output
         told = re.search(r"(\d+) dropped", output)  # 0, if the machine is not too slow
         assert told is not None, output

@@ -1,4 +1,4 @@
-"""What is said of a run that stands still."""
+"""What is printed about a run that has stalled."""
 
 import io
 import os

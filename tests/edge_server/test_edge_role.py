@@ -27,7 +27,7 @@ M = TypeVar("M", bound=m.Message)
 
 
 class Rig:
-    """An edge role, two agent processes and somebody who listens."""
+    """An edge role, two agent processes and a subscriber."""
 
     def __init__(
         self, road_map: RoadMap, mode: str = "lockstep", policy: str = "full", **edge: Any

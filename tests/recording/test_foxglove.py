@@ -54,7 +54,7 @@ def scan(frame: int, agent: str = "a", chunk: int = 0, chunks: int = 1) -> m.Sca
 
 
 def messages_of(frame: int) -> dict[str, m.Message]:
-    """Returns what is said of a frame, by topic."""
+    """Returns the messages of a frame, by topic."""
     time_ns = frame * 10**8
     pose = m.AgentPose(
         frame=frame,

@@ -42,7 +42,7 @@ def written() -> bytes:
         return (Path(folder) / "run.mcap").read_bytes()
 
 
-TAPE = written()
+WHOLE = written()
 
 
 def ends_of(data: bytes) -> tuple[int, list[tuple[int, int]]]:
@@ -58,7 +58,7 @@ def ends_of(data: bytes) -> tuple[int, list[tuple[int, int]]]:
     return setup_end, chunks
 
 
-SETUP_END, CHUNKS = ends_of(TAPE)
+SETUP_END, CHUNKS = ends_of(WHOLE)
 EDGES = [end + step for end in (SETUP_END, *(end for end, _ in CHUNKS)) for step in (-1, 0, 1)]
 
 
@@ -73,11 +73,11 @@ def read(data: bytes) -> tuple[McapReader, list]:
 def check_cut(at: int) -> None:
     if at < SETUP_END:
         with pytest.raises(ConfigError, match=r"cut\.mcap"):
-            read(TAPE[:at])
+            read(WHOLE[:at])
         return
-    recording, found = read(TAPE[:at])
+    recording, found = read(WHOLE[:at])
     assert same(found, HEARD[: sum(held for end, held in CHUNKS if end <= at)])
-    assert recording.is_whole == (at == len(TAPE))
+    assert recording.is_whole == (at == len(WHOLE))
     assert recording.drops.total() == 0
     assert encode(recording.setup) == encode(setup())
 
@@ -86,18 +86,18 @@ def test_the_example_has_a_chunk_for_each_second():
     assert [held for _, held in CHUNKS] == [len(TOPICS)] * 8
 
 
-@pytest.mark.parametrize("at", [0, 1, 8, 9, *EDGES, len(TAPE) - 1, len(TAPE)])
+@pytest.mark.parametrize("at", [0, 1, 8, 9, *EDGES, len(WHOLE) - 1, len(WHOLE)])
 def test_a_tape_cut_at_the_edge_of_a_chunk_gives_those_before(at):
     check_cut(at)
 
 
-@given(st.integers(0, len(TAPE)))
+@given(st.integers(0, len(WHOLE)))
 def test_a_tape_cut_anywhere_gives_all_complete_chunks(at):
     check_cut(at)
 
 
 def test_a_file_that_had_no_time_to_begin_is_passed_over(tmp_path):
-    for number, data in enumerate([b"", TAPE, TAPE[:5], TAPE[: SETUP_END - 1], TAPE], 1):
+    for number, data in enumerate([b"", WHOLE, WHOLE[:5], WHOLE[: SETUP_END - 1], WHOLE], 1):
         (tmp_path / f"run-{number}.mcap").write_bytes(data)
     recording = McapReader(tmp_path)
     assert same(recording.messages(), HEARD + HEARD)
@@ -107,7 +107,7 @@ def test_a_file_that_had_no_time_to_begin_is_passed_over(tmp_path):
 
 def test_a_damaged_chunk_alone_is_left_out():
     end = CHUNKS[3][0]
-    recording, found = read(TAPE[: end - 20] + bytes(20) + TAPE[end:])
+    recording, found = read(WHOLE[: end - 20] + bytes(20) + WHOLE[end:])
     lost = slice(3 * len(TOPICS), 4 * len(TOPICS))
     assert same(found, [item for item in HEARD if item not in HEARD[lost]])
     assert recording.drops == {"damaged": 1}
@@ -135,9 +135,9 @@ def test_garbage_is_no_tape(data, has_magic):
 
 
 @settings(max_examples=200)
-@given(st.lists(st.tuples(st.integers(8, len(TAPE) - 1), st.integers(0, 255)), max_size=4))
+@given(st.lists(st.tuples(st.integers(8, len(WHOLE) - 1), st.integers(0, 255)), max_size=4))
 def test_changed_bytes_never_give_what_was_not_heard(changes):
-    data = bytearray(TAPE)
+    data = bytearray(WHOLE)
     for at, value in changes:
         data[at] = value
     try:
@@ -175,7 +175,7 @@ BOMBS = {
 
 @pytest.mark.parametrize("name", BOMBS)
 def test_a_bomb_takes_no_memory(name):
-    data = TAPE[: CHUNKS[0][0]] + BOMBS[name] + TAPE[CHUNKS[0][0] :]
+    data = WHOLE[: CHUNKS[0][0]] + BOMBS[name] + WHOLE[CHUNKS[0][0] :]
     tracemalloc.start()
     try:
         recording, found = read(data)

@@ -1,4 +1,4 @@
-"""Taping as a whole: what is asked for, what is said of it, when it is over."""
+"""The MCAP recorder as a whole: what it is asked for, what it records, when it ends."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ def said(context, topic: str) -> None:
 @pytest.mark.parametrize("truth", [True, False])
 def test_all_topics_of_both_buses_are_kept_but_truth_that_nobody_wants(tmp_path, truth):
     context = context_in(tmp_path, {"mcap": True, "truth": truth, "foxglove": False})
-    taping = recorder.build(context)
+    writing = recorder.build(context)
     for topic in sorted(ALL_TOPICS - {"end"}):
         said(context, topic)
     said(context, "end")
-    loop(taping, context.inbox, context.stop)  # until it is over
-    taping.close()
+    loop(writing, context.inbox, context.stop)  # until it is over
+    writing.close()
     recording = McapReader(tmp_path)
     assert {item.topic for item in recording.messages()} == ALL_TOPICS - (
         set() if truth else TRUTH_TOPICS
@@ -73,25 +73,25 @@ def test_all_topics_of_both_buses_are_kept_but_truth_that_nobody_wants(tmp_path,
 
 def test_another_regions_messages_are_not_kept(tmp_path):
     context = context_in(tmp_path, {"mcap": True})
-    taping = recorder.build(context)
+    writing = recorder.build(context)
     item = envelope("detections", 0)
     context.v2x.deliver("detections", item.data, region="r1")
     context.v2x.deliver("detections", item.data, region="r0")
     found = [one for one in iter(context.inbox.get, None) if isinstance(one, Envelope)]
     assert [one.parts for one in found] == [{"region": "r0"}]
-    taping.close()
+    writing.close()
 
 
 def test_the_tape_says_at_its_end_what_came_of_it(tmp_path):
     inbox = Inbox()
-    taping = McapRecorder(
+    writing = McapRecorder(
         setup(), lambda: next_file(tmp_path), inbox, RecordedContent(), threading.Event()
     )
     inbox.drops["inbox_full"] = 3
     for topic in ("tick", "end"):
-        taping.on(envelope(topic, time.monotonic_ns()))
-    assert taping.dropped == 3
-    taping.close()
+        writing.on(envelope(topic, time.monotonic_ns()))
+    assert writing.dropped == 3
+    writing.close()
     with (tmp_path / "run.mcap").open("rb") as file:
         closing = [one.metadata for one in make_reader(file).iter_metadata()][-1]
     end = envelope("end", 0).message
@@ -106,22 +106,22 @@ def test_the_tape_says_at_its_end_what_came_of_it(tmp_path):
 
 def test_what_nobody_could_read_is_not_kept_and_the_rest_as_it_came(tmp_path):
     context = context_in(tmp_path, {"mcap": True})
-    taping = recorder.build(context)
+    writing = recorder.build(context)
     good = envelope("detections", 0).data
     odd = good[:24] + b"\xc1" + good[25:]  # no msgpack
     for data in (b"junk", good[:-8], odd, good):
         context.v2x.deliver("detections", data, region="r0")
     said(context, "end")
-    loop(taping, context.inbox, context.stop)
-    taping.close()
+    loop(writing, context.inbox, context.stop)
+    writing.close()
     recording = McapReader(tmp_path)
     assert [item.data for item in recording.messages(["detections"])] == [good]
-    assert (taping.dropped, recording.drops.total()) == (3, 0)
+    assert (writing.dropped, recording.drops.total()) == (3, 0)
 
 
 def test_messages_come_before_what_is_made_of_them(tmp_path):
     inbox = Inbox()
-    taping = McapRecorder(
+    writing = McapRecorder(
         setup(), lambda: next_file(tmp_path), inbox, RecordedContent(), threading.Event()
     )
     found, _ = golden(TOPICS["detections"].message)
@@ -129,29 +129,29 @@ def test_messages_come_before_what_is_made_of_them(tmp_path):
     for frame in range(2):
         data = encode(found.model_copy(update={"frame": frame}))
         heard.append(Envelope("detections", {"region": "r0"}, None, frame, data))
-        taping.on(heard[-1])
+        writing.on(heard[-1])
     inbox.put(Presence("edge", "edge", alive=True))
-    taping.poll()  # there is no time for other tools
-    assert taping.scene._frames.is_due
+    writing.poll()  # there is no time for other tools
+    assert writing.scene._frames.is_due
     inbox.get()
-    taping.poll()
-    assert not taping.scene._frames.is_due
-    assert taping.scene.frames_left_out == 0
-    taping.close()
+    writing.poll()
+    assert not writing.scene._frames.is_due
+    assert writing.scene.frames_left_out == 0
+    writing.close()
     assert same(McapReader(tmp_path).messages(), heard)
 
 
 def test_who_never_falls_silent_keeps_no_tape_from_ending(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder, "PATIENCE_NS", 1)
     inbox, stop = Inbox(), threading.Event()
-    taping = McapRecorder(setup(), lambda: next_file(tmp_path), inbox, RecordedContent(), stop)
+    writing = McapRecorder(setup(), lambda: next_file(tmp_path), inbox, RecordedContent(), stop)
     inbox.put(Presence("vehicle", "v", alive=True))
-    taping.poll()
+    writing.poll()
     assert not stop.is_set()
-    taping.on(envelope("end", 0))
-    taping.poll()
+    writing.on(envelope("end", 0))
+    writing.poll()
     assert stop.is_set()
-    taping.close()
+    writing.close()
 
 
 def test_a_tape_is_over_when_the_recorder_is_gone_and_nobody_speaks():

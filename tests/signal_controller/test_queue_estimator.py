@@ -49,7 +49,7 @@ def estimator(**keys: float) -> QueueEstimator:
     return QueueEstimator(SIGNAL, CONFIG.model_copy(update=keys), REACH_M)
 
 
-def test_what_is_seen_is_not_reckoned():
+def test_what_is_seen_is_not_estimated():
     known = estimator()
     assert known.take(counts(3, 4, main=1.0, side=MIN_COVERAGE), shown(0)) == QueueEstimate(
         {}, False
@@ -140,7 +140,7 @@ def test_numbers_stay_within_what_was_counted_and_what_a_lane_holds(
             assert count <= estimate.vehicles["main"] <= most
 
 
-def test_what_is_reckoned_may_turn_the_decision_and_is_named():
+def test_what_is_estimated_may_turn_the_decision_and_is_named():
     found = max_pressure(SIGNAL, counts(4, 0, main=1.0, side=0.0), None, estimated={"side": 6.5})
     assert (found.state, found.pressures, found.unknown) == (SIDE, [4, 6.5], ("side",))
     assert found.policy == "max_pressure"

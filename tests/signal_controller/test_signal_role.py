@@ -202,7 +202,7 @@ def decided(rig: Rig) -> tuple[str, str, list[str]]:
     return request.state, request.policy, request.unknown
 
 
-def test_who_sees_nothing_reckons_then_asks_for_the_plan_and_takes_over_again() -> None:
+def test_a_controller_without_coverage_estimates_then_asks_for_the_plan_and_returns() -> None:
     rig = Rig(estimator_timeout_s=1.0, estimator_inflow_vph=3600)
     told = []
     for frame in range(1, 40):

@@ -77,7 +77,7 @@ class Rig:
         return said
 
     def until(self, holds: Callable[[list[m.Message]], bool]) -> list[m.Message]:
-        """Turns until what was said is what is waited for."""
+        """Turns until the messages published are those waited for."""
         said: list[m.Message] = []
         wait_until(lambda: said.extend(self.turn()) or holds(said))
         return said

@@ -43,7 +43,7 @@ def test_a_lost_v2x_bus_is_not_the_end_and_a_lost_world_is() -> None:
 
 
 def frames_drawn(fps: float) -> list[int]:
-    """Returns what is drawn of a run of which all was said before anybody looked."""
+    """Returns what is drawn of a run that ended before the viewer attached."""
     inbox = Inbox()
     for frame in range(FRAMES):
         inbox.put(sealed("lanes", TOPICS["lanes"].key(region="r0", tls="J"), lane_counts(frame)))

@@ -1,4 +1,4 @@
-"""Files of weights that are broken, or not those that the detector needs, and what is said."""
+"""Files of weights that are broken, or not those that the detector needs, and their errors."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def asked(name: str, path: Path | None) -> DetectionConfig:
 
 
 def refused(name: str, path: Path | None) -> str:
-    """Returns what is said, on one line, before a start and by who would build the detector."""
+    """Returns the error, on one line, before a start and by who would build the detector."""
     with pytest.raises(ConfigError) as early:
         check(asked(name, path))
     with pytest.raises(ConfigError) as late:

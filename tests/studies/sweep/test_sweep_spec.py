@@ -1,4 +1,4 @@
-"""What a study file may say, and what is said of one that cannot be."""
+"""What a study file may contain, and the errors of one that cannot be used."""
 
 from __future__ import annotations
 
