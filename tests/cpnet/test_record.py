@@ -34,7 +34,7 @@ from tests.cpnet.commands import children_of
 def test_a_tape_holds_what_the_database_was_made_of(shell):
     status, output = shell.up("--duration=5", "--record", "--out=run").finish()
     assert status == 0, output
-    assert "sim, record, recording, signal" in output
+    assert "sim, record, mcap, signal" in output
     recording = McapReader(shell.folder / "run")
     heard: dict[str, list] = {}
     for item in recording.messages():
@@ -81,10 +81,10 @@ def test_a_dead_tape_stops_no_city(shell):
     run_dir = shell.folder / "run"
     command.wait_until(lambda: len(frames_on(run_dir)) > 5)  # in realtime, for no run that is over
     os.kill(children_of(run_dir)["mcap"], signal.SIGKILL)
-    command.read_until("recording was killed by SIGKILL; the run goes on without it")
+    command.read_until("mcap was killed by SIGKILL; the run goes on without it")
     status, output = command.finish()
     assert status == 1
-    assert "the recording is not whole: recording was killed by SIGKILL" in output
+    assert "the recording is not whole: mcap was killed by SIGKILL" in output
     assert "Traceback" not in output
     with sqlite3.connect(run_dir / "run.sqlite") as database:
         assert database.execute("SELECT count(*) FROM frames").fetchone() == (200,)
@@ -100,7 +100,7 @@ def test_a_tape_is_started_again_and_others_come_and_go(shell):
     command = shell.up(*options)
     command.read_until("vehicles")
     os.kill(children_of(run_dir)["mcap"], signal.SIGKILL)
-    command.read_until("recording was killed by SIGKILL; started again")
+    command.read_until("mcap was killed by SIGKILL; started again")
     to_the_end = shell.start("record", str(run_dir), "--no-truth")
     to_the_end.read_until("Ctrl-C ends it")
     until_told = shell.start("record", "--out=mine.mcap")  # the newest run
@@ -133,7 +133,7 @@ def test_a_tape_is_started_again_and_others_come_and_go(shell):
         (["record"], "no run goes on in runs/"),
         (["record", "nowhere"], "nowhere: no run goes on there"),
         (["record", "run", "--connect", "h:1"], "give a run folder or --connect, not both"),
-        (["up", "--only=sim,edge,recording"], "--only mcap: the scenario has record.mcap false"),
+        (["up", "--only=sim,edge,mcap"], "--only mcap: the scenario has record.mcap false"),
     ],
 )
 def test_what_cannot_be_taped_is_said(shell, words, said):
