@@ -5,11 +5,12 @@ from __future__ import annotations
 from random import Random
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge_server.config import FusionConfig
-from edge_server.fusion import fuse
+from edge_server.fusion import CERTAIN_STD_M, fuse, from_poses
 from perception.detector import Vehicles
 from protocol.messages import AgentPose, Equipment
 
@@ -104,3 +105,75 @@ def test_the_order_of_boxes_and_poses_is_no_matter(
     other = fuse(vehicles.take(chosen), agents[::-1], centre=CENTRE, config=FusionConfig())
     np.testing.assert_array_equal(one.boxes, other.boxes)
     assert one.sources == other.sources
+
+
+def uncertain(agent: str, x: float, y: float, std_m: float) -> AgentPose:
+    return pose(agent, x, y).model_copy(update={"position_std_m": std_m})
+
+
+def test_the_box_of_an_own_pose_has_its_centre_half_its_height_above_the_ground() -> None:
+    own = pose("a", 30, 2).model_copy(update={"pose": np.array([30, 2, 5.0, 0.1, 0.2, 0.3])})
+    found = from_poses([own])
+    assert found.boxes.tolist() == [[30, 2, 5.75, 4.5, 1.8, 1.5, 0.3]]
+    assert (found.scores.tolist(), found.sources) == ([1.0], ["a"])
+    assert found.position_std_m.tolist() == [0.05]
+
+
+def test_without_poses_there_are_no_boxes_and_their_numbers_are_floats() -> None:
+    found = from_poses([pose("rsu-0", 0, 0, Equipment.NONE)])
+    assert (found.boxes.shape, found.boxes.dtype) == ((0, 7), np.float64)
+    assert found.position_std_m.dtype == np.float64
+
+
+def test_the_distance_from_the_junction_counts_from_its_centre() -> None:
+    config, centre = FusionConfig(), np.array([100.0, 10.0, 0.0])
+    found = fuse(boxes((69, 10), (72, 10)), [], centre=centre, config=config)
+    assert places(found) == [(72, 10)]
+
+
+def test_equally_near_boxes_are_ordered_by_x_then_by_y() -> None:
+    ring = boxes((3, -40), (-40, 3), (40, 3), (-40, -3), (-3, 40))
+    found = fuse(ring, [], centre=CENTRE, config=FusionConfig())
+    assert places(found) == [(-40, -3), (-40, 3), (-3, 40), (3, -40), (40, 3)]
+
+
+@pytest.mark.parametrize("yaw", [0.5, -0.5])
+def test_along_is_the_direction_of_a_vehicle_that_stands_at_any_angle(yaw: float) -> None:
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    ahead = (30 + 4 * cos, 4 * sin)
+    beside = (30 - 3.5 * sin, 3.5 * cos)
+    ahead_only = fuse(boxes((30, 0), ahead, yaw=yaw), [], centre=CENTRE, config=FusionConfig())
+    assert places(ahead_only) == [(30, 0)]
+    both = fuse(boxes((30, 0), beside, yaw=yaw), [], centre=CENTRE, config=FusionConfig())
+    assert len(both) == 2
+
+
+@pytest.mark.parametrize("rule", ["oriented", "radius"])
+@pytest.mark.parametrize(("gap_m", "left"), [(4.49, 1), (4.5, 2), (5.0, 2)])
+def test_boxes_a_vehicles_length_apart_are_two(rule: str, gap_m: float, left: int) -> None:
+    config = FusionConfig.model_validate({"rule": rule, "duplicate_m": 4.5})
+    pair = boxes((16, 0), (16 + gap_m, 0))
+    assert len(fuse(pair, [], centre=CENTRE, config=config)) == left
+
+
+@pytest.mark.parametrize("rule", ["oriented", "radius"])
+@pytest.mark.parametrize(("gap_m", "left"), [(5.9, 0), (6.1, 1)])
+def test_an_uncertain_pose_claims_a_box_as_far_as_its_error_reaches(
+    rule: str, gap_m: float, left: int
+) -> None:
+    config = FusionConfig.model_validate({"rule": rule, "duplicate_m": 4.5})
+    own = [uncertain("a", 30, 0, 1.5)]
+    found = fuse(boxes((30 + gap_m, 0)), own, centre=CENTRE, config=config)
+    assert found.sources == ["a", *["lidar"] * left]
+
+
+def test_a_pose_at_the_limit_of_certainty_stands_for_every_box_near_it() -> None:
+    near = boxes((29, 0), (31, 0.5))
+    certain = [uncertain("a", 30, 0, CERTAIN_STD_M)]
+    assert fuse(near, certain, centre=CENTRE, config=FusionConfig()).sources == ["a"]
+
+
+def test_two_uncertain_poses_claim_a_box_each_the_nearest_pair_first() -> None:
+    own = [uncertain("a", 30, 0, 1.5), uncertain("b", 60, 0, 1.5)]
+    found = fuse(boxes((31, 0), (61, 0), (29.5, 1.9)), own, centre=CENTRE, config=FusionConfig())
+    assert places(found) == [(30, 0), (60, 0), (29.5, 1.9)]
