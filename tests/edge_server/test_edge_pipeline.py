@@ -233,3 +233,61 @@ def test_a_detector_divides_its_stage_and_one_that_does_not_is_one_span(road_map
 def test_what_no_stage_has_filled_in_is_an_error() -> None:
     with pytest.raises(AttributeError, match="cloud"):
         FrameState(frame_of_poses(0)).cloud  # noqa: B018
+
+
+def objects_of(agent: str, *x_m: float) -> AgentDetections:
+    rows = [(x, -1.75, 0.75, 4.5, 1.8, 1.5, 0.0) for x in x_m]
+    boxes = np.array(rows, np.float32).reshape(-1, 7)
+    objects = Objects(
+        frame=0, sim_time_ns=0, agent=agent, boxes=boxes, scores=np.full(len(x_m), 0.5, np.float32),
+        sense_start_ns=0, sense_end_ns=0, detect_end_ns=0,
+    )  # fmt: skip
+    return AgentDetections(objects, 0)
+
+
+def test_boxes_of_several_agents_are_all_counted(road_map: RoadMap) -> None:
+    sent = [objects_of("a", -50.0), objects_of("b", -30.0, 40.0)]
+    frame = Frame(0, 0, ["a", "b"], [], [], True, 0, 0, found=sent)
+    result = Pipeline.of(road_map, EdgeConfig(), seed=1).run(frame)
+    assert result.detections.boxes[:, 0].tolist() == [-30, 40, -50]
+    assert result.detections.scores.tolist() == [0.5] * 3
+    assert (result.counts.upstream["in_0"], result.counts.downstream["out_0"]) == (2, 1)
+
+
+def test_a_vehicle_on_the_first_lane_of_the_map_is_on_the_road(road_map: RoadMap) -> None:
+    assert road_map.lanes[0].id == "far_0"
+    frame = frame_of_poses(0, pose_of("a", -200, 0, 0))
+    result = Pipeline.of(road_map, EdgeConfig(), seed=1).run(frame)
+    assert result.detections.lanes == ["far_0"]
+
+
+def test_numbers_of_detections_are_sent_in_single_precision(road_map: RoadMap) -> None:
+    found = Pipeline.of(road_map, EdgeConfig(), seed=1).run(frame_of_poses(0)).detections
+    assert {found.boxes.dtype, found.scores.dtype, found.distances_m.dtype} == {np.dtype("f4")}
+
+
+def test_counts_carry_the_coverage_of_both_sides_and_the_frames_delay(road_map: RoadMap) -> None:
+    pose = pose_of("a", 0, 1.75, 0)
+    frame = Frame(0, 0, ["a"], [pose], [], True, 0, 0, found=[objects_of("a")])
+    config = EdgeConfig(coverage_range_m=500)
+    counts = Pipeline.of(road_map, config, seed=1).run(replace(frame, delay_sim_ns=30)).counts
+    assert counts.delay_sim_ns == 30
+    assert counts.coverage_upstream == {"in_0": 1, "in_1": 1, "side_0": 1}
+    assert counts.coverage_downstream == {"out_0": 1, "out_1": 1}
+
+
+def test_without_the_misbehaviour_check_it_is_no_stage(road_map: RoadMap) -> None:
+    config = EdgeConfig.model_validate({"misbehaviour": {"enabled": False}})
+    names = [stage.name for stage in stages_of(road_map, config, seed=1)]
+    assert names == ["decode", "place", "merge", "detect", "fuse", "count"]
+
+
+def test_the_paper_merge_places_a_whole_frame_and_the_exact_one_each_chunk(
+    road_map: RoadMap,
+) -> None:
+    exact, euler = (
+        stages_of(road_map, EdgeConfig.model_validate({"merge": merge}), seed=1)[1]
+        for merge in ("se3", "euler")
+    )
+    assert isinstance(exact, ChunkStage)
+    assert isinstance(euler, FrameStage)

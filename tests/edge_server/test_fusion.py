@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge_server.config import FusionConfig
-from edge_server.fusion import CERTAIN_STD_M, fuse, from_poses
+from edge_server.fusion import CERTAIN_STD_M, from_poses, fuse
 from perception.detector import Vehicles
 from protocol.messages import AgentPose, Equipment
 

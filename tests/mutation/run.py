@@ -42,26 +42,27 @@ PARTS = {
         ["tests/sim_host/test_cabinet.py", "tests/sim_host/test_hostile_requests.py"],
     ),
     "policies": Part(
-        ["signal_controller/policies.py", "signal_controller/queue_estimator.py"],
-        ["tests/signal_controller"],
+        ["signal_controller/policies.py"], ["tests/signal_controller/test_policies.py"]
     ),
-    "pipeline": Part(
-        ["edge_server/pipeline.py", "edge_server/placing.py"],
-        ["tests/edge_server/test_edge_pipeline.py", "tests/edge_server/test_placing.py"],
-    ),
-    "fusion": Part(["edge_server/fusion.py"], ["tests/edge_server/test_fusion.py"]),
-    "lanes": Part(
-        ["edge_server/lanes.py", "edge_server/stationary.py"],
+    "queues": Part(
+        ["signal_controller/queue_estimator.py"],
         [
-            "tests/edge_server/test_lane_counts.py",
-            "tests/edge_server/test_lane_coverage.py",
-            "tests/edge_server/test_stationary.py",
+            "tests/signal_controller/test_queue_estimator.py",
+            "tests/signal_controller/test_policies.py",
         ],
     ),
-    "rows": Part(
-        ["recording/rows.py"],
-        ["tests/recording/test_record_role.py", "tests/recording/test_latency_breakdown.py"],
+    "pipeline": Part(["edge_server/pipeline.py"], ["tests/edge_server/test_edge_pipeline.py"]),
+    "placing": Part(["edge_server/placing.py"], ["tests/edge_server/test_placing.py"]),
+    "fusion": Part(["edge_server/fusion.py"], ["tests/edge_server/test_fusion.py"]),
+    "lanes": Part(
+        ["edge_server/lanes.py"],
+        ["tests/edge_server/test_lane_counts.py", "tests/edge_server/test_lane_coverage.py"],
     ),
+    "stationary": Part(["edge_server/stationary.py"], ["tests/edge_server/test_stationary.py"]),
+    "misbehaviour": Part(
+        ["edge_server/misbehaviour.py"], ["tests/edge_server/test_misbehaviour.py"]
+    ),
+    "rows": Part(["recording/rows.py"], ["tests/recording/test_tables.py"]),
     "codec": Part(
         ["protocol/codec/forms.py"],
         ["tests/protocol/test_codec.py", "tests/protocol/test_codec_rings.py"],
@@ -125,7 +126,7 @@ def measure(part: Part) -> tuple[dict[str, Any], list[dict[str, str]]]:
     with TemporaryDirectory(prefix="cpnet-mutation-") as name:
         folder = Path(name)
         tree_with_config(part, folder)
-        done = mutmut(folder, "run")
+        done = mutmut(folder, "run", "--max-children", "2")
         scores, survivors = {}, list[dict[str, str]]()
         for source in part.sources:
             codes = outcomes(folder, source)
