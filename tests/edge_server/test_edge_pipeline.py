@@ -19,10 +19,12 @@ from edge_server.frame import (
     FrameStage,
     FrameState,
 )
-from edge_server.pipeline import Pipeline, stages_of
+from edge_server.pipeline import Merge, Pipeline, stages_of
 from perception.config import GroundConfig
 from perception.detector import Vehicles
-from protocol.messages import AgentPose, Equipment, Objects
+from perception.roadway import Placed
+from protocol.codec.payload import Form, Head
+from protocol.messages import AgentPose, Equipment, Objects, Scan
 from protocol.roadmap import RoadMap
 from tests.edge_server.made_frames import CARS, ROADSIDE, frame_of
 
@@ -291,3 +293,46 @@ def test_the_paper_merge_places_a_whole_frame_and_the_exact_one_each_chunk(
     )
     assert isinstance(exact, ChunkStage)
     assert isinstance(euler, FrameStage)
+
+
+def test_the_height_of_a_vehicle_is_no_motion(road_map: RoadMap) -> None:
+    pipeline = Pipeline.of(
+        road_map, EdgeConfig.model_validate({"misbehaviour": {"enabled": False}}), seed=1
+    )
+    for number in range(2):
+        place = np.array([-30, -1.75, 2.5 * number, 0, 0, 0])
+        lifted = pose_of("a", -30, -1.75, number).model_copy(update={"pose": place})
+        counts = pipeline.run(frame_of_poses(number, lifted)).counts
+    assert counts.stationary_upstream["in_0"] == 1
+
+
+def test_chunks_with_ground_and_without_are_merged_apart() -> None:
+    empty = np.zeros((0, 3), np.float32)
+    placed = [Placed(empty, empty[:, 0], empty) for _ in range(2)]
+    chunk = Chunk(0, 0, "a", 0, 1, np.zeros(6), empty, 0)
+    chunks = [
+        chunk,
+        replace(chunk, placed=placed[0], sensor_pose=np.arange(6.0)),
+        replace(chunk, placed=placed[1], ground_free=True),
+    ]
+    state = FrameState(Frame(0, 0, ["a"], [], chunks, True, 0, 0))
+    Merge().run(state)
+    assert (state.cloud.near, state.cloud.bare) == ([placed[0]], [placed[1]])
+    assert state.cloud.sensors.tolist() == [[0, 0, 0], [0, 1, 2], [0, 0, 0]]
+
+
+def test_a_scan_that_arrives_is_decoded_and_placed(road_map: RoadMap) -> None:
+    scan = Scan(
+        frame=3, sim_time_ns=4, agent="a", chunk=0, chunks=1, points=0, sensor_pose=np.zeros(6),
+        sense_start_ns=0, sense_end_ns=0, encode_end_ns=0,
+        payload=np.frombuffer(Head(Form.TREE, 0, 0.02).seal(), np.uint8),
+    )  # fmt: skip
+    chunk = Pipeline.of(road_map, EdgeConfig(), seed=1).open(scan, 99)
+    assert (chunk.frame, chunk.agent, chunk.received_ns, chunk.payload) == (3, "a", 99, None)
+    assert chunk.placed is not None
+    assert [span.stage for span in chunk.spans] == ["decode", "place"]
+
+
+def test_unless_said_otherwise_a_scenario_has_lidars(road_map: RoadMap) -> None:
+    state = Pipeline(stages_of(road_map, EdgeConfig(), seed=1)).run(frame_of_poses(0))
+    assert state.counts.coverage_upstream == {"in_0": 0.0, "in_1": 0.0, "side_0": 0.0}

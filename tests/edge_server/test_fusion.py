@@ -177,3 +177,15 @@ def test_two_uncertain_poses_claim_a_box_each_the_nearest_pair_first() -> None:
     own = [uncertain("a", 30, 0, 1.5), uncertain("b", 60, 0, 1.5)]
     found = fuse(boxes((31, 0), (61, 0), (29.5, 1.9)), own, centre=CENTRE, config=FusionConfig())
     assert places(found) == [(30, 0), (60, 0), (29.5, 1.9)]
+
+
+def test_a_pose_at_the_limit_of_certainty_has_no_slack() -> None:
+    own = [uncertain("a", 30, 0, CERTAIN_STD_M)]
+    found = fuse(boxes((34.7, 0)), own, centre=CENTRE, config=FusionConfig())
+    assert places(found) == [(30, 0), (34.7, 0)]
+
+
+@pytest.mark.parametrize(("across_m", "left"), [(1.99, 1), (2.0, 2)])
+def test_boxes_side_by_side_are_one_only_below_the_limit(across_m: float, left: int) -> None:
+    pair = boxes((16, 0), (16, across_m))
+    assert len(fuse(pair, [], centre=CENTRE, config=FusionConfig(across_m=2.0))) == left
