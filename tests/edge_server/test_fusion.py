@@ -144,6 +144,8 @@ def test_along_is_the_direction_of_a_vehicle_that_stands_at_any_angle(yaw: float
     beside = (30 - 3.5 * sin, 3.5 * cos)
     ahead_only = fuse(boxes((30, 0), ahead, yaw=yaw), [], centre=CENTRE, config=FusionConfig())
     assert places(ahead_only) == [(30, 0)]
+    farther = boxes((30, 0), (30 + 5 * cos, 5 * sin), yaw=yaw)
+    assert len(fuse(farther, [], centre=CENTRE, config=FusionConfig())) == 2
     both = fuse(boxes((30, 0), beside, yaw=yaw), [], centre=CENTRE, config=FusionConfig())
     assert len(both) == 2
 
@@ -175,8 +177,8 @@ def test_a_pose_at_the_limit_of_certainty_stands_for_every_box_near_it() -> None
 
 def test_two_uncertain_poses_claim_a_box_each_the_nearest_pair_first() -> None:
     own = [uncertain("a", 30, 0, 1.5), uncertain("b", 60, 0, 1.5)]
-    found = fuse(boxes((31, 0), (61, 0), (29.5, 1.9)), own, centre=CENTRE, config=FusionConfig())
-    assert places(found) == [(30, 0), (60, 0), (29.5, 1.9)]
+    found = fuse(boxes((31, 0), (61, 0), (30.5, 2.6)), own, centre=CENTRE, config=FusionConfig())
+    assert places(found) == [(30, 0), (60, 0), (30.5, 2.6)]
 
 
 def test_a_pose_at_the_limit_of_certainty_has_no_slack() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from edge_server.lanes import LaneIndex, LanePositions
 from protocol.roadmap import RoadMap
+from tests.roads import junction_road, lane, signal
 
 
 def locate(
@@ -74,3 +75,60 @@ def test_a_net_without_the_lanes_inside_the_junction_counts_too(road_map: RoadMa
     np.testing.assert_allclose(index.distances_m(place), [20, -40])
     before, behind = index.count(place, upstream_m=200.0, downstream_m=100.0)
     assert (before["in_0"], behind["out_0"]) == (1, 1)
+
+
+@pytest.mark.parametrize(("y", "name"), [(2.2, "far_0"), (2.3, "")])
+def test_a_vehicle_is_on_the_road_as_far_as_its_margin_beyond_the_edge(
+    road_map: RoadMap, y: float, name: str
+) -> None:
+    index = LaneIndex(road_map)
+    assert index.names(locate(index, (-200, y, 0), margin_m=0.5)) == [name]
+
+
+def test_a_vehicle_as_far_away_as_the_limit_counts_and_one_farther_does_not(
+    road_map: RoadMap,
+) -> None:
+    index = LaneIndex(road_map)
+    place = locate(index, (-110, -1.75, 0), (60, 1.75, 0))  # 100 m before, 70 m behind
+    before, behind = index.count(place, upstream_m=100.0, downstream_m=70.0)
+    assert (before["in_0"], behind["out_1"]) == (1, 1)
+    before, behind = index.count(place, upstream_m=99.9, downstream_m=69.9)
+    assert (before["in_0"], behind["out_1"]) == (0, 0)
+
+
+def test_every_vehicle_behind_the_stop_bar_counts(road_map: RoadMap) -> None:
+    index = LaneIndex(road_map)
+    place = locate(index, (30, 1.75, 0), (40, 1.75, 0), (50, 1.75, 0))
+    _, behind = index.count(place, upstream_m=200.0, downstream_m=100.0)
+    assert behind == {"out_0": 0, "out_1": 3}
+
+
+def test_distances_are_level_on_a_steep_road() -> None:
+    index = LaneIndex(junction_road(climb=0.75))
+    boxes = np.array([(-30, -1.75, -22.5, 4.5, 1.8, 1.5, 0), (60, 1.75, 45, 4.5, 1.8, 1.5, 0)])
+    place = index.locate(boxes, margin_m=np.full(2, 0.5))
+    np.testing.assert_allclose(index.distances_m(place), [20, -70])
+
+
+def test_lanes_inside_the_junction_lead_on_one_by_one_to_the_exit_of_their_link() -> None:
+    road = RoadMap(
+        name="two inner lanes in a row",
+        centre=(0, 0, 0),
+        lanes=[
+            lane("in", [(-100, 0, 0), (0, 0, 0)], ":a", ":x"),
+            lane(":a", [(0, 0, 0), (10, 0, 0)], ":b"),
+            lane(":b", [(10, 0, 0), (20, 0, 0)], "out"),
+            lane(":x", [(0, 0, 0), (0, 12, 0)], "side"),
+            lane("out", [(20, 0, 0), (120, 0, 0)]),
+            lane("side", [(0, 12, 0), (0, 112, 0)], "out"),
+        ],
+        signal=signal("j", ("in", "out"), ("in", "side")),
+        junction=[],
+    )
+    index = LaneIndex(road)
+    north = np.pi / 2
+    place = locate(index, (5, 0, 0), (15, 0, 0), (0, 8, north), (0, 50, north))
+    assert index.names(place) == [":a", ":b", ":x", "side"]
+    assert index.distances_m(place).tolist() == [-5, -15, -8, -50]
+    _, behind = index.count(place, upstream_m=200.0, downstream_m=100.0)
+    assert behind == {"out": 2, "side": 2}

@@ -41,3 +41,19 @@ def test_more_trust_never_sees_less(sight):
     found = [sight.shares(np.array([[-30.0, 5.0]]), m)[0]["in"] for m in (1, 10, 30, 60, 200)]
     assert found == sorted(found)
     assert found[-1] == 1.0
+
+
+def test_the_share_is_that_of_places_every_4_m_whose_distance_is_within_range(sight):
+    upstream, _ = sight.shares(np.array([[-53.0, 30.0]]), 50.0)  # as far as 40 m along the lane
+    assert upstream == {"in": 0.84}  # 21 of 25, both ends included
+    _, downstream = sight.shares(np.array([[45.0, -30.0]]), 50.0)
+    assert downstream == {"out": 0.8}  # 20 of 25
+
+
+def test_shares_have_three_digits_and_a_lane_without_a_place_has_none():
+    road = straight_road()
+    lanes = LaneIndex(road)
+    short = LaneCoverage(road, lanes, upstream_m=12, downstream_m=100)
+    assert short.shares(np.array([[-9.0, 0.0]]), 1.0)[0] == {"in": 0.333}
+    none = LaneCoverage(road, lanes, upstream_m=0.5, downstream_m=100)
+    assert none.shares(np.array([[0.0, 0.0]]), 200.0) == ({}, {"out": 1.0})
