@@ -1,7 +1,7 @@
 """Mutation testing: which changes of the code the tests of its package do not notice.
 
 `scripts/mutate [PART ...]` mutates the sources of each part by mutmut, in a copy of the tree, runs
-the tests of that part against every mutant, and writes the scores to docs/figures/mutation.json.
+the tests of that part against every mutant, and writes the scores to scores.json beside this file.
 A surviving mutant needs a reason in survivors.yaml beside this file; new ones are added without
 one. mutmut leaves functions under a decorator alone, compiled ones among them.
 """
@@ -22,7 +22,7 @@ import yaml
 
 ROOT = Path(__file__).parents[2]
 SURVIVORS = Path(__file__).with_name("survivors.yaml")
-SCORES = ROOT / "docs" / "figures" / "mutation.json"
+SCORES = Path(__file__).with_name("scores.json")
 REQUIRED_SCORE = 0.85
 KILLED = {1, 3, 24, 36, 152, -24, 255}  # mutmut's exit codes: a test failed, was too slow, or died
 UNTESTED = 33
