@@ -28,7 +28,9 @@ def configure(process: str, style: LogStyle) -> None:
     """
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_json(process) if style is LogStyle.JSON else _text(process))
-    logging.basicConfig(level=logging.INFO, handlers=[handler])
+    logging.basicConfig(
+        level=logging.INFO, handlers=[handler], force=True
+    )  # whoever forked it logged
     if style is LogStyle.JSON:
         logging.captureWarnings(capture=True)
         sys.excepthook = _log_end

@@ -47,8 +47,8 @@ class Health:
         self._streak.clear()
         self._counted.clear()
 
-    def subscribe(self, item: Envelope | Presence, now_ns: int) -> None:
-        """Takes what a bus said; monotonic ns."""
+    def take(self, item: Envelope | Presence, now_ns: int) -> None:
+        """Takes a message or presence of a bus, received at `now_ns` (monotonic)."""
         if isinstance(item, Presence):
             self._note_presence(item)
             return
@@ -138,7 +138,7 @@ class Observer:
         for item in self._observer.listen(seconds):
             if isinstance(item, Envelope) and isinstance(item.message, SignalRequest):
                 self.asked.add(item.message.frame)
-            self.health.subscribe(item, time.monotonic_ns())
+            self.health.take(item, time.monotonic_ns())
             if until():
                 return True
         return until()

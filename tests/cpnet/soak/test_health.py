@@ -26,10 +26,10 @@ class Loop:
 
     def presence(self, process: str, *, alive: bool) -> None:
         for bus in BusName:
-            self.health.hear(Presence("role", process, alive, bus), 0)
+            self.health.take(Presence("role", process, alive, bus), 0)
 
     def say(self, topic: str, message: m.Message) -> None:
-        self.health.hear(Envelope(topic, {}, message, 0, b""), self.frame)
+        self.health.take(Envelope(topic, {}, message, 0, b""), self.frame)
 
     def play(self, agents: list[str], cavs: list[str], *, complete: bool = True) -> None:
         kinds, hosts = np.ones(len(cavs), np.uint8), np.zeros(len(cavs), np.int32)
