@@ -10,15 +10,19 @@ again, so that an interrupted call goes on where it was.
 from __future__ import annotations
 
 import argparse
+import ast
 import hashlib
+import io
 import json
 import os
 import re
 import subprocess
 import sys
 import time
+import tokenize
 from collections.abc import Iterator
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +37,29 @@ Record = dict[str, Any]
 
 
 def digest(figure: Figure) -> str:
-    """Returns a hash of all files that the figure measures."""
+    """Returns a hash of all files that the figure measures; of Python, of what is executed."""
     found = hashlib.sha256()
     for path in _sources(figure):
         found.update(f"{path.relative_to(ROOT)}\0".encode())
-        found.update(path.read_bytes())
+        found.update(
+            executed(path.read_text("utf-8")) if path.suffix == ".py" else path.read_bytes()
+        )
     return found.hexdigest()[:16]
+
+
+@cache
+def executed(source: str) -> bytes:
+    """Returns Python code without comments, docstrings and empty lines."""
+    lines = source.splitlines()
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            row, column = token.start
+            lines[row - 1] = lines[row - 1][:column]
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            first, last = node.lineno - 1, node.end_lineno or node.lineno
+            lines[first:last] = [""] * (last - first)
+    return "\n".join(line.rstrip() for line in lines if line.strip()).encode()
 
 
 def _sources(figure: Figure) -> Iterator[Path]:

@@ -112,3 +112,20 @@ def test_a_measurement_keeps_commit_machine_command_and_data(make, monkeypatch, 
     assert (record["commit"], record["command"]) == ("c0ffee", "echo '[1, 2]'")
     assert record["machine"]["cores"] >= 1
     assert make.is_fresh(figure)
+
+
+def test_a_figure_does_not_age_by_comments_and_docstrings(make) -> None:
+    code = b'def speed(way_m):\n    label = "# no comment"\n    return way_m, label'
+    documented = '''"""A module."""
+
+def speed(way_m):  # a function
+    """Returns a speed.
+
+    In metres a second.
+    """
+
+    label = "# no comment"
+    return way_m, label
+'''
+    assert make.executed(documented) == make.executed(code.decode()) == code
+    assert make.executed(documented.replace("way_m, label", "way_m")) != code
