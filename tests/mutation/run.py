@@ -141,11 +141,16 @@ def measure(part: Part) -> tuple[dict[str, Any], list[dict[str, str]]]:
     return scores, survivors
 
 
+def _of(survivor: dict[str, str], modules: set[str]) -> bool:
+    """Returns whether a survivor is of one of the modules, whose names end in a dot."""
+    return survivor["function"].startswith(tuple(modules))
+
+
 def with_reasons(found: list[dict[str, str]], modules: set[str]) -> list[dict[str, str]]:
     """Returns all survivors: other modules' as listed, the found ones with their reasons."""
     listed = yaml.safe_load(SURVIVORS.read_text()) if SURVIVORS.is_file() else None
     known = {(s["function"], s["change"]): s["reason"] for s in listed or []}
-    others = [s for s in listed or [] if not any(s["function"].startswith(m) for m in modules)]
+    others = [s for s in listed or [] if not _of(s, modules)]
     mine = [s | {"reason": known.get((s["function"], s["change"]), "")} for s in found]
     return sorted(others + mine, key=lambda s: (s["function"], s["change"]))
 
@@ -163,7 +168,7 @@ def main() -> None:
         modules = {source.removesuffix(".py").replace("/", ".") + "." for source in scores}
         every = with_reasons(survivors, modules)
         SURVIVORS.write_text(yaml.safe_dump(every, sort_keys=False, allow_unicode=True))
-        silent += [s["function"] for s in every if not s["reason"]]
+        silent += [s["function"] for s in every if not s["reason"] and _of(s, modules)]
         for source, score in scores.items():
             table[source] = score
             share = score["killed"] / max(score["mutants"], 1)
