@@ -39,7 +39,12 @@ class Part:
 PARTS = {
     "cabinet": Part(
         ["sim_host/cabinet.py"],
-        ["tests/sim_host/test_cabinet.py", "tests/sim_host/test_hostile_requests.py"],
+        [
+            "tests/sim_host/test_cabinet.py",
+            "tests/sim_host/test_pending.py",
+            "tests/sim_host/test_actuated.py",
+            "tests/sim_host/test_hostile_requests.py",
+        ],
     ),
     "policies": Part(
         ["signal_controller/policies.py"], ["tests/signal_controller/test_policies.py"]
@@ -83,7 +88,7 @@ def tree_with_config(part: Part, folder: Path) -> None:
         "source_paths": packages,
         "only_mutate": part.sources,
         "also_copy": others,
-        "pytest_add_cli_args": ["-p", "no:xdist", "-p", "no:cacheprovider"],
+        "pytest_add_cli_args": ["-p", "no:xdist", "-p", "no:cacheprovider", "-m", "not slow"],
         "pytest_add_cli_args_test_selection": part.tests,
     }
     lines = [f"{key} = {json.dumps(value)}" for key, value in section.items()]

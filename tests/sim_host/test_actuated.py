@@ -25,6 +25,11 @@ def test_between_greens_lie_yellow_and_all_red_with_the_cabinets_times():
     ]  # fmt: skip
 
 
+def test_a_link_that_only_loses_its_right_of_way_stays_green_between():
+    found = [i.state for i in programme(signal("Ggr", "grG"), CabinetConfig())]
+    assert found == ["Ggr", "Gyr", "Grr", "grG", "gry", "grr"]
+
+
 def test_no_interval_lasts_no_time():
     assert len(programme(signal("Gr", "rG"), CabinetConfig(all_red_s=0))) == 4
 
@@ -53,3 +58,10 @@ def test_it_tells_what_sumo_shows_and_what_a_change_leads_to():
         ("Gr", "green", "Gr"), ("yr", "yellow", "rG"), ("rr", "all_red", "rG"),
         ("rG", "green", "rG"), ("ry", "yellow", "Gr"),
     ]  # fmt: skip
+
+
+def test_before_the_first_green_it_tells_the_plans_second():
+    cabinet = ActuatedCabinet(signal("Grr", "rGr", "rrG"), lambda: "rrr")
+    spat = cabinet.spat(1, 2)
+    assert (spat.stage, spat.green) == ("all_red", "rGr")
+    assert cabinet.refusals == {}

@@ -57,6 +57,36 @@ def test_a_green_lasts_its_minimum() -> None:
     assert [tenth for tenth, state in shown.items() if state == "Gr"] == list(range(10, 60))
 
 
+def test_it_starts_with_red_for_all() -> None:
+    cabinet = SignalCabinet(TWO, CONFIG)
+    start = cabinet.spat(0, 5 * S)
+    assert (start.state, start.stage, start.earliest_change_ns) == ("rr", "all_red", 6 * S)
+    assert cabinet.advance(5 * S) == "rr"
+    assert cabinet.advance(6 * S) == "Gr"
+
+
+def test_without_a_minimum_a_green_may_end_at_the_next_moment() -> None:
+    cabinet = SignalCabinet(TWO, CabinetConfig(min_green_s=0))
+    assert [cabinet.advance(now_ns) for now_ns in (0, S)] == ["rr", "Gr"]
+    assert cabinet.request(wanted("rG", S), S) is None
+    assert [cabinet.advance(now_ns) for now_ns in (S, S + 1)] == ["Gr", "yr"]
+
+
+def test_a_change_that_stops_nobody_is_made_at_once() -> None:
+    cabinet = green_cabinet(
+        Signal(tls="J", links=[], conflicts=[(0, 1)], plan=plan("Gr", "gG")), "Gr"
+    )
+    assert cabinet.request(wanted("gG", 10 * S + 1), 10 * S + 1) is None
+    assert cabinet.advance(10 * S + 1) == "gG"
+    assert cabinet.spat(0, 10 * S + 1).stage == "green"
+
+
+def test_the_plan_changes_at_its_own_times() -> None:
+    cabinet = SignalCabinet(TWO, CONFIG)
+    shown = {now_ns: cabinet.advance(now_ns) for now_ns in (0, S, 20 * S - 1, 20 * S)}
+    assert list(shown.values()) == ["rr", "Gr", "Gr", "yr"]
+
+
 def test_links_green_before_and_after_keep_their_green() -> None:
     cabinet = green_cabinet(YIELD, "Ggr")
     cabinet.request(wanted("rGr", 10 * S + 1), 10 * S + 1)
@@ -71,6 +101,7 @@ def test_links_green_before_and_after_keep_their_green() -> None:
         (wanted("Gr", 9 * S, tls="K"), "wrong_tls"),
         (wanted("Grr", 9 * S), "wrong_length"),
         (wanted("Gy", 9 * S), "bad_alphabet"),
+        (wanted("GX", 9 * S), "bad_alphabet"),
         (wanted("rr", 9 * S), "no_green"),
         (wanted("Gr", 11 * S), "from_the_future"),
         (wanted("Gr", 6 * S), "stale"),
@@ -93,12 +124,28 @@ def test_a_replayed_request_is_refused() -> None:
     assert cabinet.request(wanted("rG", 8 * S), 10 * S) == "replayed"
 
 
+def test_a_request_is_not_stale_until_its_time_is_over() -> None:
+    stale_ns = round(CONFIG.stale_after_s * S)
+    cabinet = SignalCabinet(TWO, CONFIG)
+    for now_ns in range(0, 10 * S, S):
+        cabinet.advance(now_ns)
+    assert cabinet.request(wanted("rG", 10 * S), 10 * S + stale_ns) is None
+    cabinet.advance(10 * S + stale_ns)
+    assert cabinet.spat(0, 10 * S + stale_ns).green == "rG"
+
+
 @pytest.mark.parametrize(
     ("state", "fits"), [("Ggr", True), ("ggr", True), ("gGr", False), ("GGr", False)]
 )
 def test_a_yielding_green_is_taken_only_as_the_plan_shows_it(state: str, fits: bool) -> None:
     refused = SignalCabinet(YIELD, CONFIG).request(wanted(state, 0), 0)
     assert refused == (None if fits else "conflict")
+
+
+@pytest.mark.parametrize("state", ["Ggrr", "ggrr", "rrgG", "rrgg"])
+def test_each_yielding_green_of_a_plan_may_be_asked_for(state: str) -> None:
+    signal = Signal(tls="J", links=[], conflicts=[(0, 1), (2, 3)], plan=plan("Ggrr", "rrgG"))
+    assert SignalCabinet(signal, CONFIG).request(wanted(state, 0), 0) is None
 
 
 def test_a_plan_with_two_conflicting_rights_of_way_is_a_configuration_error() -> None:

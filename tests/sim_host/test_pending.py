@@ -57,6 +57,25 @@ def test_what_waits_is_overtaken_by_a_newer_one_that_acts():
     assert take(pending, 1000) is None
 
 
+def test_one_of_the_same_time_that_is_due_later_is_overtaken_too():
+    pending = PendingRequests()
+    add(pending, 20, 500)
+    add(pending, 20)
+    assert take(pending, 20) == 20
+    assert pending.overtaken == 1
+    assert take(pending, 1000) is None
+
+
+def test_a_request_keeps_the_envelope_it_came_in():
+    pending = PendingRequests()
+    request = SignalRequest(frame=0, sim_time_ns=10, tls="J", state="G", policy="test")
+    envelope = Envelope("request", {}, request, 0, b"")
+    pending.add(envelope, request)
+    taken = pending.take(10, lambda _: True)
+    assert taken is not None
+    assert taken.envelope is envelope
+
+
 def test_one_that_is_refused_neither_acts_nor_overtakes():
     pending = PendingRequests()
     add(pending, 10)
