@@ -169,8 +169,6 @@ def _pack_planes(range_m: Floats32, max_error_m: float, step_m: float) -> tuple[
 
 def _pack_deltas(cloud: PointCloud, points: Floats, room: float, intensity: bool) -> bytes:
     step_m = cell_edge_m(room)
-    if len(points) and float(np.abs(points).max()) >= (2**30 - 1) * step_m:
-        raise CodecError(f"a coordinate takes more than 2^30 steps of {step_m} m")
     raw = planes.pack_points(np.round(points / step_m).astype(np.int32))
     head = Head(Form.DELTAS, len(points), step_m, with_intensity=intensity)
     return head.seal(compress(raw), *pack_intensity(cloud.intensity, intensity))

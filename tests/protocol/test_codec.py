@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import zstandard
@@ -6,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from protocol.codec import decode, encode_cloud, encode_scan
-from protocol.codec.payload import PREFIX, Form, Head
+from protocol.codec.payload import PREFIX, Form, Head, read_payload
 from protocol.errors import CodecError
 from protocol.scans import PointCloud, RangeScan, ScanPattern
 
@@ -278,3 +280,59 @@ def test_a_pattern_without_beams_is_refused():
         ScanPattern(0, 1800, 2, -24.9)
     with pytest.raises(CodecError, match="field of view"):
         ScanPattern(64, 1800, -30, 10)
+
+
+@pytest.mark.parametrize("bound_m", [0.0001, 10.0])
+def test_the_least_and_the_largest_bound_are_allowed(bound_m):
+    scan = scan_of(np.full((4, 16), 20.0, np.float32))
+    assert len(decode(encode_scan(scan, bound_m)).points) == 64
+
+
+@pytest.mark.parametrize("profile", OWN)
+def test_intensity_is_sent_only_if_asked_for(profile):
+    scan = scan_of(np.ones((4, 16), np.float32))
+    assert decode(encode_scan(scan, 0.02, profile=profile)).intensity.max() == 0
+    assert decode(encode_cloud(scan.cloud(), 0.02, profile=profile)).intensity.max() == 0
+
+
+@pytest.mark.parametrize("profile", OWN)
+def test_ranges_of_double_precision_become_the_same_bytes(profile):
+    single = street().range_m
+    double = RangeScan(street().pattern, single.astype(np.float64), street().intensity)
+    assert encode_scan(double, 0.02, profile=profile) == encode_scan(
+        street(), 0.02, profile=profile
+    )
+
+
+def test_a_payload_may_be_an_array_of_bytes():
+    payload = encode_scan(street(), 0.02)
+    back = decode(np.frombuffer(payload, np.uint8))
+    assert np.array_equal(back.points, decode(payload).points)
+
+
+def test_a_cloud_has_at_most_as_many_points_as_the_limit(monkeypatch):
+    monkeypatch.setattr("protocol.codec.forms.MAX_POINTS", 5)
+    assert len(decode(encode_cloud(cloud_of(np.ones((5, 3), np.float32)), 0.02)).points) == 5
+    with pytest.raises(CodecError, match="cloud has 6 points, limit 5"):
+        encode_cloud(cloud_of(np.ones((6, 3), np.float32)), 0.02)
+
+
+def test_the_limit_of_a_cloud_is_that_of_its_farthest_corner():
+    corner = cloud_of(np.full((3, 3), 150, np.float32))
+    with pytest.raises(CodecError, match=r"coordinate 259\.8 m at .* float32 ends at 209\.7 m"):
+        encode_cloud(corner, 0.0001)
+
+
+def test_float32_may_take_half_of_the_bound_and_no_more():
+    scan = scan_of(np.full((4, 16), 209, np.float32))
+    assert len(decode(encode_scan(scan, 0.0001)).points) == 64
+    with pytest.raises(CodecError, match="range 211.0 m at"):
+        encode_scan(scan_of(np.full((4, 16), 211, np.float32)), 0.0001)
+
+
+@pytest.mark.parametrize("points", [0, 63])
+def test_a_scan_that_holds_another_number_of_points_than_it_claims_is_refused(points):
+    payload = encode_scan(scan_of(np.ones((4, 16), np.float32)), 0.02, profile="fast")
+    head, reader = read_payload(payload)
+    with pytest.raises(CodecError, match=f"claims {points} points, holds 64"):
+        decode(replace(head, points=points).seal(reader.section()))

@@ -94,3 +94,21 @@ def test_a_ring_image_of_a_pattern_holds_every_return():
     image = find_rings(points, 0.01)
     assert image is not None
     assert (image.range_m > 0).sum() == len(points)
+
+
+def test_points_beside_their_beams_stay_within_the_bound():
+    rng = np.random.default_rng(5)
+    points = ringed(columns=1200, loss=0.05).astype(np.float64)
+    across = np.cross(points, [0, 0, 1])
+    across *= (
+        rng.uniform(0.012, 0.014, len(points))[:, None] / np.linalg.norm(across, axis=1)[:, None]
+    )
+    moved = (points + across).astype(np.float32)
+    payload = encode_cloud(PointCloud(moved, np.zeros(len(moved), np.float32)), 0.02)
+    assert payload[4] == Form.RINGS
+    worst_m = 0.0
+    for start in range(0, len(moved), 250):
+        names = np.arange(start, min(start + 250, len(moved)))[:250]
+        back = named(moved, 0.02, names)
+        worst_m = max(worst_m, np.linalg.norm(back.astype(float) - moved[names], axis=1).max())
+    assert worst_m <= 0.02
