@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cpnet.cli_options import AsJson, Override, assigned, show, show_measured
+from cpnet.cli_options import AsJson, show, show_measured
 from perception.config import DETECTORS
 from studies.bench import FRAME_PERIOD_S, LINK_CHOICES, POLICY_CHOICES, WARM_UP_FRAMES
 
@@ -110,32 +110,3 @@ def bench_edge_command(
 
     bench = EdgeBench(detectors_of(detectors), numbers_of(agents), frames)
     show_measured(measure_edge(bench), bench.rows, print_edge, as_json=as_json)
-
-
-@bench_app.command("misbehaviour")
-def bench_misbehaviour_command(
-    *,
-    cav_rates: Annotated[
-        list[float] | None, typer.Option(help="share of CAVs; may be given several times")
-    ] = None,
-    seconds: Annotated[float, typer.Option(min=15, max=600, help="of each run")] = 40,
-    seed: Annotated[int, typer.Option(min=0, help="of the traffic")] = 1,
-    overrides: Override = None,
-    as_json: AsJson = False,
-) -> None:
-    """Measure how soon the edge detects an agent that errs or lies, and its false alarms."""
-    from cpnet.scenario import load
-    from studies.bench_misbehaviour import measure_misbehaviour, print_misbehaviour
-
-    scenarios = []
-    for rate in cav_rates or [0.05, 0.3]:
-        keys = assigned(overrides) | {
-            "seed": seed,
-            "mode": "lockstep",
-            "duration_s": seconds,
-            "traffic.cav_rate": rate,
-        }
-        scenario = load("t_junction", keys)
-        keys["record.snapshot_period_s"] = scenario.frame_period_s
-        scenarios.append(load("t_junction", keys).model_dump(mode="json"))
-    show_measured(measure_misbehaviour(scenarios), None, print_misbehaviour, as_json=as_json)

@@ -337,8 +337,8 @@ _LIST = (
     ),
     Figure(
         "misbehaviour",
-        "cpnet bench misbehaviour --seconds 30 --set traffic.cv_rate=0.05 --json",
-        (*AGENTS, *PERCEPTION, "studies/bench_misbehaviour.py", "studies/attacks.py"),
+        "$ROOT/scripts/misbehaviour --seconds 30 --set traffic.cv_rate=0.05 --json",
+        (*AGENTS, *PERCEPTION, "tests/misbehaviour"),
         10,
         (Part("all", "docs/reliability.md", _misbehaviour),),
     ),

@@ -1,4 +1,4 @@
-"""`cpnet bench misbehaviour` on a short run."""
+"""The bench of misbehaviour detection (`scripts/misbehaviour`) on a short run."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import pytest
 from rich.console import Console
 
 from cpnet import scenario as scenarios
-from studies.attacks import GHOST, Displaced, Emptied, GhostReport, Peopled, Replayed
-from studies.bench_misbehaviour import HONEST, RecordedRun, attacks_on, print_misbehaviour
 from studies.in_process import run_in_process
+from tests.misbehaviour.attacks import GHOST, Displaced, Emptied, GhostReport, Peopled, Replayed
+from tests.misbehaviour.bench import HONEST, RecordedRun, attacks_on, print_misbehaviour
 
 pytestmark = pytest.mark.slow
 

@@ -1,4 +1,4 @@
-"""Bench of misbehaviour detection: attacks detected, time until then, false alarms; and its table.
+"""`scripts/misbehaviour`: attacks detected, time until then, false alarms; and its table.
 
 Honest runs are recorded once, scan by scan; then one agent after the other is made to send false
 data, all others staying as they were.
@@ -10,22 +10,29 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
+from cpnet.cli_options import AsJson, Override, assigned, errors, show_measured
+from cpnet.scenario import load
 from edge_server.config import EdgeConfig
 from edge_server.frame import Chunk, Frame, FrameState
 from edge_server.misbehaviour import Check
 from edge_server.placing import Place
 from edge_server.scenario import mounts_of
 from perception.roadway import Roadway
+from protocol.errors import CpnetError
 from protocol.roadmap import RoadMap
 from recording.run import Run
-from studies.attacks import (
+from studies.bench import print_whole
+from studies.in_process import run_in_process
+from tests.misbehaviour.attacks import (
     GHOST,
     Attack,
     Displaced,
@@ -34,9 +41,7 @@ from studies.attacks import (
     Peopled,
     Replayed,
 )
-from studies.bench import print_whole
-from studies.in_process import run_in_process
-from studies.playback import frames_of
+from tests.misbehaviour.playback import frames_of
 
 HONEST = "none"
 WINDOW_S = 6.0  # of an attack
@@ -232,3 +237,35 @@ def print_misbehaviour(rows: list[MisbehaviourRow], console: Console) -> None:
         "detected: excluded within 6 s, after so long (median); others: honest agents, summed",
         style="dim",
     )
+
+
+def main(
+    *,
+    cav_rates: Annotated[
+        list[float] | None, typer.Option(help="share of CAVs; may be given several times")
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=15, max=600, help="of each run")] = 40,
+    seed: Annotated[int, typer.Option(min=0, help="of the traffic")] = 1,
+    overrides: Override = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure how soon the edge detects an agent that errs or lies, and its false alarms."""
+    try:
+        scenarios = []
+        for rate in cav_rates or [0.05, 0.3]:
+            keys = assigned(overrides) | {
+                "seed": seed,
+                "mode": "lockstep",
+                "duration_s": seconds,
+                "traffic.cav_rate": rate,
+            }
+            keys["record.snapshot_period_s"] = load("t_junction", keys).frame_period_s
+            scenarios.append(load("t_junction", keys).model_dump(mode="json"))
+        show_measured(measure_misbehaviour(scenarios), None, print_misbehaviour, as_json=as_json)
+    except CpnetError as error:
+        errors.print(f"[bold red]error[/] {escape(str(error))}", soft_wrap=True)
+        raise typer.Exit(2) from None
+
+
+if __name__ == "__main__":
+    typer.run(main)
