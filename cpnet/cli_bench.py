@@ -31,9 +31,8 @@ def bench_codec_command(
     as_json: AsJson = False,
 ) -> None:
     """Measure the scan codec beside Draco and zstd at equal maximum error."""
-    from protocol.codec.draco import load_draco
     from sensing.point_files import point_files
-    from studies.bench_codec import BenchCloud, bench, cast_scans, print_bench
+    from studies.bench_codec import BenchCloud, bench, cast_scans, load_draco, print_bench
 
     files = [BenchCloud.of_file(path) for path in point_files(points or [])]
     load_draco()

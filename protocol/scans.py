@@ -17,13 +17,11 @@ class Profile(StrEnum):
     """How much time a scan may take to become small. Every profile keeps the same bound.
 
     FAST: differences and zstd, the least time. DEFAULT: a model of the scene and an entropy coder,
-    a third to a half of those bytes. DRACO: for comparison; unordered, and only where DracoPy is
-    installed.
+    a third to a half of those bytes.
     """
 
     FAST = "fast"
     DEFAULT = "default"
-    DRACO = "draco"
 
 
 def profile_named(name: str) -> Profile:

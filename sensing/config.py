@@ -163,8 +163,7 @@ class UploadConfig(Section):
     profile: Profile = Field(
         Profile.DEFAULT,
         description="How much time a scan may take to become small; the bound holds in every "
-        "profile. fast: zstd; default: fewest bytes; draco: for comparison, needs the extra "
-        "`reference`.",
+        "profile. fast: zstd; default: fewest bytes.",
     )
     intensity: bool = Field(False, description="Whether intensities are sent, a byte a ray.")
     policy: PolicyName = Field(

@@ -8,11 +8,13 @@ codecs take turns, so that a busy machine is so for all.
 from __future__ import annotations
 
 import math
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -23,7 +25,6 @@ from rich.console import Console
 from rich.table import Table
 
 from protocol.codec import decode, encode_cloud, encode_scan
-from protocol.codec.draco import LEVEL, load_draco
 from protocol.codec.forms import MIN_BOUND_M
 from protocol.errors import CodecError, ConfigError
 from protocol.geometry import SE3
@@ -94,6 +95,7 @@ def loss_entropy_bits(distance_m: Floats32, config: LidarConfig) -> float:
 
 
 DRACO_BITS = (10, 11, 12, 14)
+_LEVEL = 10
 FLOOR_BOUND_M = 0.01
 OWN = (Profile.FAST, Profile.DEFAULT)
 _RUNS = 9
@@ -195,6 +197,23 @@ def bench(cloud: BenchCloud, runs: int = _RUNS) -> list[BenchRow]:
     return [_row(cloud, trial, *took) for trial, took in zip(trials, medians, strict=True)]
 
 
+def load_draco() -> ModuleType:
+    """Imports DracoPy.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        import DracoPy
+    except ModuleNotFoundError:
+        raise ConfigError(
+            "Draco needs DracoPy, which is not installed (extra `reference`): "
+            f"{sys.executable} -m pip install DracoPy"
+        ) from None
+    module: ModuleType = DracoPy
+    return module
+
+
 def bound_beside(points: Floats32, bits: int) -> float:
     """Returns the bound for a comparison with Draco: its error, or the least that we know."""
     return max(draco_error_m(points, bits), MIN_BOUND_M)
@@ -207,7 +226,7 @@ def draco_error_m(points: Floats32, bits: int) -> float:
     against what Draco returns.
     """
     draco = load_draco()
-    packed = draco.encode(points, quantization_bits=bits, compression_level=LEVEL)
+    packed = draco.encode(points, quantization_bits=bits, compression_level=_LEVEL)
     found = np.asarray(draco.decode(packed).points, np.float32)
     low = points.min(axis=0)
     extent = np.float32((points.max(axis=0) - low).max() or 1)  # as Draco takes a single place
@@ -270,7 +289,7 @@ def _plain(cloud: BenchCloud) -> _Trial:
 
 def _draco(draco: Any, cloud: BenchCloud, bits: int, bound_m: float) -> _Trial:  # noqa: ANN401 - DracoPy is untyped
     def encode() -> bytes:
-        packed: bytes = draco.encode(cloud.points, quantization_bits=bits, compression_level=LEVEL)
+        packed: bytes = draco.encode(cloud.points, quantization_bits=bits, compression_level=_LEVEL)
         return packed
 
     def unpack(packed: bytes) -> npt.NDArray[Any]:

@@ -13,7 +13,6 @@ The decoder checks what a payload claims before it allocates; a damaged one rais
 `rings`             range images of unordered clouds of one spinning LiDAR
 `octree`            all other clouds
 `symbols`, `rans`   tables of shares and streams of symbols; tokens and the entropy coder
-`draco`             Draco's kd-tree, for comparison
 """
 
 from protocol.codec.forms import decode, encode_cloud, encode_scan

@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from protocol.codec import planes
-from protocol.codec.draco import bits_for, pack_draco, unpack_draco
 from protocol.codec.image_sections import Window, image_step_m, pack_image, unpack_image
 from protocol.codec.octree import cell_edge_m, pack_tree, unpack_tree
 from protocol.codec.payload import (
@@ -92,8 +91,6 @@ def encode_scan(
     if not (np.isfinite(farthest_m) and float(scan.range_m.min()) >= 0):
         raise CodecError("a range is negative or not finite")
     room = room_m(max_error_m, farthest_m, "range")
-    if chosen is Profile.DRACO:
-        return _pack_draco(scan.cloud(), room, intensity)
     range_m = np.ascontiguousarray(scan.range_m, np.float32)
     if chosen is Profile.FAST:
         form, step_m = Form.PLANES, 2.0 * room
@@ -120,7 +117,7 @@ def encode_cloud(
 ) -> bytes:
     """Encodes an unordered cloud; every point moves by at most `max_error_m`.
 
-    Profile `fast` keeps the order of the points; the others do not. A cloud of one spinning LiDAR
+    Profile `fast` keeps the order of the points; `default` does not. A cloud of one spinning LiDAR
     becomes a range image of the rings that are found in it, any other an octree.
 
     Args:
@@ -141,8 +138,6 @@ def encode_cloud(
     if not np.isfinite(farthest_m):
         raise CodecError("a coordinate is not finite")
     room = room_m(max_error_m, farthest_m * 3**0.5, "coordinate")
-    if chosen is Profile.DRACO:
-        return _pack_draco(cloud, room, intensity)
     if chosen is Profile.FAST:
         return _pack_deltas(cloud, points, room, intensity)
     image = find_rings(points, room)
@@ -198,13 +193,6 @@ def _pack_rings(
     )
 
 
-def _pack_draco(cloud: PointCloud, room: float, intensity: bool) -> bytes:
-    if intensity:
-        raise CodecError("profile draco sends geometry only")
-    packed, points = pack_draco(cloud.points, bits_for(cloud.points, room))
-    return Head(Form.DRACO, points, 2 * room).seal(packed)
-
-
 def decode(payload: bytes | npt.NDArray[np.uint8]) -> PointCloud:
     """Reads a payload of any form; the points come back in the sensor frame.
 
@@ -258,10 +246,6 @@ def _unpack_tree(head: Head, reader: Reader) -> Floats32:
     return unpack_tree(reader, head.points, head.step_m)
 
 
-def _unpack_draco(head: Head, reader: Reader) -> Floats32:
-    return unpack_draco(reader.section(), head.points)
-
-
 def _pattern(head: Head) -> ScanPattern:
     return ScanPattern(head.channels, head.columns, head.upper_fov_deg, head.lower_fov_deg)
 
@@ -272,5 +256,4 @@ _UNPACK = {
     Form.DELTAS: _unpack_deltas,
     Form.RINGS: _unpack_rings,
     Form.TREE: _unpack_tree,
-    Form.DRACO: _unpack_draco,
 }

@@ -33,7 +33,6 @@ class Form(IntEnum):
     DELTAS = 3
     RINGS = 4
     TREE = 5
-    DRACO = 6
 
 
 _IMAGES = (Form.PLANES, Form.IMAGE)

@@ -236,8 +236,7 @@ TARGETS = {
         Target("endpoint", _read_endpoint, (BusError,), _locator, MESSAGE_MIB),
         Target("time-reply", _read_time, (ProtocolError,), shake_message, MESSAGE_MIB),
         Target("inbox", _work_inbox, (), shake, MESSAGE_MIB, weight=0.5),
-        # Draco is decoded by native code of others, and only where somebody installed that.
-        *(_scan_target(form) for form in Form if form is not Form.DRACO),
+        *(_scan_target(form) for form in Form),
         Target(
             "scan-message",
             _read_scan_message,

@@ -13,7 +13,6 @@ HELD_ELSEWHERE = {
     "MAX_STEPS": "of profile fast, by its form: 16 bits",
     "MAX_UNITS": "of the model of a range image: 32 bits",
     "MAX_RINGS": "that an encoder looks for",
-    "MAX_BITS": "that Draco has",
     "MAX_BOUND_M": "that an encoder takes",
     "MAX_VEHICLE_PROCESSES": "that get keys",
     "MAX_OPEN_FRAMES": "that an observer keeps",
