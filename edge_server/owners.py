@@ -18,7 +18,6 @@ class AgentOwners:
     """
 
     def __init__(self, pinned: Mapping[str, str], drops: Counter[str]) -> None:
-        self._pinned = dict(pinned)
         self._agents: dict[str, set[str]] = {}
         self._owner = dict(pinned)
         self._drops = drops

@@ -159,7 +159,6 @@ def _of_reports(rows: list[GridRow]) -> Iterator[Claim]:
 
 
 CAV, CV, DETECTOR = "traffic.cav_rate", "traffic.cv_rate", "edge.detector"
-PERFECT = "max pressure, perfect counts"
 
 
 def paper_page(findings: StudyResults, sections: Sequence[Section] = ()) -> Page:

@@ -1,4 +1,4 @@
-"""The content of a page: text, tables, pictures and charts, as data.
+"""The content of a page: text, tables and charts, as data.
 
 No plotting library is known here.
 """
@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import count
-from pathlib import Path
 from typing import Literal, TypeAlias
 
 from studies import palette
 
-ChartKind: TypeAlias = Literal["line", "bar", "histogram", "steps"]
-Style: TypeAlias = Literal["line", "dashed", "points", "line+points"]
-Mark: TypeAlias = Literal["disc", "cross", "diamond", "star"]
+ChartKind: TypeAlias = Literal["line", "bar", "steps"]
+Style: TypeAlias = Literal["line", "dashed", "line+points"]
+Mark: TypeAlias = Literal["disc", "cross", "star"]
 Number: TypeAlias = float | int
 Numbers: TypeAlias = tuple[Number | None, ...]
 Ring: TypeAlias = tuple[tuple[float, float], ...]
@@ -24,8 +23,8 @@ Ring: TypeAlias = tuple[tuple[float, float], ...]
 class Series:
     """One line or set of bars; where y is None there is a gap.
 
-    `low` and `high` bound it: a band around a line, whiskers on a bar. Of a histogram, x are the
-    edges, one more than the counts y. Without a colour it gets the one of its name on the page.
+    `low` and `high` bound it: a band around a line, whiskers on a bar. Without a colour it gets the
+    one of its name on the page.
     """
 
     name: str
@@ -38,7 +37,7 @@ class Series:
 
     def __post_init__(self) -> None:
         """Refuses lengths that do not fit together."""
-        if len(self.x) - len(self.y) not in (0, 1):
+        if len(self.x) != len(self.y):
             raise ValueError(f"{self.name}: {len(self.x)} x for {len(self.y)} y")
         if (self.low is None) != (self.high is None):
             raise ValueError(f"{self.name}: low and high come together")
@@ -60,7 +59,6 @@ class Chart:
     series: tuple[Series, ...]
     kind: ChartKind = "line"
     x_log: bool = False
-    y_log: bool = False
     x_categories: tuple[str, ...] | None = None
     stacked: bool = False
     notes: str = ""
@@ -173,22 +171,6 @@ class Table:
                 raise ValueError(f"a row of {len(row)} cells under {len(self.columns)} columns")
 
 
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """A PNG, by its file or its bytes."""
-
-    source: Path | bytes
-    caption: str
-
-    def data(self) -> bytes:
-        """Returns the bytes of the file.
-
-        Raises:
-            OSError: the file cannot be read.
-        """
-        return self.source if isinstance(self.source, bytes) else self.source.read_bytes()
-
-
 Figure: TypeAlias = Chart | MapChart | Timeline
 
 
@@ -199,7 +181,7 @@ class SideBySide:
     blocks: tuple[Block, ...]
 
 
-Block: TypeAlias = Text | Code | Table | Picture | Chart | MapChart | Timeline | SideBySide
+Block: TypeAlias = Text | Code | Table | Chart | MapChart | Timeline | SideBySide
 
 
 @dataclass(frozen=True, slots=True)

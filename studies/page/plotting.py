@@ -29,20 +29,16 @@ def draw_chart(chart: Chart, axes: Axes, colours: Colours) -> list[str]:
     """Draws a chart; returns the names for its legend."""
     axes.set(xlabel=chart.x_label, ylabel=chart.y_label)
     axes.set_xscale("log" if chart.x_log else "linear")
-    axes.set_yscale("log" if chart.y_log else "linear")
     if chart.x_log:  # what was studied, in plain numbers
         axes.set_xticks(sorted({x for series in chart.series for x in series.x if x is not None}))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_locator(NullLocator())
-    if chart.y_log:
-        axes.yaxis.set_major_formatter("{x:g}")
     axes.grid(axis="y" if chart.x_categories else "both")
     if chart.kind == "bar":
         _bars(chart, axes, colours)
     else:
         for series in chart.series:
-            draw = _histogram if chart.kind == "histogram" else _line
-            draw(series, axes, colours, chart)
+            _line(series, axes, colours, chart)
     if chart.x_categories:
         axes.set_xticks(range(len(chart.x_categories)), chart.x_categories)
         if is_tight(chart.x_categories):
@@ -76,22 +72,20 @@ def draw_timeline(timeline: Timeline, axes: Axes, colours: Colours) -> list[str]
 def _line(series: Series, axes: Axes, colours: Colours, chart: Chart) -> None:
     colour = series.colour or colours[series.name]
     dash = colours.dash(series.name) if series.colour is None else "solid"
-    y = (*series.y, *series.y[-1:]) if len(series.x) > len(series.y) else series.y
     axes.plot(
         series.x,
-        _array(y),
+        _array(series.y),
         color=colour,
         linewidth=1.6,
-        linestyle={"dashed": "--", "points": "none"}.get(series.style, _DASHES[dash]),
-        marker="o" if "points" in series.style else None,
+        linestyle="--" if series.style == "dashed" else _DASHES[dash],
+        marker="o" if series.style == "line+points" else None,
         markersize=4,
         drawstyle="steps-post" if chart.kind == "steps" else "default",
         label="-",
     )
     if series.low is not None and series.high is not None:
-        x = series.x[: len(series.y)]
         low, high = _array(series.low), _array(series.high)
-        axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
+        axes.fill_between(series.x, low, high, color=colour, alpha=0.2, linewidth=0)
 
 
 def _bars(chart: Chart, axes: Axes, colours: Colours) -> None:
@@ -134,17 +128,6 @@ def _whiskers(series: Series) -> Floats | None:
     return np.nan_to_num(np.stack([y - _array(series.low), _array(series.high) - y]))
 
 
-def _histogram(series: Series, axes: Axes, colours: Colours, chart: Chart) -> None:
-    axes.stairs(
-        np.nan_to_num(_array(series.y)),
-        series.x,
-        fill=True,
-        color=series.colour or colours[series.name],
-        alpha=1.0 if len(chart.series) == 1 else 0.55,
-        label="-",
-    )
-
-
 def _array(values: Numbers) -> Floats:
     return np.array([np.nan if value is None else value for value in values], np.float64)
 
@@ -154,7 +137,7 @@ def is_tight(names: tuple[str, ...]) -> bool:
     return len(names) * (max(map(len, names), default=0) + 2) > _MAX_LEVEL_LETTERS
 
 
-_MARKS = {"disc": "o", "cross": "x", "diamond": "D", "star": "*"}
+_MARKS = {"disc": "o", "cross": "x", "star": "*"}
 _CLOUD = 200  # points from which on they are a cloud
 
 

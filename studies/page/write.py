@@ -25,7 +25,6 @@ from studies.page.model import (
     Figure,
     MapChart,
     Page,
-    Picture,
     SideBySide,
     Table,
     Text,
@@ -43,7 +42,7 @@ def save_html(page: Page, path: Path) -> None:
     """Writes a page as one HTML file.
 
     Raises:
-        ConfigError: the file cannot be, a library is missing, or a picture cannot be read.
+        ConfigError: the file cannot be written, or a library is missing.
     """
     _save(path, "--html", "study", lambda: to_html(page))
 
@@ -52,7 +51,7 @@ def save_markdown(page: Page, path: Path) -> None:
     """Writes a page as Markdown, its figures into the folder that is named like the file.
 
     Raises:
-        ConfigError: the file cannot be, a library is missing, or a picture cannot be read.
+        ConfigError: the file cannot be written, or a library is missing.
     """
     folder = path.parent / path.stem
     _save(path, "--markdown", "plot", lambda: to_markdown(page, folder, path.stem))
@@ -91,11 +90,7 @@ def check_target(path: Path, option: str) -> None:
 
 
 def to_html(page: Page) -> str:
-    """Returns the page; the same page gives the same text.
-
-    Raises:
-        OSError: a picture's file cannot be read.
-    """
+    """Returns the page; the same page gives the same text."""
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
@@ -137,8 +132,6 @@ class _HtmlBlocks:
                 "rows": text_rows(block),
                 "on_right": numeric_columns(block),
             }
-        if isinstance(block, Picture):
-            return {"kind": "picture", "caption": block.caption, "data": _base64(block.data())}
         kinds = {Text: "text", Code: "code"}
         return {"kind": kinds[type(block)], "block": block}
 
@@ -156,7 +149,7 @@ def to_markdown(page: Page, folder: Path, stem: str) -> str:
     """Writes `STEM-N.png` into a folder and returns the text that shows them, for a file beside it.
 
     Raises:
-        OSError: the folder cannot be written, or a picture's file cannot be read.
+        OSError: the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     writer = _MarkdownBlocks(Colours.of(page), folder, stem)
@@ -184,26 +177,15 @@ class _MarkdownBlocks:
             return "\n\n".join(self.text(one) for one in block.blocks)
         if isinstance(block, Chart | MapChart | Timeline):
             return self._figure(block)
-        if isinstance(block, Picture):
-            path = self._next()
-            path.write_bytes(block.data())
-            return self._shown(path, block.caption)
         if isinstance(block, Table):
             return _markdown_table(block)
         return _fenced(block) if isinstance(block, Code) else _paragraph(block)
 
     def _figure(self, figure: Figure) -> str:
-        path = self._next()
+        path = self._folder / f"{self._stem}-{next(self._numbers)}.png"
         path.write_bytes(_drawn(figure, self._colours, "png"))
         notes = f"\n\n{plain(figure.notes)}" if figure.notes else ""
-        return self._shown(path, figure.title) + notes
-
-    def _next(self) -> Path:
-        return self._folder / f"{self._stem}-{next(self._numbers)}.png"
-
-    def _shown(self, path: Path, caption: str) -> str:
-        """Links a picture, relative to the folder that holds its folder."""
-        return f"![{plain(caption)}]({self._folder.name}/{path.name})"
+        return f"![{plain(figure.title)}]({self._folder.name}/{path.name})" + notes
 
 
 def plain(text: str) -> str:

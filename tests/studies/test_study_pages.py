@@ -10,7 +10,7 @@ pl = pytest.importorskip("polars", reason="needs the extra `study`")
 
 from studies.page.model import Chart, Page, Table  # noqa: E402
 from studies.page.write import to_html, to_markdown  # noqa: E402
-from studies.paper_page import PERFECT, claims, paper_page  # noqa: E402
+from studies.paper_page import claims, paper_page  # noqa: E402
 from studies.study_page import RATE, bandwidth_page, plain_page  # noqa: E402
 from studies.study_tables import StudyResults  # noqa: E402
 from studies.sweep.study_file import Study, read_study  # noqa: E402
@@ -108,7 +108,7 @@ def good(row: dict[str, Any]) -> dict[str, Any]:
         return {"e_cvpr": 0.6 + share, "visible_share": 0.65 + share}
     if reports is not None:
         return {"delay_s": 12.0 + max(0, 0.3 - reports) * 20}
-    return {"delay_s": 11.5} if row["controller"] == PERFECT else {}
+    return {"delay_s": 11.5} if row["controller"] == "max pressure, perfect counts" else {}
 
 
 def test_what_is_as_expected_holds():

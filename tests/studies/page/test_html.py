@@ -18,7 +18,7 @@ from studies.page.model import Page, Section, Text
 from studies.page.write import to_html
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
-DRAWN = 9
+DRAWN = 8
 
 
 class Elements(HTMLParser):
