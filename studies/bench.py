@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -14,8 +19,32 @@ POLICY_CHOICES = (
 )  # fmt: skip
 LINK_CHOICES = ("5mbit", "lte", "5g-urban")
 
-
 _ANY_WIDTH = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class JsonRow:
+    """A row of a measurement; subclasses hold its figures."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Returns its figures by stable keys."""
+        return asdict(self)
+
+
+def empty_table(
+    heads: Iterable[str],
+    *,
+    title: str | None = None,
+    left: int = 1,
+    padding: tuple[int, int] | tuple[int, int, int, int] = (0, 1, 0, 0),
+) -> Table:
+    """Returns a table without rows; the first `left` columns are words, the others numbers."""
+    table = Table(
+        title=title, box=box.SIMPLE_HEAD, title_justify="left", padding=padding, pad_edge=False
+    )
+    for number, head in enumerate(heads):
+        table.add_column(head, justify="left" if number < left else "right", no_wrap=True)
+    return table
 
 
 def print_whole(table: Table, console: Console) -> None:

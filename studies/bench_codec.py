@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import zstandard
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -38,7 +37,7 @@ from sensing.pose import pose_above
 from sensing.scene import scene_of
 from sim_host.setup import build_setup
 from sim_host.world import sample_traffic
-from studies.bench import print_whole
+from studies.bench import JsonRow, empty_table, print_whole
 
 CAST_SEED = 1
 _WARM_UP_STEPS = 600
@@ -142,7 +141,7 @@ class BenchCloud:
 
 
 @dataclass(frozen=True, slots=True)
-class BenchRow:
+class BenchRow(JsonRow):
     """One codec on one cloud. `bound_m` is the error it was allowed.
 
     `max_error_m` is the farthest that a point lies from its decoded self. `noise_floor_bits` is
@@ -161,10 +160,6 @@ class BenchRow:
     bound_m: float
     noise_floor_bits: float | None
     loss_floor_bits: float | None
-
-    def as_json(self) -> dict[str, Any]:
-        """Returns the row with stable keys."""
-        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -358,25 +353,11 @@ def _short(name: str) -> str:
     return name if len(name) <= _NAME_WIDTH else f"…{name[1 - _NAME_WIDTH :]}"
 
 
-def _empty_table(title: str, *heads: str, left: int = 1) -> Table:
-    """Returns an empty table; the first `left` columns are words."""
-    table = Table(
-        title=title,
-        box=box.SIMPLE_HEAD,
-        title_justify="left",
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-    )
-    for n, head in enumerate(heads):
-        table.add_column(head, justify="left" if n < left else "right", no_wrap=True)
-    return table
-
-
 def _cloud_table(name: str, rows: list[BenchRow]) -> Table:
-    table = _empty_table(
-        f"{_short(name)}, {rows[0].points} points (of, x: beside Draco at this error)",
-        "codec", "bound\ncm", "error\ncm", "bytes", "bits/\npoint", "enc.\nms",
-        "dec.\nms", "of\nDraco", "enc.\nx", "dec.\nx",
+    table = empty_table(
+        ("codec", "bound\ncm", "error\ncm", "bytes", "bits/\npoint", "enc.\nms",
+         "dec.\nms", "of\nDraco", "enc.\nx", "dec.\nx"),
+        title=f"{_short(name)}, {rows[0].points} points (of, x: beside Draco at this error)",
     )  # fmt: skip
     bound_m = rows[0].bound_m
     for row in rows:
@@ -418,10 +399,10 @@ _RATIOS: dict[str, Callable[[BenchRow, BenchRow], float]] = {
 
 def _summary_table(rows: list[BenchRow]) -> Table:
     """Beside Draco at equal error: mean and worst over clouds, by codec and bits."""
-    table = _empty_table(
-        "beside Draco at equal maximum error: mean and least favourable cloud",
-        "clouds", "codec", "Draco's\nbits", "bytes /\nDraco", "worst", "encode\nx Draco", "worst",
-        "decode\nx Draco", "worst", left=2,
+    table = empty_table(
+        ("clouds", "codec", "Draco's\nbits", "bytes /\nDraco", "worst", "encode\nx Draco", "worst",
+         "decode\nx Draco", "worst"),
+        title="beside Draco at equal maximum error: mean and least favourable cloud", left=2,
     )  # fmt: skip
     groups: dict[tuple[str, str, str], list[tuple[BenchRow, BenchRow]]] = {}
     for row in rows:
@@ -442,10 +423,10 @@ def _summary_table(rows: list[BenchRow]) -> Table:
 
 def _floor_table(rows: list[BenchRow]) -> Table:
     """Bits a point beside what range noise and lost beams must cost."""
-    table = _empty_table(
-        f"above the floor, at a bound of {100 * FLOOR_BOUND_M:g} cm",
-        "cloud", "codec", "bits/\npoint", "noise\nfloor", "x\nnoise", "noise +\nlosses",
-        "x\nboth", left=2,
+    table = empty_table(
+        ("cloud", "codec", "bits/\npoint", "noise\nfloor", "x\nnoise", "noise +\nlosses",
+         "x\nboth"),
+        title=f"above the floor, at a bound of {100 * FLOOR_BOUND_M:g} cm", left=2,
     )  # fmt: skip
     for row in rows:
         noise = row.noise_floor_bits or 0.0

@@ -11,14 +11,11 @@ import multiprocessing
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from edge_server.config import EdgeConfig
 from edge_server.decoding import DecoderPool, keep_freed_memory
@@ -34,7 +31,7 @@ from sensing.config import SceneConfig
 from sensing.recorded_scans import Recording
 from sensing.terrain import Terrain
 from sim_host.setup import build_setup
-from studies.bench import print_whole
+from studies.bench import JsonRow, empty_table, print_whole
 from studies.bench_traffic import (
     RSU,
     SEED,
@@ -65,7 +62,7 @@ class EdgeBench:
 
 
 @dataclass(frozen=True, slots=True)
-class EdgeRow:
+class EdgeRow(JsonRow):
     """A stage of a detector for so many agents; `points` and `detections` are a frame's, means.
 
     `peak_mb` is the most memory of its process.
@@ -80,10 +77,6 @@ class EdgeRow:
     ms_p50: float
     ms_p95: float
     peak_mb: float
-
-    def as_json(self) -> dict[str, Any]:
-        """Returns stable keys."""
-        return asdict(self)
 
 
 def numbers_of(text: str) -> tuple[int, ...]:
@@ -204,14 +197,11 @@ _BESIDE = "reference"
 
 def print_edge(rows: list[EdgeRow], console: Console) -> None:
     """Prints medians of all stages, then how many times as fast as `reference` each is."""
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column("detector", no_wrap=True)
-    heads = ["agents", "points", *(stage for stage in STAGES if stage != TOTAL)]
-    for head in [*heads, "total", "p95", "MB", "x"]:
-        table.add_column(head, justify="right", no_wrap=True)
+    stages = (stage for stage in STAGES if stage != TOTAL)
+    table = empty_table(["detector", "agents", "points", *stages, "total", "p95", "MB", "x"])
     totals = {(row.detector, row.agents): row for row in rows if row.stage == TOTAL}
     for (detector, agents), total in totals.items():
-        stages = {
+        of_stage = {
             row.stage: row for row in rows if (row.detector, row.agents) == (detector, agents)
         }
         beside = totals.get((_BESIDE, agents))
@@ -219,7 +209,7 @@ def print_edge(rows: list[EdgeRow], console: Console) -> None:
             detector,
             str(agents),
             str(total.points),
-            *(f"{stages[stage].ms_p50:.1f}" for stage in STAGES),
+            *(f"{of_stage[stage].ms_p50:.1f}" for stage in STAGES),
             f"{total.ms_p95:.1f}",
             f"{total.peak_mb:.0f}",
             f"{beside.ms_p50 / total.ms_p50:.1f}" if beside else "",

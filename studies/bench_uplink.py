@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from rich import box
@@ -12,7 +12,7 @@ from rich.table import Table
 
 from recording.run import Run
 from recording.tables import CountRow, DetectionRow, TruthRow
-from studies.bench import WARM_UP_FRAMES
+from studies.bench import WARM_UP_FRAMES, JsonRow
 from studies.count_error import PerceptionTally
 from studies.ecvpr import by_frame
 from studies.latency import end_to_end_ms
@@ -25,7 +25,7 @@ Visible = Callable[[int], set[str]]
 
 
 @dataclass(frozen=True, slots=True)
-class UplinkRow:
+class UplinkRow(JsonRow):
     """One policy on one link. A figure that the run does not yield is None.
 
     `fps` are the scans of an agent that the edge used, per second; `whole_fps` the frames of which
@@ -46,13 +46,9 @@ class UplinkRow:
     count_error: float | None
     false_per_frame: float | None
 
-    def as_json(self) -> dict[str, Any]:
-        """Returns stable keys."""
-        return asdict(self)
-
 
 @dataclass(frozen=True, slots=True)
-class RateRow:
+class RateRow(JsonRow):
     """One frame rate in realtime."""
 
     rate_hz: float

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -30,6 +29,7 @@ from perception.roadway import Placed, Roadway
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 from studies.average_precision import Scene, View, average_precision, outcomes
+from studies.bench import JsonRow, empty_table
 from studies.ecvpr import VISIBLE_POINTS
 
 Truth = Literal["all", "visible"]
@@ -48,7 +48,7 @@ _WIDE_M = 150.0  # from the lanes: more than any point of a scene is away
 
 
 @dataclass(frozen=True, slots=True)
-class EvalRow:
+class EvalRow(JsonRow):
     """AP40, recall and precision of a detector under one way of counting.
 
     `part` is `all`, a range of distances or one of points on the vehicle; of points there is
@@ -69,10 +69,6 @@ class EvalRow:
     recall: float | None
     precision: float | None
     detect_ms: float
-
-    def as_json(self) -> dict[str, Any]:
-        """Returns the row with stable keys."""
-        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,24 +344,16 @@ def print_evaluation(rows: list[EvalRow], console: Console) -> None:
     )
 
 
-def _empty_table(title: str, heads: list[str], left: int) -> Table:
-    table = Table(
-        title=title,
-        box=box.SIMPLE_HEAD,
-        title_justify="left",
-        padding=0,
-        pad_edge=False,
-    )
-    for n, head in enumerate(heads):
-        table.add_column(head, justify="left" if n < left else "right", no_wrap=True)
-    return table
-
-
 def _view_table(view: View, rows: list[EvalRow], *, geofence: bool) -> Table:
     ious = [f"{iou:g}" for iou in IOUS]
     heads = ["detector", "cloud", "truth", *ious, "recall", "prec", "ms"]
     fence = "with" if geofence else "without"
-    table = _empty_table(f"AP40 by IoU, boxes {_NAMES[view]}, {fence} geofence", heads, 3)
+    table = empty_table(
+        heads,
+        title=f"AP40 by IoU, boxes {_NAMES[view]}, {fence} geofence",
+        left=3,
+        padding=(0, 0),
+    )
     for key, cells in _lines(rows).items():
         at = cells[_PART_IOU]
         figures = [_percent(cells[iou].ap40) for iou in IOUS]
@@ -389,7 +377,7 @@ def _part_table(rows: list[EvalRow]) -> Table:
     ]
     title = f"recall with geofence, BEV, IoU {_PART_IOU:g}, by distance (visible) and points"
     heads = [part.name for part in BY_DISTANCE] + [part.name.split()[0] for part in BY_POINTS]
-    table = _empty_table(title, ["detector", "cloud", *heads], 2)
+    table = empty_table(["detector", "cloud", *heads], title=title, left=2, padding=(0, 0))
     lines: dict[tuple[str, str], dict[str, EvalRow]] = {}
     for row in chosen:
         lines.setdefault((row.detector, _CLOUD_NAMES[row.fusion]), {})[row.part] = row

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich import box
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from cpnet.cli_options import AsJson, Override, assigned, errors, show_measured
 from cpnet.scenario import load
@@ -30,7 +28,7 @@ from perception.roadway import Roadway
 from protocol.errors import CpnetError
 from protocol.roadmap import RoadMap
 from recording.run import Run
-from studies.bench import print_whole
+from studies.bench import JsonRow, empty_table, print_whole
 from studies.in_process import run_in_process
 from tests.misbehaviour.attacks import (
     GHOST,
@@ -54,7 +52,7 @@ Attacks = dict[str, Callable[[int], Attack]]
 
 
 @dataclass(frozen=True, slots=True)
-class MisbehaviourRow:
+class MisbehaviourRow(JsonRow):
     """An attack, at a share of CAVs: how often it was detected, and after how long (median).
 
     `others_s` is for how long honest agents were excluded meanwhile; `hours` is the time for which
@@ -68,10 +66,6 @@ class MisbehaviourRow:
     after_s: float | None
     others_s: float
     hours: float
-
-    def as_json(self) -> dict[str, Any]:
-        """Returns stable keys."""
-        return asdict(self)
 
 
 def attacks_on(road_map: RoadMap, period_s: float) -> Attacks:
@@ -217,10 +211,8 @@ def measure_run(run_dir: Path) -> Iterator[MisbehaviourRow]:
 
 def print_misbehaviour(rows: list[MisbehaviourRow], console: Console) -> None:
     """Prints a line for each attack at each share of CAVs; honest agents first."""
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column("what an agent sends", no_wrap=True)
-    for head in ("CAVs", "tried", "detected", "after s", "others excluded, s", "agent-hours"):
-        table.add_column(head, justify="right", no_wrap=True)
+    heads = ("CAVs", "tried", "detected", "after s", "others excluded, s", "agent-hours")
+    table = empty_table(["what an agent sends", *heads])
     for row in rows:
         is_honest = row.attack == HONEST
         table.add_row(
