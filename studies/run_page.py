@@ -33,29 +33,19 @@ from studies.uplink import uplink_section
 def facts(summary: Summary) -> tuple[Fact, ...]:
     """Returns the headline figures at the top of the page."""
     e_cvpr, delay, uplink = summary["e_cvpr"], summary["delay_s"], summary["uplink_mbps"]
-    latency, frames = summary["latency_ms"]["end_to_end"], summary["frames"]
+    latency = summary["latency_ms"]["end_to_end"]
+    shown = (
+        ("E-CVPR", e_cvpr["mean"], "s.d. of frames", e_cvpr["std"], 100, 1, " %"),
+        ("delay per vehicle", delay["mean"], "s.d. of vehicles", delay["std"], 1, 1, " s"),
+        ("uplink, all agents", uplink["mean"], "peak", uplink["peak"], 1, 1, " Mbit/s"),
+        ("sensing to signal, p50", latency["p50"], "p95", latency["p95"], 1, 0, " ms"),
+    )
     return (
-        Fact(
-            "E-CVPR",
-            _number(e_cvpr["mean"], 100, 1, " %"),
-            _note("s.d. of frames", e_cvpr["std"], 100, " %"),
+        *(
+            Fact(name, _number(value, factor, digits, unit), _note(word, beside, factor, unit))
+            for name, value, word, beside, factor, digits, unit in shown
         ),
-        Fact(
-            "delay per vehicle",
-            _number(delay["mean"], 1, 1, " s"),
-            _note("s.d. of vehicles", delay["std"], 1, " s"),
-        ),
-        Fact(
-            "uplink, all agents",
-            _number(uplink["mean"], 1, 1, " Mbit/s"),
-            _note("peak", uplink["peak"], 1, " Mbit/s"),
-        ),
-        Fact(
-            "sensing to signal, p50",
-            _number(latency["p50"], 1, 0, " ms"),
-            _note("p95", latency["p95"], 1, " ms"),
-        ),
-        Fact("frames", f"{frames}", f"{summary['frames_incomplete']} incomplete"),
+        Fact("frames", f"{summary['frames']}", f"{summary['frames_incomplete']} incomplete"),
         Fact("phase switches", str(summary["phases"]["switches"])),
     )
 
@@ -110,7 +100,7 @@ def _number(value: float | None, factor: float, digits: int, unit: str) -> str:
     return DASH if value is None else f"{value * factor:.{digits}f}{unit}"
 
 
-def _note(word: str, value: float | None, factor: float, unit: str = "") -> str:
+def _note(word: str, value: float | None, factor: float, unit: str) -> str:
     return "" if value is None else f"{word} {value * factor:.1f}{unit}"
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import polars as pl
 import yaml
 
-from studies.page.model import Block, Cell, Chart, Code, Column, Number, Section, Series, Table
+from studies.page.model import Block, Cell, Chart, Code, Column, Numbers, Section, Series, Table
 from studies.sweep.results import over_seeds
 from studies.sweep.study_file import Study
 
@@ -141,16 +141,21 @@ def curve(rows: list[GridRow], axis: str, shown: Measure, name: str) -> Series:
     points = sorted(
         (figure_of(row, axis) or 0.0, row) for row in rows if figure_of(row, axis) is not None
     )
-    x: tuple[Number, ...] = tuple(at for at, _ in points)
-    mean = [figure_of(row, f"{shown.value}_mean") for _, row in points]
-    half = [figure_of(row, f"{shown.value}_ci95") for _, row in points]
+    x = tuple(at for at, _ in points)
+    return Series(name, x, *_means([row for _, row in points], shown), style="line+points")
+
+
+def _means(rows: list[GridRow], shown: Measure) -> tuple[Numbers, Numbers | None, Numbers | None]:
+    """Returns means, and both ends of their confidence intervals if all rows have one."""
+    mean = [figure_of(row, f"{shown.value}_mean") for row in rows]
+    half = [figure_of(row, f"{shown.value}_ci95") for row in rows]
     scaled = tuple(None if m is None else m * shown.factor for m in mean)
     if any(h is None for h in half):
-        return Series(name, x, scaled, style="line+points")
+        return scaled, None, None
     pairs = list(zip(mean, half, strict=True))
     low = tuple(None if m is None or h is None else (m - h) * shown.factor for m, h in pairs)
     high = tuple(None if m is None or h is None else (m + h) * shown.factor for m, h in pairs)
-    return Series(name, x, scaled, low, high, style="line+points")
+    return scaled, low, high
 
 
 def curves(rows: list[GridRow], axis: str, others: Sequence[str], shown: Measure) -> Chart:
@@ -166,19 +171,7 @@ def curves(rows: list[GridRow], axis: str, others: Sequence[str], shown: Measure
 def bars(rows: list[GridRow], axes: Sequence[str], shown: Measure) -> Chart:
     """Returns a bar for each cell, with whiskers where there are several seeds."""
     names = tuple(", ".join(label_of(row[axis]) for axis in axes) for row in rows)
-    mean = [figure_of(row, f"{shown.value}_mean") for row in rows]
-    half = [figure_of(row, f"{shown.value}_ci95") for row in rows]
-    pairs = list(zip(mean, half, strict=True))
-    known = all(h is not None for h in half)
-    low = tuple(None if m is None or h is None else (m - h) * shown.factor for m, h in pairs)
-    high = tuple(None if m is None or h is None else (m + h) * shown.factor for m, h in pairs)
-    series = Series(
-        shown.name,
-        tuple(range(len(names))),
-        tuple(None if m is None else m * shown.factor for m in mean),
-        low if known else None,
-        high if known else None,
-    )
+    series = Series(shown.name, tuple(range(len(names))), *_means(rows, shown))
     return Chart(shown.name, "", shown.name, (series,), "bar", x_categories=names)
 
 
