@@ -232,6 +232,21 @@ def test_a_detector_divides_its_stage_and_one_that_does_not_is_one_span(road_map
     assert all(a.end_ns <= b.start_ns for a, b in pairwise(spans))
 
 
+def test_random_numbers_of_detection_depend_on_seed_and_frame_alone(road_map: RoadMap) -> None:
+    drawn: list[int] = []
+
+    class Drawing:
+        def detect(self, cloud: Any, rng: np.random.Generator, stage: Any) -> Vehicles:
+            drawn.append(int(rng.integers(1 << 60)))
+            return Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
+
+    for seed, number in ((1, 0), (1, 3), (1, 3), (2, 3)):
+        pipeline = Pipeline.of(road_map, EdgeConfig(), seed=seed, detector=lambda *_: Drawing())
+        pipeline.run(frame_of_poses(number))
+    assert drawn[1] == drawn[2]
+    assert len(set(drawn)) == 3
+
+
 def test_what_no_stage_has_filled_in_is_an_error() -> None:
     with pytest.raises(AttributeError, match="cloud"):
         FrameState(frame_of_poses(0)).cloud  # noqa: B018

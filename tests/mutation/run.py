@@ -47,7 +47,12 @@ PARTS = {
         ],
     ),
     "policies": Part(
-        ["signal_controller/policies.py"], ["tests/signal_controller/test_policies.py"]
+        ["signal_controller/policies.py"],
+        [
+            "tests/signal_controller/test_policies.py",
+            "tests/signal_controller/test_policy_of.py",
+            "tests/signal_controller/test_signal_role.py",
+        ],
     ),
     "queues": Part(
         ["signal_controller/queue_estimator.py"],

@@ -57,6 +57,15 @@ def test_what_waits_is_overtaken_by_a_newer_one_that_acts():
     assert take(pending, 1000) is None
 
 
+def test_a_newer_one_that_waits_is_not_overtaken():
+    pending = PendingRequests()
+    add(pending, 10)
+    add(pending, 20, 500)
+    assert take(pending, 10) == 10
+    assert pending.overtaken == 0
+    assert take(pending, 1000) == 20
+
+
 def test_one_of_the_same_time_that_is_due_later_is_overtaken_too():
     pending = PendingRequests()
     add(pending, 20, 500)
