@@ -132,3 +132,47 @@ def test_lanes_inside_the_junction_lead_on_one_by_one_to_the_exit_of_their_link(
     assert index.distances_m(place).tolist() == [-5, -15, -8, -50]
     _, behind = index.count(place, upstream_m=200.0, downstream_m=100.0)
     assert behind == {"out": 2, "side": 2}
+
+
+def test_chosen_positions_keep_lane_and_place() -> None:
+    index = LaneIndex(junction_road())
+    place = locate(index, (-30, -1.5, 0), (0, 40, 0), (-20, 2.0, 0))
+    chosen = place.take(np.array([False, True, True]))
+    assert index.names(chosen) == ["", "in_1"]
+    assert chosen.along_m.tolist() == place.along_m[1:].tolist()
+
+
+def test_a_road_that_leads_around_into_the_junction_again_belongs_to_its_exit() -> None:
+    road = RoadMap(
+        name="around",
+        centre=(0, 0, 0),
+        lanes=[
+            lane("in", [(-100, 0, 0), (0, 0, 0)], ":a"),
+            lane(":a", [(0, 0, 0), (10, 0, 0)], "out"),
+            lane("out", [(10, 0, 0), (10, 50, 0)], "back"),
+            lane("back", [(10, 50, 0), (-100, 0, 0)], "in"),
+        ],
+        signal=signal("j", ("in", "out")),
+        junction=[],
+    )
+    index = LaneIndex(road)
+    assert index.upstream.keys() == {"in", "back"}
+    assert index.downstream.keys() == {":a", "out", "back"}
+    assert index.downstream["back"].start_m == -60
+
+
+def test_lengths_are_level_where_a_lane_climbs_in_part() -> None:
+    road = RoadMap(
+        name="climb",
+        centre=(0, 0, 0),
+        lanes=[
+            lane("in", [(-100, 0, 0), (-60, 0, 30), (0, 0, 30)], "out", length_m=100),
+            lane("out", [(0, 0, 30), (100, 0, 30)]),
+        ],
+        signal=signal("j", ("in", "out")),
+        junction=[],
+    )
+    index = LaneIndex(road)
+    box = np.array([(-20, 0, 30.75, 4.5, 1.8, 1.5, 0)])
+    place = index.locate(box, margin_m=np.full(1, 0.5))
+    np.testing.assert_allclose(index.distances_m(place), [20])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from edge_server.lanes import LaneCoverage, LaneIndex
-from tests.roads import straight_road
+from protocol.roadmap import RoadMap
+from tests.roads import lane, signal, straight_road
 
 NOBODY = np.zeros((0, 2))
 
@@ -57,3 +58,15 @@ def test_shares_have_three_digits_and_a_lane_without_a_place_has_none():
     assert short.shares(np.array([[-9.0, 0.0]]), 1.0)[0] == {"in": 0.333}
     none = LaneCoverage(road, lanes, upstream_m=0.5, downstream_m=100)
     assert none.shares(np.array([[0.0, 0.0]]), 200.0) == ({}, {"out": 1.0})
+
+
+def test_places_follow_a_lane_around_a_bend_and_sensors_see_their_own_side():
+    bent = lane("in", [(-60, 48, 0), (-60, 0, 0), (0, 0, 0)], "out", length_m=108)
+    road = RoadMap(
+        name="bent", centre=(0, 0, 0), lanes=[bent, lane("out", [(0, 0, 0), (100, 0, 0)])],
+        signal=signal("j", ("in", "out")), junction=[],
+    )  # fmt: skip
+    around = LaneCoverage(road, LaneIndex(road), upstream_m=108, downstream_m=100)
+    assert around.shares(np.array([[-60.0, 48.0]]), 24.0)[0] == {"in": 0.222}  # 6 of 27
+    assert around.shares(np.array([[-60.0, -48.0]]), 24.0)[0] == {"in": 0.0}
+    assert around.shares(np.array([[0.0, 0.0]]), 24.0)[0] == {"in": 0.222}

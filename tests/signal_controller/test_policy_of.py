@@ -94,6 +94,7 @@ def test_a_plug_in_is_made_for_the_signal_and_gets_each_frames_counts_and_state(
         ("GrG", r"decided 'GrG', must be a G, g or r for each of 2 links$"),
         ("G", r"decided 'G', must be a G, g or r for each of 2 links$"),
         ("Gy", r"decided 'Gy', must be a G, g or r for each of 2 links$"),
+        ("GX", r"decided 'GX', must be a G, g or r for each of 2 links$"),
     ],
 )
 def test_a_decision_that_is_none_for_this_signal_is_refused(plugins, answer, why) -> None:
