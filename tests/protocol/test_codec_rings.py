@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from protocol.codec import decode, encode_cloud
-from protocol.codec.payload import Form
-from protocol.codec.rings import find_rings
+from protocol.codec.payload import Form, read_payload
+from protocol.codec.rings import Rings, find_rings
+from protocol.errors import CodecError
 from protocol.scans import PointCloud, ScanPattern
 
 
@@ -112,3 +115,21 @@ def test_points_beside_their_beams_stay_within_the_bound():
         back = named(moved, 0.02, names)
         worst_m = max(worst_m, np.linalg.norm(back.astype(float) - moved[names], axis=1).max())
     assert worst_m <= 0.02
+
+
+@pytest.mark.parametrize("claimed", [-1, 1])
+def test_more_points_than_beams_and_fewer_than_lie_beside_them_are_refused(claimed):
+    points = np.concatenate([ringed(), np.full((100, 3), 7, np.float32)])
+    payload = encode_cloud(PointCloud(points, np.zeros(len(points), np.float32)), 0.02)
+    head, reader = read_payload(payload)
+    rings = reader.section()
+    misfits = Rings.from_bytes(rings, head.channels, head.columns)[1]
+    assert misfits >= 99
+    beams = head.channels * head.columns
+    limit = misfits if claimed < 0 else beams + misfits
+    sections = [rings, *(reader.section() for _ in range(3))]
+    with pytest.raises(CodecError, match=f"{misfits} of them beside {beams} beams"):
+        decode(replace(head, points=limit + claimed).seal(*sections))
+    with pytest.raises(CodecError) as refusal:
+        decode(replace(head, points=limit).seal(*sections))
+    assert "of them beside" not in str(refusal.value)
