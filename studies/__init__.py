@@ -4,7 +4,6 @@ Figures of one run
 - `ecvpr`: matching of detections with vehicles, E-CVPR and its upper bounds
 - `count_error`: lane counts against the truth
 - `latency`, `uplink`: the latency breakdown; bytes and rates of agents
-- `safety`: violations of a signal's rules, from the states that it showed
 - `summary`: all figures of a run, as JSON and as tables on a terminal
 
 Pages and pictures

@@ -16,7 +16,7 @@ from protocol.wire import decode, encode
 from recording.run import Run, differences
 from recording.tables import PhaseRow
 from studies.in_process import run_in_process
-from studies.safety import violations_of
+from tests.signal_safety import violations_of
 from tests.cpnet.commands import check_account, children_of, free_ports, rows, wait_for_frames
 from tests.hostile import Hostile
 from tests.waiting import wait_until

@@ -14,7 +14,7 @@ from protocol.messages import SignalRequest
 from protocol.roadmap import PlanPhase, Signal
 from sim_host.cabinet import PendingRequests, SignalCabinet
 from sim_host.config import CabinetConfig
-from studies.safety import SignalMonitor
+from tests.signal_safety import SignalMonitor
 from tests.hostile import KINDS, Hostile, S
 from tests.sim_host.signals import signals
 

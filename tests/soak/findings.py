@@ -17,7 +17,7 @@ from cpnet.supervisor import LIST_NAME
 from protocol.errors import BusError
 from recording.run import Run
 from recording.tables import GapRow
-from studies.safety import violations_of
+from tests.signal_safety import violations_of
 
 PAGE_MIB = 4096 / 2**20
 

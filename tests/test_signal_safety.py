@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from protocol.roadmap import PlanPhase, Signal
 from sim_host.config import CabinetConfig
-from studies.safety import violations
+from tests.signal_safety import violations
 
 S = 1_000_000_000
 CONFIG = CabinetConfig(min_green_s=5, yellow_s=4, all_red_s=1)
