@@ -1,7 +1,8 @@
 """Attaches observers to a run: `cpnet view`, `top`, `record`; `foxglove` converts a recording.
 
-Packages of extras, and those that take long to import, are imported at low priority when they are
-needed: a run may be going on.
+Packages of extras, and those that take long to import, are imported when they are needed. Then the
+priority is lowered: a run may be going on. On a machine that is full, idle work gets a hundredth of
+a core, by which imports alone would take minutes.
 """
 
 from __future__ import annotations
@@ -76,13 +77,13 @@ def view(
         ProtocolError: what the run says of itself cannot be read.
         CpnetError: the page's server ended, or the file is not whole.
     """
-    lower_priority()
     with needs_extra():
         from viewer.live import TOPICS, Live
         from viewer.rerun_log import Log
         from viewer.scene import Scene
         from viewer.sinks import check, opened
     check(screen.port, screen.save)
+    lower_priority()
     found = find_run(run, connect, keys)
     with _attached(found, TOPICS, console) as (observer, setup, interruption):
         scene = Scene(setup)
@@ -116,9 +117,10 @@ def top(
         ConfigError: there is no such run.
         BusError: the run does not answer.
     """
-    lower_priority()
     from viewer import board, terminal
 
+    if not once:
+        lower_priority()
     found = find_run(run, connect, keys)
     with _attached(found, board.BOARD_TOPICS, console) as (observer, setup, interruption):
         filled = board.Board(setup)

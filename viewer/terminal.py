@@ -130,6 +130,7 @@ def _name(text: str, style: str = "") -> Text:
 
 EVERY_NS = 500_000_000
 PATIENCE_NS = 15_000_000_000
+ENOUGH_FRAMES = 50
 _POLL_S = 0.1
 
 
@@ -146,14 +147,19 @@ def show(observer: Observer, board: Board, console: Console, stop: threading.Eve
 
 
 def show_once(observer: Observer, board: Board, console: Console, stop: threading.Event) -> None:
-    """Draws once there is something of all kinds to be shown.
+    """Draws once there is something of all kinds to be shown; a slow run is waited for.
 
     Raises:
-        BusError: no message arrived for long.
+        BusError: no frame began for long.
     """
-    give_up_ns = time.monotonic_ns() + PATIENCE_NS
+    begun_ns = newest_ns = time.monotonic_ns()
+    frame, frames = board.frame, 0
     while not (board.is_filled or board.is_over or stop.is_set()):
-        if time.monotonic_ns() > give_up_ns:
+        now_ns = time.monotonic_ns()
+        if board.frame != frame:
+            frame, frames, newest_ns = board.frame, frames + 1, now_ns
+        has_seen_enough = frames >= ENOUGH_FRAMES and now_ns - begun_ns > PATIENCE_NS
+        if has_seen_enough or now_ns - newest_ns > PATIENCE_NS:
             break
         listen(observer, board)
     if stop.is_set():

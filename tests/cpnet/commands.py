@@ -43,6 +43,8 @@ SMALL = [
     "--set=traffic.warmup_s=30",
 ]
 """Sensors that are cheap to cast."""
+UNHURRIED = ["--set=frame_period_s=0.5", "--set=edge.deadline_ms=400"]
+"""A realtime run that leaves a machine to others: an observer gets what a run leaves."""
 
 _ROLES = ["edge_server", "sim_host", "recording", "signal_controller", "infra_agent"]
 _PRELOAD = ["tests.cpnet.commands", "cpnet.cli", "cpnet.up", "sim_host.setup"]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cpnet.commands import Shell
+from tests.cpnet.commands import UNHURRIED, Shell
 from tests.waiting import wait_until
 
 LEFT_SCREEN = "\x1b[?1049l"  # what makes a terminal show again what was there before
@@ -66,8 +66,7 @@ class Terminal:
 
 
 def test_top_shows_a_run_once_and_for_good(shell: Shell) -> None:
-    unhurried = ("--set=frame_period_s=0.2", "--set=edge.deadline_ms=160")
-    run = shell.up("--duration=600", "--out=run", "--mode=realtime", "--restart", *unhurried)
+    run = shell.up("--duration=600", "--out=run", "--mode=realtime", "--restart", *UNHURRIED)
     run.read_until("vehicles")
     status, output = shell.run("top", "run", "--once")
     assert status == 0, output
@@ -85,7 +84,7 @@ def test_top_shows_a_run_once_and_for_good(shell: Shell) -> None:
 
 def test_a_run_is_kept_as_a_drawing(shell: Shell) -> None:
     pytest.importorskip("rerun", reason="the extra `view` is not installed")
-    run = shell.up("--duration=600", "--out=run", "--mode=realtime", "--restart")
+    run = shell.up("--duration=600", "--out=run", "--mode=realtime", "--restart", *UNHURRIED)
     run.read_until("vehicles")
     view = shell.start("view", "run", "--save", "run.rrd")
     view.read_until("writing")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from studies import palette
-from tests.cpnet.commands import Shell, free_port
+from tests.cpnet.commands import UNHURRIED, Shell, free_port
 from viewer.layers import Rgb, rgb
 
 pytest.importorskip("rerun", reason="the extra `view` is not installed")
@@ -66,7 +66,7 @@ ENOUGH = {"cloud": 2000, "boxes": 700, "uplink": 60, "latency": 200, "score": 60
 def test_a_browser_draws_cloud_boxes_and_plots_of_a_live_run(
     shell: Shell, page: Any, request: pytest.FixtureRequest
 ) -> None:
-    run = shell.up("--duration=600", "--out=run", "--mode=realtime", "--restart")
+    run = shell.up("--duration=600", "--out=run", "--mode=realtime", "--restart", *UNHURRIED)
     run.read_until("vehicles")
     view = shell.start("view", "run", "--web", "--port", free_port(), "--fps=1")
     found = re.search(r"http://\S+", view.read_until("http://"))
