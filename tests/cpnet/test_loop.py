@@ -16,9 +16,9 @@ from protocol.wire import decode, encode
 from recording.run import Run, differences
 from recording.tables import PhaseRow
 from studies.in_process import run_in_process
-from tests.signal_safety import violations_of
 from tests.cpnet.commands import check_account, children_of, free_ports, rows, wait_for_frames
 from tests.hostile import Hostile
+from tests.signal_safety import violations_of
 from tests.waiting import wait_until
 
 ROLES = ["edge", "sim", "record", "signal", "infra-0", "vehicle-0", "vehicle-1"]

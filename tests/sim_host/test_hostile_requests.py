@@ -14,8 +14,8 @@ from protocol.messages import SignalRequest
 from protocol.roadmap import PlanPhase, Signal
 from sim_host.cabinet import PendingRequests, SignalCabinet
 from sim_host.config import CabinetConfig
-from tests.signal_safety import SignalMonitor
 from tests.hostile import KINDS, Hostile, S
+from tests.signal_safety import SignalMonitor
 from tests.sim_host.signals import signals
 
 STEP_S = 0.1
