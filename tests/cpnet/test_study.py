@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -105,13 +106,12 @@ def test_a_stop_ends_at_once_without_a_traceback_and_says_how_to_go_on(shell, fo
     wait_until(lambda: not [pid for pid in workers if runs(pid)], what="a worker is left")
 
 
-def test_a_study_that_is_done_runs_nothing_and_gives_its_rows_to_programs(shell, folder):
-    finish(shell, "--seeds", "1", "--set", "duration_s=1", "--jobs", "2")
-    out = folder / "runs" / "study-small"
+def test_a_study_that_is_done_runs_nothing_and_gives_its_rows_to_programs(shell, folder, whole):
+    out = shutil.copytree(whole, folder / "done")
     before = kept(out)
-    said = json.loads(finish(shell, "--seeds", "1", "--set", "duration_s=1", "--json"))
-    assert kept(out) == before
-    assert said["rows"] == 4
+    said = json.loads(finish(shell, "--out", "done", "--json"))
+    assert kept(out) == before == kept(whole)
+    assert said["rows"] == CELLS
     assert said["failed"] == []
     labels = [(row["traffic.cv_rate"], row["controller"]) for row in said["cells"]]
     assert labels[:2] == [(0.2, "fixed plan"), (0.2, "max pressure")]
@@ -155,19 +155,17 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
 
 
 @pytest.mark.slow
-def test_a_scheduler_with_two_workers_gives_the_table_of_this_machine(
+def test_a_scheduler_with_two_workers_gives_the_table_of_this_machine_and_its_loss_ends_a_study(
     shell, folder, cluster, whole
 ):
-    finish(shell, "--out", "there", "--scheduler", cluster[0])
+    address, scheduler = cluster
+    finish(shell, "--out", "there", "--scheduler", address)
     assert table(folder / "there").equals(table(whole))
     there = (folder / "there" / "results.parquet").read_bytes()
     assert there == (whole / "results.parquet").read_bytes()
 
-
-@pytest.mark.slow
-def test_a_scheduler_that_is_lost_ends_the_study_and_what_is_done_is_kept(shell, folder, cluster):
-    address, scheduler = cluster
-    command = shell.start("study", "small.yaml", "--out", "out", "--scheduler", address)
+    longer = ("--out", "out", "--set", "duration_s=20", "--scheduler", address)
+    command = shell.start("study", "small.yaml", *longer)
     command.wait_until(lambda: kept(folder / "out"), what="no cell was ever done")
     scheduler.kill()
     status, output = command.finish()
