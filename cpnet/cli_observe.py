@@ -80,17 +80,12 @@ def record_command(
     no_truth: Annotated[
         bool, typer.Option("--no-truth", help="leave out where vehicles truly were")
     ] = False,
-    no_foxglove: Annotated[
-        bool, typer.Option("--no-foxglove", help="the messages alone, nothing for other tools")
-    ] = False,
 ) -> None:
     """Record all messages of a running system in an MCAP file, until its end or Ctrl-C."""
     from cpnet.discovery import find_run
     from cpnet.observe import record_run
-    from recording.mcap.recorder import RecordedContent
 
-    choice = RecordedContent(truth=not no_truth, foxglove=not no_foxglove)
-    record_run(find_run(run, connect or [], keys), choice, out, duration, console)
+    record_run(find_run(run, connect or [], keys), out, duration, console, truth=not no_truth)
 
 
 @recording_app.command("foxglove")

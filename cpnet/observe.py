@@ -29,7 +29,7 @@ from protocol.observer import Observer, lower_priority
 from protocol.process import loop
 
 if TYPE_CHECKING:
-    from recording.mcap.recorder import McapRecorder, RecordedContent
+    from recording.mcap.recorder import McapRecorder
 
 NOTICE_AFTER_S = 2.0
 
@@ -180,10 +180,11 @@ STEM, FOXGLOVE_STEM = "record", "foxglove"
 
 def record_run(
     running: RunLocation,
-    choice: RecordedContent,
     out: Path | None,
     duration_s: float | None,
     console: Console,
+    *,
+    truth: bool,
 ) -> None:
     """Records a run until it is over, the duration has passed or a signal comes.
 
@@ -195,7 +196,7 @@ def record_run(
         BusError: a bus is not there, or nobody answers with the setup.
         CpnetError: the disk is full, or fails.
     """
-    from recording.mcap.recorder import McapRecorder
+    from recording.mcap.recorder import McapRecorder, recorded_topics
 
     next_path = _next_path(running.run_dir or Path(), STEM, out)
     signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # a run that waits would stand still as well
@@ -205,9 +206,9 @@ def record_run(
             observer = stack.enter_context(Observer(running.v2x, running.world, (), yields=yields))
             setup = observer.setup()
         lower_priority()  # but for Zenoh's own threads: who is waited for must not be slow to take
-        observer.subscribe(choice.topics)
+        observer.subscribe(recorded_topics(truth=truth))
         stop = stack.enter_context(StopSignals()).event
-        recorder = McapRecorder(setup, next_path, observer.inbox, choice, stop)
+        recorder = McapRecorder(setup, next_path, observer.inbox, stop, truth=truth)
         console.print(
             f"recording to {recorder.writer.files[0]}; Ctrl-C ends it", markup=False, soft_wrap=True
         )
@@ -274,7 +275,4 @@ def _print_result(recorder: McapRecorder, console: Console, before: str = "") ->
     names = ", ".join(map(str, writer.files))
     line = f"{before}{names}: {writer.messages} messages, {writer.size_bytes / 1e6:.1f} MB"
     line += f", {recorder.dropped} dropped"
-    if recorder.scene is not None:
-        frames, clouds = recorder.scene.frames_left_out, recorder.scene.clouds_left_out
-        line += f"; for Foxglove without {frames} frames, and without clouds in {clouds} more"
     console.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
@@ -35,21 +34,6 @@ def lower_priority() -> None:
     which a frame that passes through many processes feels; idle work yields it at once.
     """
     os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-
-
-class RateCap:
-    """Lets at most so many works begin in a second."""
-
-    def __init__(self, per_s: float) -> None:
-        self._period_ns = round(1e9 / per_s)
-        self._due_ns = 0
-
-    def take(self, now_ns: int) -> bool:
-        """Whether one may begin now; then the next one must wait."""
-        is_due = now_ns >= self._due_ns
-        if is_due:
-            self._due_ns = now_ns + self._period_ns
-        return is_due
 
 
 class Observer:
@@ -199,22 +183,16 @@ class FrameBuffer:
     """The frames in the making.
 
     A frame is whole once the next one was brought to an end: by then all that travels slower has
-    come, too. Only the newest whole ones wait, so that who is slow leaves frames out, whole ones,
+    come, too. Only the newest whole one waits, so that who is slow leaves frames out, whole ones,
     and never falls behind. No frame's number is trusted: what counts is the order of arrival.
     """
 
-    def __init__(self, ending: str, waiting: int = 1) -> None:
-        """Begins.
-
-        Args:
-            ending: a topic of which a message is said at the end of a frame, once in each.
-            waiting: so many whole frames are kept.
-        """
+    def __init__(self, ending: str) -> None:
+        """Begins; `ending` is a topic of which a message ends each frame, once in each."""
         self._ending = ending
-        self._waiting = waiting
         self._open: dict[int, BufferedFrame] = {}
         self._ended: int | None = None
-        self._whole: deque[BufferedFrame] = deque()
+        self._whole: BufferedFrame | None = None
         self.left_out = 0
 
     def take(self, item: Envelope, number: int) -> None:
@@ -233,21 +211,20 @@ class FrameBuffer:
         ended, self._ended = self._ended, None
         if ended is None:
             return
-        if (frame := self._open.pop(ended, None)) is not None:
-            self._whole.append(frame)
-        if frame is None or len(self._whole) > self._waiting:
+        frame = self._open.pop(ended, None)
+        if frame is None or self._whole is not None:
             self.left_out += 1
-        if len(self._whole) > self._waiting:
-            self._whole.popleft()
+        self._whole = frame or self._whole
 
     @property
     def is_due(self) -> bool:
         """Whether a whole frame waits."""
-        return bool(self._whole)
+        return self._whole is not None
 
     def next(self) -> BufferedFrame | None:
-        """Returns the first whole frame that waits, once."""
-        return self._whole.popleft() if self._whole else None
+        """Returns the whole frame that waits, once."""
+        frame, self._whole = self._whole, None
+        return frame
 
     def _frame(self, number: int) -> BufferedFrame:
         if number not in self._open:

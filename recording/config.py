@@ -27,10 +27,6 @@ class RecordConfig(Section):
         description="Keep all messages of both buses in run.mcap too, so that the run can be "
         "played again; needs the extra mcap. Without truth as above.",
     )
-    foxglove: bool = Field(
-        True,
-        description="Write poses, boxes and some clouds in Foxglove's schemas to run.mcap too.",
-    )
 
 
 class ReplayConfig(Section):

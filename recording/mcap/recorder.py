@@ -6,9 +6,7 @@ import json
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Setup
@@ -17,7 +15,6 @@ from protocol.process import Context
 from protocol.topics import TOPICS, BusName
 from protocol.version import own_version
 from recording.mcap.format import next_file
-from recording.mcap.foxglove import BOXES_PER_S, CLOUDS_PER_S, FoxgloveConverter
 from recording.mcap.writer import McapWriter
 
 PATIENCE_NS = 4_000_000_000
@@ -66,17 +63,9 @@ POLL_S = 0.2
 TRUTH_TOPICS = frozenset({"truth", "sighting"})
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedContent:
-    """What is recorded: with the truth or without, for Foxglove as well or not."""
-
-    truth: bool = True
-    foxglove: bool = True
-
-    @property
-    def topics(self) -> frozenset[str]:
-        """Names in the topic table."""
-        return ALL_TOPICS if self.truth else ALL_TOPICS - TRUTH_TOPICS
+def recorded_topics(*, truth: bool) -> frozenset[str]:
+    """Returns the names of the topics that are recorded, with the truth or without."""
+    return ALL_TOPICS if truth else ALL_TOPICS - TRUTH_TOPICS
 
 
 class McapRecorder:
@@ -87,10 +76,11 @@ class McapRecorder:
         setup: Setup,
         next_path: Callable[[], Path],
         inbox: Inbox,
-        choice: RecordedContent,
         stop: threading.Event,
+        *,
+        truth: bool,
     ) -> None:
-        """Begins a recording; `stop` is set once the run is over.
+        """Begins a recording, with the truth or without; `stop` is set once the run is over.
 
         Raises:
             ConfigError: the recording cannot be written there.
@@ -100,10 +90,7 @@ class McapRecorder:
         self._stop = stop
         self._ending = EndOfRecording()
         self._reason = "unknown"
-        self.writer = McapWriter(next_path, setup, _facts(setup, choice))
-        self.scene = None
-        if choice.foxglove:
-            self.scene = FoxgloveConverter(setup, self.writer, BOXES_PER_S, CLOUDS_PER_S)
+        self.writer = McapWriter(next_path, setup, _facts(setup, truth=truth))
 
     @property
     def dropped(self) -> int:
@@ -121,13 +108,11 @@ class McapRecorder:
             self._ending.look(item, time.monotonic_ns())
             return
         end = item.message if item.topic == "end" else None
-        moment = self.writer.write(item)
+        self.writer.write(item)
         self._ending.received(time.monotonic_ns())
         if isinstance(end, End):
             self._reason = end.reason
             self._ending.begin(time.monotonic_ns())
-        if self.scene is not None and moment.frame is not None:
-            self.scene.take(item, moment.frame)
 
     def poll(self) -> None:
         """Does what is due when all that came was taken.
@@ -135,8 +120,6 @@ class McapRecorder:
         Raises:
             CpnetError: the disk is full, or fails.
         """
-        while self.scene is not None and self._inbox.is_empty and self.scene.step():
-            pass
         now_ns = time.monotonic_ns()
         self.writer.settle(now_ns)
         is_idle = self._inbox.is_empty
@@ -158,18 +141,15 @@ class McapRecorder:
             "messages": str(self.writer.messages),
             "drops": json.dumps(self._inbox.drops),
         }
-        if self.scene is not None:
-            facts["frames_left_out"] = str(self.scene.frames_left_out)
-            facts["clouds_left_out"] = str(self.scene.clouds_left_out)
         self.writer.close(facts)
 
 
-def _facts(setup: Setup, choice: RecordedContent) -> dict[str, str]:
+def _facts(setup: Setup, *, truth: bool) -> dict[str, str]:
     scenario = setup.scenario
     told = {key: str(scenario.get(key, "")) for key in ("name", "mode", "seed", "region")}
     return told | {
         "cpnet": own_version(),
-        "truth": json.dumps(choice.truth),
+        "truth": json.dumps(truth),
         "log_time": "when it arrived, on time.monotonic_ns of the process that recorded",
         "publish_time": "simulated time; the log time where a message has none",
     }
@@ -183,11 +163,11 @@ def build(context: Context) -> McapRecorder:
     """
     lower_priority()
     scenario = context.setup.scenario
-    choice = content_of(scenario)
+    truth = bool(scenario.get("record", {}).get("truth", True))
     recorder = McapRecorder(
-        context.setup, lambda: next_file(context.run_dir), context.inbox, choice, context.stop
+        context.setup, lambda: next_file(context.run_dir), context.inbox, context.stop, truth=truth
     )
-    for name in sorted(choice.topics):
+    for name in sorted(recorded_topics(truth=truth)):
         topic = TOPICS[name]
         bus = context.world if topic.bus is BusName.WORLD else context.v2x
         own = {"region": str(scenario["region"])} if "{region}" in topic.template else {}
@@ -196,9 +176,3 @@ def build(context: Context) -> McapRecorder:
     context.v2x.watch()
     context.announce("mcap")
     return recorder
-
-
-def content_of(scenario: dict[str, Any]) -> RecordedContent:
-    """Returns what a scenario wants recorded."""
-    record = scenario.get("record", {})
-    return RecordedContent(truth=record.get("truth", True), foxglove=record.get("foxglove", True))

@@ -17,7 +17,7 @@ from protocol.inbox import Envelope
 from protocol.messages import Setup
 from protocol.topics import TOPICS
 from protocol.version import own_version
-from protocol.wire import FrameTime, encode, peek_frame_time
+from protocol.wire import encode, peek_frame_time
 from recording.limits import MAX_CHANNELS, MAX_CHUNKS
 from recording.mcap.format import (
     CLOSING_METADATA,
@@ -169,28 +169,27 @@ class McapWriter:
         self._ended_bytes = 0
         self.messages = 0
         self.files: list[Path] = []
-        self._reel = self._load()
+        self._file = self._open()
 
     @property
     def size_bytes(self) -> int:
         """How much is in the files."""
-        return self._ended_bytes + self._reel.size_bytes
+        return self._ended_bytes + self._file.size_bytes
 
-    def write(self, item: Envelope) -> FrameTime:
-        """Adds a message as it came; returns of which moment it is.
+    def write(self, item: Envelope) -> None:
+        """Adds a message as it came.
 
         Raises:
             ProtocolError: it has no key, or nobody could read its bytes.
             CpnetError: the disk is full, or fails.
         """
-        moment = peek_frame_time(item.data, TOPICS[item.topic].message)
+        sim_time_ns = peek_frame_time(item.data, TOPICS[item.topic].message).sim_time_ns
         place = (item.topic, *item.parts.values())
         channel = self._channels.get(place)
         if channel is None:
             channel = self._channels[place] = self._native(item)
-        self._reel.write(channel, item.data, item.received_ns, moment.sim_time_ns)
+        self._file.write(channel, item.data, item.received_ns, sim_time_ns)
         self.messages += 1
-        return moment
 
     def write_shape(self, topic: str, shape: Shape, log_ns: int, sim_time_ns: int | None) -> None:
         """Adds a message for other tools, of this simulated time or of none.
@@ -204,7 +203,7 @@ class McapWriter:
         channel = self._channels.get(place)
         if channel is None:
             channel = self._channels[place] = self._foreign(topic, shape)
-        self._reel.write(channel, shape.SerializeToString(), log_ns, sim_time_ns)
+        self._file.write(channel, shape.SerializeToString(), log_ns, sim_time_ns)
 
     def settle(self, now_ns: int) -> None:
         """Sees to it that what came is in the file soon; to be called many times a second.
@@ -212,11 +211,11 @@ class McapWriter:
         Raises:
             CpnetError: the disk is full, or fails.
         """
-        self._reel.settle(now_ns)
-        if self._reel.is_full:
-            self._reel.close({})
-            self._ended_bytes += self._reel.size_bytes
-            self._reel = self._load()
+        self._file.settle(now_ns)
+        if self._file.is_full:
+            self._file.close({})
+            self._ended_bytes += self._file.size_bytes
+            self._file = self._open()
 
     def close(self, facts: dict[str, str]) -> None:
         """Ends the last file; the facts say what came of it.
@@ -224,9 +223,9 @@ class McapWriter:
         Raises:
             CpnetError: the disk is full, or fails.
         """
-        self._reel.close(facts)
+        self._file.close(facts)
 
-    def _load(self) -> McapFile:
+    def _open(self) -> McapFile:
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, ...], int] = {}
         before = {PREVIOUS_FILE: self.files[-1].name} if self.files else {}
@@ -244,14 +243,14 @@ class McapWriter:
         name = name_of(topic.message)
         if name not in self._schemas:
             schema = schema_of(topic.message)
-            self._schemas[name] = self._reel.schema(name, SCHEMA_ENCODING, schema)
+            self._schemas[name] = self._file.schema(name, SCHEMA_ENCODING, schema)
         facts = {TOPIC: topic.name, "bus": topic.bus.value}
-        return self._reel.channel(key, ENCODING, self._schemas[name], facts)
+        return self._file.channel(key, ENCODING, self._schemas[name], facts)
 
     def _foreign(self, topic: str, shape: Shape) -> int:
         """Returns a new channel for messages like this one."""
         name = shape.DESCRIPTOR.full_name
         if name not in self._schemas:
             described = build_file_descriptor_set(type(shape)).SerializeToString()
-            self._schemas[name] = self._reel.schema(name, _PROTOBUF, described)
-        return self._reel.channel(topic, _PROTOBUF, self._schemas[name], {})
+            self._schemas[name] = self._file.schema(name, _PROTOBUF, described)
+        return self._file.channel(topic, _PROTOBUF, self._schemas[name], {})

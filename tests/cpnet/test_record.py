@@ -105,7 +105,7 @@ def test_a_tape_is_started_again_and_others_come_and_go(shell):
     to_the_end.read_until("Ctrl-C ends it")
     until_told = shell.start("record", "--out=mine.mcap")  # the newest run
     until_told.read_until("Ctrl-C ends it")
-    status, output = shell.run("record", "--duration=1", "--no-foxglove")
+    status, output = shell.run("record", "--duration=1")
     assert status == 0, output
     until_told.process.send_signal(signal.SIGINT)
     to_the_end.wait_until(lambda: size_bytes(run_dir / "run-2.mcap") > 300_000)

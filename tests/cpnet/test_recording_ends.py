@@ -15,15 +15,14 @@ from cpnet.discovery import RunLocation
 from protocol.bus import Endpoint
 from protocol.errors import ConfigError, CpnetError
 from protocol.inbox import Inbox
+from protocol.observer import ALL_TOPICS
 from recording.mcap.reader import McapReader
-from recording.mcap.recorder import RecordedContent
 from tests.recording.cassette import envelope, setup
 
 pytest.importorskip("mcap", reason="needs the extra `mcap`")
 
 
 NOWHERE = Endpoint("tcp/127.0.0.1:1", listen=False)
-PLAIN = RecordedContent(foxglove=False)
 
 
 class Silent:
@@ -36,7 +35,7 @@ class Silent:
         return setup()
 
     def subscribe(self, topics):
-        assert topics == PLAIN.topics
+        assert topics == ALL_TOPICS
 
 
 def test_a_full_disk_leaves_what_can_be_read_and_says_so(tmp_path, monkeypatch):
@@ -52,7 +51,7 @@ def test_a_full_disk_leaves_what_can_be_read_and_says_so(tmp_path, monkeypatch):
     try:
         run = RunLocation(NOWHERE, NOWHERE, tmp_path)
         with pytest.raises(CpnetError, match="No space left"):
-            observe.record_run(run, PLAIN, None, None, Console(file=said, width=200))
+            observe.record_run(run, None, None, Console(file=said, width=200), truth=True)
     finally:
         signal.signal(signal.SIGTSTP, before)
     assert f"readable as far as it goes: {tmp_path / 'record.mcap'}: 1 messages" in said.getvalue()
@@ -66,5 +65,9 @@ def test_what_cannot_be_a_new_file_is_refused_before_all_else(tmp_path, monkeypa
     (tmp_path / "there.mcap").touch()
     with pytest.raises(ConfigError, match="--out"):
         observe.record_run(
-            RunLocation(NOWHERE, NOWHERE), PLAIN, tmp_path / Path(name), None, Console(quiet=True)
+            RunLocation(NOWHERE, NOWHERE),
+            tmp_path / Path(name),
+            None,
+            Console(quiet=True),
+            truth=True,
         )

@@ -67,15 +67,6 @@ def test_who_is_slow_gets_the_newest_and_leaves_out_whole_frames() -> None:
     assert (frames.whole().number, frames.left_out) == (8, 8)
 
 
-def test_who_rests_gets_the_newest_few_one_after_the_other() -> None:
-    frames = FrameBuffer("lanes", 3)
-    for number in range(10):
-        frames.take(envelope("lanes", lane_counts(number)), number)
-    found = [frames.next() for _ in range(4)]
-    assert [one and one.number for one in found] == [6, 7, 8, None]
-    assert frames.left_out == 6
-
-
 def test_absurd_frames_are_in_nobodys_way() -> None:
     frames = Heard()
     frames.hear(*(scan((1 << 40) - 1 - n) for n in range(1000)))

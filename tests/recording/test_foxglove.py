@@ -1,13 +1,14 @@
-"""What other tools see of a recording: the same places as the messages say, when there is time."""
+"""What other tools see of a converted recording: the same places as the messages say."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import msgpack
 import numpy as np
 import pytest
-from cassette import same, setup, writer_in
+from cassette import writer_in
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,12 +25,14 @@ from protocol.scans import PointCloud
 from protocol.topics import TOPICS
 from protocol.wire import encode
 from recording.mcap import foxglove_messages, writer
-from recording.mcap.foxglove import WAITING_FRAMES, FoxgloveConverter
+from recording.mcap.format import next_file
+from recording.mcap.foxglove import FoxgloveFiles, export_foxglove
 from recording.mcap.reader import McapReader
 
 pytest.importorskip("mcap", reason="needs the extra `mcap`")
 
 
+FRAMES = 6
 SENSOR_POSE = np.array([10.0, -4.0, 2.4, 0.01, -0.02, 2.5])
 BODY_POSE = np.array([10.0, -4.0, 0.0, 0.0, 0.0, 2.5])
 BOXES = np.array([[1, 2, 0.75, 4.5, 1.8, 1.5, 0.3], [9, 8, 1, 5, 2, 2, -3]], np.float32)
@@ -97,32 +100,36 @@ def heard(topic: str, message: m.Message, received_ns: int) -> Envelope:
     return Envelope(topic, parts, None, received_ns, data)  # not read yet
 
 
-class Booth:
-    """A writer with a scene that has all the time in the world, or none for boxes or clouds."""
+class Tape:
+    """A recording that is being written, and is then converted."""
 
-    def __init__(self, folder: Path, boxes: float = 1e9, clouds: float = 1e9) -> None:
-        self.path = folder / "run.mcap"
+    def __init__(self, folder: Path) -> None:
         self.writer = writer_in(folder)
-        self.scene = FoxgloveConverter(setup(), self.writer, boxes, clouds)
+        self.folder = folder / "new"
 
-    def take(
-        self, topic: str, message: m.Message, received_ns: int, frame: int | None = None
-    ) -> None:
-        number = message.frame if frame is None else frame
-        self.scene.take(heard(topic, message, received_ns), number)
+    def take(self, topic: str, message: m.Message, received_ns: int) -> None:
+        self.writer.write(heard(topic, message, received_ns))
 
-    def hear(self, frame: int, steps: int = 8) -> None:
-        """Hears a frame, and the end of the next, so that it is due."""
-        for n, (topic, message) in enumerate(messages_of(frame).items()):
-            self.take(topic, message, 10**9 * (frame + 1) + n)
-        self.take("detections", messages_of(frame + 1)["detections"], 10**9)
-        for _ in range(steps):
-            self.scene.step()
+    def hear(self, *frames: int) -> None:
+        for frame in frames:
+            for n, (topic, message) in enumerate(messages_of(frame).items()):
+                self.take(topic, message, 10**9 * (frame + 1) + n)
 
-    def read(self) -> dict[str, list]:
-        """Ends the recording; returns what an independent reader finds, by topic."""
+    def convert(
+        self, cloud_every: int = 1, tell: Callable[[int], None] = lambda _: None
+    ) -> FoxgloveFiles:
         self.writer.close({})
-        return decoded(self.path)
+        self.folder.mkdir()
+        recording = McapReader(self.writer.files[0])
+        return export_foxglove(recording, lambda: next_file(self.folder), cloud_every, tell)
+
+    def read(self, cloud_every: int = 1) -> dict[str, list]:
+        """Returns what an independent reader finds in the converted files, by topic."""
+        found: dict[str, list] = {}
+        for path in self.convert(cloud_every).files:
+            for topic, messages in decoded(path).items():
+                found.setdefault(topic, []).extend(messages)
+        return found
 
 
 def decoded(path: Path) -> dict[str, list]:
@@ -157,9 +164,9 @@ def place_of(pose) -> tuple[float, float, float]:
 
 
 def test_a_cloud_lies_on_the_map_where_its_agent_believes_it(tmp_path):
-    booth = Booth(tmp_path)
-    booth.hear(3)
-    found = booth.read()
+    tape = Tape(tmp_path)
+    tape.hear(3)
+    found = tape.read()
     (cloud,) = found["foxglove/v2x/cloud/a"]
     (tree,) = found["foxglove/v2x/transforms"]
     (step,) = [one for one in tree.transforms if one.child_frame_id == cloud.frame_id]
@@ -172,9 +179,9 @@ def test_a_cloud_lies_on_the_map_where_its_agent_believes_it(tmp_path):
 
 
 def test_boxes_and_poses_are_those_that_were_said(tmp_path):
-    booth = Booth(tmp_path)
-    booth.hear(0)
-    found = booth.read()
+    tape = Tape(tmp_path)
+    tape.hear(0)
+    found = tape.read()
     (update,) = found["foxglove/v2x/detections"]
     (entity,) = update.entities
     sizes = [(cube.size.x, cube.size.y, cube.size.z) for cube in entity.cubes]
@@ -188,9 +195,9 @@ def test_boxes_and_poses_are_those_that_were_said(tmp_path):
 
 
 def test_true_vehicles_stand_on_the_ground_and_are_apart(tmp_path):
-    booth = Booth(tmp_path)
-    booth.hear(0)
-    found = booth.read()
+    tape = Tape(tmp_path)
+    tape.hear(0)
+    found = tape.read()
     assert sorted(topic for topic in found if "world" in topic) == ["foxglove/world/truth"]
     (cube,) = found["foxglove/world/truth"][0].entities[0].cubes  # nobody knows the other's size
     assert place_of(cube.pose) == pytest.approx((10, -4, 0.75))
@@ -204,76 +211,62 @@ def test_a_large_cloud_is_thinned():
 
 
 def test_chunks_of_a_scan_are_one_cloud(tmp_path):
-    booth = Booth(tmp_path)
+    tape = Tape(tmp_path)
     for chunk in range(3):
-        booth.take("scan", scan(0, "b", chunk, 3), 10**9)
-    booth.hear(0)
-    found = booth.read()
+        tape.take("scan", scan(0, "b", chunk, 3), 10**9)
+    tape.hear(0)
+    found = tape.read()
     assert len(points_of(found["foxglove/v2x/cloud/b"][0])) == 150
 
 
 def test_times_of_all_channels_are_on_one_axis(tmp_path):
-    booth = Booth(tmp_path)
-    booth.hear(4)
-    (cloud,) = booth.read()["foxglove/v2x/cloud/a"]
+    tape = Tape(tmp_path)
+    tape.hear(4)
+    (cloud,) = tape.read()["foxglove/v2x/cloud/a"]
     assert cloud.timestamp.ToNanoseconds() == 5 * 10**9  # when the first of its frame was heard
 
 
 def test_the_road_is_drawn_once_in_each_file(tmp_path, monkeypatch):
+    tape = Tape(tmp_path)
+    tape.hear(*range(3))
     monkeypatch.setattr(writer, "MAX_CHANNELS", 1)
-    booth = Booth(tmp_path)
-    for frame in range(3):
-        booth.hear(frame)
-        booth.writer.settle(0)
-    found = booth.read()
-    assert len(booth.writer.files) == 4
-    (road,) = found["foxglove/v2x/road"]
-    assert [(p.x, p.y) for p in road.entities[0].lines[0].points] == [(-50, 0), (0, 0)]
+    made = tape.convert()
+    roads = [road for path in made.files for road in decoded(path).get("foxglove/v2x/road", [])]
+    assert len(roads) == 3
+    assert [(p.x, p.y) for p in roads[0].entities[0].lines[0].points] == [(-50, 0), (0, 0)]
 
 
-def test_beyond_the_rate_of_clouds_frames_have_boxes_alone(tmp_path):
-    booth = Booth(tmp_path, clouds=1e-3)
-    for frame in range(5):
-        booth.hear(frame)
-    assert (booth.scene.frames_left_out, booth.scene.clouds_left_out) == (0, 4)
-    found = booth.read()
-    assert len(found["foxglove/v2x/detections"]) == 5
-    assert [len(clouds) for topic, clouds in found.items() if "cloud" in topic] == [1]
+def test_clouds_are_those_of_each_nth_frame(tmp_path):
+    tape = Tape(tmp_path)
+    tape.hear(*range(FRAMES))
+    found = tape.read(cloud_every=4)
+    assert len(found["foxglove/v2x/detections"]) == FRAMES
+    assert len(found["foxglove/v2x/cloud/a"]) == 2
 
 
-def test_beyond_the_rate_of_boxes_frames_are_left_out(tmp_path):
-    booth = Booth(tmp_path, boxes=1e-3)
-    for frame in range(5):
-        booth.hear(frame)
-    assert (booth.scene.frames_left_out, booth.scene.clouds_left_out) == (4, 0)
-    assert len(booth.read()["foxglove/v2x/detections"]) == 1
-
-
-def test_frames_that_nobody_had_time_for_are_counted(tmp_path):
-    booth = Booth(tmp_path)
-    for frame in range(WAITING_FRAMES + 3):
-        booth.hear(frame, steps=0)
-    while booth.scene.step():
-        pass
-    assert booth.scene.frames_left_out == 3
-    assert len(booth.read()["foxglove/v2x/detections"]) == WAITING_FRAMES
+def test_each_frame_is_converted_and_told(tmp_path):
+    tape = Tape(tmp_path)
+    tape.hear(*range(FRAMES))
+    told: list[int] = []
+    made = tape.convert(tell=told.append)
+    assert (made.frames, told) == (FRAMES, [*range(1, FRAMES + 1)])
+    assert made.size_bytes == made.files[0].stat().st_size
 
 
 def test_absurd_frame_numbers_keep_no_frame_from_being_drawn(tmp_path):
-    booth = Booth(tmp_path)
+    tape = Tape(tmp_path)
     for n in range(MAX_OPEN_FRAMES):
-        booth.take("scan", scan(10**9 + n), 1)
-    for frame in range(4):
-        booth.hear(frame)
-    assert len(booth.read()["foxglove/v2x/detections"]) == 4
+        tape.take("scan", scan(10**9 + n), 1)
+    tape.hear(*range(4))
+    assert len(tape.read()["foxglove/v2x/detections"]) == 4
 
 
 def test_a_scan_that_does_not_decode_is_left_out(tmp_path):
-    booth = Booth(tmp_path)
+    tape = Tape(tmp_path)
     spoilt = scan(0, "b").model_copy(update={"payload": np.arange(40, dtype=np.uint8)})
-    booth.take("scan", spoilt, 1)
-    booth.hear(0)
-    found = booth.read()
+    tape.take("scan", spoilt, 1)
+    tape.hear(0)
+    found = tape.read()
     assert [topic for topic in found if "cloud" in topic] == ["foxglove/v2x/cloud/a"]
 
 
@@ -289,34 +282,47 @@ def spoilt(topic: str, message: m.Message, **fields: object) -> Envelope:
 
 
 def test_what_cannot_be_read_is_left_out_and_ends_no_frame(tmp_path):
-    booth = Booth(tmp_path)
+    tape = Tape(tmp_path)
     said = messages_of(0)
-    booth.scene.take(spoilt("pose", said["pose"], agent="b", length_m=-1), 0)
-    booth.scene.take(spoilt("detections", said["detections"], sources=[]), 0)
-    assert not booth.scene.step()
-    booth.hear(0)
-    found = booth.read()
+    tape.writer.write(spoilt("pose", said["pose"], agent="b", length_m=-1))
+    tape.writer.write(spoilt("detections", said["detections"], sources=[]))
+    tape.hear(0)
+    found = tape.read()
     assert [topic for topic in found if "pose" in topic] == ["foxglove/v2x/pose/a"]
     assert len(found["foxglove/v2x/detections"]) == 1
 
 
-def test_a_message_is_drawn_in_the_frame_that_its_readers_take_it_for(tmp_path):
-    booth = Booth(tmp_path)
-    pose = messages_of(0)["pose"].model_copy(update={"agent": "b", "frame": 3})
-    booth.take("pose", pose, 1, 0)  # it bears two numbers
-    booth.hear(0)
-    assert [topic for topic in booth.read() if "pose" in topic] == ["foxglove/v2x/pose/a"]
+def test_of_a_tape_that_was_cut_there_is_what_can_be_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(writer, "CHUNK_BYTES", 1000)
+    tape = Tape(tmp_path)
+    tape.hear(*range(FRAMES))
+    tape.writer.close({})
+    (path,) = tape.writer.files
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 3])
+    made = export_foxglove(McapReader(path), lambda: next_file(tmp_path, "new"), 1, print)
+    assert 0 < made.frames < FRAMES
 
 
-def test_what_is_for_other_tools_is_not_heard_again(tmp_path):
-    booth = Booth(tmp_path)
-    item = heard("pose", messages_of(0)["pose"], 5)
-    booth.writer.write(item)
-    booth.hear(0)
-    booth.writer.close({})
-    recording = McapReader(booth.path)
-    assert same(recording.messages(), [item])
-    assert recording.is_whole
+def test_a_translation_is_no_part_of_the_tape_and_itself_translates_to_nothing(tmp_path):
+    tape = Tape(tmp_path)
+    tape.hear(0)
+    (made,) = tape.convert().files
+    again = export_foxglove(McapReader(made), lambda: next_file(tmp_path, "newer"), 1, print)
+    assert again.frames == 0
+
+
+def test_of_a_translation_that_is_broken_off_nothing_is_left(tmp_path):
+    tape = Tape(tmp_path)
+    tape.hear(*range(FRAMES))
+
+    def interrupt(frames: int) -> None:
+        if frames == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        tape.convert(tell=interrupt)
+    assert not [*tape.folder.iterdir()]
 
 
 @given(st.lists(st.floats(-7, 7), min_size=3, max_size=3))

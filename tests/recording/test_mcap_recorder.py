@@ -7,7 +7,7 @@ import threading
 import time
 
 import pytest
-from cassette import envelope, golden, same, setup
+from cassette import envelope, setup
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -17,7 +17,6 @@ from protocol.inbox import Envelope, Inbox, Presence
 from protocol.observer import ALL_TOPICS
 from protocol.process import Context, loop
 from protocol.topics import TOPICS, BusName
-from protocol.wire import encode
 from recording.mcap import recorder
 from recording.mcap.format import next_file
 from recording.mcap.reader import McapReader
@@ -27,7 +26,6 @@ from recording.mcap.recorder import (
     TRUTH_TOPICS,
     EndOfRecording,
     McapRecorder,
-    RecordedContent,
 )
 
 pytest.importorskip("mcap", reason="needs the extra `mcap`")
@@ -56,7 +54,7 @@ def said(context, topic: str) -> None:
 
 @pytest.mark.parametrize("truth", [True, False])
 def test_all_topics_of_both_buses_are_kept_but_truth_that_nobody_wants(tmp_path, truth):
-    context = context_in(tmp_path, {"mcap": True, "truth": truth, "foxglove": False})
+    context = context_in(tmp_path, {"mcap": True, "truth": truth})
     writing = recorder.build(context)
     for topic in sorted(ALL_TOPICS - {"end"}):
         said(context, topic)
@@ -85,7 +83,7 @@ def test_another_regions_messages_are_not_kept(tmp_path):
 def test_the_tape_says_at_its_end_what_came_of_it(tmp_path):
     inbox = Inbox()
     writing = McapRecorder(
-        setup(), lambda: next_file(tmp_path), inbox, RecordedContent(), threading.Event()
+        setup(), lambda: next_file(tmp_path), inbox, threading.Event(), truth=True
     )
     inbox.drops["inbox_full"] = 3
     for topic in ("tick", "end"):
@@ -99,8 +97,6 @@ def test_the_tape_says_at_its_end_what_came_of_it(tmp_path):
         "messages": "2",
         "drops": '{"inbox_full": 3}',
         "end_reason": end.reason,
-        "frames_left_out": "0",
-        "clouds_left_out": "0",
     }
 
 
@@ -119,32 +115,10 @@ def test_what_nobody_could_read_is_not_kept_and_the_rest_as_it_came(tmp_path):
     assert (writing.dropped, recording.drops.total()) == (3, 0)
 
 
-def test_messages_come_before_what_is_made_of_them(tmp_path):
-    inbox = Inbox()
-    writing = McapRecorder(
-        setup(), lambda: next_file(tmp_path), inbox, RecordedContent(), threading.Event()
-    )
-    found, _ = golden(TOPICS["detections"].message)
-    heard = []
-    for frame in range(2):
-        data = encode(found.model_copy(update={"frame": frame}))
-        heard.append(Envelope("detections", {"region": "r0"}, None, frame, data))
-        writing.on(heard[-1])
-    inbox.put(Presence("edge", "edge", alive=True))
-    writing.poll()  # there is no time for other tools
-    assert writing.scene._frames.is_due
-    inbox.get()
-    writing.poll()
-    assert not writing.scene._frames.is_due
-    assert writing.scene.frames_left_out == 0
-    writing.close()
-    assert same(McapReader(tmp_path).messages(), heard)
-
-
 def test_who_never_falls_silent_keeps_no_tape_from_ending(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder, "PATIENCE_NS", 1)
     inbox, stop = Inbox(), threading.Event()
-    writing = McapRecorder(setup(), lambda: next_file(tmp_path), inbox, RecordedContent(), stop)
+    writing = McapRecorder(setup(), lambda: next_file(tmp_path), inbox, stop, truth=True)
     inbox.put(Presence("vehicle", "v", alive=True))
     writing.poll()
     assert not stop.is_set()
