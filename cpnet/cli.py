@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import sys
+from collections.abc import Callable
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -119,11 +121,17 @@ def scenario_command(
     typer.echo(yaml.safe_dump(data, sort_keys=False), nl=False)
 
 
+@cache
+def command() -> Callable[[], object]:
+    """Returns the tree of commands; to build it takes 0.2 s."""
+    return typer.main.get_command(app)
+
+
 def main() -> None:
     """Runs the command; a user's mistake ends with one clear message and status 2."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
     try:
-        app()
+        command()()
     except CpnetError as error:
         errors.print(f"[bold red]error[/] {escape(str(error))}", highlight=False, soft_wrap=True)
         sys.exit(2)

@@ -21,11 +21,6 @@ def sent_bytes(locator: str) -> int:
     return _read(locator, *_BYTES_SENT)
 
 
-def sent_bytes_of(connection: socket.socket) -> int:
-    """Returns the same of a socket that the caller holds."""
-    return _read_from(connection, *_BYTES_SENT)
-
-
 def unsent_bytes(locator: str) -> int:
     """Returns the bytes that wait in the kernel for the other side's window; 0 as above."""
     return _read(locator, *_NOTSENT_BYTES)
@@ -34,10 +29,8 @@ def unsent_bytes(locator: str) -> int:
 def _read(locator: str, offset: int, number: struct.Struct) -> int:
     port = locator.rsplit(":", 1)[-1].split("?")[0].split("#")[0]
     connection = _socket_at(int(port)) if port.isdigit() else None
-    return 0 if connection is None else _read_from(connection, offset, number)
-
-
-def _read_from(connection: socket.socket, offset: int, number: struct.Struct) -> int:
+    if connection is None:
+        return 0
     info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 232)
     if len(info) < offset + number.size:
         return 0

@@ -27,18 +27,10 @@ class RestartSafeCounts:
     def take(self, reported: Mapping[str, int]) -> None:
         """Adds what is new; counts of which one has fallen are those of a new process."""
         if any(reported.get(reason, 0) < count for reason, count in self.reported.items()):
-            self.restart()
+            self.reported = {}
         for reason, count in reported.items():
             self.total[reason] += count - self.reported.get(reason, 0)
         self.reported = dict(reported)
-
-    def take_highest(self, reported: Mapping[str, int]) -> None:
-        """Keeps the most that any of several processes told, which is less than their sum."""
-        self.total |= Counter(reported)
-
-    def restart(self) -> None:
-        """Expects counts from 0."""
-        self.reported = {}
 
 
 class DropCounts:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import sqlite3
 from collections.abc import Iterator
@@ -187,22 +186,6 @@ def differences(run_a: Path, run_b: Path) -> list[Difference]:
     with Run(run_a) as a, Run(run_b) as b:
         found = [_difference(table, a, b) for table in RESULTS]
     return [difference for difference in found if difference.differing]
-
-
-def results_digest(run_dir: Path) -> dict[str, str]:
-    """Returns a SHA-256 for each result table; equal digests mean equal rows.
-
-    Raises:
-        ConfigError: the folder is no run.
-    """
-    digests = {}
-    with Run(run_dir) as run:
-        for table in RESULTS:
-            state = hashlib.sha256()
-            for row in run.rows(table.row):
-                state.update(repr(tuple(row)).encode())
-            digests[table.name] = state.hexdigest()
-    return digests
 
 
 def _difference(table: Table, a: Run, b: Run) -> Difference:
