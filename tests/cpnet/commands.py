@@ -27,7 +27,7 @@ from unittest.mock import patch
 from setproctitle import getproctitle, setproctitle
 
 from cpnet.__main__ import main
-from cpnet.cli import command
+from cpnet import cli
 from cpnet.endpoints import free_locator
 from cpnet.fork_server import ONE_THREAD
 from recording.latency_breakdown import stage_sum_ns
@@ -50,7 +50,7 @@ UNHURRIED = ["--set=frame_period_s=0.5", "--set=edge.deadline_ms=400"]
 _ROLES = ["edge_server", "sim_host", "recording", "signal_controller", "infra_agent"]
 _PRELOAD = ["tests.cpnet.commands", "cpnet.up", "sim_host.setup", "studies.summary"]
 _PRELOAD += [f"{package}.role" for package in [*_ROLES, "vehicle_agent"]]
-command()
+cli.command()
 _SETTINGS = {"COLUMNS": "120", "PYTHONWARNINGS": "error"}
 
 
