@@ -26,8 +26,8 @@ from unittest.mock import patch
 
 from setproctitle import getproctitle, setproctitle
 
-from cpnet.__main__ import main
 from cpnet import cli
+from cpnet.__main__ import main
 from cpnet.endpoints import free_locator
 from cpnet.fork_server import ONE_THREAD
 from recording.latency_breakdown import stage_sum_ns
