@@ -35,7 +35,7 @@ from protocol.messages import Setup
 from protocol.topics import BusName
 from protocol.wire import encode
 from sensing.radio import AgentKind
-from sensing.recorded_scans import check_recording, is_of_carla
+from sensing.recorded_scans import check_recording
 from sensing.upload_policies import policy_of
 from signal_controller.policies import check_policy as check_policy
 
@@ -162,10 +162,10 @@ def _check_scans(names: list[str], scenario: dict[str, Any]) -> None:
     """Finds what would keep the roles of this machine from their scans."""
     if PLAYERS.intersection(names):
         check_recording(scenario)
-    if SENSING.intersection(names) and is_of_carla(scenario):
-        from sensing.carla import load_carla
+    if SENSING.intersection(names):
+        from sensing.source import check_source  # imports what casts
 
-        load_carla()
+        check_source(scenario)
 
 
 def _check_restart(options: Options, scenario: scenarios.Scenario) -> None:

@@ -135,7 +135,7 @@ def _check_cabinet(scenario: scenarios.Scenario) -> None:
         )
 
 
-_CASTING = ("lidar", "pose", "scene", "carla")
+_CASTING = ("lidar", "pose", "scene")
 _ENCODING = ("upload.max_error_m", "upload.profile", "upload.intensity")
 EXTRINSICS = "extrinsics.csv"
 WIDTH_M = 60.0

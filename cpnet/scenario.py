@@ -6,17 +6,18 @@ import copy
 import difflib
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
 from edge_server.config import EdgeConfig
 from protocol.config import Section, is_file
 from protocol.errors import ConfigError
+from protocol.plugins import PluginSettings
 from recording.config import RecordConfig, ReplayConfig
 from sensing.config import (
-    CarlaConfig,
+    LIDAR_SOURCES,
     LidarConfig,
     Mount,
     PoseErrorConfig,
@@ -41,17 +42,19 @@ RENAMED_KEYS: dict[str, str] = {
     "edge.plausibility": "edge.misbehaviour",
     "edge.sight_m": "edge.coverage_range_m",
     "edge.standing_mps": "edge.stationary_mps",
+    "carla": "lidar.plugin",
 }
 
 
 class LidarPair(Section):
     """The two kinds of LiDAR, and what simulates their scans."""
 
-    source: Literal["cast", "carla"] = Field(
+    source: Annotated[str, AfterValidator(LIDAR_SOURCES.checked)] = Field(
         "cast",
-        description="cast: by our model, in the scene drawn for the net; carla: by a CARLA server, "
-        "in its town (section carla)",
+        description="cast: by our model, in the scene drawn for the net; or the name of a plug-in, "
+        "such as carla of examples/carla_package",
     )
+    plugin: PluginSettings = Field({})
     vehicle: LidarConfig = Field(LidarConfig(), description="on every CAV")
     roadside: LidarConfig = Field(LidarConfig(), description="on every roadside mount")
 
@@ -105,7 +108,6 @@ class Scenario(Section):
     roadside_mounts: list[Mount] = Field(
         [Mount()], description="roadside units with a LiDAR; may be empty"
     )
-    carla: CarlaConfig = CarlaConfig()
     scene: SceneConfig = SceneConfig()
     pose: PoseErrorConfig = PoseErrorConfig()
     upload: UploadConfig = UploadConfig()
@@ -161,7 +163,6 @@ def validate(data: dict[str, Any], source: str) -> Scenario:
     _check_period(scenario, source)
     _check_mounts(scenario, source)
     _check_recording(scenario, source)
-    _check_carla(scenario, source)
     _check_link(scenario, source)
     return scenario
 
@@ -289,25 +290,6 @@ def _check_recording(scenario: Scenario, source: str) -> None:
             f"{traffic.step_s:g}, must be frame_period_s, {scenario.frame_period_s:g}; "
             f"traffic.warmup_s is {traffic.warmup_s:g}, must be 0"
         )
-
-
-def _check_carla(scenario: Scenario, source: str) -> None:
-    lidar, needs = scenario.lidar, []
-    if lidar.source != "carla":
-        return
-    if scenario.recording is not None:
-        needs.append("no recording")
-    if scenario.scene.terrain_amplitude_m:  # bodies and roadside units stand on CARLA's ground
-        needs.append(f"scene.terrain_amplitude_m 0 (got {scenario.scene.terrain_amplitude_m:g})")
-    if lidar.vehicle.rotation_frequency != lidar.roadside.rotation_frequency:  # it has one step
-        needs.append("the same rotation_frequency for lidar.vehicle and lidar.roadside")
-    for kind, config in (("vehicle", lidar.vehicle), ("roadside", lidar.roadside)):
-        if config.columns % 2:  # CARLA's beams begin half a turn from the front
-            needs.append(
-                f"an even number of rays a turn and laser (lidar.{kind}: {config.columns})"
-            )
-    if needs:
-        raise ConfigError(f"{source}: lidar.source: carla needs {', and '.join(needs)}")
 
 
 def _section_of(annotation: Any) -> Any:  # noqa: ANN401 - typing has no name for what annotations are

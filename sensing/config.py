@@ -1,4 +1,4 @@
-"""Configuration of sensors, scene, upload policies, pose errors and the CARLA server."""
+"""Configuration of sensors, scene, upload policies and pose errors."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from protocol.config import Section
-from protocol.plugins import PluginSettings
+from protocol.plugins import Catalogue, PluginSettings
 from protocol.scans import Profile, ScanPattern
 from sensing.limits import MAX_COLUMNS
 from sensing.upload_policies import POLICIES, Filter, PolicyName, policy_of
+
+LIDAR_SOURCES = Catalogue("cpnet.lidar_sources", "LiDAR source", ("cast",))
+"""Every source of scans by its name; `sensing.source` defines what a plug-in must be."""
 
 
 class LidarConfig(Section):
@@ -203,22 +206,3 @@ class UploadConfig(Section):
                 "share one plan: choose one of them for both"
             )
         return self
-
-
-class CarlaConfig(Section):
-    """The CARLA server that casts scans where `lidar.source` is carla."""
-
-    host: str = Field("127.0.0.1", description="its machine; that of all agents that share it")
-    port: int = Field(2000, ge=1, le=65_535, description="its port for commands")
-    timeout_s: float = Field(60.0, gt=0, le=3600, description="how long it may take to answer")
-    town: str | None = Field(
-        None, description="map to be loaded, such as Town04; null: what is loaded there"
-    )
-    net_offset_m: tuple[float, float] = Field(
-        (0.0, 0.0), description="the net's netOffset, in its <location>: where CARLA's 0, 0 lies"
-    )
-    blueprints: dict[str, str] = Field(
-        {},
-        description="by name of the SUMO vType; others look like a car, a van or a bus by their "
-        "mesh",
-    )

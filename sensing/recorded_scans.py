@@ -176,11 +176,6 @@ def check_recording(scenario: dict[str, Any]) -> None:
         )
 
 
-def is_of_carla(scenario: dict[str, Any]) -> bool:
-    """Whether a scenario's scans are cast by a CARLA server."""
-    return bool(scenario["lidar"].get("source") == "carla")
-
-
 def recording_of(scenario: dict[str, Any], config: LidarConfig) -> Recording:
     """Opens a scenario's recording.
 

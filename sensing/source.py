@@ -6,18 +6,24 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from protocol.messages import Setup, Tick
-from sensing.config import CarlaConfig, LidarConfig, SceneConfig
+from sensing.config import LIDAR_SOURCES, LidarConfig, SceneConfig
 from sensing.lidar import Lidar, Sensed
 from sensing.mesh import VehicleShapes
 from sensing.noise import stream
-from sensing.recorded_scans import Recording, is_of_carla, recording_of
+from sensing.recorded_scans import Recording, recording_of
 from sensing.scene import scene_of
 
 
 class ScanSource(Protocol):
-    """Source of scans for all agents of one kind of a process."""
+    """Source of scans for all agents of one kind of a process.
+
+    A plug-in is a callable that takes the setup, the LiDAR and `lidar.plugin`. If it has a function
+    `check`, that is called with the scenario before the run starts, where agents run; it raises
+    ConfigError if there could be no scans.
+    """
 
     def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> Sensed:
         """Returns the scan of an agent's sensor; `own` is the index of the body that carries it."""
@@ -60,16 +66,35 @@ def source_of(setup: Setup, config: LidarConfig) -> ScanSource:
     """Returns the scan source of a scenario.
 
     Raises:
-        ConfigError: its recording cannot be read, or its CARLA server cannot be used.
+        ConfigError: its recording cannot be read, or a plug-in cannot be made.
     """
     scenario: dict[str, Any] = setup.scenario
     if scenario.get("recording"):
         return RecordedSource(recording_of(scenario, config))
     seed: int = scenario["seed"]
-    if is_of_carla(scenario):
-        from sensing.carla import CarlaSource
-
-        server = CarlaConfig.model_validate(scenario["carla"])
-        return CarlaSource(server, config, setup.vehicle_types, seed)
+    if (name := _name_of(scenario)) not in LIDAR_SOURCES.builtin:
+        settings = scenario["lidar"].get("plugin", {})
+        source: ScanSource = LIDAR_SOURCES.load(name).make("scan", setup, config, settings)
+        return source
     scene = scene_of(setup, SceneConfig.model_validate(scenario["scene"]), seed)
     return ModelSource(Lidar(config, scene, VehicleShapes.from_setup(setup)), seed)
+
+
+def check_source(scenario: dict[str, Any]) -> None:
+    """Finds what would keep a plug-in from casting scans.
+
+    Raises:
+        ConfigError: it cannot be loaded, or refuses the scenario.
+    """
+    name = _name_of(scenario)
+    if name in LIDAR_SOURCES.builtin:
+        return
+    if scenario.get("recording"):
+        raise ConfigError(f"lidar.source: {name} casts scans, and recording plays some: keep one")
+    plugin = LIDAR_SOURCES.load(name)
+    if (check := getattr(plugin.value, "check", None)) is not None:
+        check(scenario)
+
+
+def _name_of(scenario: dict[str, Any]) -> str:
+    return str(scenario["lidar"].get("source", "cast"))

@@ -1,17 +1,17 @@
-"""The package with one plug-in of each kind, installed as a user would install it."""
+"""The packages of plug-ins in examples/, installed as a user would install them."""
 
 import subprocess
 import sys
 from pathlib import Path
 
-PACKAGE = Path(__file__).parents[1] / "examples" / "plugin_package"
+EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
-def install(folder: Path) -> Path:
-    """Installs it into a folder, to be put on the path."""
+def install(folder: Path, package: Path = EXAMPLES / "plugin_package") -> Path:
+    """Installs a package into a folder, to be put on the path."""
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     options = ["--no-deps", "--no-index", "--no-build-isolation", "--target", str(folder)]
-    subprocess.run([*pip, *options, str(PACKAGE)], check=True, timeout=120)
+    subprocess.run([*pip, *options, str(package)], check=True, timeout=120)
     return folder
 
 

@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from cpnet_carla.source import CarlaSource, carla_pose, load_carla, scan_of
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cpnet import scenario as scenarios
 from protocol.errors import BusError, ConfigError
 from protocol.geometry import SE3
-from protocol.messages import Tick, VehicleType
+from protocol.messages import Setup, Tick, VehicleType
 from protocol.scans import ScanPattern
+from protocol.wire import decode
 from recording.run import Run
 from recording.tables import UploadRow
-from sensing.carla import CarlaSource, carla_pose, load_carla, scan_of
-from sensing.config import CarlaConfig, LidarConfig
+from sensing.config import LidarConfig
+from sensing.source import check_source
 from studies.in_process import run_in_process
-from tests.sensing.fake_carla import Location, Package, Rotation, Transform
+from tests.carla_package.fake_carla import Location, Package, Rotation, Transform
+from tests.example_plugins import EXAMPLES, install
 
+GOLDEN = Path(__file__).parents[1] / "protocol" / "golden" / "Setup.bin"
 LIDAR = LidarConfig(channels=256, points_per_second=256 * 2048 * 10, upper_fov=40, lower_fov=-40)
 PATTERN = ScanPattern(16, 90, 10, -20)
 OFFSET_M = (503.02, 423.76)  # Town04's, in the net that comes with CARLA
@@ -106,6 +111,16 @@ def test_odd_points_are_left_out_and_of_several_the_nearest_counts() -> None:
     assert not scan_of(np.zeros((0, 4), np.float32), PATTERN).range_m.any()
 
 
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return install(tmp_path_factory.mktemp("packages"), EXAMPLES / "carla_package")
+
+
+@pytest.fixture
+def installed(packages: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(packages)
+
+
 @pytest.fixture
 def carla(monkeypatch: pytest.MonkeyPatch) -> Package:
     package = Package()
@@ -115,7 +130,10 @@ def carla(monkeypatch: pytest.MonkeyPatch) -> Package:
 
 def source(**config: Any) -> CarlaSource:
     keys = {"net_offset_m": OFFSET_M, "timeout_s": 1} | config
-    return CarlaSource(CarlaConfig.model_validate(keys), LIDAR, TYPES, 7)
+    setup = decode(GOLDEN.read_bytes(), Setup).model_copy(
+        update={"vehicle_types": TYPES, "scenario": {"seed": 7}}
+    )
+    return CarlaSource(setup, LIDAR, keys)
 
 
 def tick(frame: int, **bodies: tuple[float, ...]) -> Tick:
@@ -250,7 +268,7 @@ def test_a_server_that_goes_away_is_said_to_be_lost(carla, monkeypatch) -> None:
 
 def test_without_the_package_the_extra_is_named(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "carla", None)
-    with pytest.raises(ConfigError, match=r"pip install 'cpnet-edge\[carla\]'"):
+    with pytest.raises(ConfigError, match="pip install carla"):
         load_carla()
 
 
@@ -258,18 +276,18 @@ def test_without_the_package_the_extra_is_named(monkeypatch) -> None:
     ("settings", "said"),
     [
         ({}, "terrain_amplitude_m 0 "),
-        ({"recording": "somewhere"}, "no recording"),
+        ({"recording": "somewhere", "traffic.warmup_s": 0}, "recording plays some"),
         ({"lidar.vehicle.rotation_frequency": 20}, "the same rotation_frequency"),
         ({"lidar.roadside.points_per_second": 64 * 1801 * 10}, r"even number .*roadside: 1801"),
     ],
 )
-def test_a_scenario_that_carla_cannot_serve_is_refused(settings, said) -> None:
-    keys = {"lidar.source": "carla", "traffic.warmup_s": 0} | settings
+def test_a_scenario_that_carla_cannot_serve_is_refused(carla, installed, settings, said) -> None:
+    scenario = scenarios.load("t_junction", {"lidar.source": "carla"} | settings)
     with pytest.raises(ConfigError, match=said):
-        scenarios.load("t_junction", keys)
+        check_source(scenario.model_dump(mode="json"))
 
 
-def test_a_run_takes_its_scans_from_carla(carla, tmp_path) -> None:
+def test_a_run_takes_its_scans_from_carla(carla, installed, tmp_path) -> None:
     keys = {
         "lidar.source": "carla",
         "scene.terrain_amplitude_m": 0,

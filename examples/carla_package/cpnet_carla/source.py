@@ -11,7 +11,7 @@ import fcntl
 import os
 import queue
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
@@ -19,14 +19,35 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from perception.arrays import Floats, Floats32, Ints
+from protocol.config import Section
 from protocol.errors import BusError, ConfigError
 from protocol.geometry import SE3
-from protocol.messages import Tick, VehicleType
+from protocol.messages import Setup, Tick
 from protocol.scans import RangeScan, ScanPattern
-from sensing.config import CarlaConfig, LidarConfig
+from sensing.config import LidarConfig
 from sensing.lidar import Sensed
+
+
+class CarlaConfig(Section):
+    """The settings under `lidar.plugin`: the CARLA server that casts scans."""
+
+    host: str = Field("127.0.0.1", description="its machine; that of all agents that share it")
+    port: int = Field(2000, ge=1, le=65_535, description="its port for commands")
+    timeout_s: float = Field(60.0, gt=0, le=3600, description="how long it may take to answer")
+    town: str | None = Field(
+        None, description="map to be loaded, such as Town04; null: what is loaded there"
+    )
+    net_offset_m: tuple[float, float] = Field(
+        (0.0, 0.0), description="the net's netOffset, in its <location>: where CARLA's 0, 0 lies"
+    )
+    blueprints: dict[str, str] = Field(
+        {},
+        description="by name of the SUMO vType; others look like a car, a van or a bus by their "
+        "mesh",
+    )
 
 
 def carla_pose(map_pose: npt.ArrayLike, net_offset_m: tuple[float, float]) -> Floats:
@@ -80,7 +101,7 @@ def load_carla() -> ModuleType:
     except ImportError as error:
         raise ConfigError(
             "lidar.source: carla needs CARLA's Python package, of the server's version "
-            f"(pip install 'cpnet-edge[carla]'): {error}"
+            f"(pip install carla): {error}"
         ) from None
     module: ModuleType = carla
     return module
@@ -109,7 +130,9 @@ class CarlaServer:
             try:
                 self._open(tick_s)
             except RuntimeError as error:
-                raise ConfigError(f"CARLA at {self._place} (carla.host, port): {error}") from None
+                raise ConfigError(
+                    f"CARLA at {self._place} (lidar.plugin.host, port): {error}"
+                ) from None
 
     @contextmanager
     def turn(self) -> Iterator[None]:
@@ -228,6 +251,7 @@ LOOKS = {
 }
 """Blueprints by mesh."""
 _AWAY = np.array([0.0, 0, 1000, 0, 0, 0])
+KINDS = ("vehicle", "roadside")
 
 
 class CarlaSource:
@@ -237,31 +261,56 @@ class CarlaSource:
     still. The body that carries the sensor is away meanwhile.
     """
 
-    def __init__(
-        self, config: CarlaConfig, lidar: LidarConfig, types: Sequence[VehicleType], seed: int
-    ) -> None:
+    def __init__(self, setup: Setup, lidar: LidarConfig, settings: dict[str, Any]) -> None:
         """Connects and spawns the sensor.
 
         Raises:
             ConfigError: the server cannot be used.
         """
-        self._config = config
+        self._config = config = CarlaConfig.model_validate(settings)
         self._pattern = lidar.pattern
-        self._looks = {t.name: config.blueprints.get(t.name, LOOKS[t.mesh]) for t in types}
+        self._looks = {
+            t.name: config.blueprints.get(t.name, LOOKS[t.mesh]) for t in setup.vehicle_types
+        }
         self._measured: queue.Queue[Any] = queue.Queue()
         self._casting = False
         self._server = CarlaServer(config, 1 / lidar.rotation_frequency)
         with self._server.turn():
             blueprint = self._server.blueprint(SENSOR)
             # The attributes have the names of the scenario's keys.
-            attributes = lidar.model_dump() | {"horizontal_fov": 360.0, "noise_seed": seed}
+            attributes = lidar.model_dump() | {
+                "horizontal_fov": 360.0,
+                "noise_seed": setup.scenario["seed"],
+            }
             for name, value in attributes.items():
                 blueprint.set_attribute(name, str(value))
             away = self._server.transform(_AWAY)
             self._sensor = self._server.world.spawn_actor(blueprint, away)
             self._sensor.listen(self._take)
 
-    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> Sensed:  # noqa: ARG002 - CARLA draws its noise
+    @staticmethod
+    def check(scenario: dict[str, Any]) -> None:
+        """Refuses a scenario that CARLA cannot serve.
+
+        Raises:
+            ConfigError: it is such a one, or CARLA's package is not installed.
+        """
+        load_carla()
+        kinds = {kind: LidarConfig.model_validate(scenario["lidar"][kind]) for kind in KINDS}
+        needs, amplitude_m = [], scenario["scene"]["terrain_amplitude_m"]
+        if amplitude_m:  # bodies and roadside units stand on CARLA's ground
+            needs.append(f"scene.terrain_amplitude_m 0 (got {amplitude_m:g})")
+        if len({config.rotation_frequency for config in kinds.values()}) > 1:  # it has one step
+            needs.append("the same rotation_frequency for lidar.vehicle and lidar.roadside")
+        for kind, config in kinds.items():
+            if config.columns % 2:  # CARLA's beams begin half a turn from the front
+                needs.append(
+                    f"an even number of rays a turn and laser (lidar.{kind}: {config.columns})"
+                )
+        if needs:
+            raise ConfigError(f"lidar.source: carla needs {', and '.join(needs)}")
+
+    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> Sensed:
         """See `sensing.source.ScanSource.scan`; CARLA does not tell which bodies the points lie on.
 
         Raises:

@@ -1,0 +1,1 @@
+"""CARLA as a sensor of cpnet, see docs/carla.md."""
