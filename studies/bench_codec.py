@@ -344,9 +344,6 @@ def print_bench(rows: list[BenchRow], console: Console) -> None:
     for name in dict.fromkeys(row.cloud for row in rows):
         print_whole(_cloud_table(name, [row for row in rows if row.cloud == name]), console)
     print_whole(_summary_table(rows), console)
-    floors = [row for row in rows if row.noise_floor_bits and row.bound_m == FLOOR_BOUND_M]
-    if floors:
-        print_whole(_floor_table(floors), console)
 
 
 def _short(name: str) -> str:
@@ -418,26 +415,4 @@ def _summary_table(rows: list[BenchRow]) -> Table:
             worst = max(values) if name == "bytes" else min(values)
             cells += [f"{sum(values) / len(values):.2f}", f"{worst:.2f}"]
         table.add_row(*key, *cells)
-    return table
-
-
-def _floor_table(rows: list[BenchRow]) -> Table:
-    """Bits a point beside what range noise and lost beams must cost."""
-    table = empty_table(
-        ("cloud", "codec", "bits/\npoint", "noise\nfloor", "x\nnoise", "noise +\nlosses",
-         "x\nboth"),
-        title=f"above the floor, at a bound of {100 * FLOOR_BOUND_M:g} cm", left=2,
-    )  # fmt: skip
-    for row in rows:
-        noise = row.noise_floor_bits or 0.0
-        both = noise + (row.loss_floor_bits or 0.0)
-        table.add_row(
-            _short(row.cloud),
-            row.codec,
-            f"{row.bits_per_point:.2f}",
-            f"{noise:.2f}",
-            f"{row.bits_per_point / noise:.2f}",
-            f"{both:.2f}",
-            f"{row.bits_per_point / both:.2f}",
-        )
     return table
