@@ -19,6 +19,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from protocol.access import AUTHORITY, Keys, Members, access_control
 from protocol.bus import drop_for_observers, settings_of
 from protocol.errors import ConfigError
+from protocol.instances import role_of
 from protocol.topics import ROLES, BusName
 
 HOSTS = ("edge", "sim", "router")
@@ -235,7 +236,7 @@ _ROUTER_HEAD = """\
 def members_in(folder: Path) -> Members:
     """Returns the role of each process that has a certificate in a folder, by its id."""
     names = [path.stem for path in sorted(folder.glob("*.pem")) if path.name != AUTHORITY]
-    return Members({name: role for name in names if (role := name.partition("-")[0]) in ROLES})
+    return Members({name: role for name in names if (role := role_of(name)) in ROLES})
 
 
 def router_config(folder: Path) -> dict[str, Any]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from protocol.errors import ConfigError
+from protocol.instances import agent_instances, agent_number, role_of
 from protocol.topics import BusName
 
 if TYPE_CHECKING:
@@ -38,7 +38,6 @@ RELAY = RoleEntry("relay", "link_relay")
 PLAYER = "recording.playback"
 """The module that runs, in a replay, the roles whose words are in the recording."""
 _RECORDED = {"sim", "vehicle", "infra"}
-_AGENT_ID = re.compile(r"(vehicle|infra)-(0|[1-9]\d{0,3})")
 AGENTS = {"vehicle": "vehicle", "infra": "roadside"}
 """Roles whose connections a relay may shape, and what their links are called."""
 
@@ -70,12 +69,12 @@ class RoleSelection:
         )
 
     def _of(self, role: str) -> list[str]:
-        return [name for name in self.ids if name.rpartition("-")[0] == role]
+        return [name for name in self.ids if role_of(name) == role]
 
     def processes(self, row: RoleEntry, count: int) -> list[str]:
         """Returns the ids of a role's processes here, if a scenario starts with `count` of them."""
-        named = sorted(self._of(row.role), key=lambda name: int(name.rpartition("-")[2]))
-        return named or [f"{row.role}-{n}" for n in range(count)]
+        named = sorted(self._of(row.role), key=agent_number)
+        return named or [one.id for one in agent_instances(row.role, count)]
 
 
 def processes_without_scenario(choice: RoleSelection) -> list[ProcessEntry]:
@@ -96,15 +95,15 @@ def parse_only(only: str | None) -> RoleSelection:
     """
     names = [row.role for row in ROLES]
     wanted = [name.strip() for name in only.split(",")] if only else names
-    ids = {name for name in wanted if _AGENT_ID.fullmatch(name)}
-    roles = {name.rpartition("-")[0] if name in ids else name for name in wanted}
+    ids = {name for name in wanted if agent_number(name)[0]}
+    roles = {role_of(name) if name in ids else name for name in wanted}
     for name in sorted(roles - set(names)):
         raise ConfigError(
             f"--only: there is no role {name!r}; allowed: {', '.join(names)}, and single agent "
             "processes such as vehicle-1"
         )
     whole = roles.intersection(wanted)
-    kept = frozenset(name for name in ids if name.rpartition("-")[0] not in whole)
+    kept = frozenset(name for name in ids if role_of(name) not in whole)
     return RoleSelection(tuple(row for row in ROLES if row.role in roles), kept)
 
 
@@ -146,7 +145,7 @@ def processes_of(choice: RoleSelection, scenario: Scenario) -> list[ProcessEntry
             result.append(ProcessEntry(row.role, row))
             continue
         for name in choice.processes(row, numbers[row.role]):
-            if row.role == "infra" and int(name.rpartition("-")[2]) >= mounts:
+            if row.role == "infra" and agent_number(name)[1] >= mounts:
                 raise ConfigError(f"--only {name}: the scenario has {mounts} roadside_mounts")
             result.append(ProcessEntry(name, row))
     return result

@@ -11,9 +11,9 @@ from cpnet.limits import MAX_BATCH, MAX_UNEXPECTED, MAX_WAITING_METRICS
 from cpnet.scenario import Scenario
 from protocol.bus import Endpoint, open_bus
 from protocol.inbox import Envelope, Inbox, Presence
+from protocol.instances import instances_of
 from protocol.messages import End, Progress
 from protocol.topics import BusName
-from sim_host.presence import expected_processes
 
 if TYPE_CHECKING:
     from cpnet.metrics_page import RunMetrics  # prometheus_client: only runs with --metrics need it
@@ -25,8 +25,7 @@ ProcessKey = tuple[str, str]
 
 def all_processes(scenario: Scenario) -> set[ProcessKey]:
     """Returns all processes that a scenario names, on whatever machine they run."""
-    ids = ["sim", *expected_processes(scenario.model_dump(mode="json"))]
-    return {(name.rpartition("-")[0] or name, name) for name in ids}
+    return {(one.role, one.id) for one in instances_of(scenario.model_dump(mode="json"))}
 
 
 class PresenceTable:

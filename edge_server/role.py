@@ -16,9 +16,10 @@ from edge_server.frame import AgentDetections, Chunk, Frame, FrameState
 from edge_server.owners import AgentOwners
 from edge_server.pipeline import Pipeline
 from edge_server.planner import Planner
-from edge_server.scenario import expected_agents, has_lidars, mounts_of, virtual_deadline
+from edge_server.scenario import has_lidars, mounts_of, virtual_deadline
 from protocol.errors import CodecError
 from protocol.inbox import Envelope, Presence
+from protocol.instances import AGENT_ROLES, agent_instances, instances_of
 from protocol.messages import (
     AgentPose,
     Arrival,
@@ -56,7 +57,8 @@ class EdgeRole:
             mounts=mounts_of(scenario, road_map),
         )
         self._decoders = DecoderPool(self._pipeline.open, context.inbox.wake)
-        expected = expected_agents(scenario)
+        agents = [one for one in instances_of(scenario) if one.role in AGENT_ROLES]
+        expected = {one.id: one.role for one in agents}
         self._missing = set(expected)
         self._announced = False
         self._lockstep = scenario["mode"] == "lockstep"
@@ -70,7 +72,8 @@ class EdgeRole:
             covers=None if self._virtual_deadline else self._covers,
         )
         mounts = scenario["roadside_mounts"]
-        units = {mount["id"]: f"infra-{n}" for n, mount in enumerate(mounts)}
+        hosts = agent_instances("infra", len(mounts))
+        units = {mount["id"]: host.id for mount, host in zip(mounts, hosts, strict=True)}
         self._owners = AgentOwners(units, self._assembler.drops)
 
     @classmethod

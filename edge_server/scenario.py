@@ -15,15 +15,6 @@ from sensing.link_config import LinkConfig
 from sensing.upload_policies import policy_of
 
 
-def expected_agents(scenario: dict[str, Any]) -> dict[str, str]:
-    """Returns the agent processes that a scenario starts with, and their roles."""
-    vehicles = scenario["processes"]["vehicle"]
-    units = len(scenario["roadside_mounts"])
-    return {f"vehicle-{n}": "vehicle" for n in range(vehicles)} | {
-        f"infra-{n}": "infra" for n in range(units)
-    }
-
-
 def has_lidars(scenario: dict[str, Any]) -> bool:
     """Whether a scenario has agents that send what their LiDAR measures, present yet or not.
 

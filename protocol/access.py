@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from protocol.instances import agent_instances
 from protocol.topics import (
     ALIVE,
     ALIVE_IN_ANY,
@@ -96,10 +97,9 @@ def members_of(scenario: dict[str, Any]) -> Members:
 def roles_of(vehicles: int, roadside: int) -> dict[str, str]:
     """Returns the role of each process of a run with so many processes of agents, by its id."""
     alone = ("edge", "sim", "record", "signal", "mcap", "view", "watch")
-    numbers = {"vehicle": vehicles, "infra": roadside}
-    numbered = {f"{role}-{n}": role for role, most in numbers.items() for n in range(most)}
+    agents = agent_instances("vehicle", vehicles) + agent_instances("infra", roadside)
     relays = {f"relay-{kind}": "relay" for kind in ("vehicle", "roadside")}
-    return {name: name for name in alone} | numbered | relays
+    return {name: name for name in alone} | {one.id: one.role for one in agents} | relays
 
 
 def access_control(bus: BusName, members: Members) -> dict[str, Any]:

@@ -6,7 +6,6 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Mapping
-from typing import Any
 
 from protocol.errors import BusError
 from protocol.inbox import Presence
@@ -16,14 +15,6 @@ from sim_host.limits import MAX_PROCESSES
 
 _LOG_PERIOD_NS = 5_000_000_000
 _log = logging.getLogger(__name__)
-
-
-def expected_processes(scenario: dict[str, Any]) -> list[str]:
-    """Returns the ids of all processes that frame 0 waits for, except the world's own."""
-    vehicles = [f"vehicle-{i}" for i in range(scenario["processes"]["vehicle"])]
-    posts = [f"infra-{i}" for i in range(len(scenario["roadside_mounts"]))]
-    mcap = ["mcap"] if scenario.get("record", {}).get("mcap") else []
-    return ["edge", "signal", "record", *mcap, *posts, *vehicles]
 
 
 class Readiness:

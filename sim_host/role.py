@@ -9,6 +9,7 @@ from pathlib import Path
 
 from protocol.errors import BusError, CpnetError
 from protocol.inbox import Envelope, Presence
+from protocol.instances import instances_of
 from protocol.messages import End, Metrics, Setup, SignalRequest, Span, Trips
 from protocol.process import Context
 from protocol.topics import BusName
@@ -17,7 +18,7 @@ from sensing.recorded_scans import Recording
 from sensing.terrain import Terrain
 from sim_host.cabinet import ActuatedCabinet, Cabinet, PendingRequests, SignalCabinet, programme
 from sim_host.config import CabinetConfig
-from sim_host.presence import Fleet, Readiness, expected_processes
+from sim_host.presence import Fleet, Readiness
 from sim_host.setup import traffic_config
 from sim_host.world import RecordedWorld, Traffic, World, tick_of, truth_of
 
@@ -89,7 +90,8 @@ class SimRole:
         self._cabinet_config = CabinetConfig.model_validate(scenario["cabinet"])
         self._cabinet = cabinet or SignalCabinet(self._signal, self._cabinet_config)
         self._fleet = Fleet()
-        self._readiness = Readiness(expected_processes(scenario), self._traffic.start_timeout_s)
+        others = [one.id for one in instances_of(scenario) if one.role != "sim"]
+        self._readiness = Readiness(others, self._traffic.start_timeout_s)
         self._lockstep = scenario["mode"] == "lockstep"
         frames = max(1, round(scenario["duration_s"] / scenario["frame_period_s"]))
         self._end_frame = first_frame + frames

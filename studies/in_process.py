@@ -18,6 +18,7 @@ from infra_agent.role import InfraRole
 from protocol.errors import BusError
 from protocol.in_process import InProcessRouter
 from protocol.inbox import Inbox
+from protocol.instances import instances_of
 from protocol.limits import MAX_BATCH
 from protocol.messages import Setup
 from protocol.process import Context, Role, deliver
@@ -111,13 +112,15 @@ def _role_builders(scenario: dict[str, Any]) -> tuple[Builder, list[tuple[str, B
         from recording.playback.world import sim_role
 
         world, infra, vehicle = sim_role, PlayerRole.build, PlayerRole.build
-    return world, [
-        ("record", RecordRole.build),
-        ("edge", EdgeRole.build),
-        ("signal", SignalRole.build),
-        *((f"infra-{n}", infra) for n in range(len(scenario["roadside_mounts"]))),
-        *((f"vehicle-{n}", vehicle) for n in range(scenario["processes"]["vehicle"])),
-    ]
+    builders: dict[str, Builder] = {
+        "record": RecordRole.build,
+        "edge": EdgeRole.build,
+        "signal": SignalRole.build,
+        "infra": infra,
+        "vehicle": vehicle,
+    }
+    others = [one for one in instances_of(scenario) if one.role in builders]
+    return world, [(one.id, builders[one.role]) for one in others]
 
 
 class _Buses:

@@ -14,6 +14,7 @@ from protocol.codec import encode_cloud
 from protocol.errors import CodecError, ConfigError
 from protocol.geometry import SE3, Floats
 from protocol.inbox import Envelope
+from protocol.instances import agent_instances
 from protocol.messages import AgentPose, Equipment, Message, Roster, Scan, Setup, SignalState, Tick
 from protocol.messages.fields import Id
 from protocol.roadmap import Lane, PlanPhase, RoadMap, Signal
@@ -94,7 +95,7 @@ def _beyond(pose: Floats, ahead_m: float) -> Floats:
     return pose[:3] + ahead_m * np.array([np.cos(pose[5]), np.sin(pose[5]), 0.0])
 
 
-PROCESS = "vehicle-0"
+PROCESS = agent_instances("vehicle", 1)[0].id
 STEM = "scans"
 _SIZE_M = {"length_m": 4.5, "width_m": 1.8, "height_m": 1.5}  # a usual car
 _STD_M = 0.05

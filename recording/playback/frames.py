@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from protocol.errors import ConfigError
 from protocol.inbox import Envelope
+from protocol.instances import agent_number
 from protocol.limits import MAX_FRAMES_AHEAD
 from protocol.messages import (
     AgentPose,
@@ -89,9 +90,6 @@ class RecordedFrames:
             self._waiting.setdefault(frame, []).append(item)
 
 
-_VEHICLE = "vehicle-"
-
-
 @dataclass(frozen=True, slots=True)
 class RecordingSummary:
     """So many frames in a row, of which the recording may lack some; `vehicles` are processes."""
@@ -118,17 +116,13 @@ class RecordingSummary:
                 times.add(message.frame)
             has_truth |= isinstance(message, Truth)
             if isinstance(message, Roster):
-                vehicles = max(vehicles, _number(item.parts.get("process", "")) + 1)
+                role, number = agent_number(item.parts.get("process", ""))
+                vehicles = max(vehicles, number + 1) if role == "vehicle" else vehicles
         if not times:
             raise ConfigError(
                 f"{recording.path}: holds no frame, neither a tick nor a state of the signal"
             )
         return cls(max(times) - min(times) + 1, vehicles, has_truth)
-
-
-def _number(process: str) -> int:
-    number = process.removeprefix(_VEHICLE)
-    return int(number) if process != number and number.isdigit() and len(number) < 4 else -1
 
 
 AGENT_TOPICS = ("roster", "pose", "scan", "objects", "sighting", "metrics")
