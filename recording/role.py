@@ -182,7 +182,7 @@ class RecordRole:
             return
         self._look(time.monotonic_ns())
         try:
-            self._handlers[item.topic](item.message, item.received_ns)
+            self._handlers[item.topic](item.message, item)
             self._note_gaps(item)
         except MessageError as error:
             self._context.inbox.refuse(item.topic, error)
@@ -209,8 +209,8 @@ class RecordRole:
         self._commit(time.monotonic_ns())
         self._database.close()
 
-    def _routes(self) -> dict[str, Callable[[Any, int], None]]:
-        routes: dict[str, Callable[[Any, int], None]] = {
+    def _routes(self) -> dict[str, Callable[[Any, Envelope], None]]:
+        routes: dict[str, Callable[[Any, Envelope], None]] = {
             "tick": self._on_tick,
             "trips": self._on_trips,
             "metrics": self._on_metrics,
@@ -228,28 +228,28 @@ class RecordRole:
             routes["scan"] = self._on_scan
         return routes
 
-    def _on_tick(self, tick: m.Tick, received_ns: int) -> None:
+    def _on_tick(self, tick: m.Tick, item: Envelope) -> None:
         note = self._aggregator.tick(tick.frame, tick.sim_time_ns)
-        self._progress.ticked(tick, received_ns)
-        note.sim_time_ns, note.tick_ns = tick.sim_time_ns, received_ns
+        self._progress.ticked(tick, item.received_ns)
+        note.sim_time_ns, note.tick_ns = tick.sim_time_ns, item.received_ns
         note.vehicles, note.cavs, note.cvs = (
             self._progress.vehicles,
             self._progress.cavs,
             self._progress.cvs,
         )
 
-    def _on_truth(self, truth: m.Truth, _: int) -> None:
+    def _on_truth(self, truth: m.Truth, _: Envelope) -> None:
         self._aggregator.check(truth.frame)
         self._database.add(tables.TruthRow, rows.truth_rows(truth))
 
-    def _on_sighting(self, sighting: m.Sighting, _: int) -> None:
+    def _on_sighting(self, sighting: m.Sighting, _: Envelope) -> None:
         self._aggregator.check(sighting.frame)
         self._database.add(tables.SightingRow, [rows.sighting_row(sighting)])
 
-    def _on_trips(self, trips: m.Trips, _: int) -> None:
+    def _on_trips(self, trips: m.Trips, _: Envelope) -> None:
         self._database.add(tables.TripRow, rows.trip_rows(trips))
 
-    def _on_metrics(self, metrics: m.Metrics, _: int) -> None:
+    def _on_metrics(self, metrics: m.Metrics, _: Envelope) -> None:
         self._drops.received(metrics.process, metrics.drops)
         note = self._aggregator.measured(metrics)
         self._progress.measured(metrics)
@@ -259,15 +259,15 @@ class RecordRole:
         self._database.add(tables.StageRow, rows.stage_rows(metrics))
         self._database.add(tables.AgentScoreRow, rows.agent_score_rows(metrics))
 
-    def _on_clock(self, reading: m.ClockReading, _: int) -> None:
+    def _on_clock(self, reading: m.ClockReading, _: Envelope) -> None:
         if reading.process not in self._clocks and len(self._clocks) >= MAX_PROCESSES:
             raise MessageError(f"{reading.process} is one process more than {MAX_PROCESSES}")
         found = (reading.offset_ns, reading.error_ns)
         self._clocks[reading.process] = found
         self._database.add(tables.ClockRow, [tables.ClockRow(reading.process, *found)])
 
-    def _on_end(self, end: m.End, received_ns: int) -> None:
-        self._ending.begin(received_ns, in_time=end.reason == "finished")
+    def _on_end(self, end: m.End, item: Envelope) -> None:
+        self._ending.begin(item.received_ns, in_time=end.reason == "finished")
         facts = {
             "end_frames": str(end.frames),
             "end_reason": end.reason,
@@ -275,27 +275,28 @@ class RecordRole:
         }
         self._database.add(tables.MetaRow, facts.items())
 
-    def _on_state(self, state: m.SignalState, _: int) -> None:
+    def _on_state(self, state: m.SignalState, _: Envelope) -> None:
         self._aggregator.check(state.frame)
         self._progress.state = state.state
         self._database.add(tables.PhaseRow, [rows.phase_row(state)])
 
-    def _on_request(self, request: m.SignalRequest, received_ns: int) -> None:
-        self._aggregator.note(request.frame).request_ns = received_ns
+    def _on_request(self, request: m.SignalRequest, item: Envelope) -> None:
+        self._aggregator.note(request.frame).request_ns = item.received_ns
         self._last_request = max(self._last_request, request.frame)
         self._database.add(tables.RequestRow, [rows.request_row(request)])
 
-    def _on_detections(self, detections: m.Detections, _: int) -> None:
+    def _on_detections(self, detections: m.Detections, item: Envelope) -> None:
         note = self._aggregator.note(detections.frame)
-        self._database.add(tables.DetectionRow, rows.detection_rows(detections))
+        found = rows.detection_rows(detections, item.parts["region"])
+        self._database.add(tables.DetectionRow, found)
         note.detections = self._progress.detections = len(detections.boxes)
 
-    def _on_lanes(self, lanes: m.LaneCounts, _: int) -> None:
+    def _on_lanes(self, lanes: m.LaneCounts, _: Envelope) -> None:
         note = self._aggregator.note(lanes.frame)
         note.counted(lanes)
         self._database.add(tables.CountRow, rows.count_rows(lanes))
 
-    def _on_scan(self, scan: m.Scan, _: int) -> None:
+    def _on_scan(self, scan: m.Scan, _: Envelope) -> None:
         self._aggregator.check(scan.frame)
         period_ns = round(self._config.snapshot_period_s * 1e9)
         if scan.sim_time_ns % period_ns < self._frame_period_ns:

@@ -30,14 +30,15 @@ from recording.tables import (
 )
 
 
-def detection_rows(message: Detections) -> Iterator[DetectionRow]:
-    """Returns a row per box, numbered as in the message."""
+def detection_rows(message: Detections, region: str) -> Iterator[DetectionRow]:
+    """Returns a row per box of a region's edge, numbered as in the message."""
     boxes = message.boxes.astype(float).tolist()
     scores, distances = message.scores.tolist(), message.distances_m.tolist()
     columns = zip(boxes, scores, message.lanes, distances, message.sources, strict=True)
     return (
         DetectionRow(
             frame=message.frame,
+            region=region,
             detection=index,
             x_m=x,
             y_m=y,
@@ -63,7 +64,7 @@ def count_rows(message: LaneCounts) -> Iterator[CountRow]:
         "downstream": (message.downstream, message.stationary_downstream),
     }
     return (
-        CountRow(message.frame, lane, side, vehicles=vehicles, queued=queued.get(lane, 0))
+        CountRow(message.frame, message.tls, lane, side, vehicles, queued.get(lane, 0))
         for side, (lanes, queued) in sides.items()
         for lane, vehicles in lanes.items()
     )

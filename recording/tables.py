@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, get_args, get_type_hints
 
-SCHEMA_DIGESTS = {8: "9d40949d070f5328", 9: "242bbfd6b8778425"}
+SCHEMA_DIGESTS = {8: "9d40949d070f5328", 9: "242bbfd6b8778425", 10: "9578cb7e82fa5f20"}
 """`schema_digest()` by schema version. Never change an entry: add one with the next number."""
 SCHEMA_VERSION = max(SCHEMA_DIGESTS)
 _SQL_TYPES = {int: "INTEGER", float: "REAL", str: "TEXT", bytes: "BLOB"}
@@ -99,9 +99,10 @@ class LatencyRow(NamedTuple):
 
 
 class DetectionRow(NamedTuple):
-    """One detected vehicle: its box's centre, size and heading in the map frame."""
+    """One vehicle detected by a region's edge: its box's centre, size, heading in the map frame."""
 
     frame: int
+    region: str
     detection: int
     x_m: float
     y_m: float
@@ -117,12 +118,13 @@ class DetectionRow(NamedTuple):
 
 
 class CountRow(NamedTuple):
-    """Vehicles counted on a lane; `side` of the stop bar is "upstream" or "downstream".
+    """Vehicles that a signal counts on a lane; `side` is "upstream" or "downstream" of its stop bar.
 
     Those of them that stand still are `queued`.
     """
 
     frame: int
+    tls: str
     lane: str
     side: str
     vehicles: int
@@ -315,8 +317,8 @@ TABLES: dict[type, Table] = {
         Table("uploads", UploadRow, 3),
         Table("stages", StageRow, 0),
         Table("latency", LatencyRow, 2),
-        Table("detections", DetectionRow, 2, is_result=True),
-        Table("counts", CountRow, 3, is_result=True),
+        Table("detections", DetectionRow, 3, is_result=True),
+        Table("counts", CountRow, 4, is_result=True),
         Table("phases", PhaseRow, 2, is_result=True),
         Table("requests", RequestRow, 2, is_result=True),
         Table("truth", TruthRow, 2, is_result=True),

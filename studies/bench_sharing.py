@@ -140,7 +140,7 @@ class _Sharing:
             self._latencies_ns.append(last_ns - now_ns + took_ns)
             self._tally.add(
                 self._visible[self._recording.place(truth.frame)],
-                list(detection_rows(result.detections)),
+                list(detection_rows(result.detections, agent)),  # a vehicle is its own edge
                 list(count_rows(result.counts)),
                 list(truth_rows(truth)),
             )

@@ -136,7 +136,7 @@ class TruthScorer:
         """Returns a frame's score; None without truth or detections."""
         if moment.detections is None or moment.truth is None:
             return None
-        found, vehicles = detection_rows(moment.detections), truth_rows(moment.truth)
+        found, vehicles = detection_rows(moment.detections, ""), truth_rows(moment.truth)
         return score_frame(moment.frame, [*found], [*vehicles], self._types, self._reach)
 
 

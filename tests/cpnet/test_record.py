@@ -44,7 +44,7 @@ def test_a_tape_holds_what_the_database_was_made_of(shell):
     made = {
         PhaseRow: map(phase_row, heard["state"]),
         RequestRow: map(request_row, heard["request"]),
-        DetectionRow: chain.from_iterable(map(detection_rows, heard["detections"])),
+        DetectionRow: chain.from_iterable(detection_rows(m, "r0") for m in heard["detections"]),
         CountRow: chain.from_iterable(map(count_rows, heard["lanes"])),
         TruthRow: chain.from_iterable(map(truth_rows, heard["truth"])),
     }

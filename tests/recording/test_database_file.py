@@ -34,9 +34,9 @@ def record(run_dir: Path, counts: list[CountRow], clock_ns: int = 0) -> None:
 
 def _write_until_killed(run_dir: Path, ready: Connection) -> None:
     database = Database(run_dir)
-    database.add(CountRow, [(0, "a", "upstream", 1, 0)])
+    database.add(CountRow, [(0, "J", "a", "upstream", 1, 0)])
     database.commit()
-    database.add(CountRow, [(1, "a", "upstream", 1, 0)])
+    database.add(CountRow, [(1, "J", "a", "upstream", 1, 0)])
     ready.send(None)
     signal.pause()
 
@@ -56,12 +56,12 @@ def test_a_killed_writer_leaves_all_that_it_committed(tmp_path: Path) -> None:
     kill_a_writer(tmp_path)
     assert (tmp_path / f"{FILE_NAME}-wal").exists()
     with Run(tmp_path) as run:
-        assert list(run.rows(CountRow)) == [(0, "a", "upstream", 1, 0)]
+        assert list(run.rows(CountRow)) == [(0, "J", "a", "upstream", 1, 0)]
 
 
 def test_a_running_recording_can_be_read(tmp_path: Path) -> None:
     database = Database(tmp_path)
-    database.add(CountRow, [(0, "a", "upstream", 1, 0)])
+    database.add(CountRow, [(0, "J", "a", "upstream", 1, 0)])
     database.commit()
     with Run(tmp_path) as run:
         assert len(list(run.rows(CountRow))) == 1
@@ -92,41 +92,41 @@ def test_a_row_with_the_same_keys_is_replaced(tmp_path: Path) -> None:
 
 def test_a_row_that_does_not_fit_costs_itself_alone(tmp_path: Path) -> None:
     database = Database(tmp_path)
-    database.add(CountRow, [(0, "a", "upstream", 1 << 70, 0), (1, "a", "upstream", 1, 0)])
+    database.add(CountRow, [(0, "J", "a", "upstream", 1 << 70, 0), (1, "J", "a", "upstream", 1, 0)])
     database.close()
     assert database.refused_rows == 1
     with Run(tmp_path) as run:
-        assert list(run.rows(CountRow)) == [(1, "a", "upstream", 1, 0)]
+        assert list(run.rows(CountRow)) == [(1, "J", "a", "upstream", 1, 0)]
 
 
 def test_runs_that_differ_only_in_clocks_have_the_same_results(tmp_path: Path) -> None:
-    rows = [CountRow(frame, "a", "upstream", frame, 0) for frame in range(5)]
+    rows = [CountRow(frame, "J", "a", "upstream", frame, 0) for frame in range(5)]
     record(tmp_path / "a", rows, clock_ns=1)
     record(tmp_path / "b", rows[::-1], clock_ns=2)
     assert differences(tmp_path / "a", tmp_path / "b") == []
 
 
 def test_a_differing_row_is_named(tmp_path: Path) -> None:
-    rows = [CountRow(frame, "a", "upstream", frame, 0) for frame in range(5)]
+    rows = [CountRow(frame, "J", "a", "upstream", frame, 0) for frame in range(5)]
     record(tmp_path / "a", rows)
-    record(tmp_path / "b", [*rows[:3], CountRow(3, "a", "upstream", 9, 0)])
+    record(tmp_path / "b", [*rows[:3], CountRow(3, "J", "a", "upstream", 9, 0)])
     (difference,) = differences(tmp_path / "a", tmp_path / "b")
     assert (difference.table, difference.rows_a, difference.rows_b) == ("counts", 5, 4)
     assert difference.differing == 2
     assert str(difference) == (
         "counts: 2 rows differ (5 against 4); "
-        "first frame 3 lane a side upstream: vehicles 3 against 9"
+        "first frame 3 tls J lane a side upstream: vehicles 3 against 9"
     )
 
 
 def test_a_row_that_one_run_lacks_is_named(tmp_path: Path) -> None:
-    rows = [CountRow(frame, "a", "upstream", frame, 0) for frame in range(5)]
+    rows = [CountRow(frame, "J", "a", "upstream", frame, 0) for frame in range(5)]
     for n in range(5):
         record(tmp_path / f"a{n}", rows[:n] + rows[n + 1 :])
         record(tmp_path / f"b{n}", rows)
         for pair, side in (("ab", "second"), ("ba", "first")):
             (difference,) = differences(*(tmp_path / f"{one}{n}" for one in pair))
-            assert difference.first == f"frame {n} lane a side upstream: only in the {side} run"
+            assert difference.first == f"frame {n} tls J lane a side upstream: only in the {side} run"
             assert difference.differing == 1
 
 

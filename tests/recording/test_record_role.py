@@ -166,8 +166,8 @@ def test_every_table_holds_what_was_said(rig: Rig, tmp_path: Path) -> None:
         assert upload.received_ns - upload.sent_ns == MS
         assert len(list(run.rows(DetectionRow))) == 6
         assert list(run.rows(CountRow))[:2] == [
-            (0, "a_0", "upstream", 2, 0),
-            (0, "b_0", "downstream", 1, 0),
+            (0, "t", "a_0", "upstream", 2, 0),
+            (0, "t", "b_0", "downstream", 1, 0),
         ]
         assert [r.state for r in run.rows(PhaseRow)] == ["Gr"] * 3
         assert json.loads(next(run.rows(RequestRow)).pressures) == [1.0, 2.0]

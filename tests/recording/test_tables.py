@@ -19,6 +19,7 @@ from protocol.messages import (
     Trips,
     Truth,
 )
+from recording.database import Database
 from recording.rows import (
     agent_score_rows,
     cloud_row,
@@ -31,6 +32,7 @@ from recording.rows import (
     trip_rows,
     truth_rows,
 )
+from recording.run import Run
 from recording.tables import (
     SCHEMA_DIGESTS,
     SCHEMA_VERSION,
@@ -64,7 +66,7 @@ def test_a_column_more_changes_the_digest(monkeypatch) -> None:
         more: int
 
     before = schema_digest()
-    monkeypatch.setitem(TABLES, CountRow, Table("counts", WiderRow, 3, is_result=True))
+    monkeypatch.setitem(TABLES, CountRow, Table("counts", WiderRow, 4, is_result=True))
     assert schema_digest() != before
 
 
@@ -84,11 +86,11 @@ def test_every_value_of_a_detection_stands_in_its_own_column() -> None:
         sources=["lidar"],
         agents=["a"],
     )
-    (row,) = detection_rows(message)
+    (row,) = detection_rows(message, "r3")
     assert row._asdict() == {
-        "frame": 7, "detection": 0, "x_m": 1, "y_m": 2, "z_m": 3, "length_m": 4.5, "width_m": 1.75,
-        "height_m": 1.5, "yaw_rad": 0.25, "score": 0.5, "lane": "in_0", "distance_m": 12.5,
-        "source": "lidar",
+        "frame": 7, "region": "r3", "detection": 0, "x_m": 1, "y_m": 2, "z_m": 3, "length_m": 4.5,
+        "width_m": 1.75, "height_m": 1.5, "yaw_rad": 0.25, "score": 0.5, "lane": "in_0",
+        "distance_m": 12.5, "source": "lidar",
     }  # fmt: skip
     assert row == DetectionRow(*row)
 
@@ -116,15 +118,28 @@ def test_every_value_of_a_true_vehicle_stands_in_its_own_column() -> None:
 def test_stationary_vehicles_are_no_count_of_all() -> None:
     message = LaneCounts.model_construct(
         frame=7,
+        tls="J",
         upstream={"in_0": 5},
         stationary_upstream={"in_0": 2},
         downstream={"out_0": 3},
         stationary_downstream={},
     )
     assert list(count_rows(message)) == [
-        CountRow(frame=7, lane="in_0", side="upstream", vehicles=5, queued=2),
-        CountRow(frame=7, lane="out_0", side="downstream", vehicles=3, queued=0),
+        CountRow(frame=7, tls="J", lane="in_0", side="upstream", vehicles=5, queued=2),
+        CountRow(frame=7, tls="J", lane="out_0", side="downstream", vehicles=3, queued=0),
     ]
+
+
+def test_regions_and_signals_do_not_replace_each_others_rows(tmp_path) -> None:
+    database = Database(tmp_path, "{}")
+    box = (1, 2, 0.7, 4.4, 1.8, 1.5, 0, 1.0, "in_0", 20, "lidar")
+    found = [DetectionRow(7, region, 0, *box) for region in ("r0", "r1")]
+    counts = [CountRow(7, tls, "in_0", "upstream", 1, 0) for tls in ("A", "B")]
+    database.add(DetectionRow, found)
+    database.add(CountRow, counts)
+    database.close()
+    with Run(tmp_path) as run:
+        assert (list(run.rows(DetectionRow)), list(run.rows(CountRow))) == (found, counts)
 
 
 def test_every_value_of_a_signal_state_stands_in_its_own_column() -> None:

@@ -70,8 +70,10 @@ def make_run(
         )
         if seen:
             box = (at, 0, 0.7, 4.4, 1.8, 1.5, 0, 1.0, "west", 20, "rsu")
-            database.add(DetectionRow, [DetectionRow(n, 0, *box)])
-        database.add(CountRow, [(n, "west", "upstream", seen, 0), (n, "east", "downstream", 0, 0)])
+            database.add(DetectionRow, [DetectionRow(n, "r0", 0, *box)])
+        database.add(
+            CountRow, [(n, "t", "west", "upstream", seen, 0), (n, "t", "east", "downstream", 0, 0)]
+        )
         stage = "green" if n % 20 < 15 else "yellow"
         database.add(PhaseRow, [PhaseRow(n, "t", ns, "G", stage, "G", "max_pressure")])
         database.add(RequestRow, [RequestRow(n, "t", "G", "max_pressure", "[1.0]", None, "")])
