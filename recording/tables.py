@@ -118,7 +118,7 @@ class DetectionRow(NamedTuple):
 
 
 class CountRow(NamedTuple):
-    """Vehicles that a signal counts on a lane; `side` is "upstream" or "downstream" of its stop bar.
+    """Vehicles counted on a lane for a signal; `side` of its stop bar is up- or downstream.
 
     Those of them that stand still are `queued`.
     """

@@ -126,7 +126,8 @@ def test_a_row_that_one_run_lacks_is_named(tmp_path: Path) -> None:
         record(tmp_path / f"b{n}", rows)
         for pair, side in (("ab", "second"), ("ba", "first")):
             (difference,) = differences(*(tmp_path / f"{one}{n}" for one in pair))
-            assert difference.first == f"frame {n} tls J lane a side upstream: only in the {side} run"
+            where = f"frame {n} tls J lane a side upstream"
+            assert difference.first == f"{where}: only in the {side} run"
             assert difference.differing == 1
 
 
