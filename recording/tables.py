@@ -118,7 +118,7 @@ class DetectionRow(NamedTuple):
 
 
 class CountRow(NamedTuple):
-    """Vehicles counted on a lane for a signal; `side` of its stop bar is "upstream" or "downstream".
+    """Vehicles counted on a lane for a signal; `side` is "upstream" or "downstream" of its bar.
 
     Those of them that stand still are `queued`.
     """
