@@ -40,7 +40,7 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     cv_rate: Annotated[float | None, typer.Option(help="share that reports its pose only")] = None,
     net: Annotated[Path | None, typer.Option(help="your own .net.xml")] = None,
     sumocfg: Annotated[Path | None, typer.Option(help="your own .sumocfg")] = None,
-    tls: Annotated[str | None, typer.Option(help="id of the signal in that net")] = None,
+    tls: Annotated[list[str] | None, typer.Option(help="id of the signal in that net")] = None,
     link: Annotated[
         str | None, typer.Option(help="uplink of vehicles: 5g-urban, lte, 5mbit,20ms, a trace file")
     ] = None,
@@ -65,6 +65,8 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     from cpnet.preparation import Options
     from cpnet.up import print_results, up
 
+    if tls is not None and len(tls) > 1:
+        raise ConfigError(f"--tls {', '.join(tls)}: a run controls one signal; give one")
     named = {
         "mode": mode,
         "duration_s": duration,
@@ -74,7 +76,7 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
         "link.profile": link,
         "traffic.net": _absolute(net),
         "traffic.sumocfg": _absolute(sumocfg),
-        "traffic.tls": tls,
+        "traffic.tls": tls[0] if tls else None,
         "record.mcap": True if record else None,
     }
     own = net or sumocfg

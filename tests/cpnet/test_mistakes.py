@@ -54,6 +54,11 @@ def test_a_signal_that_the_net_lacks(shell):
     assert "J" in output
 
 
+def test_two_signals_for_one_run(shell):
+    output = refused(shell, "up", "--tls", "J", "--tls", "K")
+    assert "--tls J, K: a run controls one signal" in output
+
+
 @pytest.mark.parametrize("value", ["seed=2020-13-45", "seed=0b_", "name=../evil", "name=[/x]"])
 def test_values_that_yaml_or_the_terminal_would_choke_on(shell, value):
     refused(shell, "up", "--set", value)
