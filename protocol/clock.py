@@ -105,13 +105,17 @@ class ClockWatch:
         self._thread.join(2 * REPLY_TIMEOUT_S)
 
     def _run(self) -> None:
+        """Publishes again and again: a recorder may come later, or start anew."""
+        is_same = False
         while not self._stop.is_set():
-            if self.ask_once():
-                return
+            if is_same:
+                self._tell(0, 0)
+            else:
+                is_same = self.ask_once()
             self._stop.wait(PERIOD_S)
 
     def ask_once(self) -> bool:
-        """Asks a few times and tells the offset; returns whether it is known for good."""
+        """Asks a few times and publishes the offset; returns whether both read the same clock."""
         for _ in range(BURST):
             asked_ns = time.monotonic_ns()
             reply = self._ask()
@@ -123,7 +127,7 @@ class ClockWatch:
                 exchange = Exchange(asked_ns, reply.received_ns, reply.replied_ns, answered_ns)
                 self._filter.add(exchange)
             if self._stop.wait(BURST_PERIOD_S):
-                return True
+                break
         if found := self._filter.best(time.monotonic_ns()):
             self._tell(*found)
         return False

@@ -12,6 +12,7 @@ from protocol.clock import DRIFT, ClockWatch, Exchange, OffsetFilter, this_machi
 from protocol.inbox import Envelope, Inbox
 from protocol.messages import ClockReading, Message, TimeReply
 from protocol.topics import BusName
+from tests.waiting import wait_until
 
 DELAYS = st.integers(0, 10**8)
 OFFSETS = st.integers(-(10**15), 10**15)
@@ -83,6 +84,16 @@ def test_on_one_machine_the_offset_is_nothing_and_known_for_good():
     bus = FarBus(time_reply())
     assert ClockWatch("edge", bus).ask_once()
     assert bus.told == [ClockReading(process="edge", offset_ns=0, error_ns=0)]
+
+
+def test_it_is_published_again_for_a_recorder_that_comes_later(monkeypatch):
+    monkeypatch.setattr(clock, "PERIOD_S", 0.001)
+    bus = FarBus(time_reply())
+    watch = ClockWatch("edge", bus)
+    watch.start()
+    wait_until(lambda: len(bus.told) >= 3)
+    watch.stop()
+    assert {(one.offset_ns, one.error_ns) for one in bus.told} == {(0, 0)}
 
 
 def test_another_machines_clock_is_found(monkeypatch):
