@@ -40,7 +40,12 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     cv_rate: Annotated[float | None, typer.Option(help="share that reports its pose only")] = None,
     net: Annotated[Path | None, typer.Option(help="your own .net.xml")] = None,
     sumocfg: Annotated[Path | None, typer.Option(help="your own .sumocfg")] = None,
-    tls: Annotated[list[str] | None, typer.Option(help="id of the signal in that net")] = None,
+    tls: Annotated[
+        str | None, typer.Option(metavar="ID,...|all", help="the signals to control")
+    ] = None,
+    regions: Annotated[
+        int | None, typer.Option(help="edge servers, each for a part of the junctions")
+    ] = None,
     link: Annotated[
         str | None, typer.Option(help="uplink of vehicles: 5g-urban, lte, 5mbit,20ms, a trace file")
     ] = None,
@@ -65,8 +70,6 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     from cpnet.preparation import Options
     from cpnet.up import print_results, up
 
-    if tls is not None and len(tls) > 1:
-        raise ConfigError(f"--tls {', '.join(tls)}: a run controls one signal; give one")
     named = {
         "mode": mode,
         "duration_s": duration,
@@ -76,7 +79,8 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
         "link.profile": link,
         "traffic.net": _absolute(net),
         "traffic.sumocfg": _absolute(sumocfg),
-        "traffic.tls": tls[0] if tls else None,
+        "junctions": junctions_of(tls),
+        "regions": regions,
         "record.mcap": True if record else None,
     }
     own = net or sumocfg
@@ -91,6 +95,11 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     status, run_dir = up(options, console)
     print_results(run_dir, console)
     raise typer.Exit(status)
+
+
+def junctions_of(tls: str | None) -> str | list[str] | None:
+    """Reads `--tls`: "all", or ids with commas between them."""
+    return tls if tls is None or tls == "all" else [one.strip() for one in tls.split(",")]
 
 
 def _run_name(file: Path) -> str:

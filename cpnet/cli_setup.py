@@ -64,12 +64,14 @@ def keys_command(
     *,
     host: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME|IP", help="what others call the machines of edge and sim"),
+        typer.Option(metavar="NAME|IP", help="what others call the machines of router and sim"),
     ] = None,
     vehicles: Annotated[
         int, typer.Option(min=0, max=MAX_VEHICLE_PROCESSES, help="vehicle processes")
     ] = 2,
-    roadside: Annotated[int, typer.Option(min=0, max=1000, help="roadside processes")] = 1,
+    regions: Annotated[
+        list[str] | None, typer.Option("--region", metavar="ID", help="regions of the scenario: r0")
+    ] = None,
     days: Annotated[int, typer.Option(min=1, max=3650, help="how long they hold")] = 365,
     router_config: Annotated[
         Path | None,
@@ -84,9 +86,9 @@ def keys_command(
             f"making keys needs {error.name} (extra `keys`): "
             f"{sys.executable} -m pip install 'cpnet-edge[keys]'"
         ) from None
-    from cpnet.keys import ROUTER, write_router_config
+    from cpnet.keys import write_router_config
 
-    ids = [*roles_of(vehicles, roadside), *([ROUTER] if router_config else [])]
+    ids = list(roles_of(vehicles, regions or ["r0"]))
     made = add_keys(folder, ids, host or [], days)
     console.print(f"{folder}: made {', '.join(made) or 'nothing, all is there'}", soft_wrap=True)
     console.print(

@@ -29,6 +29,7 @@ from protocol.bus import SEND_BUFFER_BYTES, Endpoint, ZenohBus, open_bus
 from protocol.clock import BURST, Exchange, OffsetFilter, this_machine
 from protocol.errors import BusError, ConfigError
 from protocol.inbox import Inbox
+from protocol.instances import ROUTER, WORLD_HOST
 from protocol.messages import Setup, TimeReply
 from protocol.topics import BusName
 from protocol.version import PresentProcesses, own_version
@@ -223,7 +224,7 @@ def _certificate(folder: Path, name: str) -> Finding:
 
 
 TCP_S = 1.5
-HOSTS = {BusName.V2X: "edge", BusName.WORLD: "sim"}
+HOSTS = {BusName.V2X: ROUTER, BusName.WORLD: WORLD_HOST}
 
 
 def reach(bus: BusName, locator: str) -> Finding:

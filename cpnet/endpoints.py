@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from protocol.bus import Endpoint
 from protocol.errors import ConfigError
+from protocol.instances import ROUTER, WORLD_HOST
 from protocol.topics import BusName
 
 _LOCATOR = re.compile(
@@ -39,7 +40,7 @@ def resolve(
             _check_free(locator)
             result[bus] = Endpoint(locator, listen=True)
         else:
-            role = "edge" if bus is BusName.V2X else "sim"
+            role = ROUTER if bus is BusName.V2X else WORLD_HOST
             raise ConfigError(
                 f"the {bus.value} bus lives where the role {role} runs, and that is not here: "
                 f"say where with --connect {bus.value}=HOST:PORT"

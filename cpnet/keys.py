@@ -19,10 +19,10 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from protocol.access import AUTHORITY, Keys, Members, access_control
 from protocol.bus import drop_for_observers, settings_of
 from protocol.errors import ConfigError
-from protocol.instances import role_of
+from protocol.instances import ROUTER, WORLD_HOST, role_of
 from protocol.topics import ROLES, BusName
 
-HOSTS = ("edge", "sim", "router")
+HOSTS = (ROUTER, WORLD_HOST)
 """Processes that others connect to. All others' certificates cannot pass for a bus."""
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
@@ -222,7 +222,6 @@ def _write(path: Path, data: bytes, *, secret: bool = False) -> None:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-ROUTER = "router"
 """The id of that router's certificate."""
 
 ROUTER_LISTEN = "tls/[::]:7447"

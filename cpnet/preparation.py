@@ -188,7 +188,8 @@ def _setup(
         from sim_host.setup import build_setup
 
         with written(run_dir):
-            return build_setup(simulated.model_dump(mode="json"), run_dir), simulated
+            setup = build_setup(simulated.model_dump(mode="json"), run_dir)
+        return setup, scenarios.validate(setup.scenario, "the scenario")
     place = connecting(endpoints[BusName.WORLD])
     with connected_to_world(place, console, wait_forever=restart) as world:
         setup = world.setup()

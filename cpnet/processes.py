@@ -6,7 +6,14 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from protocol.errors import ConfigError
-from protocol.instances import agent_instances, agent_number, role_of
+from protocol.instances import (
+    REGION_ROLES,
+    ROUTER,
+    WORLD_HOST,
+    instances_of,
+    parse_id,
+    role_of,
+)
 from protocol.topics import BusName
 
 if TYPE_CHECKING:
@@ -24,10 +31,11 @@ class RoleEntry:
 
 MCAP = RoleEntry("mcap", "recording.mcap")
 ROLES = (
-    RoleEntry("edge", "edge_server", BusName.V2X),
-    RoleEntry("sim", "sim_host", BusName.WORLD),
+    RoleEntry(ROUTER, "v2x_router", BusName.V2X),
+    RoleEntry(WORLD_HOST, "sim_host", BusName.WORLD),
     RoleEntry("record", "recording"),
     MCAP,
+    RoleEntry("edge", "edge_server"),
     RoleEntry("signal", "signal_controller"),
     RoleEntry("infra", "infra_agent"),
     RoleEntry("vehicle", "vehicle_agent"),
@@ -71,36 +79,38 @@ class RoleSelection:
     def _of(self, role: str) -> list[str]:
         return [name for name in self.ids if role_of(name) == role]
 
-    def processes(self, row: RoleEntry, count: int) -> list[str]:
-        """Returns the ids of a role's processes here, if a scenario starts with `count` of them."""
-        named = sorted(self._of(row.role), key=agent_number)
-        return named or [one.id for one in agent_instances(row.role, count)]
+    def chosen(self, row: RoleEntry, planned: list[str]) -> list[str]:
+        """Returns the processes of a role that run here, of those that a scenario starts with."""
+        named = self._of(row.role)
+        beyond = sorted(set(named) - set(planned), key=lambda name: (len(name), name))
+        return [name for name in planned if name in named] + beyond if named else planned
 
 
 def processes_without_scenario(choice: RoleSelection) -> list[ProcessEntry]:
-    """Returns the processes that run here whatever the scenario is: those of agents if named."""
+    """Returns the processes that run here whatever the scenario is: several only if named."""
+    several = {*REGION_ROLES, *AGENTS}
     return [
         ProcessEntry(name, row)
         for row in choice.roles
         if row is not MCAP
-        for name in (choice.processes(row, 0) if row.role in AGENTS else [row.role])
+        for name in choice.chosen(row, [] if row.role in several else [row.role])
     ]
 
 
 def parse_only(only: str | None) -> RoleSelection:
-    """Reads `--only ROLE,...` and `--only vehicle-1,...`; all roles without it.
+    """Reads `--only ROLE,...` and `--only edge-r0,vehicle-1,...`; all roles without it.
 
     Raises:
         ConfigError: there is no such role.
     """
     names = [row.role for row in ROLES]
     wanted = [name.strip() for name in only.split(",")] if only else names
-    ids = {name for name in wanted if agent_number(name)[0]}
+    ids = {name for name in wanted if name not in names and parse_id(name)}
     roles = {role_of(name) if name in ids else name for name in wanted}
     for name in sorted(roles - set(names)):
         raise ConfigError(
-            f"--only: there is no role {name!r}; allowed: {', '.join(names)}, and single agent "
-            "processes such as vehicle-1"
+            f"--only: there is no role {name!r}; allowed: {', '.join(names)}, and single "
+            "processes such as edge-r0 or vehicle-1"
         )
     whole = roles.intersection(wanted)
     kept = frozenset(name for name in ids if role_of(name) not in whole)
@@ -125,27 +135,24 @@ def relays_of(choice: RoleSelection, scenario: Scenario) -> list[ProcessEntry]:
 def processes_of(choice: RoleSelection, scenario: Scenario) -> list[ProcessEntry]:
     """Returns the processes of this machine in this scenario, in starting order.
 
-    Vehicle processes beyond the scenario's join it; a roadside process needs a mount, the
-    mcap role `record.mcap`.
+    Vehicle processes beyond the scenario's join it; the mcap role needs `record.mcap`.
 
     Raises:
         ConfigError: a process was named that the scenario has no place for.
     """
-    mounts = len(scenario.roadside_mounts)
-    numbers = {"vehicle": scenario.processes.vehicle, "infra": mounts}
+    planned = instances_of(scenario.model_dump(mode="json"))
     result = []
     for row in choice.roles:
         if row is MCAP and not scenario.record.mcap:
             if choice.roles != ROLES:
                 raise ConfigError("--only mcap: the scenario has record.mcap false; see --record")
             continue
-        if scenario.replay is not None:
-            row = in_replay(row)
-        if row.role not in numbers:
-            result.append(ProcessEntry(row.role, row))
-            continue
-        for name in choice.processes(row, numbers[row.role]):
-            if row.role == "infra" and agent_number(name)[1] >= mounts:
-                raise ConfigError(f"--only {name}: the scenario has {mounts} roadside_mounts")
-            result.append(ProcessEntry(name, row))
+        own = [one.id for one in planned if one.role == row.role]
+        for name in choice.chosen(row, own):
+            if row.role in REGION_ROLES and name not in own:
+                raise ConfigError(
+                    f"--only {name}: the scenario has no such process; of {row.role} it has "
+                    f"{', '.join(own) or 'none'}"
+                )
+            result.append(ProcessEntry(name, row if scenario.replay is None else in_replay(row)))
     return result

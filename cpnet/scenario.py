@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import AfterValidator, BaseModel, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, Field, PositiveInt, ValidationError
 
 from edge_server.config import EdgeConfig
 from protocol.config import Section, is_file
 from protocol.errors import ConfigError
+from protocol.instances import REGION_ID
 from protocol.plugins import PluginSettings
 from recording.config import RecordConfig, ReplayConfig
 from sensing.config import (
@@ -43,7 +44,12 @@ RENAMED_KEYS: dict[str, str] = {
     "edge.sight_m": "edge.coverage_range_m",
     "edge.standing_mps": "edge.stationary_mps",
     "carla": "lidar.plugin",
+    "traffic.tls": "junctions",
+    "region": "regions",
 }
+
+
+Regions = dict[Annotated[str, Field(pattern=rf"^{REGION_ID}$", max_length=64)], list[str]]
 
 
 class LidarPair(Section):
@@ -88,8 +94,13 @@ class Scenario(Section):
     frame_period_s: float = Field(
         0.1, gt=0, le=60, description="one perception frame; a multiple of traffic.step_s"
     )
-    region: str = Field(
-        "r0", pattern=r"^[A-Za-z0-9_.-]+$", description="part of the city this edge serves"
+    junctions: Literal["all"] | list[str] | None = Field(
+        None, description="ids of the signals to control; null: the only one of the net"
+    )
+    regions: PositiveInt | Regions = Field(
+        1,
+        description="parts of the city, an edge server each: a number, into so many compact and "
+        "balanced parts the junctions are cut; or the junctions of each, by the region's id",
     )
     recording: str | None = Field(
         None,

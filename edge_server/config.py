@@ -71,6 +71,12 @@ class EdgeConfig(DetectionConfig):
     lockstep_timeout_s: float = Field(
         20.0, gt=0, le=600, description="lockstep: the same, only for agents that hang"
     )
+    border_wait_ms: float = Field(
+        20.0,
+        gt=0,
+        le=10_000,
+        description="realtime: a frame waits so long for what neighbouring regions found",
+    )
     merge: MergeMethod = Field(
         "se3",
         description="se3: exact transforms; euler: differences of Euler angles, as in the paper",

@@ -23,6 +23,7 @@ from perception.roadway import Placed
 from protocol.messages import (
     AgentPose,
     AgentScore,
+    BorderObjects,
     Detections,
     LaneCounts,
     Objects,
@@ -148,8 +149,10 @@ class FrameState:
     """What the stages know of one frame; each reads what earlier ones have filled in.
 
     A field that no stage has filled in yet raises AttributeError. `frame` begins with all that
-    arrived; `excluded` counts the agents that were excluded from it, by reason, and `scores` are
-    those to be published.
+    arrived; `received` is what came from neighbouring regions, by region. `fused` are vehicles
+    wherever they are, `vehicles` those on the road, `sensors` (S, 2) the places of the sensors that
+    were used, `counts` are by signal. `excluded` counts the agents that were excluded from it, by
+    reason, and `scores` are those to be published.
     """
 
     frame: Frame
@@ -158,10 +161,13 @@ class FrameState:
     spans: list[Span] = field(default_factory=list)
     cloud: Cloud = field(init=False)
     found: Vehicles = field(init=False)
+    fused: Vehicles = field(init=False)
+    sensors: Floats = field(init=False)
+    received: dict[str, BorderObjects] = field(default_factory=dict)
     vehicles: Vehicles = field(init=False)
     positions: LanePositions = field(init=False)
     detections: Detections = field(init=False)
-    counts: LaneCounts = field(init=False)
+    counts: dict[str, LaneCounts] = field(init=False)
 
     @property
     def points(self) -> int:

@@ -8,29 +8,44 @@ paper's radius is the named option.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from edge_server.config import FusionConfig
 from perception.arrays import Bools, Floats, Ints
-from perception.detector import Vehicles
+from perception.detector import LIDAR, Vehicles
 from protocol.messages import AgentPose, Equipment
 
 CERTAIN_STD_M = 0.5  # poses better than this say by themselves which box is the agent's
 
 
 def fuse(
-    found: Vehicles, poses: list[AgentPose], *, centre: Floats, config: FusionConfig
+    found: Vehicles, poses: list[AgentPose], *, centres: Floats, config: FusionConfig
 ) -> Vehicles:
     """Joins what the LiDARs found with the agents' own poses; the order of either is no matter.
 
     A pose wins over a LiDAR's box; one that may be metres off, a CV's, stands for the nearest box
-    only. Of two boxes the one nearer to the junction's centre (2 or 3,) stays. The result has
+    only. Of two boxes the one nearer to a junction's centre (C, 2 or 3) stays. The result has
     poses first, sorted by agent, then boxes, nearest first.
     """
-    own = from_poses(poses)
-    found = found.take(_ranked(found, centre))
-    left = found.take(~_claimed(own, found, config))
-    both = own + left
+    return join([from_poses(poses) + found], centres=centres, config=config)
+
+
+def join(parts: Sequence[Vehicles], *, centres: Floats, config: FusionConfig) -> Vehicles:
+    """Joins the vehicles that several edges found, as `fuse` does; their order is no matter.
+
+    A pose claims boxes of those parts alone that do not know it: in the others it has.
+    """
+    own = _without_twins(parts)
+    left = Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
+    for part in parts:
+        is_box = np.array([source == LIDAR for source in part.sources], np.bool_)
+        found, known = part.take(is_box), set(part.sources) if len(parts) > 1 else set()
+        found = found.take(_ranked(found, centres))
+        claiming = own.take(np.array([name not in known for name in own.sources], np.bool_))
+        left += found.take(~_claimed(claiming, found, config))
+    both = own + left.take(_ranked(left, centres))
     gone = np.zeros(len(both), np.bool_)
     same = _same(both.boxes, both.boxes, config)
     for index in range(len(both)):
@@ -38,6 +53,14 @@ def fuse(
             later = max(len(own), index + 1)
             gone[later:] |= same[index, later:]
     return both.take(~gone)
+
+
+def _without_twins(parts: Sequence[Vehicles]) -> Vehicles:
+    """Returns the agents' poses of all parts, each agent's once, sorted by agent."""
+    all_of = sum(parts[1:], parts[0])
+    first = {name: index for index, name in reversed([*enumerate(all_of.sources)])}
+    first.pop(LIDAR, None)
+    return all_of.take(np.array([first[name] for name in sorted(first)], np.int64))
 
 
 def from_poses(poses: list[AgentPose]) -> Vehicles:
@@ -63,9 +86,10 @@ def from_poses(poses: list[AgentPose]) -> Vehicles:
     )
 
 
-def _ranked(found: Vehicles, centre: Floats) -> Ints:
-    """Orders boxes by their distance from the centre, then by all their numbers."""
-    distance_m = np.linalg.norm(found.boxes[:, :2] - centre[:2], axis=1)
+def _ranked(found: Vehicles, centres: Floats) -> Ints:
+    """Orders boxes by their distance from the nearest centre, then by all their numbers."""
+    apart_m = np.linalg.norm(found.boxes[:, None, :2] - centres[:, :2], axis=2)
+    distance_m = apart_m.min(axis=1, initial=np.inf)
     keys = [found.scores, *found.boxes.T[::-1], distance_m]
     return np.asarray(np.lexsort(keys))
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import heapq
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
 from perception.arrays import Bools, Floats, Ints
+from protocol.approaches import Approach, Approaches
 from protocol.roadmap import Lane, RoadMap
 
 LEVEL_M = 3.5  # a lane farther below or above is on another level: it counts as farther away
@@ -28,24 +28,11 @@ class LanePositions:
         return LanePositions(self.lane[chosen], self.along_m[chosen])
 
 
-@dataclass(frozen=True, slots=True)
-class Approach:
-    """How a lane relates to the signal.
-
-    `counts_for` is the incoming lane it leads to, or the outgoing lane it belongs to. `start_m` is
-    the distance of the lane's start to the stop bar, negative behind it.
-    """
-
-    counts_for: str
-    start_m: float
-
-
 class LaneIndex:
     """The road map, prepared for questions about many points at once."""
 
     def __init__(self, road_map: RoadMap) -> None:
         self._map = road_map
-        self._lengths_m = {lane.id: _length_m(lane.points) for lane in road_map.lanes}
         rows, owners = [], []
         for index, lane in enumerate(road_map.lanes):
             points = lane.points
@@ -56,8 +43,8 @@ class LaneIndex:
             owners.append(np.full(len(steps_m), index))
         self._segments = np.concatenate(rows)
         self._owners = np.concatenate(owners)
-        self.upstream = self._reach_upstream()
-        self.downstream = self._reach_downstream()
+        self.approaches = {one.tls: Approaches(road_map, one) for one in road_map.intersections}
+        self._start_m = self._starts()
 
     def locate(self, boxes: Floats, *, margin_m: Floats) -> LanePositions:
         """Finds the lane under each box (N, 7): the nearest that runs along the box.
@@ -78,119 +65,43 @@ class LaneIndex:
         """Returns the way to the stop bar (N,), negative behind it; 0 where no way leads there."""
         result = np.zeros(len(place.lane))
         for index, name in enumerate(self.names(place)):
-            reach = self.upstream.get(name) or self.downstream.get(name)
-            if reach is not None:
-                result[index] = reach.start_m - place.along_m[index]
+            if name in self._start_m:
+                result[index] = self._start_m[name] - place.along_m[index]
         return result
 
+    def owners(self, place: LanePositions) -> list[str]:
+        """Returns the signals of the intersections that the lanes belong to; empty for none."""
+        return [self._map.lanes[i].tls if i >= 0 else "" for i in place.lane]
+
     def count(
-        self, place: LanePositions, *, upstream_m: float, downstream_m: float
+        self, place: LanePositions, tls: str, *, upstream_m: float, downstream_m: float
     ) -> tuple[dict[str, int], dict[str, int]]:
-        """Counts vehicles per incoming lane before the stop bar, and per outgoing lane behind it.
+        """Counts vehicles per incoming lane before a signal's stop bars, and per outgoing lane.
 
         A vehicle farther up counts for the incoming lane that its own lane leads to; where there
         are several, for the one with the shortest way, so that no vehicle counts twice. One inside
         the junction counts for the lane it is about to leave by.
         """
-        before = dict.fromkeys(self._map.incoming, 0)
-        behind = dict.fromkeys(self._map.outgoing, 0)
+        around = self.approaches[tls]
+        before = dict.fromkeys(around.intersection.incoming, 0)
+        behind = dict.fromkeys(around.intersection.outgoing, 0)
         for name, along_m in zip(self.names(place), place.along_m, strict=True):
-            reach = self.upstream.get(name)
+            reach = around.upstream.get(name)
             if reach and reach.start_m - along_m <= upstream_m:
                 before[reach.counts_for] += 1
-            reach = self.downstream.get(name)
+            reach = around.downstream.get(name)
             if reach and along_m - reach.start_m <= downstream_m:
                 behind[reach.counts_for] += 1
         return before, behind
 
-    def _reach_upstream(self) -> dict[str, Approach]:
-        """Follows the lanes back from the stop bars; the junction's own lanes lie behind them."""
-        inside = {name for name, _, _ in self._through_junction()}
-        known = [name for name in self._map.incoming if name in self._map.by_id]
-        found = _shortest(
-            [(0.0, name, name) for name in known],
-            lambda name: self._map.predecessors[name],
-            self._lengths_m,
-            barred=inside | set(self._map.outgoing) - set(known),
-        )
-        return {
-            name: Approach(owner, way_m + self._lengths_m[name])
-            for name, (way_m, owner) in found.items()
-        }
-
-    def _reach_downstream(self) -> dict[str, Approach]:
-        """Follows the lanes on from the stop bars, through the junction."""
-        inside = self._through_junction()
-        result: dict[str, Approach] = {}
-        exits: dict[str, float] = dict.fromkeys(self._map.outgoing, np.inf)
-        for name, owner, way_m in inside:
-            if name not in result or way_m < -result[name].start_m:
-                result[name] = Approach(owner, -way_m)
-            exits[owner] = min(exits[owner], way_m + self._lengths_m[name])
-        starts = [
-            (way_m if np.isfinite(way_m) else 0.0, name, name)
-            for name, way_m in exits.items()
-            if name in self._map.by_id
-        ]
-        found = _shortest(
-            starts,
-            self._successors,
-            self._lengths_m,
-            barred={name for name, _, _ in inside} | set(self._map.incoming) - set(exits),
-        )
-        return result | {name: Approach(owner, -way_m) for name, (way_m, owner) in found.items()}
-
-    def _through_junction(self) -> list[tuple[str, str, float]]:
-        """Returns the junction's own lanes, the exit each leads to and the way to its start."""
-        found: list[tuple[str, str, float]] = []
-        for link in self._map.signal.links:
-            todo: list[tuple[str, float, tuple[tuple[str, float], ...]]] = [
-                (name, 0.0, ()) for name in self._successors(link.from_lane)
-            ]
-            while todo:
-                name, way_m, passed = todo.pop()
-                if name == link.to_lane:
-                    found += [(inner, link.to_lane, start_m) for inner, start_m in passed]
-                elif self._map.by_id[name].internal and len(passed) < 8:
-                    further_m = way_m + self._lengths_m[name]
-                    path = (*passed, (name, way_m))
-                    todo += [(after, further_m, path) for after in self._successors(name)]
+    def _starts(self) -> dict[str, float]:
+        """Returns by lane the way from its start to the stop bar of its own intersection."""
+        found: dict[str, float] = {}
+        for side in ("upstream", "downstream"):
+            for one in self.approaches.values():
+                for name, reach in getattr(one, side).items():
+                    found.setdefault(name, reach.start_m)
         return found
-
-    def _successors(self, name: str) -> list[str]:
-        lane = self._map.by_id.get(name)
-        return [after for after in lane.successors if after in self._map.by_id] if lane else []
-
-
-def _shortest(
-    starts: list[tuple[float, str, str]],
-    following: Callable[[str], list[str]],
-    lengths_m: dict[str, float],
-    *,
-    barred: set[str],
-) -> dict[str, tuple[float, str]]:
-    """Returns for each lane in reach the shortest way to it and the start it came from.
-
-    Of equal ways the start that is listed first wins (Dijkstra with the list's order as tie).
-    """
-    rank = {owner: index for index, (_, _, owner) in enumerate(starts)}
-    heap = [(way_m, rank[owner], name) for way_m, name, owner in starts]
-    owners = [owner for _, _, owner in starts]
-    heapq.heapify(heap)
-    found: dict[str, tuple[float, str]] = {}
-    while heap:
-        way_m, order, name = heapq.heappop(heap)
-        if name in found:
-            continue
-        found[name] = (way_m, owners[order])
-        for after in following(name):
-            if after not in found and after not in barred:
-                heapq.heappush(heap, (way_m + lengths_m[name], order, after))
-    return found
-
-
-def _length_m(points: Floats) -> float:
-    return float(np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1).sum())
 
 
 @njit("void(float64[:,::1], float64[::1], float64[:,::1], int64[::1], float64[::1])", cache=True)
@@ -221,16 +132,16 @@ CoverageShares = dict[str, float]
 
 
 class LaneCoverage:
-    """Samples places on each counted stretch of lane, to say what share sensors cover."""
+    """Samples places on each lane that counts for a signal: what share do sensors cover?"""
 
     def __init__(
-        self, road_map: RoadMap, lanes: LaneIndex, *, upstream_m: float, downstream_m: float
+        self, road_map: RoadMap, around: Approaches, *, upstream_m: float, downstream_m: float
     ) -> None:
-        before = _places(road_map, lanes.upstream, 0.0, upstream_m)
-        behind = _places(road_map, lanes.downstream, -downstream_m, np.inf)
+        before = _places(road_map, around.upstream, 0.0, upstream_m)
+        behind = _places(road_map, around.downstream, -downstream_m, np.inf)
         self._sides = [
-            _Side(road_map.incoming, *before),
-            _Side(road_map.outgoing, *behind),
+            _Side(around.intersection.incoming, *before),
+            _Side(around.intersection.outgoing, *behind),
         ]
 
     def shares(self, sensors_m: Floats, range_m: float) -> tuple[CoverageShares, CoverageShares]:

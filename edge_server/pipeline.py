@@ -4,11 +4,13 @@
     check              excludes agents whose data cannot be so; remembers scores
     merge              one cloud of all that are left
     detect             a detector's vehicles; it names parts of its own, such as ground
-    fuse               with agents' poses and detections; no duplicates, none off the road
-    count              per lane; remembers where vehicles were, to tell which are stationary
+    fuse               with agents' poses and detections; no duplicates
+    border             with what neighbouring regions found on the lanes that both know
+    count              on the road, per lane; remembers where vehicles were: which are stationary?
 
-Each stage is entered once and fills in its part of the frame's state. A stage is added by adding it
-to the list; its span follows from its name. Nothing here knows a network.
+`begin` runs the stages up to what neighbours are told, `finish` those after it. Each stage is
+entered once and fills in its part of the frame's state. A stage is added by adding it to the list;
+its span follows from its name. Nothing here knows a network.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from edge_server.config import EdgeConfig
+from edge_server.border import BORDER, BorderStrips
+from edge_server.config import EdgeConfig, FusionConfig
 from edge_server.frame import (
     Chunk,
     ChunkStage,
@@ -35,12 +38,12 @@ from edge_server.lanes import CoverageShares, LaneCoverage, LaneIndex
 from edge_server.misbehaviour import Check
 from edge_server.placing import Decode, Place, PlaceByReference
 from edge_server.stationary import StationaryVehicles
-from perception.arrays import Floats
+from perception.arrays import Bools, Floats
 from perception.detector import Cloud, Detector, DetectorMaker, Vehicles
 from perception.registry import detector_of
 from perception.roadway import Roadway
 from protocol.messages import Detections, LaneCounts, Scan, Span
-from protocol.roadmap import RoadMap
+from protocol.regions import RegionMap
 
 
 class Pipeline:
@@ -56,23 +59,32 @@ class Pipeline:
         self.stages = tuple(stages)
         self._of_chunk = [stage for stage in stages if isinstance(stage, ChunkStage)]
         self._of_frame = [stage for stage in stages if isinstance(stage, FrameStage)]
+        of_frame = [stage.name for stage in self._of_frame]
+        self._border = of_frame.index(BORDER) if BORDER in of_frame else len(of_frame)
         if len(set(names)) < len(names) or [*self._of_chunk, *self._of_frame] != [*stages]:
             raise ValueError(f"stages {names}: each name once, stages of chunks first")
 
     @classmethod
     def of(
         cls,
-        road_map: RoadMap,
+        region: RegionMap,
         config: EdgeConfig,
         *,
         seed: int,
         detector: DetectorMaker = detector_of,
         has_lidars: bool = True,
         mounts: Mapping[str, Floats] | None = None,
+        strips: BorderStrips | None = None,
     ) -> Pipeline:
-        """Returns the pipeline of a scenario; for the arguments see `stages_of`."""
+        """Returns the pipeline of a region; for the arguments see `stages_of`."""
         stages = stages_of(
-            road_map, config, seed=seed, detector=detector, has_lidars=has_lidars, mounts=mounts
+            region,
+            config,
+            seed=seed,
+            detector=detector,
+            has_lidars=has_lidars,
+            mounts=mounts,
+            strips=strips,
         )
         return cls(stages)
 
@@ -100,46 +112,60 @@ class Pipeline:
 
     def run(self, frame: Frame) -> FrameState:
         """Runs the stages of a frame, after those that its chunks have not passed."""
+        return self.finish(self.begin(frame))
+
+    def begin(self, frame: Frame) -> FrameState:
+        """Runs the stages of a frame up to what its neighbours are told."""
         chunks = [self.prepare(chunk) for chunk in frame.chunks]
         state = FrameState(replace(frame, chunks=chunks))
-        for stage in self._of_frame:
+        for stage in self._of_frame[: self._border]:
+            with state.timed(stage.name):
+                stage.run(state)
+        return state
+
+    def finish(self, state: FrameState) -> FrameState:
+        """Runs the other stages, once `received` is filled in."""
+        for stage in self._of_frame[self._border :]:
             with state.timed(stage.name):
                 stage.run(state)
         return state
 
 
 def stages_of(
-    road_map: RoadMap,
+    region: RegionMap,
     config: EdgeConfig,
     *,
     seed: int,
     detector: DetectorMaker = detector_of,
     has_lidars: bool = True,
     mounts: Mapping[str, Floats] | None = None,
+    strips: BorderStrips | None = None,
 ) -> list[Stage]:
     """Returns the stages of a scenario.
 
     Args:
-        road_map: the region's roads.
+        region: the region's roads.
         config: the scenario's section `edge`.
         seed: of the scenario.
         detector: makes the detector.
         has_lidars: whether any agent is meant to send what its LiDAR measures.
         mounts: by agent x, y and yaw (3,) of the roadside units' mounts, map frame.
+        strips: those between the region and its neighbours, if it has any.
     """
     mounts = mounts or {}
-    roadway = Roadway.of(road_map, margin_m=config.geofence.margin_m)
-    lanes = LaneIndex(road_map)
+    roadway = Roadway.of(region.area, margin_m=config.geofence.margin_m)
+    lanes = LaneIndex(region.surroundings)
     place = Place(roadway, config.geofence)
-    check = [Check(road_map, roadway, config.misbehaviour, mounts)]
+    check = [Check(region.surroundings, roadway, config.misbehaviour, mounts)]
     return [
         Decode(),
         place if config.merge == "se3" else PlaceByReference(place),
         *(check if config.misbehaviour.enabled else []),
         Merge(),
         Detect(detector(config, roadway), seed),
-        Fuse(lanes, config, np.array(road_map.centre)),
-        Count(road_map, lanes, config, mounts, has_lidars=has_lidars),
+        Fuse(region.centres, config.fusion, mounts),
+        *([Border(strips, config.fusion)] if strips is not None else []),
+        Count(region, lanes, config, has_lidars=has_lidars),
     ]
 
 
@@ -173,84 +199,112 @@ class Detect(FrameStage):
 
 
 class Fuse(FrameStage):
-    """Joins detections of the cloud, of agents, and agents' poses; keeps vehicles on the road."""
+    """Joins detections of the cloud, of agents, and agents' poses."""
 
     name = "fuse"
 
-    def __init__(self, lanes: LaneIndex, config: EdgeConfig, centre: Floats) -> None:
-        self._lanes = lanes
+    def __init__(self, centres: Floats, config: FusionConfig, mounts: Mapping[str, Floats]) -> None:
+        self._centres = centres
         self._config = config
-        self._centre = centre
+        self._mounts = mounts
 
     def run(self, state: FrameState) -> None:
         """See `FrameStage.run`."""
-        config, found = self._config, state.found
+        found = state.found
         for objects in (one.objects for one in state.frame.found):
             found += Vehicles.from_lidar(
                 objects.boxes.astype(np.float64), objects.scores.astype(np.float64)
             )
-        vehicles = fuse(found, state.frame.poses, centre=self._centre, config=config.fusion)
-        positions = self._lanes.locate(
-            vehicles.boxes, margin_m=config.geofence.margin_m + vehicles.position_std_m
-        )
-        on_road = positions.lane >= 0
-        state.vehicles, state.positions = vehicles.take(on_road), positions.take(on_road)
+        poses = state.frame.poses
+        state.fused = fuse(found, poses, centres=self._centres, config=self._config)
+        chunks = [chunk for chunk in state.frame.chunks if not chunk.is_undecodable]
+        scans = sensor_places(chunks)[:, :2]
+        state.sensors = np.concatenate([scans, self._detecting_agents(state.frame)])
+
+    def _detecting_agents(self, frame: Frame) -> Floats:
+        """Returns where the agents stand (N, 2) that sent boxes, as far as that is known."""
+        places = {name: place[:2] for name, place in self._mounts.items()}
+        places |= {pose.agent: pose.pose[:2] for pose in frame.poses}
+        known = [places[one.agent] for one in frame.found if one.agent in places]
+        return np.array(known).reshape(-1, 2)
+
+
+class Border(FrameStage):
+    """Joins what the region found with what its neighbours found where they meet."""
+
+    name = BORDER
+
+    def __init__(self, strips: BorderStrips, config: FusionConfig) -> None:
+        self._strips = strips
+        self._config = config
+
+    def run(self, state: FrameState) -> None:
+        """See `FrameStage.run`."""
+        self._strips.join(state, self._config)
 
 
 class Count(FrameStage):
-    """Counts vehicles and queues per lane, says what sensors cover; remembers recent positions."""
+    """Keeps vehicles on the road; counts vehicles and queues per lane and what sensors cover."""
 
     name = "count"
 
     def __init__(
-        self,
-        road_map: RoadMap,
-        lanes: LaneIndex,
-        config: EdgeConfig,
-        mounts: Mapping[str, Floats],
-        *,
-        has_lidars: bool,
+        self, region: RegionMap, lanes: LaneIndex, config: EdgeConfig, *, has_lidars: bool
     ) -> None:
-        self._tls = road_map.signal.tls
+        self._owned = {"", *region.area.by_tls}
         self._lanes = lanes
         self._config = config
-        self._mounts = mounts
         self._has_lidars = has_lidars
-        self._coverage = LaneCoverage(
-            road_map, lanes, upstream_m=config.upstream_m, downstream_m=config.downstream_m
-        )
+        reach = {"upstream_m": config.upstream_m, "downstream_m": config.downstream_m}
+        self._coverage = {
+            tls: LaneCoverage(region.surroundings, around, **reach)
+            for tls, around in lanes.approaches.items()
+        }
         self._stationary = StationaryVehicles(config.stationary_mps)
 
     def run(self, state: FrameState) -> None:
         """See `FrameStage.run`."""
+        margin_m = self._config.geofence.margin_m + state.fused.position_std_m
+        positions = self._lanes.locate(state.fused.boxes, margin_m=margin_m)
+        on_road = positions.lane >= 0
+        state.vehicles, state.positions = state.fused.take(on_road), positions.take(on_road)
         state.detections = self._detections(state)
-        state.counts = self._counts(state)
+        stationary = self._stationary.mark(state.frame.sim_time_ns, state.vehicles.boxes[:, :2])
+        state.counts = {tls: self._counts(state, tls, stationary) for tls in self._coverage}
 
     def _detections(self, state: FrameState) -> Detections:
-        frame, vehicles = state.frame, state.vehicles
+        """Returns the vehicles on lanes of this region; the others are their owners' to tell."""
+        owners = self._lanes.owners(state.positions)
+        own = np.array([tls in self._owned for tls in owners], np.bool_)
+        frame, vehicles, positions = (
+            state.frame,
+            state.vehicles.take(own),
+            state.positions.take(own),
+        )
         return Detections(
             frame=frame.frame,
             sim_time_ns=frame.sim_time_ns,
             agents=frame.agents,
             boxes=vehicles.boxes.astype(np.float32),
             scores=vehicles.scores.astype(np.float32),
-            lanes=self._lanes.names(state.positions),
-            distances_m=self._lanes.distances_m(state.positions).astype(np.float32),
+            lanes=self._lanes.names(positions),
+            distances_m=self._lanes.distances_m(positions).astype(np.float32),
             sources=vehicles.sources,
         )
 
-    def _counts(self, state: FrameState) -> LaneCounts:
+    def _counts(self, state: FrameState, tls: str, stationary: Bools) -> LaneCounts:
         frame, config = state.frame, self._config
-        stationary = self._stationary.mark(frame.sim_time_ns, state.vehicles.boxes[:, :2])
         (upstream, downstream), (stationary_upstream, stationary_downstream) = (
-            self._lanes.count(part, upstream_m=config.upstream_m, downstream_m=config.downstream_m)
+            self._lanes.count(
+                part, tls, upstream_m=config.upstream_m, downstream_m=config.downstream_m
+            )
             for part in (state.positions, state.positions.take(stationary))
         )
-        coverage_upstream, coverage_downstream = self._covered(frame)
+        coverage_upstream, coverage_downstream = self._covered(state, tls)
         return LaneCounts(
             frame=frame.frame,
             sim_time_ns=frame.sim_time_ns,
-            tls=self._tls,
+            tls=tls,
             agents=frame.agents,
             complete=frame.complete,
             upstream=upstream,
@@ -262,7 +316,7 @@ class Count(FrameStage):
             delay_sim_ns=frame.delay_sim_ns,
         )
 
-    def _covered(self, frame: Frame) -> tuple[CoverageShares, CoverageShares]:
+    def _covered(self, state: FrameState, tls: str) -> tuple[CoverageShares, CoverageShares]:
         """Returns how much of each lane was covered by sensors whose scan or boxes arrived.
 
         Where there are LiDARs, a frame to which none contributed covers nothing. Where there are
@@ -270,13 +324,4 @@ class Count(FrameStage):
         """
         if not self._has_lidars:
             return {}, {}
-        scans = sensor_places([chunk for chunk in frame.chunks if not chunk.is_undecodable])
-        places_m = np.concatenate([scans[:, :2], self._detecting_agents(frame)])
-        return self._coverage.shares(places_m, self._config.coverage_range_m)
-
-    def _detecting_agents(self, frame: Frame) -> Floats:
-        """Returns where the agents stand (N, 2) that sent boxes, as far as that is known."""
-        places = {name: place[:2] for name, place in self._mounts.items()}
-        places |= {pose.agent: pose.pose[:2] for pose in frame.poses}
-        known = [places[one.agent] for one in frame.found if one.agent in places]
-        return np.array(known).reshape(-1, 2)
+        return self._coverage[tls].shares(state.sensors, self._config.coverage_range_m)

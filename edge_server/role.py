@@ -10,19 +10,27 @@ from collections import Counter
 from dataclasses import replace
 
 from edge_server.assembler import MAX_OPEN_FRAMES, Assembler
+from edge_server.border import BorderExchange, BorderStrips
 from edge_server.config import EdgeConfig
 from edge_server.decoding import DecoderPool, PendingChunk
 from edge_server.frame import AgentDetections, Chunk, Frame, FrameState
 from edge_server.owners import AgentOwners
 from edge_server.pipeline import Pipeline
 from edge_server.planner import Planner
-from edge_server.scenario import has_lidars, mounts_of, virtual_deadline
+from edge_server.scenario import has_lidars, places_of, virtual_deadline
 from protocol.errors import CodecError
 from protocol.inbox import Envelope, Presence
-from protocol.instances import AGENT_ROLES, agent_instances, instances_of
+from protocol.instances import (
+    AGENT_ROLES,
+    instances_of,
+    mounts_in,
+    region_instances,
+    region_of,
+)
 from protocol.messages import (
     AgentPose,
     Arrival,
+    BorderObjects,
     Metrics,
     Objects,
     Roster,
@@ -31,6 +39,7 @@ from protocol.messages import (
     Span,
 )
 from protocol.process import Context
+from protocol.regions import regions_of
 
 _TIMES_MAX_BYTES = 200 << 10  # of a frame's times in one message
 _TIMES_BYTES = 200  # of one part, besides its agent's id, which stands there three times
@@ -46,24 +55,32 @@ class EdgeRole:
         scenario = context.setup.scenario
         config = EdgeConfig.model_validate(scenario["edge"])
         self._context = context
-        self._region: str = scenario["region"]
-        self._tls = context.setup.road_map.signal.tls
-        road_map = context.setup.road_map
+        self._region = region_of(context.id)
+        regions = regions_of(context.setup.road_map, scenario)
+        own = regions[self._region]
+        strips = BorderStrips(own, regions) if len(regions) > 1 else None
+        mounts = mounts_in(scenario, self._region)
         self._pipeline = Pipeline.of(
-            road_map,
+            own,
             config,
             seed=scenario["seed"],
-            has_lidars=has_lidars(scenario),
-            mounts=mounts_of(scenario, road_map),
+            has_lidars=has_lidars(scenario, mounts),
+            mounts=places_of(mounts, context.setup.road_map),
+            strips=strips,
         )
+        self._border = BorderExchange(strips) if strips is not None else None
         self._decoders = DecoderPool(self._pipeline.open, context.inbox.wake)
         agents = [one for one in instances_of(scenario) if one.role in AGENT_ROLES]
-        expected = {one.id: one.role for one in agents}
+        expected = {one.id: one.role for one in agents if one.region in ("", self._region)}
         self._missing = set(expected)
         self._announced = False
+        self._border_bytes = 0
         self._lockstep = scenario["mode"] == "lockstep"
+        self._border_wait_ns = round(
+            (config.lockstep_timeout_s if self._lockstep else config.border_wait_ms / 1000) * 1e9
+        )
         wait_s = config.lockstep_timeout_s if self._lockstep else config.deadline_ms / 1000
-        self._planner = Planner(scenario, config.plan, context.setup.road_map)
+        self._planner = Planner(scenario, config.plan, own.area)
         self._virtual_deadline = virtual_deadline(scenario, config)
         self._covers = self._planner.covers if self._planner.ends_early else None
         self._assembler = Assembler(
@@ -71,10 +88,8 @@ class EdgeRole:
             expected=expected,
             covers=None if self._virtual_deadline else self._covers,
         )
-        mounts = scenario["roadside_mounts"]
-        hosts = agent_instances("infra", len(mounts))
-        units = {mount["id"]: host.id for mount, host in zip(mounts, hosts, strict=True)}
-        self._owners = AgentOwners(units, self._assembler.drops)
+        host = region_instances("infra", [self._region])[0].id
+        self._owners = AgentOwners({one["id"]: host for one in mounts}, self._assembler.drops)
 
     @classmethod
     def build(cls, context: Context) -> EdgeRole:
@@ -85,7 +100,10 @@ class EdgeRole:
         context.inbox.set_quotas(is_paced=not role._lockstep)
         for topic in ("roster", "pose", "scan", "objects"):
             context.v2x.subscribe(topic, region=role._region)
-        context.v2x.subscribe("state", tls=role._tls)
+        for region in role._border.neighbours if role._border else ():
+            context.v2x.subscribe("border", region=region)
+        first = context.setup.scenario["regions"][role._region][0]
+        context.v2x.subscribe("state", tls=first)  # for the time: that of all signals is the same
         context.v2x.watch()
         return role
 
@@ -110,6 +128,9 @@ class EdgeRole:
                 self._take_scan(scan, item)
             case Objects() as objects:
                 self._assembler.add_objects(objects, item.received_ns)
+            case BorderObjects() as told:
+                if self._border is not None and not self._border.take(item.parts["region"], told):
+                    self._assembler.drops["late_border"] += 1
             case SignalState() as state:
                 self._assembler.add_time(state.frame, state.sim_time_ns)
 
@@ -139,20 +160,38 @@ class EdgeRole:
             self._context.announce("edge")
         now_ns = time.monotonic_ns()
         self._assembler.wait_not_for(self._context.inbox.flooding(now_ns))
-        frame = self._assembler.pop(now_ns)
-        if frame is not None:
-            cut = self._cut(frame)
-            self._publish_plans(frame, cut)
-            state = self._pipeline.run(cut)
-            self._assembler.drops.update(state.excluded)
-            self._publish(cut, state)
+        if self._border is None or self._border.state is None:
+            frame = self._assembler.pop(now_ns)
+            if frame is not None:
+                self._begin(frame)
+        if self._border is not None and self._border.is_due(now_ns):
+            self._finish(self._border.end())
+
+    def _begin(self, frame: Frame) -> None:
+        """Runs a frame's stages; up to its end where there are no neighbours."""
+        cut = self._cut(frame)
+        self._publish_plans(frame, cut)
+        state = self._pipeline.begin(cut)
+        self._assembler.drops.update(state.excluded)
+        if self._border is None:
+            self._finish(state)
+        else:
+            told = self._border.begin(state, self._border_wait_ns)
+            sent_bytes = self._context.v2x.publish("border", told, region=self._region)
+            self._border_bytes = sent_bytes * len(self._border.neighbours)
+
+    def _finish(self, state: FrameState) -> None:
+        """Runs the stages after the exchange with neighbours, and publishes."""
+        self._publish(self._pipeline.finish(state))
 
     def close(self) -> None:
         """Ends the threads."""
         self._decoders.close()
 
     def _hear(self, presence: Presence) -> None:
-        if presence.role in ("vehicle", "infra"):
+        if presence.role == "edge" and self._border is not None:
+            self._border.hear(region_of(presence.id), alive=presence.alive)
+        if presence.role in AGENT_ROLES:
             self._missing.discard(presence.id)
             if not presence.alive:
                 self._owners.forget(presence.id)
@@ -209,9 +248,10 @@ class EdgeRole:
         for plan in self._planner.plans(frame, enough_sim_ns):
             self._context.v2x.publish("plan", plan, region=self._region, agent=plan.agent)
 
-    def _publish(self, frame: Frame, state: FrameState) -> None:
-        bus = self._context.v2x
-        bus.publish("lanes", state.counts, region=self._region, tls=self._tls)
+    def _publish(self, state: FrameState) -> None:
+        bus, frame = self._context.v2x, state.frame
+        for tls, counts in state.counts.items():
+            bus.publish("lanes", counts, region=self._region, tls=tls)
         bus.publish("detections", state.detections, region=self._region)
         published = _within_message(frame)
         self._assembler.drops["untold"] += len(frame.chunks) - len(published.chunks)
@@ -223,6 +263,7 @@ class EdgeRole:
             arrivals=_arrivals(published),
             points=state.points,
             scores=state.scores,
+            border_bytes=self._border_bytes,
             drops=dict(+(Counter(self._context.inbox.drops) + self._assembler.drops)),
         )
         self._context.world.publish("metrics", metrics, process=self._context.id)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,18 +13,19 @@ from perception.arrays import Floats
 from protocol.roadmap import RoadMap
 from sensing.config import Mount, UploadConfig
 from sensing.link_config import LinkConfig
+from sensing.pose import mount_place
 from sensing.upload_policies import policy_of
 
 
-def has_lidars(scenario: dict[str, Any]) -> bool:
-    """Whether a scenario has agents that send what their LiDAR measures, present yet or not.
+def has_lidars(scenario: dict[str, Any], mounts: Sequence[Any]) -> bool:
+    """Whether agents send what their LiDAR measures, present yet or not; `mounts` are the region's.
 
     The scenario decides, not what has arrived: a scan that never arrives is not one that does not
     exist.
     """
     upload = UploadConfig.model_validate(scenario.get("upload", {}))
     is_there = {
-        "roadside": bool(scenario["roadside_mounts"]),
+        "roadside": bool(mounts),
         "vehicle": bool(scenario.get("recording")) or scenario["traffic"]["cav_rate"] > 0,
     }
     return any(
@@ -32,11 +34,13 @@ def has_lidars(scenario: dict[str, Any]) -> bool:
     )
 
 
-def mounts_of(scenario: dict[str, Any], road_map: RoadMap) -> dict[str, Floats]:
-    """Returns by agent x, y and yaw (3,) of the scenario's roadside units, map frame."""
-    mounts = [Mount.model_validate(mount) for mount in scenario["roadside_mounts"]]
-    x_m, y_m = road_map.centre[:2]
-    return {m.id: np.array([x_m + m.x_m, y_m + m.y_m, np.radians(m.yaw_deg)]) for m in mounts}
+def places_of(mounts: Sequence[Any], road_map: RoadMap) -> dict[str, Floats]:
+    """Returns by agent x, y and yaw (3,) of roadside units, map frame."""
+    units = [Mount.model_validate(mount) for mount in mounts]
+    return {
+        unit.id: np.array([*mount_place(unit, road_map), np.radians(unit.yaw_deg)])
+        for unit in units
+    }
 
 
 def virtual_deadline(scenario: dict[str, Any], config: EdgeConfig) -> VirtualDeadline | None:

@@ -1,29 +1,40 @@
-"""The infra role: a roadside unit with one LiDAR, whose pose was surveyed."""
+"""The infra role: the roadside units of a region, each with a LiDAR whose pose was surveyed."""
 
 from __future__ import annotations
 
+from protocol.bus import Bus
+from protocol.geometry import SE3
 from protocol.inbox import Envelope, Presence
+from protocol.instances import mounts_in, region_of
 from protocol.messages import Tick
 from protocol.process import Context
 from sensing.config import Mount
-from sensing.lidar_uplink import LidarUplinks
+from sensing.lidar_uplink import LidarUplink, LidarUplinks
 from sensing.pose import mount_pose
 from sensing.station import Station
 
 
 class InfraRole:
-    """Runs the mount of the scenario's list whose index is the number in the process's id."""
+    """Runs the mounts at the junctions of the region that stands in the process's id."""
 
     def __init__(self, context: Context) -> None:
-        number = int(context.id.rpartition("-")[2])
-        mount = Mount.model_validate(context.setup.scenario["roadside_mounts"][number])
-        self._station = Station(context, "roadside")
+        region = region_of(context.id)
+        self._station = Station(context, "roadside", region)
         self._sensors = LidarUplinks(context, "roadside")
-        self._map_SE3_sensor = mount_pose(mount, context.setup.road_map, self._sensors.terrain)
-        self._bus = context.open_v2x()
-        radio = self._station.radio(mount.id, self._bus)
-        self._uplink = self._station.add(self._sensors.uplink(mount.id, self._bus, radio))
+        self._buses: list[Bus] = []
+        self._units: list[tuple[LidarUplink, SE3]] = []
+        for given in mounts_in(context.setup.scenario, region):
+            self._add(context, Mount.model_validate(given), region)
         self._station.open("infra")
+
+    def _add(self, context: Context, mount: Mount, region: str) -> None:
+        bus = context.open_v2x()
+        radio = self._station.radio(mount.id, bus)
+        uplink = self._station.add(self._sensors.uplink(mount.id, bus, radio))
+        uplink.enter([region])
+        pose = mount_pose(mount, context.setup.road_map, self._sensors.terrain)
+        self._buses.append(bus)
+        self._units.append((uplink, pose))
 
     def on(self, item: Envelope | Presence) -> None:
         """Takes a tick or the end."""
@@ -36,19 +47,23 @@ class InfraRole:
         self._station.report(tick)
 
     def close(self) -> None:
-        """Reports on the last frame and closes the connection."""
-        self._station.close_uplink(self._uplink.agent)
+        """Reports on the last frame and closes the connections."""
+        for uplink, _ in self._units:
+            self._station.close_uplink(uplink.agent)
         self._station.report()
         self._sensors.close()
-        self._bus.close()
+        for bus in self._buses:
+            bus.close()
 
     def _run_frame(self, tick: Tick) -> None:
-        agent, pose = self._uplink.agent, self._map_SE3_sensor
         self._station.begin(tick)
-        scans = self._station.uploads and self._station.admits(self._uplink.radio, tick)
-        self._station.publish_roster(tick, [agent], [agent] if scans else [])
-        if scans:
-            sensed = self._uplink.sense_and_send(
-                tick, map_SE3_sensor=pose, estimated_SE3_sensor=pose, own=None
-            )
-            self._station.publish_points_on(tick, agent, sensed)
+        uploads, admits = self._station.uploads, self._station.admits
+        scanning = {one.agent for one, _ in self._units if uploads and admits(one.radio, tick)}
+        members = {uplink.agent: self._station.regions for uplink, _ in self._units}
+        self._station.publish_rosters(tick, members, scanning)
+        for uplink, pose in self._units:
+            if uplink.agent in scanning:
+                sensed = uplink.sense_and_send(
+                    tick, map_SE3_sensor=pose, estimated_SE3_sensor=pose, own=None
+                )
+                self._station.publish_points_on(tick, uplink.agent, sensed)

@@ -48,10 +48,13 @@ class LabelledScan:
 class JunctionScanner:
     """A network with its scene and sensors; `net` is the text of a generated one's net file.
 
-    A site without a junction has its traffic's own net, or the built-in one.
+    A site without a junction has its traffic's own net, or the built-in one; `tls` is the signal
+    there, which may be left out if there is one only.
     """
 
-    def __init__(self, site: Site, samples: int, sensors: Sensors | None = None) -> None:
+    def __init__(
+        self, site: Site, samples: int, sensors: Sensors | None = None, tls: str | None = None
+    ) -> None:
         self.site = site
         self.net = ""
         with tempfile.TemporaryDirectory(prefix="cpnet-") as scratch:
@@ -59,6 +62,7 @@ class JunctionScanner:
             scenario = {
                 "traffic": self._traffic(folder).model_dump(),
                 "scene": site.scene.model_dump(),
+                "junctions": None if tls is None else [tls],
             }
             setup = build_setup(scenario, folder)
             scene = scene_of(setup, site.scene, site.seed)
@@ -187,16 +191,14 @@ def samples_on(
     """
     if not net.is_file():
         raise ConfigError(f"--net {net}: there is no such file")
-    traffic = TrafficConfig(
-        net=str(net.resolve()), tls=tls, step_s=0.5, cav_rate=0.0, radius_m=300.0
-    )
+    traffic = TrafficConfig(net=str(net.resolve()), step_s=0.5, cav_rate=0.0, radius_m=300.0)
     update = {
         "junction": None,
         "traffic": traffic,
         "scene": SceneConfig(),
         "lidar": LidarConfig(),
     }
-    scanner = JunctionScanner(draw_site(seed, 0).model_copy(update=update), samples)
+    scanner = JunctionScanner(draw_site(seed, 0).model_copy(update=update), samples, tls=tls)
     return scanner.road_map, list(samples_of(scanner))
 
 

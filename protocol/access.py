@@ -6,17 +6,23 @@ control; what no row of the topic table allows is refused.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from protocol.instances import agent_instances
+from protocol.instances import (
+    REGION_ROLES,
+    ROUTER,
+    WORLD_HOST,
+    region_instances,
+    region_of,
+    vehicle_instances,
+)
 from protocol.topics import (
     ALIVE,
     ALIVE_IN_ANY,
-    OBSERVERS,
     PRESENCE_WATCHERS,
     QUERIED,
     TOPICS,
@@ -79,10 +85,10 @@ Flows = tuple[tuple[str, list[str]], ...]
 
 @dataclass(frozen=True, slots=True)
 class Members:
-    """The processes of a run: the role of each by its id; and the run's region, if known."""
+    """The processes of a run: the role of each by its id; the signals by region, if known."""
 
     roles: dict[str, str]
-    region: str | None = None
+    regions: Mapping[str, Sequence[str]] | None = None
 
 
 def members_of(scenario: dict[str, Any]) -> Members:
@@ -90,23 +96,23 @@ def members_of(scenario: dict[str, Any]) -> Members:
 
     Vehicle processes may join that the scenario does not start with.
     """
-    roles = roles_of(MAX_VEHICLE_PROCESSES, len(scenario["roadside_mounts"]))
-    return Members(roles, scenario["region"])
+    return Members(roles_of(MAX_VEHICLE_PROCESSES, scenario["regions"]), scenario["regions"])
 
 
-def roles_of(vehicles: int, roadside: int) -> dict[str, str]:
-    """Returns the role of each process of a run with so many processes of agents, by its id."""
-    alone = ("edge", "sim", "record", "signal", "mcap", "view", "watch")
-    agents = agent_instances("vehicle", vehicles) + agent_instances("infra", roadside)
+def roles_of(vehicles: int, regions: Iterable[str]) -> dict[str, str]:
+    """Returns the role of each process of a run with so many vehicle processes, by its id."""
+    alone = (ROUTER, WORLD_HOST, "record", "mcap", "view", "watch")
+    several = [one for role in REGION_ROLES for one in region_instances(role, regions)]
+    several += vehicle_instances(vehicles)
     relays = {f"relay-{kind}": "relay" for kind in ("vehicle", "roadside")}
-    return {name: name for name in alone} | {one.id: one.role for one in agents} | relays
+    return {name: name for name in alone} | {one.id: one.role for one in several} | relays
 
 
 def access_control(bus: BusName, members: Members) -> dict[str, Any]:
     """Returns the setting `access_control` of the bus's router, for the members of a run."""
     rules, policies = [], []
     for process_id, role in sorted(members.roles.items()):
-        mine = list(_rules(bus, process_id, role, members.region))
+        mine = list(_rules(bus, process_id, role, members.regions))
         rules += mine
         policies.append({"rules": [rule["id"] for rule in mine], "subjects": [process_id]})
     return {
@@ -119,13 +125,13 @@ def access_control(bus: BusName, members: Members) -> dict[str, Any]:
 
 
 def _rules(
-    bus: BusName, process_id: str, role: str, region: str | None
+    bus: BusName, process_id: str, role: str, regions: Mapping[str, Sequence[str]] | None
 ) -> Iterable[dict[str, Any]]:
     """Yields what one process may do, one rule for each direction and kind of message.
 
-    Observers subscribe before they know the region, so they may subscribe to all of the bus.
+    A process of a region publishes for that region and its signals alone.
     """
-    place = {} if region is None or role in OBSERVERS else {"region": region}
+    region = region_of(process_id)
     for topic in TOPICS.values():
         if topic.bus is not bus:
             continue
@@ -133,8 +139,13 @@ def _rules(
             if role in roles:
                 flows = (_QUERY if topic.name in QUERIED else _PUBLISH)[verb]
                 own = {"process": process_id} if verb == _PUB else {}
-                key = topic.key(**place, **own)
-                yield from _allow(f"{process_id}: {verb} {topic.name}", flows, key)
+                if region and (verb == _PUB or topic.name != "border"):
+                    own["region"] = region
+                signals = (regions or {}).get(region) if verb == _PUB else None
+                for tls in signals if signals and "{tls}" in topic.template else [None]:
+                    key = topic.key(**own, **({} if tls is None else {"tls": tls}))
+                    name = f"{process_id}: {verb} {topic.name}" + (f" {tls}" if tls else "")
+                    yield from _allow(name, flows, key)
     yield from _allow(
         f"{process_id}: presence", _DECLARE_TOKEN, f"{ALIVE}/{role}/{quote(process_id)}"
     )

@@ -1,4 +1,4 @@
-"""Process instances: which processes a run has, with their ids and roles.
+"""Process instances: which processes a run has, with their ids, roles and regions.
 
 Nothing else makes or reads the id of a process: readiness, supervisor, access control,
 certificates, the edge, recordings and runs in one process ask here.
@@ -7,45 +7,86 @@ certificates, the edge, recordings and runs in one process ask here.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+ROUTER = "router"
+"""The process that hosts the V2X bus, and its role."""
+WORLD_HOST = "sim"
+"""The process that hosts the world bus, and its role."""
+REGION_ROLES = ("edge", "signal", "infra")
+"""Roles of which a run has a process for each region; `infra` where the region has mounts."""
 AGENT_ROLES = ("infra", "vehicle")
-"""Roles of which a run has any number of processes, with the agents of one kind each."""
+"""Roles whose processes host agents."""
+REGION_ID = r"[A-Za-z0-9_.-]+"
 
-_SINGLE_ROLES = ("sim", "record", "edge", "signal")
-_AGENT_ID = re.compile(r"(infra|vehicle)-(0|[1-9]\d{0,3})")
+_VEHICLE_ID = re.compile(r"vehicle-(0|[1-9]\d{0,3})")
+_REGION_PROCESS = re.compile(rf"({'|'.join(REGION_ROLES)})-({REGION_ID})")
 
 
 @dataclass(frozen=True, slots=True)
 class Instance:
-    """A process: its id, which stands in keys and names its certificate, and its role."""
+    """A process: its id, which stands in keys and names its certificate, its role and region.
+
+    `region` is empty where the process serves no single one.
+    """
 
     id: str
     role: str
+    region: str = ""
 
 
 def instances_of(scenario: Mapping[str, Any]) -> list[Instance]:
-    """Returns the processes that a run of a scenario begins with, the world's own first."""
-    numbers = {
-        "infra": len(scenario["roadside_mounts"]),
-        "vehicle": scenario["processes"]["vehicle"],
-    }
-    mcap = ["mcap"] if scenario.get("record", {}).get("mcap") else []
-    found = [Instance(role, role) for role in (*_SINGLE_ROLES, *mcap)]
-    return found + [one for role, count in numbers.items() for one in agent_instances(role, count)]
+    """Returns the processes that a run of a scenario begins with, as its setup has it.
+
+    There, `regions` are the signals by region, and each of `roadside_mounts` names its signal.
+    """
+    single = [ROUTER, WORLD_HOST, "record"]
+    single += ["mcap"] if scenario.get("record", {}).get("mcap") else []
+    found = [Instance(role, role) for role in single]
+    for role in REGION_ROLES:
+        regions = [r for r in scenario["regions"] if role != "infra" or mounts_in(scenario, r)]
+        found += region_instances(role, regions)
+    return found + vehicle_instances(scenario["processes"]["vehicle"])
 
 
-def agent_instances(role: str, count: int) -> list[Instance]:
-    """Returns the first `count` processes of a role of agents."""
-    return [Instance(f"{role}-{number}", role) for number in range(count)]
+def region_instances(role: str, regions: Iterable[str]) -> list[Instance]:
+    """Returns a role's process for each region."""
+    return [Instance(f"{role}-{region}", role, region) for region in regions]
 
 
-def agent_number(process_id: str) -> tuple[str, int]:
-    """Returns role and number of a process of agents; any other id has no role and -1."""
-    match = _AGENT_ID.fullmatch(process_id)
-    return ("", -1) if match is None else (match[1], int(match[2]))
+def vehicle_instances(count: int) -> list[Instance]:
+    """Returns the first `count` vehicle processes."""
+    return [Instance(f"vehicle-{number}", "vehicle") for number in range(count)]
+
+
+def mounts_in(scenario: Mapping[str, Any], region: str) -> list[Any]:
+    """Returns the roadside mounts at a region's junctions."""
+    junctions = scenario["regions"][region]
+    return [mount for mount in scenario["roadside_mounts"] if mount["tls"] in junctions]
+
+
+def parse_id(process_id: str) -> Instance | None:
+    """Returns the instance that an id can be, None if no process is called so."""
+    if process_id in (ROUTER, WORLD_HOST, "record", "mcap"):
+        return Instance(process_id, process_id)
+    if _VEHICLE_ID.fullmatch(process_id):
+        return Instance(process_id, "vehicle")
+    match = _REGION_PROCESS.fullmatch(process_id)
+    return None if match is None else Instance(process_id, match[1], match[2])
+
+
+def vehicle_number(process_id: str) -> int:
+    """Returns the number of a vehicle process, -1 of any other id."""
+    match = _VEHICLE_ID.fullmatch(process_id)
+    return -1 if match is None else int(match[1])
+
+
+def region_of(process_id: str) -> str:
+    """Returns the region that a process serves by its id, empty if that is no single one."""
+    instance = parse_id(process_id)
+    return "" if instance is None else instance.region
 
 
 def role_of(process_id: str) -> str:

@@ -1,13 +1,14 @@
-"""The road as every process knows it: lanes, the signal's links and its fixed plan."""
+"""The road as every process knows it: lanes, intersections, signals and their fixed plans."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import cached_property
 from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, FailFast
+from pydantic import BaseModel, ConfigDict, FailFast, Field
 
 
 class _Part(BaseModel):
@@ -15,7 +16,11 @@ class _Part(BaseModel):
 
 
 class Lane(_Part):
-    """One lane. The centreline runs in driving direction; points are x, y, z in the map frame."""
+    """One lane. The centreline runs in driving direction; points are x, y, z in the map frame.
+
+    `tls` is the signal of the intersection that the lane belongs to: the one that it leads to
+    first, or is part of, else the one that it leads away from.
+    """
 
     id: str
     edge: str
@@ -25,11 +30,30 @@ class Lane(_Part):
     centreline: Annotated[list[tuple[float, float, float]], FailFast()]
     successors: Annotated[list[str], FailFast()] = []
     internal: bool = False
+    tls: str = ""
 
     @cached_property
     def points(self) -> npt.NDArray[np.float64]:
         """The centreline as (K, 3)."""
         return np.array(self.centreline, np.float64)
+
+    @cached_property
+    def bounds(self) -> npt.NDArray[np.float64]:
+        """The least and the greatest x, y of the centreline (2, 2)."""
+        return np.array([self.points[:, :2].min(axis=0), self.points[:, :2].max(axis=0)])
+
+    @cached_property
+    def measured_m(self) -> float:
+        """Length of the centreline in the plane; `length_m` is what SUMO counts with."""
+        return float(np.linalg.norm(np.diff(self.points[:, :2], axis=0), axis=1).sum())
+
+
+def distance_m(points: npt.NDArray[np.float64], at: npt.NDArray[np.float64]) -> float:
+    """Returns how far a place x, y (2,) is from a polyline (K, 2 or 3), in the plane."""
+    start, step = points[:-1, :2], np.diff(points[:, :2], axis=0)
+    squared = np.maximum((step**2).sum(axis=1), 1e-12)
+    along = np.clip(((at - start) * step).sum(axis=1) / squared, 0.0, 1.0)
+    return float(np.linalg.norm(start + along[:, None] * step - at, axis=1).min())
 
 
 class Link(_Part):
@@ -78,19 +102,17 @@ class Signal(_Part):
         return next(p.state for p in self.plan if p.is_green)
 
 
-class RoadMap(_Part):
-    """The lanes around one signal, in a map frame that is the net's."""
+class Intersection(_Part):
+    """A signal and where it stands: the centre and the outline (x, y) of its junctions."""
 
-    name: str
-    centre: tuple[float, float, float]
-    lanes: Annotated[list[Lane], FailFast()]
     signal: Signal
-    junction: Annotated[list[tuple[float, float]], FailFast()]
+    centre: tuple[float, float, float]
+    outline: Annotated[list[tuple[float, float]], FailFast()]
 
-    @cached_property
-    def by_id(self) -> dict[str, Lane]:
-        """Lanes by their id."""
-        return {lane.id: lane for lane in self.lanes}
+    @property
+    def tls(self) -> str:
+        """Id of the signal."""
+        return self.signal.tls
 
     @cached_property
     def incoming(self) -> list[str]:
@@ -102,6 +124,35 @@ class RoadMap(_Part):
         """Ids of the lanes that begin behind the junction, in link order."""
         return list(dict.fromkeys(link.to_lane for link in self.signal.links))
 
+
+class RoadMap(_Part):
+    """Lanes and the intersections on them, of a net or a part of it, in the net's map frame."""
+
+    name: str
+    lanes: Annotated[list[Lane], FailFast()]
+    intersections: Annotated[list[Intersection], FailFast()] = Field(min_length=1)
+
+    @cached_property
+    def by_id(self) -> dict[str, Lane]:
+        """Lanes by their id."""
+        return {lane.id: lane for lane in self.lanes}
+
+    @cached_property
+    def by_tls(self) -> dict[str, Intersection]:
+        """Intersections by the id of their signal."""
+        return {one.tls: one for one in self.intersections}
+
+    @cached_property
+    def centre(self) -> tuple[float, float, float]:
+        """The mean of the intersections' centres."""
+        x, y, z = np.mean([one.centre for one in self.intersections], axis=0).tolist()
+        return x, y, z
+
+    @cached_property
+    def incoming(self) -> list[str]:
+        """Ids of the lanes that end at a stop bar, by intersection, in link order."""
+        return [lane for one in self.intersections for lane in one.incoming]
+
     @cached_property
     def predecessors(self) -> dict[str, list[str]]:
         """For each lane, the lanes that lead into it."""
@@ -111,3 +162,11 @@ class RoadMap(_Part):
                 if successor in result:
                     result[successor].append(lane.id)
         return result
+
+    def part(self, lanes: Collection[str], junctions: Collection[str]) -> RoadMap:
+        """Returns the map with these lanes and the intersections with these signals alone."""
+        return RoadMap(
+            name=self.name,
+            lanes=[lane for lane in self.lanes if lane.id in lanes],
+            intersections=[one for one in self.intersections if one.tls in junctions],
+        )

@@ -111,9 +111,10 @@ OBSERVERS = frozenset({"view", "mcap"})
 """Roles that subscribe to everything and publish nothing (a recording: its clock alone)."""
 _WATCH = frozenset({"watch"})  # the supervisor on each machine: progress alone
 _RELAY = frozenset({"relay"})
+_ROUTER = frozenset({"router"})  # hosts the V2X bus, publishes nothing but its clock
 _ALL = _AGENTS | _SIM | _EDGE | _SIGNAL | _RECORD
-_CLOCKS = _ALL | _RELAY | {"mcap"}
-ROLES = _ALL | OBSERVERS | _WATCH | _RELAY
+_CLOCKS = _ALL | _RELAY | _ROUTER | {"mcap"}
+ROLES = _ALL | OBSERVERS | _WATCH | _RELAY | _ROUTER
 """Whoever may be on a bus."""
 
 
@@ -147,6 +148,7 @@ TOPICS = _table(
     Topic("objects", "{region}/objects/{process}/{agent}", m.Objects, _V, _P, _AGENTS, _EDGE),
     Topic("plan", "{region}/plan/{agent}", m.Plan, _V, _P, _EDGE, _AGENTS),
     Topic("detections", "{region}/detections", m.Detections, _V, _P, _EDGE, _RECORD),
+    Topic("border", "{region}/border", m.BorderObjects, _V, _P, _EDGE, _EDGE),
     Topic("lanes", "{region}/lanes/{tls}", m.LaneCounts, _V, _P, _EDGE, _SIGNAL | _RECORD),
     # Measuring must not load the network.
     Topic("metrics", "metrics/{process}", m.Metrics, _W, _T, _ALL, _RECORD | _WATCH),

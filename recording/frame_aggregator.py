@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from protocol.errors import MessageError
-from protocol.messages import LaneCounts, Metrics, Upload
-from recording.latency_breakdown import FrameTimings
+from protocol.instances import WORLD_HOST, region_of, role_of
+from protocol.messages import LaneCounts, Metrics, Span, Upload
+from recording.latency_breakdown import Clocks, FrameTimings
 from recording.limits import MAX_ALL_ENTRIES, MAX_ENTRIES, MAX_OPEN_FRAMES, MAX_WIRED
-from recording.tables import FrameRow, LatencyRow, UploadRow
+from recording.tables import FrameRow, LatencyRow, RegionFrameRow, UploadRow
 
 
 class TickCheck:
@@ -44,31 +46,67 @@ class TickCheck:
         return 0 < frames <= MAX_OPEN_FRAMES and due_ns / 2 <= tick[1] - before[1] <= 2 * due_ns
 
 
-Clocks = Mapping[str, tuple[int, int]]
 _NOBODY: tuple[None, ...] = (None,) * 8
 
 
 @dataclass(slots=True)
+class RegionRecord:
+    """What is known of one frame of one region so far."""
+
+    timings: FrameTimings
+    agents: set[str] | None = None
+    points: int | None = None
+    detections: int | None = None
+    complete: bool | None = None
+    border_bytes: int | None = None
+    request_ns: int | None = None
+
+    def counted(self, lanes: LaneCounts) -> None:
+        """Adds what the edge made of the frame."""
+        self.complete, self.agents = lanes.complete, set(lanes.agents)
+        self.timings.complete = lanes.complete
+        self.timings.delay_sim_ns = lanes.delay_sim_ns
+
+    def requested(self, received_ns: int) -> None:
+        """Adds that a request for one of its signals came."""
+        self.request_ns = received_ns
+
+    def end_to_end_ns(
+        self, latencies: list[LatencyRow], clocks: Clocks, tick_ns: int | None
+    ) -> int | None:
+        """From the first sensing until the last signal cabinet has acted.
+
+        Where no scan was used, of the scans that were not; where there was none, from the tick.
+        """
+        if latencies:
+            return max(latency.end_to_end_ns for latency in latencies)
+        return self.timings.unused_end_to_end_ns(clocks, tick_ns)
+
+
+@dataclass(slots=True)
 class FrameRecord:
-    """What is known of one frame so far."""
+    """What is known of one frame so far, of the world and of each region."""
 
     frame: int
     sim_time_ns: int | None = None
     vehicles: int | None = None
     cavs: int | None = None
     cvs: int | None = None
-    agents: int | None = None
-    points: int | None = None
-    detections: int | None = None
-    complete: bool | None = None
     tick_ns: int | None = None
-    request_ns: int | None = None
     wire: dict[str, int] = field(default_factory=dict)
-    evidence: FrameTimings = field(default_factory=FrameTimings)
+    agent_spans: dict[str, list[Span]] = field(default_factory=lambda: defaultdict(list))
+    regions: dict[str, RegionRecord] = field(default_factory=dict)
     received: set[str] = field(default_factory=set)
     entries: int = 0
 
-    def measured(self, metrics: Metrics) -> None:
+    def region(self, region: str) -> RegionRecord:
+        """Returns the record of a region, to be changed by the caller."""
+        known = self.regions.get(region)
+        if known is None:
+            known = self.regions[region] = RegionRecord(FrameTimings(region, self.agent_spans))
+        return known
+
+    def measured(self, metrics: Metrics, region_of_tls: Mapping[str, str]) -> None:
         """Adds what one process measured in this frame.
 
         Raises:
@@ -81,74 +119,122 @@ class FrameRecord:
             )
         self.entries += more
         self.received.add(metrics.process)
-        known = self.evidence
-        known.spans[metrics.process] += metrics.spans
-        known.senders |= {upload.agent: metrics.process for upload in metrics.uploads}
-        known.uploads |= {(upload.agent, upload.chunk): upload for upload in metrics.uploads}
-        known.arrivals |= {(arrival.agent, arrival.chunk): arrival for arrival in metrics.arrivals}
-        if metrics.process == "edge":
-            self.points = metrics.points
+        role, region = role_of(metrics.process), region_of(metrics.process)
+        if role == WORLD_HOST:
+            for span in metrics.spans:
+                if span.stage == "actuate" and span.agent in region_of_tls:
+                    self.region(region_of_tls[span.agent]).timings.actuations.append(span)
+        elif role == "edge":
+            self._measured_by_edge(metrics, self.region(region))
+        elif role == "signal":
+            self.region(region).timings.signal += metrics.spans
+        else:
+            self._measured_by_agents(metrics, region_of_tls.values())
+
+    def _measured_by_edge(self, metrics: Metrics, record: RegionRecord) -> None:
+        record.points, record.border_bytes = metrics.points, metrics.border_bytes
+        record.timings.edge += metrics.spans
+        for arrival in metrics.arrivals:
+            record.timings.arrivals[arrival.agent, arrival.chunk] = arrival
+
+    def _measured_by_agents(self, metrics: Metrics, regions: Collection[str]) -> None:
+        for span in metrics.spans:
+            self.agent_spans[span.agent].append(span)
+        for upload in metrics.uploads:
+            if upload.region in regions:
+                timings = self.region(upload.region).timings
+                timings.senders[upload.agent] = metrics.process
+                timings.uploads[upload.agent, upload.chunk] = upload
 
     def wired(self, agent: str, sent_bytes: int) -> None:
         """Adds what TCP sent for an agent; of too many agents no more are noted."""
         if agent in self.wire or len(self.wire) < MAX_WIRED:
             self.wire[agent] = sent_bytes
 
-    def counted(self, lanes: LaneCounts) -> None:
-        """Adds what the edge made of the frame."""
-        self.complete, self.agents = lanes.complete, len(lanes.agents)
-        self.evidence.complete = lanes.complete
-        self.evidence.delay_sim_ns = lanes.delay_sim_ns
+    def rows(self, clocks: Clocks) -> FrameRows:
+        """Returns the frame as rows of all tables that it stands in."""
+        latencies: list[LatencyRow] = []
+        regions: list[RegionFrameRow] = []
+        for name, record in sorted(self.regions.items()):
+            found = record.timings.latencies(self.frame, clocks)
+            latencies += found
+            regions.append(
+                RegionFrameRow(
+                    frame=self.frame,
+                    region=name,
+                    agents=None if record.agents is None else len(record.agents),
+                    points=record.points,
+                    detections=record.detections,
+                    complete=None if record.complete is None else int(record.complete),
+                    border_bytes=record.border_bytes,
+                    request_ns=record.request_ns,
+                    end_to_end_ns=record.end_to_end_ns(found, clocks, self.tick_ns),
+                )
+            )
+        return FrameRows(self._row(regions), regions, latencies, list(self._upload_rows()))
 
-    def latencies(self, clocks: Clocks) -> list[LatencyRow]:
-        """Returns where the frame's time went, by agent."""
-        return self.evidence.latencies(self.frame, clocks)
-
-    def end_to_end_ns(self, clocks: Clocks) -> int | None:
-        """From the first sensing until the signal cabinet has acted.
-
-        Where no scan was used, of the scans that were not; where there was none, from the tick.
-        """
-        latencies = self.latencies(clocks)
-        if latencies:
-            return max(latency.end_to_end_ns for latency in latencies)
-        return self.evidence.unused_end_to_end_ns(clocks, self.tick_ns)
-
-    def row(self, clocks: Clocks) -> FrameRow:
-        """Returns the frame as a row."""
+    def _row(self, regions: list[RegionFrameRow]) -> FrameRow:
+        agents = [one.agents for one in self.regions.values() if one.agents is not None]
         return FrameRow(
             self.frame,
             self.sim_time_ns,
             self.vehicles,
             self.cavs,
             self.cvs,
-            self.agents,
-            self.points,
-            self.detections,
-            None if self.complete is None else int(self.complete),
+            len(set[str]().union(*agents)) if agents else None,
+            _over(sum, (row.points for row in regions)),
+            _over(sum, (row.detections for row in regions)),
+            _over(min, (row.complete for row in regions)),
             self.tick_ns,
-            self.request_ns,
-            self.end_to_end_ns(clocks),
+            _over(max, (row.request_ns for row in regions)),
+            _over(max, (row.end_to_end_ns for row in regions)),
         )
 
-    def upload_rows(self) -> Iterator[UploadRow]:
-        """Returns a row per chunk that its sender or the edge spoke of.
+    def _upload_rows(self) -> Iterator[UploadRow]:
+        """Returns a row per chunk that its sender or an edge spoke of.
 
         TCP's bytes of an agent's frame stand at its first chunk.
         """
-        uploads, arrivals, wire = self.evidence.uploads, self.evidence.arrivals, dict(self.wire)
-        for key in sorted(uploads.keys() | arrivals.keys()):
-            sent, came = uploads.get(key), arrivals.get(key)
-            sender = _NOBODY if sent is None else _as_sent(sent, wire.pop(key[0], None))
-            edge = (None, None) if came is None else (came.received_ns, came.decoded_ns)
-            yield UploadRow(self.frame, *key, *sender, *edge)
+        wire = dict(self.wire)
+        for name, record in sorted(self.regions.items()):
+            uploads, arrivals = record.timings.uploads, record.timings.arrivals
+            for key in sorted(uploads.keys() | arrivals.keys()):
+                sent, came = uploads.get(key), arrivals.get(key)
+                sender = _NOBODY if sent is None else _as_sent(sent, wire.pop(key[0], None))
+                edge = (None, None) if came is None else (came.received_ns, came.decoded_ns)
+                yield UploadRow(self.frame, name, *key, *sender, *edge)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRows:
+    """One frame as it stands in the tables."""
+
+    frame: FrameRow
+    regions: list[RegionFrameRow]
+    latencies: list[LatencyRow]
+    uploads: list[UploadRow]
+
+
+def _over(function: Callable[[list[int]], int], values: Iterable[int | None]) -> int | None:
+    """Applies a function to the values that are known; None if none is."""
+    known = [value for value in values if value is not None]
+    return function(known) if known else None
 
 
 class FrameAggregator:
     """Notes of the newest frames; a frame is written again whenever more was heard of it."""
 
-    def __init__(self, frame_period_ns: int, last_tick: tuple[int, int] | None = None) -> None:
-        """Begins after a recording's last tick, frame and ns of simulation, if it goes on."""
+    def __init__(
+        self,
+        frame_period_ns: int,
+        regions: Mapping[str, Sequence[str]],
+        last_tick: tuple[int, int] | None = None,
+    ) -> None:
+        """Begins after a recording's last tick, frame and ns of simulation, if it goes on.
+
+        `regions` are the signals of each region.
+        """
+        self._region_of_tls = {tls: name for name, signals in regions.items() for tls in signals}
         self._notes: dict[int, FrameRecord] = {}
         self._changed: set[int] = set()
         self._entries = 0  # of all notes
@@ -192,11 +278,31 @@ class FrameAggregator:
         if self._entries > MAX_ALL_ENTRIES:
             raise MessageError(f"open frames have more than {MAX_ALL_ENTRIES} entries")
         before = note.entries
-        note.measured(metrics)
+        note.measured(metrics, self._region_of_tls)
         self._entries += note.entries - before
         for count in metrics.wire:
             self.note(count.frame).wired(count.agent, count.sent_bytes)
         return note
+
+    def signal_region(self, frame: int, tls: str) -> RegionRecord:
+        """Returns the record of the region of a signal.
+
+        Raises:
+            MessageError: as `note`, or no region has that signal.
+        """
+        if tls not in self._region_of_tls:
+            raise MessageError(f"no region has the signal {tls}")
+        return self.note(frame).region(self._region_of_tls[tls])
+
+    def region(self, frame: int, region: str) -> RegionRecord:
+        """Returns the record of a region.
+
+        Raises:
+            MessageError: as `note`, or there is no such region.
+        """
+        if region not in self._region_of_tls.values():
+            raise MessageError(f"there is no region {region}")
+        return self.note(frame).region(region)
 
     def check(self, frame: int) -> None:
         """Raises MessageError if a frame is settled, or far ahead of the world."""

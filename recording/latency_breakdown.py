@@ -18,34 +18,44 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
+from protocol.instances import WORLD_HOST, region_instances
 from protocol.messages import Arrival, Span, Upload
 from recording.limits import MAX_END_TO_END_NS
 from recording.tables import LatencyRow
 
 SENDER_STAGES = ("sense", "select", "encode", "send")
-EDGE_STAGES = ("check", "merge", "ground", "detect", "fuse", "count")
+EDGE_STAGES = ("check", "merge", "ground", "detect", "fuse", "border", "count")
 SAME_CLOCK = (0, 0)
+Clocks = Mapping[str, tuple[int, int]]
 
 
 @dataclass(slots=True)
 class FrameTimings:
-    """What several processes measured of one frame.
+    """What several processes measured of one frame of one region.
 
-    `clocks` gives by process what to add to its times to have the reference clock's, and how wrong
-    that may be, both in ns.
+    `edge`, `signal` and `actuations` are spans of its edge, its signal process and its cabinets;
+    `agents` those of agents by their id, whatever the region; `senders` their processes.
     """
 
-    spans: dict[str, list[Span]] = field(default_factory=lambda: defaultdict(list))
+    region: str
+    agents: dict[str, list[Span]] = field(default_factory=lambda: defaultdict(list))
+    edge: list[Span] = field(default_factory=list)
+    signal: list[Span] = field(default_factory=list)
+    actuations: list[Span] = field(default_factory=list)
     senders: dict[str, str] = field(default_factory=dict)
     uploads: dict[tuple[str, int], Upload] = field(default_factory=dict)
     arrivals: dict[tuple[str, int], Arrival] = field(default_factory=dict)
     delay_sim_ns: int | None = None
     complete: bool | None = None
 
-    def latencies(self, frame: int, clocks: Mapping[str, tuple[int, int]]) -> list[LatencyRow]:
-        """Returns a row for each agent whose scan was used; none until the cabinet has acted."""
+    def latencies(self, frame: int, clocks: Clocks) -> list[LatencyRow]:
+        """Returns a row for each agent whose scan was used; none until the cabinets have acted.
+
+        `clocks` gives by process what to add to its times to have the reference clock's, and how
+        wrong that may be, both in ns.
+        """
         acted = self._acted()
-        ready = [span.end_ns for span in self.spans.get("edge", ()) if span.stage == "wait"]
+        ready = [span.end_ns for span in self.edge if span.stage == "wait"]
         used = self._last_chunks()
         if acted is None or not ready or not used:
             return []
@@ -55,9 +65,7 @@ class FrameTimings:
         rows = [self._real(way, ready[-1], acted, clocks) for way in ways]
         return [row for row in rows if row is not None]
 
-    def unused_end_to_end_ns(
-        self, clocks: Mapping[str, tuple[int, int]], tick_ns: int | None
-    ) -> int | None:
+    def unused_end_to_end_ns(self, clocks: Clocks, tick_ns: int | None) -> int | None:
         """Returns the time of a frame of which no scan was used, from sensing or from the tick."""
         acted = self._acted()
         if acted is None:
@@ -71,14 +79,14 @@ class FrameTimings:
         start_ns = min(starts_ns, default=tick_ns)
         if start_ns is None:
             return None
-        sim_ns = clocks.get("sim", SAME_CLOCK)[0]
+        sim_ns = clocks.get(WORLD_HOST, SAME_CLOCK)[0]
         took_ns = acted.end_ns + sim_ns - start_ns
         in_order = acted.start_ns + sim_ns >= start_ns
         return took_ns if in_order and took_ns <= MAX_END_TO_END_NS else None
 
     def _acted(self) -> Span | None:
-        spans = [span for span in self.spans.get("sim", ()) if span.stage == "actuate"]
-        return spans[-1] if spans else None
+        """Returns when the last of the region's cabinets acted."""
+        return max(self.actuations, key=lambda span: span.end_ns, default=None)
 
     def _last_chunks(self) -> list[tuple[Upload, Arrival]]:
         """Returns, by agent, the chunk that came last of those that were used."""
@@ -93,13 +101,14 @@ class FrameTimings:
     def _way(self, frame: int, upload: Upload, arrival: Arrival) -> _AgentPath:
         agent = upload.agent
         sent = self._sent(upload)
-        edge = [s for s in self.spans["edge"] if s.agent == agent]
+        edge = [s for s in self.edge if s.agent == agent]
         came = _sums_apart(s for s in edge if s.start_ns >= arrival.received_ns)
-        shared = _sums(s for s in self.spans["edge"] if not s.agent)
-        decided = _sums(self.spans.get("signal", ()))
+        shared = _sums(s for s in self.edge if not s.agent)
+        decided = _sums(self.signal)
         return _AgentPath(
             row=LatencyRow(
                 frame,
+                self.region,
                 agent,
                 **{f"{stage}_ns": sent.get(stage, 0) for stage in SENDER_STAGES},
                 link_ns=0,
@@ -118,11 +127,12 @@ class FrameTimings:
         )
 
     def _real(
-        self, way: _AgentPath, ready_ns: int, acted: Span, clocks: Mapping[str, tuple[int, int]]
+        self, way: _AgentPath, ready_ns: int, acted: Span, clocks: Clocks
     ) -> LatencyRow | None:
         row, upload, arrival = way.row, way.upload, way.arrival
         sender, edge, sim = (
-            clocks.get(process, SAME_CLOCK) for process in (self.senders[row.agent], "edge", "sim")
+            clocks.get(process, SAME_CLOCK)
+            for process in (self.senders[row.agent], edge_id(self.region), WORLD_HOST)
         )
         start_ns = upload.sense_start_ns + sender[0]
         took_ns = acted.end_ns + sim[0] - start_ns
@@ -173,8 +183,13 @@ class FrameTimings:
 
     def _sent(self, upload: Upload) -> dict[str, int]:
         """Returns by stage what an agent had computed when it had sent a chunk."""
-        mine = (s for s in self.spans[self.senders[upload.agent]] if s.agent == upload.agent)
+        mine = self.agents.get(upload.agent, ())
         return _sums(span for span in mine if span.end_ns <= upload.sent_ns)
+
+
+def edge_id(region: str) -> str:
+    """Returns the process of a region's edge."""
+    return region_instances("edge", [region])[0].id
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ import logging
 import sqlite3
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -15,6 +15,7 @@ from typing import Any
 from protocol import messages as m
 from protocol.errors import CpnetError, MessageError
 from protocol.inbox import Envelope, Presence
+from protocol.instances import region_instances
 from protocol.messages import Equipment, Metrics, Progress, Tick
 from protocol.process import Context
 from protocol.topics import TOPICS, BusName, Delivery
@@ -36,9 +37,9 @@ class ProgressTracker:
     vehicles: int = 0
     cavs: int = 0
     cvs: int = 0
-    detections: int = 0
     state: str = ""
     end_to_end_ns: int = 0
+    _detections: dict[str, int] = field(default_factory=dict)
     payload_bytes: Counter[str] = field(default_factory=Counter)
     _since: tuple[int, int] | None = None
 
@@ -51,6 +52,10 @@ class ProgressTracker:
         self.cvs = equipment.count(Equipment.CV)
         if self._since is None:
             self._since = (tick.sim_time_ns - self.frame_period_ns, now_ns)
+
+    def detected(self, region: str, vehicles: int) -> None:
+        """Notes how many vehicles a region detected in its last frame."""
+        self._detections[region] = vehicles
 
     def measured(self, metrics: Metrics) -> None:
         """Notes what was sent; of too many agents no more are told of."""
@@ -76,7 +81,7 @@ class ProgressTracker:
             vehicles=self.vehicles,
             cavs=self.cavs,
             cvs=self.cvs,
-            detections=self.detections,
+            detections=sum(self._detections.values()),
             mbps=mbps,
             end_to_end_ms=self.end_to_end_ns / 1e6,
             state=self.state,
@@ -86,13 +91,15 @@ class ProgressTracker:
 
 PATIENCE_NS = 2_000_000_000
 SILENCE_NS = 150_000_000
-LAST_TO_PUBLISH = frozenset({"edge", "signal"})
 
 
 class EndOfRun:
     """Waits for stragglers: topics of two buses and many processes keep no common order."""
 
-    def __init__(self) -> None:
+    def __init__(self, last_to_publish: Collection[str], regions: int) -> None:
+        """The last frame is whole once these processes have published, of so many regions."""
+        self._last_to_publish = frozenset(last_to_publish)
+        self._regions = regions
         self._began_ns: int | None = None
         self._awaits_last_frame = True
         self._received_ns = 0
@@ -112,14 +119,16 @@ class EndOfRun:
             return False
         if now_ns - self._began_ns >= PATIENCE_NS:
             return True
-        if self._awaits_last_frame and not _is_complete(aggregator):
+        if self._awaits_last_frame and not self._is_complete(aggregator):
             return False
         return now_ns - self._received_ns >= SILENCE_NS
 
-
-def _is_complete(aggregator: FrameAggregator) -> bool:
-    last = aggregator.get(aggregator.newest_tick)
-    return last is not None and last.received >= LAST_TO_PUBLISH and last.detections is not None
+    def _is_complete(self, aggregator: FrameAggregator) -> bool:
+        last = aggregator.get(aggregator.newest_tick)
+        if last is None or not last.received >= self._last_to_publish:
+            return False
+        detected = [one for one in last.regions.values() if one.detections is not None]
+        return len(detected) >= self._regions
 
 
 COMMIT_NS = 1_000_000_000
@@ -145,9 +154,11 @@ class RecordRole:
         written = json.dumps(scenario)
         self._database = Database(context.run_dir, written)
         self._is_broken = False
-        self._aggregator = FrameAggregator(self._frame_period_ns, self._database.last_tick)
+        regions: dict[str, list[str]] = scenario["regions"]
+        self._aggregator = FrameAggregator(self._frame_period_ns, regions, self._database.last_tick)
         self._progress = ProgressTracker(self._frame_period_ns)
-        self._ending = EndOfRun()
+        last = [one for role in ("edge", "signal") for one in region_instances(role, regions)]
+        self._ending = EndOfRun([one.id for one in last], len(regions))
         self._clocks: dict[str, tuple[int, int]] = {}
         self._drops = DropCounts(self._database.known_drops())
         self._last_request = -1 if self._database.last_whole is None else self._database.last_whole
@@ -155,6 +166,7 @@ class RecordRole:
         self._reaches = [BusGaps(BusName.V2X, context.v2x), BusGaps(BusName.WORLD, context.world)]
         self._commit_ns = COMMIT_NS if scenario.get("mode") == "lockstep" else 0
         self._committed_ns = self._told_ns = time.monotonic_ns()
+        self._acted_frame = -1
         self._handlers = self._routes()
         resumed = self._database.last_frame
         if resumed is None:
@@ -168,11 +180,10 @@ class RecordRole:
     def build(cls, context: Context) -> RecordRole:
         """Makes the role and announces that it listens."""
         role = cls(context)
-        region = str(context.setup.scenario.get("region", "r0"))
         for name in sorted(role._handlers, key=_SUBSCRIBED_LAST.__contains__):
             topic = TOPICS[name]
             bus = context.world if topic.bus is BusName.WORLD else context.v2x
-            bus.subscribe(name, **({"region": region} if "{region}" in topic.template else {}))
+            bus.subscribe(name)
         context.announce("record")
         return role
 
@@ -252,11 +263,10 @@ class RecordRole:
 
     def _on_metrics(self, metrics: m.Metrics, _: Envelope) -> None:
         self._drops.received(metrics.process, metrics.drops)
-        note = self._aggregator.measured(metrics)
+        self._aggregator.measured(metrics)
         self._progress.measured(metrics)
-        if metrics.process == "sim":
-            took_ns = note.end_to_end_ns(self._clocks)
-            self._progress.end_to_end_ns = took_ns or self._progress.end_to_end_ns
+        if any(span.stage == "actuate" for span in metrics.spans):
+            self._acted_frame = max(self._acted_frame, metrics.frame)
         self._database.add(tables.StageRow, rows.stage_rows(metrics))
         self._database.add(tables.AgentScoreRow, rows.agent_score_rows(metrics))
 
@@ -282,26 +292,27 @@ class RecordRole:
         self._database.add(tables.PhaseRow, [rows.phase_row(state)])
 
     def _on_request(self, request: m.SignalRequest, item: Envelope) -> None:
-        self._aggregator.note(request.frame).request_ns = item.received_ns
+        record = self._aggregator.signal_region(request.frame, request.tls)
+        record.requested(item.received_ns)
         self._last_request = max(self._last_request, request.frame)
         self._database.add(tables.RequestRow, [rows.request_row(request)])
 
     def _on_detections(self, detections: m.Detections, item: Envelope) -> None:
-        note = self._aggregator.note(detections.frame)
-        found = rows.detection_rows(detections, item.parts["region"])
-        self._database.add(tables.DetectionRow, found)
-        note.detections = self._progress.detections = len(detections.boxes)
+        region = item.parts["region"]
+        record = self._aggregator.region(detections.frame, region)
+        self._database.add(tables.DetectionRow, rows.detection_rows(detections, region))
+        record.detections = len(detections.boxes)
+        self._progress.detected(region, len(detections.boxes))
 
     def _on_lanes(self, lanes: m.LaneCounts, _: Envelope) -> None:
-        note = self._aggregator.note(lanes.frame)
-        note.counted(lanes)
+        self._aggregator.signal_region(lanes.frame, lanes.tls).counted(lanes)
         self._database.add(tables.CountRow, rows.count_rows(lanes))
 
-    def _on_scan(self, scan: m.Scan, _: Envelope) -> None:
+    def _on_scan(self, scan: m.Scan, item: Envelope) -> None:
         self._aggregator.check(scan.frame)
         period_ns = round(self._config.snapshot_period_s * 1e9)
         if scan.sim_time_ns % period_ns < self._frame_period_ns:
-            self._database.add(tables.CloudRow, [rows.cloud_row(scan)])
+            self._database.add(tables.CloudRow, [rows.cloud_row(scan, item.parts["region"])])
 
     def _look(self, now_ns: int) -> None:
         for reach in self._reaches:
@@ -331,9 +342,11 @@ class RecordRole:
 
     def _commit(self, now_ns: int) -> None:
         for note in self._aggregator.take_changed():
-            self._database.add(tables.FrameRow, [note.row(self._clocks)])
-            self._database.add(tables.LatencyRow, note.latencies(self._clocks))
-            self._database.add(tables.UploadRow, note.upload_rows())
+            found = note.rows(self._clocks)
+            self._database.add(tables.FrameRow, [found.frame])
+            self._database.add(tables.RegionFrameRow, found.regions)
+            self._database.add(tables.LatencyRow, found.latencies)
+            self._database.add(tables.UploadRow, found.uploads)
         self._count_own_drops()
         self._database.add(tables.DropRow, self._drops.take_changed())
         try:
@@ -344,6 +357,9 @@ class RecordRole:
         self._committed_ns = now_ns
 
     def _tell(self, now_ns: int) -> None:
+        acted = self._aggregator.get(self._acted_frame)
+        took_ns = acted.rows(self._clocks).frame.end_to_end_ns if acted is not None else None
+        self._progress.end_to_end_ns = took_ns or self._progress.end_to_end_ns
         drops = min(self._drops.total(), MAX_TOTAL_DROPS)
         self._context.world.publish("progress", self._progress.report(now_ns, drops))
         self._told_ns = now_ns

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 
+from protocol.instances import region_of
 from protocol.messages import (
     Detections,
     LaneCounts,
@@ -160,10 +161,11 @@ def stage_rows(message: Metrics) -> Iterator[StageRow]:
 
 
 def agent_score_rows(message: Metrics) -> Iterator[AgentScoreRow]:
-    """Returns a row per agent that the edge told of."""
+    """Returns a row per agent that an edge told of."""
     return (
         AgentScoreRow(
             frame=message.frame,
+            region=region_of(message.process),
             agent=one.agent,
             score=one.score,
             trusted=int(one.trusted),
@@ -175,11 +177,12 @@ def agent_score_rows(message: Metrics) -> Iterator[AgentScoreRow]:
     )
 
 
-def cloud_row(message: Scan) -> CloudRow:
-    """Returns an upload as it went over the bus."""
+def cloud_row(message: Scan, region: str) -> CloudRow:
+    """Returns an upload to a region as it went over the bus."""
     x, y, z, roll, pitch, yaw = message.sensor_pose.tolist()
     return CloudRow(
         frame=message.frame,
+        region=region,
         agent=message.agent,
         chunk=message.chunk,
         points=message.points,

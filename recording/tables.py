@@ -27,7 +27,11 @@ class MetaRow(NamedTuple):
 
 
 class FrameRow(NamedTuple):
-    """One frame; NULL is what was never heard of. `agents` are those whose uploads were used."""
+    """One frame of all regions; NULL is what was never heard of.
+
+    `agents` are those whose uploads were used, be it in several regions; `complete` is 1 if the
+    frame was complete in each; request and end-to-end time are those of the last region.
+    """
 
     frame: int
     sim_time_ns: int | None
@@ -43,10 +47,28 @@ class FrameRow(NamedTuple):
     end_to_end_ns: int | None
 
 
+class RegionFrameRow(NamedTuple):
+    """One frame of one region; NULL is what was never heard of.
+
+    `border_bytes` were sent to neighbouring regions, `end_to_end_ns` ends with its last cabinet.
+    """
+
+    frame: int
+    region: str
+    agents: int | None
+    points: int | None
+    detections: int | None
+    complete: int | None
+    border_bytes: int | None
+    request_ns: int | None
+    end_to_end_ns: int | None
+
+
 class UploadRow(NamedTuple):
     """One chunk: what its sender said of it (`link_sim_ns` on a virtual link), then the edge."""
 
     frame: int
+    region: str
     agent: str
     chunk: int
     points: int | None
@@ -62,7 +84,7 @@ class UploadRow(NamedTuple):
 
 
 class StageRow(NamedTuple):
-    """One stage of one frame in one process."""
+    """One stage of one frame in one process, for an agent, a signal (its id there) or for all."""
 
     frame: int
     process: str
@@ -73,9 +95,10 @@ class StageRow(NamedTuple):
 
 
 class LatencyRow(NamedTuple):
-    """Where the time of a frame went for one agent; the stages sum to `end_to_end_ns`."""
+    """Where a frame's time went for one agent in a region; stages sum to `end_to_end_ns`."""
 
     frame: int
+    region: str
     agent: str
     sense_ns: int
     select_ns: int
@@ -90,6 +113,7 @@ class LatencyRow(NamedTuple):
     ground_ns: int
     detect_ns: int
     fuse_ns: int
+    border_ns: int
     count_ns: int
     decide_ns: int
     actuate_ns: int
@@ -186,12 +210,13 @@ class SightingRow(NamedTuple):
 
 
 class AgentScoreRow(NamedTuple):
-    """How far the edge trusts an agent; a row when it changed, and while the agent is excluded.
+    """How far an edge trusts an agent; a row when it changed, and while the agent is excluded.
 
     `score` is a mean over frames; the others are of this frame alone, NULL where nothing speaks.
     """
 
     frame: int
+    region: str
     agent: str
     score: float
     trusted: int
@@ -244,6 +269,7 @@ class CloudRow(NamedTuple):
     """One upload of a snapshot frame as it went over the bus; `sensor_*` is `map_SE3_sensor`."""
 
     frame: int
+    region: str
     agent: str
     chunk: int
     points: int
@@ -314,21 +340,22 @@ TABLES: dict[type, Table] = {
     for table in (
         Table("meta", MetaRow, 1),
         Table("frames", FrameRow, 1),
-        Table("uploads", UploadRow, 3),
+        Table("region_frames", RegionFrameRow, 2),
+        Table("uploads", UploadRow, 4),
         Table("stages", StageRow, 0),
-        Table("latency", LatencyRow, 2),
+        Table("latency", LatencyRow, 3),
         Table("detections", DetectionRow, 3, is_result=True),
         Table("counts", CountRow, 4, is_result=True),
         Table("phases", PhaseRow, 2, is_result=True),
         Table("requests", RequestRow, 2, is_result=True),
         Table("truth", TruthRow, 2, is_result=True),
         Table("sightings", SightingRow, 2, is_result=True),
-        Table("agent_scores", AgentScoreRow, 2, is_result=True),
+        Table("agent_scores", AgentScoreRow, 3, is_result=True),
         Table("trips", TripRow, 1, is_result=True),
         Table("clocks", ClockRow, 1),
         Table("drops", DropRow, 2),
         Table("gaps", GapRow, 2),
-        Table("clouds", CloudRow, 3, rowid=True),
+        Table("clouds", CloudRow, 4, rowid=True),
     )
 }
 """Every table by its row type."""

@@ -88,10 +88,13 @@ class LidarConfig(Section):
 
 
 class Mount(Section):
-    """Position of a roadside unit's LiDAR, relative to the centre of the junction."""
+    """Position of a roadside unit's LiDAR, relative to the centre of its junction."""
 
     id: str = Field(
         "rsu-0", pattern=r"^[A-Za-z0-9_.-]+$", max_length=64, description="Name of the agent."
+    )
+    tls: str | None = Field(
+        None, description="Signal of the junction where it stands; null: one at each junction."
     )
     x_m: float = Field(0.0, ge=-500, le=500, description="East of the junction's centre, m.")
     y_m: float = Field(0.0, ge=-500, le=500, description="North of the junction's centre, m.")
@@ -186,6 +189,12 @@ class UploadConfig(Section):
     )
     roi_margin_m: float = Field(
         1.0, ge=0, le=20, description="How far beyond a lane's edge the road reaches for roi, m."
+    )
+    region_range_m: float = Field(
+        100.0,
+        ge=10,
+        le=500,
+        description="A CAV sends each region whose roads are nearer than this what covers them.",
     )
     vehicle: UploadChoice = Field(UploadChoice(), description="CAVs' own choice.")
     roadside: UploadChoice = Field(UploadChoice(), description="Roadside LiDARs' own choice.")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from protocol.codec import encode_scan
 from protocol.geometry import SE3
 from protocol.messages import Objects, Scan, Tick
 from protocol.process import Context
+from protocol.regions import regions_of
 from protocol.roadmap import RoadMap
 from protocol.scans import RangeScan
 from sensing.config import LidarConfig, SceneConfig, UploadConfig
@@ -26,7 +28,7 @@ from sensing.radio import AgentKind, Radio
 from sensing.source import ScanSource, source_of
 from sensing.terrain import Terrain
 from sensing.uplink import FrameUpload, Uplink, UplinkContext
-from sensing.upload_policies import policy_of
+from sensing.upload_policies import Filter, policy_of
 from sensing.upload_selection import Selection, Selector, chooser_of
 
 
@@ -62,12 +64,12 @@ class OnboardDetector:
 
 @dataclass(frozen=True, slots=True)
 class LidarContext(UplinkContext):
-    """What all uplinks of a process with LiDARs share; a detector only if agents send objects."""
+    """What all uplinks of a process with LiDARs share; detectors only if agents send objects."""
 
     seed: int
     source: ScanSource
     config: UploadConfig
-    detector: OnboardDetector | None
+    detector_of: Callable[[str], OnboardDetector] | None
 
 
 @dataclass(slots=True, eq=False)
@@ -76,30 +78,49 @@ class _ScanUpload(FrameUpload):
 
     uplink: LidarUplink
     scan: RangeScan
-    selection: Selection
+    parts: Mapping[str, Selection]
     estimated_SE3_sensor: SE3
     sense_start_ns: int
     sense_end_ns: int
+    order: list[tuple[int, str]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Orders the chunks: first the first of each region, then the second of each."""
+        parts = self.parts.items()
+        self.order = sorted((n, region) for region, part in parts for n in range(part.chunks))
 
     @property
     def chunks(self) -> int:
         """See `FrameUpload.chunks`."""
-        return self.selection.chunks
+        return len(self.order)
 
     def send(self, chunk: int) -> int:
         """See `FrameUpload.send`."""
-        return self.uplink.send_chunk(self, chunk)
+        number, region = self.order[chunk]
+        return self.uplink.send_chunk(self, region, number)
 
 
 class LidarUplink(Uplink):
     """The uplink of an agent that has a LiDAR."""
 
     def __init__(
-        self, agent: str, bus: Bus, radio: Radio, context: LidarContext, selector: Selector
+        self,
+        agent: str,
+        bus: Bus,
+        radio: Radio,
+        context: LidarContext,
+        selector_of: Callable[[str], Selector],
     ) -> None:
         super().__init__(agent, bus, radio, context)
         self._shared = context
-        self._selector = selector
+        self._selector_of = selector_of
+        self._selectors: dict[str, Selector] = {}
+
+    def enter(self, regions: Iterable[str]) -> None:
+        """See `Uplink.enter`; each region gets the part of the scan that covers its roads."""
+        super().enter(regions)
+        known = self._selectors
+        self._selectors = {name: known.get(name) or self._selector_of(name) for name in self._plans}
 
     def sense_and_send(
         self,
@@ -112,26 +133,35 @@ class LidarUplink(Uplink):
         sense_start_ns = time.monotonic_ns()
         sensed = self._shared.source.scan(self.agent, tick, map_SE3_sensor, own)
         sense_end_ns = time.monotonic_ns()
-        plan = self._plans.of(tick.frame, tick.sim_time_ns)
-        selection = self._selector.select(sensed.scan, estimated_SE3_sensor, self.agent, plan)
+        parts = {
+            region: selector.select(
+                sensed.scan,
+                estimated_SE3_sensor,
+                self.agent,
+                self._plans[region].of(tick.frame, tick.sim_time_ns),
+            )
+            for region, selector in self._selectors.items()
+        }
         upload = _ScanUpload(
-            tick, self, sensed.scan, selection, estimated_SE3_sensor, sense_start_ns, sense_end_ns
+            tick, self, sensed.scan, parts, estimated_SE3_sensor, sense_start_ns, sense_end_ns
         )
         upload.spans = [
             self.span("sense", sense_start_ns, sense_end_ns),
             self.span("select", sense_end_ns, time.monotonic_ns()),
         ]
-        if self._shared.detector is not None:
-            self._send_objects(upload, self._shared.detector)
+        if self._shared.detector_of is not None:
+            for region in upload.parts:
+                self._send_objects(upload, region, self._shared.detector_of(region))
             self.keep(upload)
         else:
             self.submit(upload)
         return sensed
 
-    def send_chunk(self, upload: _ScanUpload, chunk: int) -> int:
-        """Encodes and sends a chunk; returns the size of the message in bytes."""
+    def send_chunk(self, upload: _ScanUpload, region: str, chunk: int) -> int:
+        """Encodes and sends a region's chunk; returns the size of the message in bytes."""
         start_ns = time.monotonic_ns()
-        part = upload.selection.part(upload.scan, chunk)
+        selection = upload.parts[region]
+        part = selection.part(upload.scan, chunk)
         config, tick = self._shared.config, upload.tick
         payload = encode_scan(
             part,
@@ -144,27 +174,27 @@ class LidarUplink(Uplink):
             sim_time_ns=tick.sim_time_ns,
             agent=self.agent,
             chunk=chunk,
-            chunks=upload.chunks,
+            chunks=selection.chunks,
             points=int(np.count_nonzero(part.range_m)),
-            plan_frame=upload.selection.plan_frame,
-            ground_free=self._selector.is_ground_free,
+            plan_frame=selection.plan_frame,
+            ground_free=self._selectors[region].is_ground_free,
             sensor_pose=upload.estimated_SE3_sensor.as_pose(),
             sense_start_ns=upload.sense_start_ns,
             sense_end_ns=upload.sense_end_ns,
             encode_end_ns=time.monotonic_ns(),
             payload=np.frombuffer(payload, np.uint8),
         )
-        return self.send(upload, message, start_ns)
+        return self.send(upload, message, region, start_ns)
 
-    def _send_objects(self, upload: _ScanUpload, detector: OnboardDetector) -> None:
-        """Sends detected boxes; detection replaces encoding."""
+    def _send_objects(self, upload: _ScanUpload, region: str, detector: OnboardDetector) -> None:
+        """Sends a region the boxes that are detected in its part; this replaces encoding."""
         start_ns, tick = time.monotonic_ns(), upload.tick
         rng = stream(self._shared.seed, "detect", self.agent, tick.frame)
         found = detector.detect(
-            upload.selection.part(upload.scan, 0),
+            upload.parts[region].part(upload.scan, 0),
             upload.estimated_SE3_sensor,
             rng,
-            ground_free=self._selector.is_ground_free,
+            ground_free=self._selectors[region].is_ground_free,
         )
         message = Objects(
             frame=tick.frame,
@@ -176,7 +206,10 @@ class LidarUplink(Uplink):
             sense_end_ns=upload.sense_end_ns,
             detect_end_ns=time.monotonic_ns(),
         )
-        self.send(upload, message, start_ns)
+        self.send(upload, message, region, start_ns)
+
+
+_ROI: frozenset[Filter] = frozenset({"roi"})
 
 
 class LidarUplinks:
@@ -192,31 +225,46 @@ class LidarUplinks:
         self._stationary = kind == "roadside"
         self._chosen = upload.of(kind)
         self._policy = policy_of(self._chosen.policy)
-        self._roadway = Roadway.of(road_map, margin_m=upload.roi_margin_m)
+        self._edge = scenario["edge"]
+        self._upload = upload
+        self.regions = regions_of(road_map, scenario)
+        self._roadways: dict[str, Roadway] = {}
+        self._detectors: dict[str, OnboardDetector] = {}
         detects = self._policy.sends == "objects"
         self._shared = LidarContext(
-            region=scenario["region"],
             process=context.id,
             seed=scenario["seed"],
             source=source_of(context.setup, config),
             config=upload,
-            detector=OnboardDetector.of(road_map, scenario["edge"]) if detects else None,
+            detector_of=self._detector if detects else None,
             lockstep=scenario["mode"] == "lockstep",
             period_ns=round(scenario["frame_period_s"] * 1e9),
         )
 
     def uplink(self, agent: str, bus: Bus, radio: Radio) -> LidarUplink:
         """Returns the uplink of an agent with this connection."""
-        selector = Selector(
+        return LidarUplink(agent, bus, radio, self._shared, self._selector)
+
+    def _selector(self, region: str) -> Selector:
+        """Returns a selector for a region; of several, each gets what covers its roads alone."""
+        if region not in self._roadways:
+            area, margin_m = self.regions[region].area, self._upload.roi_margin_m
+            self._roadways[region] = Roadway.of(area, margin_m=margin_m)
+        roadway, cut = self._roadways[region], _ROI if len(self.regions) > 1 else frozenset()
+        return Selector(
             self._policy,
-            self._chosen.filters,
-            self._roadway,
+            self._chosen.filters | cut,
+            roadway,
             self._pattern,
-            chooser_of(self._chosen.policy, self._shared.config, self._roadway, self._pattern),
-            thin_m=self._shared.config.thin_m,
+            chooser_of(self._chosen.policy, self._upload, roadway, self._pattern),
+            thin_m=self._upload.thin_m,
             stationary=self._stationary,
         )
-        return LidarUplink(agent, bus, radio, self._shared, selector)
+
+    def _detector(self, region: str) -> OnboardDetector:
+        if region not in self._detectors:
+            self._detectors[region] = OnboardDetector.of(self.regions[region].area, self._edge)
+        return self._detectors[region]
 
     def close(self) -> None:
         """Closes the scan source, after all uplinks are closed."""

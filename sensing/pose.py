@@ -12,9 +12,15 @@ from sensing.config import Mount, PoseErrorConfig
 from sensing.terrain import Terrain
 
 
+def mount_place(mount: Mount, road_map: RoadMap) -> tuple[float, float]:
+    """Returns x and y of a mount; without a junction named, of the map's only one."""
+    at = road_map.intersections[0] if mount.tls is None else road_map.by_tls[mount.tls]
+    return at.centre[0] + mount.x_m, at.centre[1] + mount.y_m
+
+
 def mount_pose(mount: Mount, road_map: RoadMap, terrain: Terrain) -> SE3:
     """Returns `map_SE3_sensor` of a mount: upright, its height above the ground at its place."""
-    x_m, y_m = road_map.centre[0] + mount.x_m, road_map.centre[1] + mount.y_m
+    x_m, y_m = mount_place(mount, road_map)
     ground_m = float(terrain.height_m(np.array([[x_m, y_m]]))[0])
     yaw_rad = float(np.radians(mount.yaw_deg))
     return SE3.from_pose([x_m, y_m, ground_m + mount.height_m, 0, 0, yaw_rad])

@@ -30,7 +30,8 @@ class RoadArea:
 
     def __init__(self, road_map: RoadMap) -> None:
         self._strips = np.concatenate([_strips(lane) for lane in road_map.lanes])
-        self._junction = np.array(road_map.junction, np.float64).reshape(-1, 2)
+        outline = road_map.intersections[0].outline
+        self._junction = np.array(outline, np.float64).reshape(-1, 2)
         self._lanes = road_map.lanes
 
     def clearance_m(self, xy: npt.ArrayLike) -> Floats:

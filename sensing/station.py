@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -31,11 +32,12 @@ class Station:
     made of it: the same plan is followed however long its message took.
     """
 
-    def __init__(self, context: Context, kind: AgentKind) -> None:
+    def __init__(self, context: Context, kind: AgentKind, region: str = "") -> None:
+        """Serves one region, or all of the scenario."""
         scenario = context.setup.scenario
         self.context = context
         self.seed: int = scenario["seed"]
-        self.region: str = scenario["region"]
+        self.regions: tuple[str, ...] = (region,) if region else tuple(scenario["regions"])
         self.link = LinkConfig.of(scenario)
         self._kind: AgentKind = kind
         self._keeps_truth: bool = scenario["record"]["truth"]
@@ -65,9 +67,9 @@ class Station:
         return radio_of(self.context.setup.scenario, self.link, self._kind, agent, bus)
 
     def add(self, uplink: U) -> U:
-        """Takes an uplink, whose connection is its own, and subscribes to the edge's plans."""
+        """Takes an uplink, whose connection is its own, and subscribes to the edges' plans."""
         if self._policy.cells or not self._lockstep:
-            uplink.bus.subscribe("plan", region=self.region, agent=uplink.agent)
+            uplink.bus.subscribe("plan", agent=uplink.agent)
         self._uplinks[uplink.agent] = uplink
         return uplink
 
@@ -100,7 +102,7 @@ class Station:
             self._tick, self._ticked_ns = item.message, item.received_ns
         elif isinstance(item.message, Plan):
             if uplink := self._uplinks.get(item.message.agent):
-                uplink.receive(item.message)
+                uplink.receive(item.message, item.parts["region"])
         elif isinstance(item.message, End):
             self.context.stop.set()
 
@@ -111,12 +113,27 @@ class Station:
         tick, self._tick = self._tick, None
         return tick
 
-    def publish_roster(self, tick: Tick, agents: list[str], scanning: list[str]) -> None:
-        """Publishes, before anything is sent, whose poses and scans the edge may expect."""
+    def publish_rosters(
+        self, tick: Tick, members: Mapping[str, Sequence[str]], scanning: Collection[str]
+    ) -> None:
+        """Publishes, before anything is sent, whose poses and scans each edge may expect.
+
+        Args:
+            tick: begins the frame.
+            members: the regions of each agent that takes part.
+            scanning: the agents of them that send a scan.
+        """
         process = self.context.id
-        roster = Roster(frame=tick.frame, process=process, agents=agents, scanning=scanning)
-        self.context.v2x.publish("roster", roster, region=self.region, process=process)
-        self._scanned = (tick.frame, scanning)
+        for region in self.regions:
+            agents = [agent for agent, regions in members.items() if region in regions]
+            roster = Roster(
+                frame=tick.frame,
+                process=process,
+                agents=agents,
+                scanning=[agent for agent in agents if agent in scanning],
+            )
+            self.context.v2x.publish("roster", roster, region=region, process=process)
+        self._scanned = (tick.frame, [agent for agent in members if agent in scanning])
 
     def publish_points_on(self, tick: Tick, agent: str, sensed: Sensed) -> None:
         """Publishes on which vehicles a scan's points lie, for the recorder alone."""

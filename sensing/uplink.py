@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from protocol.bus import Bus
@@ -57,9 +58,8 @@ LONGEST_NS = 1_000_000_000  # a rate estimate that was wrong is tried again afte
 
 @dataclass(frozen=True, slots=True)
 class UplinkContext:
-    """What all uplinks of a process share: region of the edge, process id, mode, frame period."""
+    """What all uplinks of a process share: process id, mode, frame period."""
 
-    region: str
     process: str
     lockstep: bool
     period_ns: int
@@ -185,7 +185,7 @@ class Outbox:
 
 
 class Uplink:
-    """An agent's channel to the edge, with a connection of its own, so that its bytes are counted.
+    """An agent's channel to the edges of its regions; its connection is its own: bytes are counted.
 
     In lockstep all chunks of a frame are sent at once; over a virtual link, those that have not
     left when the next frame begins are recalled. In realtime an outbox sends them one by one.
@@ -196,7 +196,7 @@ class Uplink:
         self.bus = bus
         self.radio = radio
         self._context = context
-        self._plans = PlanHistory()
+        self._plans: dict[str, PlanHistory] = {}
         self._frame = -1
         self._outbox = None if context.lockstep else Outbox(agent)
         self._in_flight: FrameUpload | None = None
@@ -207,34 +207,49 @@ class Uplink:
 
     @property
     def completed_frame(self) -> int:
-        """The last frame that the edge has completed, by its plans; -1 before the first."""
-        return -1 if self._plans.newest is None else self._plans.newest.enough
+        """The last frame that all its edges have completed, by their plans; -1 before the first."""
+        newest = [plans.newest for plans in self._plans.values()]
+        return min((-1 if plan is None else plan.enough for plan in newest), default=-1)
 
     @property
     def unsent_chunks(self) -> int:
         """Number of chunks that were not sent because a newer frame began."""
         return self._recalled + (0 if self._outbox is None else self._outbox.unsent)
 
-    def receive(self, plan: Plan) -> None:
-        """Takes a plan of the edge; one that is older than the newest is ignored."""
+    def enter(self, regions: Iterable[str]) -> None:
+        """Sends to the edges of these regions from now on; plans of others no longer count."""
+        self._plans = {region: self._plans.get(region) or PlanHistory() for region in regions}
+
+    def receive(self, plan: Plan, region: str) -> None:
+        """Takes a plan of a region's edge; one that is older than the newest is ignored."""
+        plans = self._plans.get(region)
+        if plans is None:
+            return
         published_ns = plan.enough_sim_ns
         arrival_ns = 0 if published_ns is None else self.radio.reception_ns(published_ns)
-        is_taken = self._plans.receive(plan, frame=self._frame, arrival_sim_ns=arrival_ns)
+        is_taken = plans.receive(plan, frame=self._frame, arrival_sim_ns=arrival_ns)
         if is_taken and self._outbox is not None:
-            self._outbox.receive(enough=plan.enough, mbps=plan.mbps)
+            # Each edge measures its own chunks alone, so that the highest estimate is the nearest.
+            mbps = max(one.newest.mbps for one in self._plans.values() if one.newest is not None)
+            self._outbox.receive(enough=self.completed_frame, mbps=mbps)
 
     def begin(self, frame: int, sim_time_ns: int) -> None:
         """Begins a frame: chunks of the last one that have not begun to leave are recalled."""
         self._frame = frame
         last, self._in_flight = self._in_flight, None
-        newest = self._plans.newest
-        is_complete = last is not None and newest is not None and newest.enough >= last.frame
-        enough_sim_ns = newest.enough_sim_ns if newest is not None and is_complete else None
+        is_complete = last is not None and self.completed_frame >= last.frame
+        enough_sim_ns = self._enough_sim_ns() if is_complete else None
         recalled = self.radio.begin(sim_time_ns, enough_sim_ns)
         self._recalled += 0 if is_complete else recalled
         if last is not None:
             del last.uploads[len(last.uploads) - recalled :]
             self._done.append(last)
+
+    def _enough_sim_ns(self) -> int | None:
+        """Returns since when, on virtual links, no edge needs more of what it has completed."""
+        newest = [plans.newest for plans in self._plans.values()]
+        known = [p.enough_sim_ns for p in newest if p is not None and p.enough_sim_ns is not None]
+        return max(known, default=None)
 
     def submit(self, upload: FrameUpload) -> None:
         """Sends the chunks of a frame, or hands them to the outbox."""
@@ -252,8 +267,8 @@ class Uplink:
         else:
             self._done.append(upload)
 
-    def send(self, upload: FrameUpload, message: Scan | Objects, begun_ns: int) -> int:
-        """Sends a chunk, or boxes, of a frame; returns the size in bytes.
+    def send(self, upload: FrameUpload, message: Scan | Objects, region: str, begun_ns: int) -> int:
+        """Sends a chunk, or boxes, of a frame to a region's edge; returns the size in bytes.
 
         Making them began at `begun_ns`. Over a virtual link, the arrival is added to the message.
         """
@@ -266,7 +281,7 @@ class Uplink:
             self._context,
             {"chunk": str(part.chunk)} if isinstance(message, Scan) else {},
         )
-        where = {"region": shared.region, "process": shared.process, "agent": self.agent, **chunk}
+        where = {"region": region, "process": shared.process, "agent": self.agent, **chunk}
         sent_bytes = self.bus.publish(part.topic, message, **where)
         sent_ns = time.monotonic_ns()
         upload.spans += [
@@ -276,6 +291,7 @@ class Uplink:
         upload.uploads.append(
             Upload(
                 agent=self.agent,
+                region=region,
                 chunk=part.chunk,
                 points=part.points,
                 payload_bytes=part.payload_bytes,

@@ -1,4 +1,4 @@
-"""The signal role: requests a green for each frame's lane counts."""
+"""The signal role: requests a green for each frame's lane counts, at each signal of a region."""
 
 from __future__ import annotations
 
@@ -7,89 +7,69 @@ from collections import Counter
 from typing import TypeVar
 
 from protocol.inbox import Envelope, Presence
+from protocol.instances import region_of
 from protocol.messages import LaneCounts, Metrics, SignalRequest, SignalState, Span
 from protocol.process import Context
 from protocol.sequence_window import SequenceWindow
 from signal_controller.config import SignalConfig
-from signal_controller.policies import Decision, policy_of
+from signal_controller.policies import Decision, SignalPolicy, policy_of
 
 MAX_KEPT = 8  # counts and states that wait for each other: limits what others may send
 Kept = TypeVar("Kept", LaneCounts, SignalState)
 
 
-class SignalRole:
-    """Answers each frame's counts with one request.
+class SignalDecider:
+    """Decides for one signal, once for the counts of each frame.
 
     Counts and states come from two processes, in any order. The counts of a frame wait for the
     state of the same frame, so that a run repeats exactly and no frame number is trusted on one
     message alone; in realtime, before the first state, the newest counts suffice. Counts whose
-    time is too far from the state's get no request.
+    time is too far from the state's get no request. `drops` counts what was not used, by reason.
     """
 
-    def __init__(self, context: Context) -> None:
-        scenario = context.setup.scenario
-        self._context = context
-        self._signal = context.setup.road_map.signal
-        self._config = SignalConfig.model_validate(scenario["signal"])
-        self._policy = policy_of(self._config, self._signal, scenario["edge"]["upstream_m"])
-        self._lockstep = scenario["mode"] == "lockstep"
+    def __init__(
+        self, policy: SignalPolicy, config: SignalConfig, drops: Counter[str], *, lockstep: bool
+    ) -> None:
+        self._policy = policy
+        self._config = config
+        self._lockstep = lockstep
         self._horizon = SequenceWindow()
         self._shown: dict[int, SignalState] = {}
         self._counts: dict[int, LaneCounts] = {}
         self._decided = -1
-        self._drops: Counter[str] = Counter()
+        self._drops = drops
 
-    @classmethod
-    def build(cls, context: Context) -> SignalRole:
-        """Subscribes and announces the role."""
-        role = cls(context)
-        tls = role._signal.tls
-        context.v2x.subscribe("lanes", region=context.setup.scenario["region"], tls=tls)
-        context.v2x.subscribe("state", tls=tls)
-        context.announce("signal")
-        return role
-
-    def on(self, item: Envelope | Presence) -> None:
-        """Takes counts or the signal's state; ignores what is older than the newest."""
-        if isinstance(item, Presence):
-            return
-        match item.message:
-            case LaneCounts() as counts:
-                self._take_counts(counts)
-            case SignalState() as shown:
-                self._horizon.follow(shown.frame)
-                if self._is_near(shown.frame):
-                    self._shown[shown.frame] = shown
-                    self._bound(self._shown)
-
-    def poll(self) -> None:
-        """Decides as soon as counts and state of a frame are there."""
-        due = [frame for frame in self._counts if self._is_due(frame)]
-        fresh = [frame for frame in due if self._is_fresh(self._counts[frame])]
-        for frame in set(due) - set(fresh):
-            refused = self._counts.pop(frame)
-            if not fresh:
-                self._publish_metrics(refused)
-        if not fresh:
-            return
-        frame = self._decided = max(fresh)
-        counts = self._counts[frame]
-        if frame in self._shown:
-            self._horizon.reach(frame)
-        self._counts = {later: kept for later, kept in self._counts.items() if later > frame}
-        start_ns = time.monotonic_ns()
-        decision = self._policy.decide(counts, self._shown_at(frame))
-        self._publish(counts, decision, start_ns)
-
-    def close(self) -> None:
-        """Holds nothing of its own."""
-
-    def _take_counts(self, counts: LaneCounts) -> None:
+    def take_counts(self, counts: LaneCounts) -> None:
+        """Takes counts, unless those of a later frame were decided on."""
         if counts.frame <= self._decided:
             self._drops["late"] += 1
         elif self._is_near(counts.frame):
             self._counts[counts.frame] = counts
             self._bound(self._counts)
+
+    def take_state(self, shown: SignalState) -> None:
+        """Takes what the signal shows."""
+        self._horizon.follow(shown.frame)
+        if self._is_near(shown.frame):
+            self._shown[shown.frame] = shown
+            self._bound(self._shown)
+
+    def decide(self) -> tuple[LaneCounts, Decision | None] | None:
+        """Returns the newest counts that are due, and the decision, None if they are not fresh.
+
+        None as long as counts or state of a frame are missing.
+        """
+        due = [frame for frame in self._counts if self._is_due(frame)]
+        fresh = [frame for frame in due if self._is_fresh(self._counts[frame])]
+        refused = [self._counts.pop(frame) for frame in sorted(set(due) - set(fresh))]
+        if not fresh:
+            return (refused[-1], None) if refused else None
+        frame = self._decided = max(fresh)
+        counts = self._counts[frame]
+        if frame in self._shown:
+            self._horizon.reach(frame)
+        self._counts = {later: kept for later, kept in self._counts.items() if later > frame}
+        return counts, self._policy.decide(counts, self._shown_at(frame))
 
     def _is_near(self, frame: int) -> bool:
         near = self._horizon.admits(frame)
@@ -121,11 +101,75 @@ class SignalRole:
         newest = max(frame, self._horizon.newest)
         return self._shown.get(max((n for n in self._shown if n <= newest), default=-1))
 
-    def _publish(self, counts: LaneCounts, decision: Decision, start_ns: int) -> None:
+
+class SignalRole:
+    """Answers each frame's counts for each signal of a region with a request."""
+
+    def __init__(self, context: Context) -> None:
+        scenario = context.setup.scenario
+        config = SignalConfig.model_validate(scenario["signal"])
+        self._context = context
+        self._region = region_of(context.id)
+        self._drops: Counter[str] = Counter()
+        signals = context.setup.road_map.by_tls
+        self._deciders = {
+            tls: SignalDecider(
+                policy_of(config, signals[tls].signal, scenario["edge"]["upstream_m"]),
+                config,
+                self._drops,
+                lockstep=scenario["mode"] == "lockstep",
+            )
+            for tls in scenario["regions"][self._region]
+        }
+
+    @classmethod
+    def build(cls, context: Context) -> SignalRole:
+        """Subscribes and announces the role."""
+        role = cls(context)
+        context.v2x.subscribe("lanes", region=role._region)
+        for tls in role._deciders:
+            context.v2x.subscribe("state", tls=tls)
+        context.announce("signal")
+        return role
+
+    def on(self, item: Envelope | Presence) -> None:
+        """Takes counts or a signal's state; ignores what is older than the newest."""
+        if isinstance(item, Presence):
+            return
+        message = item.message
+        if not isinstance(message, LaneCounts | SignalState):
+            return
+        decider = self._deciders.get(message.tls)
+        if decider is None:
+            self._drops["wrong_tls"] += 1
+        elif isinstance(message, LaneCounts):
+            decider.take_counts(message)
+        else:
+            decider.take_state(message)
+
+    def poll(self) -> None:
+        """Decides as soon as counts and state of a frame are there; metrics tell of each frame."""
+        frames: dict[int, tuple[LaneCounts, list[Span]]] = {}
+        for tls, decider in self._deciders.items():
+            start_ns = time.monotonic_ns()
+            found = decider.decide()
+            if found is None:
+                continue
+            counts, decision = found
+            _, spans = frames.setdefault(counts.frame, (counts, []))
+            if decision is not None:
+                spans.append(self._publish(tls, counts, decision, start_ns))
+        for _, (counts, spans) in sorted(frames.items()):
+            self._publish_metrics(counts, spans)
+
+    def close(self) -> None:
+        """Holds nothing of its own."""
+
+    def _publish(self, tls: str, counts: LaneCounts, decision: Decision, start_ns: int) -> Span:
         request = SignalRequest(
             frame=counts.frame,
             sim_time_ns=counts.sim_time_ns,
-            tls=self._signal.tls,
+            tls=tls,
             state=decision.state,
             policy=decision.policy,
             pressures=decision.pressures,
@@ -133,17 +177,16 @@ class SignalRole:
             delay_sim_ns=counts.delay_sim_ns,
         )
         decided_ns = time.monotonic_ns()  # before it is sent: the cabinet may act at once
-        self._context.v2x.publish("request", request, tls=self._signal.tls)
-        span = Span(stage="decide", start_ns=start_ns, end_ns=decided_ns)
-        self._publish_metrics(counts, span)
+        self._context.v2x.publish("request", request, tls=tls)
+        return Span(stage="decide", agent=tls, start_ns=start_ns, end_ns=decided_ns)
 
-    def _publish_metrics(self, counts: LaneCounts, *spans: Span) -> None:
+    def _publish_metrics(self, counts: LaneCounts, spans: list[Span]) -> None:
         drops = dict(+(Counter(self._context.inbox.drops) + self._drops))
         metrics = Metrics(
             process=self._context.id,
             frame=counts.frame,
             sim_time_ns=counts.sim_time_ns,
-            spans=list(spans),
+            spans=spans,
             drops=drops,
         )
         self._context.world.publish("metrics", metrics, process=self._context.id)

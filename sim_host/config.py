@@ -39,9 +39,6 @@ class TrafficConfig(Section):
 
     net: str | None = Field(None, description="a SUMO .net.xml; demand is generated for it")
     sumocfg: str | None = Field(None, description="a .sumocfg with a net and a demand of its own")
-    tls: str | None = Field(
-        None, description="id of the signal to control; may be left out if the net has one only"
-    )
     step_s: float = Field(0.1, description="SUMO step; milliseconds count", ge=0.01, le=1)
     warmup_s: float = Field(
         60, description="time on the fixed plan, without sensors, before frame 0", ge=0, le=7200
@@ -61,7 +58,7 @@ class TrafficConfig(Section):
     cav_rate: float = Field(0.05, description="share of vehicles with LiDAR and radio", ge=0, le=1)
     cv_rate: float = Field(0.0, description="share of vehicles with a radio alone", ge=0, le=1)
     radius_m: float = Field(
-        450, description="vehicles farther from the signal exist for SUMO alone", ge=50, le=5000
+        450, description="vehicles farther from all signals exist for SUMO alone", ge=50, le=5000
     )
     start_timeout_s: float = Field(
         120, description="how long to wait until all processes are ready", gt=0

@@ -64,8 +64,7 @@ class Journeys:
     def __init__(self, setup: Setup, seed: int, sumo: Any) -> None:  # noqa: ANN401 - libsumo is untyped
         self._traffic = traffic_config(setup.scenario)
         self._types = {kind.name: kind for kind in setup.vehicle_types}
-        links = setup.road_map.signal.links
-        self._approaches = {link.from_lane.rpartition("_")[0] for link in links}
+        self._approaches = {lane.rpartition("_")[0] for lane in setup.road_map.incoming}
         self._seed = seed
         self._sumo = sumo
         self._fallbacks: dict[str, VehicleType] = {}

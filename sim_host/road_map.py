@@ -1,14 +1,17 @@
-"""The road map around one signal, from a SUMO net: lanes, links, conflicts and the fixed plan."""
+"""The road map of a SUMO net: intersections with links, conflicts, fixed plans; lanes, owners."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import difflib
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from protocol.approaches import shortest, successors, through_junction
 from protocol.errors import ConfigError
-from protocol.roadmap import Lane, Link, PlanPhase, RoadMap, Signal
+from protocol.roadmap import Intersection, Lane, Link, PlanPhase, RoadMap, Signal, distance_m
 from sim_host.netfile import Net, NetConnection, NetJunction, Point
 
 _LISTED = 20
@@ -17,13 +20,13 @@ _LISTED = 20
 _PLAIN_STATES = str.maketrans({"o": "g", "O": "g", "s": "r", "u": "r", "Y": "y"})
 
 
-def read_signal(net: Net, tls: str | None) -> Signal:
-    """Returns the signal `tls`, or the net's only one if that is None.
+def read_signal(net: Net, tls: str) -> Signal:
+    """Returns a signal of the net.
 
     Raises:
         ConfigError: there is no such signal, or no phase is green.
     """
-    tls = _choose(net, tls)
+    chosen(net, [tls])
     controlled = sorted((c for c in net.connections if c.tls == tls), key=lambda c: c.link)
     offset_s, phases = net.programs[tls]
     foes, yields = _relations(net, controlled)
@@ -56,17 +59,32 @@ def junctions_of(net: Net, tls: str) -> list[NetJunction]:
     return [net.junctions[name] for name in sorted(found)]
 
 
-def _choose(net: Net, tls: str | None) -> str:
+def chosen(net: Net, junctions: Literal["all"] | Sequence[str] | None) -> list[str]:
+    """Returns the ids of the signals that are meant, sorted; None means the net's only one.
+
+    Raises:
+        ConfigError: the net has no signal, not these, or several where none was named.
+    """
     known = sorted({c.tls for c in net.connections if c.tls} & set(net.programs))
     if not known:
         raise ConfigError(f"net {net.path} has no signal; it needs a <tlLogic> with connections")
-    if tls is None and len(known) == 1:
-        return known[0]
-    if tls not in known:
-        more = f" and {len(known) - _LISTED} more" if len(known) > _LISTED else ""
-        which = "say which signal with --tls ID" if tls is None else f"there is no signal {tls!r}"
-        raise ConfigError(f"{which}; {net.path.name} has: {', '.join(known[:_LISTED])}{more}")
-    return tls
+    if junctions == "all" or (junctions is None and len(known) == 1):
+        return known
+    if junctions is None:
+        raise ConfigError(
+            f"say which signals with --tls all or --tls ID,...; {_listed(net, known)}"
+        )
+    for tls in junctions:
+        if tls not in known:
+            near = difflib.get_close_matches(tls, known, n=3, cutoff=0.4)
+            hint = f"; did you mean {' or '.join(near)}?" if near else ""
+            raise ConfigError(f"there is no signal {tls!r}{hint} {_listed(net, known)}".lstrip())
+    return sorted(set(junctions))
+
+
+def _listed(net: Net, known: list[str]) -> str:
+    more = f" and {len(known) - _LISTED} more" if len(known) > _LISTED else ""
+    return f"{net.path.name} has: {', '.join(known[:_LISTED])}{more}"
 
 
 def _check_plan(net: Net, tls: str, plan: list[PlanPhase], controlled: list[NetConnection]) -> None:
@@ -144,38 +162,77 @@ def _place(
 MAP_RADIUS_M = 320.0
 
 
-def road_map(net: Net, tls: str | None) -> RoadMap:
-    """Returns all lanes within 320 m of the signal, whole, and the signal itself.
+def road_map(net: Net, junctions: Literal["all"] | Sequence[str] | None) -> RoadMap:
+    """Returns the intersections of a net with these signals, and all lanes within 320 m of them.
+
+    Args:
+        net: as read from its file.
+        junctions: ids of signals, "all", or None for the net's only one.
 
     Raises:
-        ConfigError: see `read_signal`.
+        ConfigError: there is no such signal, or one that cannot be controlled; see `read_signal`.
     """
-    signal = read_signal(net, tls)
-    junctions = junctions_of(net, signal.tls)
-    centre = _centre(junctions) if junctions else _stop_bar(net, signal.links[0].from_lane)
-    near = _near(net, centre) | {
-        lane for link in signal.links for lane in (link.from_lane, link.to_lane)
+    found = [_intersection(net, tls) for tls in chosen(net, junctions)]
+    near = _near(net, np.array([one.centre[:2] for one in found])) | {
+        lane for one in found for lane in (*one.incoming, *one.outgoing)
     }
-    successors = _successors(net, near)
-    return RoadMap(
-        name=net.path.name.removesuffix(".gz").removesuffix(".net.xml"),
-        centre=centre,
-        lanes=[
-            Lane(
-                id=lane.id,
-                edge=lane.edge,
-                width_m=lane.width_m,
-                speed_mps=lane.speed_mps,
-                length_m=lane.length_m,
-                centreline=lane.shape,
-                successors=successors[lane.id],
-                internal=lane.internal,
-            )
-            for lane in (net.lanes[name] for name in sorted(near))
-        ],
-        signal=signal,
-        junction=_outline(junctions),
+    following = _successors(net, near)
+    lanes = [
+        Lane(
+            id=lane.id,
+            edge=lane.edge,
+            width_m=lane.width_m,
+            speed_mps=lane.speed_mps,
+            length_m=lane.length_m,
+            centreline=lane.shape,
+            successors=following[lane.id],
+            internal=lane.internal,
+        )
+        for lane in (net.lanes[name] for name in sorted(near))
+    ]
+    name = net.path.name.removesuffix(".gz").removesuffix(".net.xml")
+    return _with_owners(RoadMap(name=name, lanes=lanes, intersections=found))
+
+
+def _intersection(net: Net, tls: str) -> Intersection:
+    signal, junctions = read_signal(net, tls), junctions_of(net, tls)
+    centre = _centre(junctions) if junctions else _stop_bar(net, signal.links[0].from_lane)
+    return Intersection(signal=signal, centre=centre, outline=_outline(junctions))
+
+
+def _with_owners(road_map: RoadMap) -> RoadMap:
+    """Returns the map with the intersection that each lane belongs to; see `Lane`."""
+    owner = {
+        name: one.tls
+        for one in road_map.intersections
+        for path in through_junction(road_map, one)
+        for name, _ in path.inner
+    }
+    lengths_m = {lane.id: lane.measured_m for lane in road_map.lanes}
+    behind = {lane: one.tls for one in road_map.intersections for lane in one.outgoing}
+    before = {lane: one.tls for one in road_map.intersections for lane in one.incoming}
+    inside = set(owner)
+    ways = (
+        (before, lambda name: road_map.predecessors[name]),
+        (behind, lambda name: successors(road_map, name)),
     )
+    for starts, following in ways:
+        begin = [(0.0, name, name) for name in starts if name in lengths_m and name not in owner]
+        found = shortest(begin, following, lengths_m, barred=inside | owner.keys())
+        owner = {name: starts[start] for name, (_, start) in found.items()} | owner
+    lanes = [
+        lane.model_copy(update={"tls": owner.get(lane.id) or _nearest(road_map, lane)})
+        for lane in road_map.lanes
+    ]
+    return RoadMap(name=road_map.name, lanes=lanes, intersections=road_map.intersections)
+
+
+def _nearest(road_map: RoadMap, lane: Lane) -> str:
+    middle = lane.points.mean(axis=0)
+    return min(
+        road_map.intersections,
+        key=lambda one: (float(np.hypot(*(middle - one.centre)[:2])), one.tls),
+    ).tls
 
 
 def _centre(junctions: list[NetJunction]) -> Point:
@@ -187,21 +244,20 @@ def _stop_bar(net: Net, lane: str) -> Point:
     return net.lanes[lane].shape[-1]
 
 
-def _near(net: Net, centre: Point) -> set[str]:
-    at = np.array(centre[:2])
+def _near(net: Net, centres: npt.NDArray[np.float64]) -> set[str]:
+    """Returns the drivable lanes within the map's radius of a centre (N, 2)."""
     return {
         lane.id
         for lane in net.lanes.values()
-        if lane.drivable and len(lane.shape) > 1 and _distance(lane.shape, at) <= MAP_RADIUS_M
+        if lane.drivable and len(lane.shape) > 1 and _is_near(lane.shape, centres)
     }
 
 
-def _distance(shape: list[Point], at: npt.NDArray[np.float64]) -> float:
+def _is_near(shape: list[Point], centres: npt.NDArray[np.float64]) -> bool:
     points = np.array(shape)[:, :2]
-    start, step = points[:-1], np.diff(points, axis=0)
-    squared = np.maximum((step**2).sum(axis=1), 1e-12)
-    along = np.clip(((at - start) * step).sum(axis=1) / squared, 0.0, 1.0)
-    return float(np.linalg.norm(start + along[:, None] * step - at, axis=1).min())
+    beyond = np.maximum(points.min(axis=0) - centres, centres - points.max(axis=0))
+    possible = centres[(beyond <= MAP_RADIUS_M).all(axis=1)]
+    return any(distance_m(points, at) <= MAP_RADIUS_M for at in possible)
 
 
 def _successors(net: Net, kept: set[str]) -> dict[str, list[str]]:

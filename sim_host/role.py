@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import logging
 import time
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from enum import Enum
+from functools import partial
 from pathlib import Path
 
 from protocol.errors import BusError, CpnetError
@@ -16,10 +19,11 @@ from protocol.topics import BusName
 from sensing.config import SceneConfig
 from sensing.recorded_scans import Recording
 from sensing.terrain import Terrain
-from sim_host.cabinet import ActuatedCabinet, Cabinet, PendingRequests, SignalCabinet, programme
+from sim_host.cabinet import ActuatedCabinet, Cabinet, SignalCabinet, programme
 from sim_host.config import CabinetConfig
 from sim_host.presence import Fleet, Readiness
 from sim_host.setup import traffic_config
+from sim_host.signal_control import SignalControl
 from sim_host.world import RecordedWorld, Traffic, World, tick_of, truth_of
 
 
@@ -63,20 +67,20 @@ class Stage(Enum):
 
 
 class SimRole:
-    """Owns the world, the cabinet and the clock.
+    """Owns the world, the signals' cabinets and the clock.
 
-    IDLE lies between frames: a tick follows. FRAME waits for what ends the frame: in lockstep its
-    request, on which the cabinet then acts; in realtime the clock, while requests act as they come.
-    The signal state of a tick is what was shown until then.
+    IDLE lies between frames: a tick follows. FRAME waits for what ends the frame: in lockstep a
+    request for each signal, on which the cabinets then act; in realtime the clock, while requests
+    act as they come. The signal state of a tick is what was shown until then.
 
-    What the cabinet would refuse is refused on arrival: it is neither pending nor ends a frame.
+    What a cabinet would refuse is refused on arrival: it is neither pending nor ends a frame.
     """
 
     def __init__(
         self,
         context: Context,
         world: Traffic,
-        cabinet: Cabinet | None = None,
+        cabinets: Mapping[str, Cabinet] | None = None,
         *,
         first_frame: int = 0,
         speed: float = 1.0,
@@ -85,14 +89,21 @@ class SimRole:
         scenario = context.setup.scenario
         self._context = context
         self._world = world
-        self._signal = context.setup.road_map.signal
         self._traffic = traffic_config(scenario)
         self._cabinet_config = CabinetConfig.model_validate(scenario["cabinet"])
-        self._cabinet = cabinet or SignalCabinet(self._signal, self._cabinet_config)
         self._fleet = Fleet()
         others = [one.id for one in instances_of(scenario) if one.role != "sim"]
         self._readiness = Readiness(others, self._traffic.start_timeout_s)
         self._lockstep = scenario["mode"] == "lockstep"
+        self._controls = {
+            one.tls: SignalControl(
+                one.tls,
+                cabinets[one.tls] if cabinets else SignalCabinet(one.signal, self._cabinet_config),
+                lockstep=self._lockstep,
+            )
+            for one in context.setup.road_map.intersections
+        }
+        self._unknown_signal = 0
         frames = max(1, round(scenario["duration_s"] / scenario["frame_period_s"]))
         self._end_frame = first_frame + frames
         self._steps = max(1, round(scenario["frame_period_s"] / self._traffic.step_s))
@@ -103,9 +114,6 @@ class SimRole:
         self._frame = first_frame
         self._tick_ns = 0
         self._ticks = 0
-        self._request: Envelope | None = None
-        self._pending = PendingRequests()
-        self._out_of_turn = 0
 
     @classmethod
     def build(cls, context: Context) -> SimRole:
@@ -119,19 +127,19 @@ class SimRole:
         seed: int = setup.scenario["seed"]
         recording = setup.scenario.get("recording")
         world: Traffic
-        cabinet = None
+        cabinets = None
         if recording:
             step_ns = round(traffic_config(setup.scenario).step_s * 1e9)
             world = RecordedWorld(Recording(Path(recording)), step_ns)
         else:
             world = World(setup, context.run_dir, Terrain(setup.road_map, scene, seed))
             world.start(seed)
-            cabinet = _sumo_control(setup, world)
-        return cls(context, world, cabinet).open()
+            cabinets = _sumo_control(setup, world)
+        return cls(context, world, cabinets).open()
 
     def open(self) -> SimRole:
         """Subscribes to requests and announces the role."""
-        self._context.v2x.subscribe("request", tls=self._signal.tls)
+        self._context.v2x.subscribe("request")
         self._context.world.watch()
         self._context.v2x.watch()
         self._context.announce("sim")
@@ -196,25 +204,15 @@ class SimRole:
             (self._fleet.join if presence.alive else self._fleet.leave)(presence.id)
 
     def _take_request(self, item: Envelope, request: SignalRequest) -> None:
-        if self._lockstep and not self._is_awaited(request):
-            self._out_of_turn += 1
-        elif self._is_refused(request, self._cabinet.refuse(request, self._world.time_ns)):
+        control = self._controls.get(request.tls)
+        if control is None:
+            self._unknown_signal += 1
             return
-        elif self._lockstep:
-            self._request = item
-        else:
-            self._pending.add(item, request)
-            self._actuate()
-
-    def _is_awaited(self, request: SignalRequest) -> bool:
-        """Whether a request is the first to answer the present frame."""
         answers = (request.frame, request.sim_time_ns) == (self._frame, self._tick_ns)
-        return answers and self._stage is Stage.FRAME and self._request is None
-
-    def _is_refused(self, request: SignalRequest, reason: str | None) -> bool:
-        if reason is not None and self._cabinet.refusals[reason] == 1:
-            _log.warning("request %r refused: %s (then only counted)", request.state, reason)
-        return reason is not None
+        awaited = answers and self._stage is Stage.FRAME
+        control.take(item, request, self._world.time_ns, awaited=awaited)
+        if not self._lockstep:
+            self._actuate([control])
 
     def _warm_up(self) -> None:
         until_ns = time.monotonic_ns() + _WARM_UP_SLICE_NS
@@ -227,13 +225,12 @@ class SimRole:
     def _begin_frame(self) -> None:
         frame, now_ns, bodies = self._frame, self._world.time_ns, self._world.bodies()
         self._tick_ns = now_ns
-        self._request = None
         self._since_ns = time.monotonic_ns()
         if not self._lockstep:
             self._clock.begin_frame(self._since_ns)
         self._stage = Stage.FRAME
-        state = self._cabinet.spat(frame, now_ns)
-        self._context.v2x.publish("state", state, tls=self._signal.tls)
+        for tls, control in self._controls.items():
+            self._context.v2x.publish("state", control.spat(frame, now_ns), tls=tls)
         self._context.world.publish("tick", tick_of(frame, now_ns, bodies, self._fleet))
         self._ticks += 1
         self._context.world.publish("truth", truth_of(frame, now_ns, bodies))
@@ -243,14 +240,20 @@ class SimRole:
         if not self._lockstep:
             return self._frame_time_is_over(now_ns)
         waited_ns = now_ns - self._since_ns
-        if self._request is None and waited_ns > self._cabinet_config.request_timeout_s * 1e9:
-            refused = ", ".join(f"{n} {why}" for why, n in self._cabinet.refusals.items())
-            raise BusError(
-                f"no request for frame {self._frame} within cabinet.request_timeout_s, "
-                f"{self._cabinet_config.request_timeout_s:g} s: edge or signal hangs"
-                + (f", or asks for what the cabinet refuses ({refused})" if refused else "")
-            )
-        return self._request is not None
+        missing = [control for control in self._controls.values() if not control.has_answer]
+        if missing and waited_ns > self._cabinet_config.request_timeout_s * 1e9:
+            raise BusError(self._hang(missing))
+        return not missing
+
+    def _hang(self, missing: list[SignalControl]) -> str:
+        refusals = sum((Counter(one.cabinet.refusals) for one in missing), Counter[str]())
+        refused = ", ".join(f"{n} {why}" for why, n in refusals.items())
+        return (
+            f"no request for frame {self._frame} for {', '.join(one.tls for one in missing[:5])} "
+            f"within cabinet.request_timeout_s, {self._cabinet_config.request_timeout_s:g} s: edge "
+            "or signal hangs"
+            + (f", or asks for what the cabinet refuses ({refused})" if refused else "")
+        )
 
     def _frame_time_is_over(self, now_ns: int) -> bool:
         """Whether the frame's time is over; waits for its end, so that the tick is on time."""
@@ -265,15 +268,15 @@ class SimRole:
         return True
 
     def _finish_frame(self) -> None:
-        if self._request is not None and isinstance(self._request.message, SignalRequest):
-            self._pending.add(self._request, self._request.message)
+        for control in self._controls.values():
+            control.end_frame()
         start_ns = time.monotonic_ns()
         for _ in range(self._steps):
-            self._actuate()
+            self._actuate(self._controls.values())
             self._step()
         stepped = Span(stage="world", start_ns=start_ns, end_ns=time.monotonic_ns())
         self._publish_trips(with_unfinished=False)
-        self._publish_metrics(self._frame, self._tick_ns, stepped)
+        self._publish_metrics(self._frame, self._tick_ns, [stepped])
         self._frame += 1
         self._stage = Stage.IDLE
         if self._frame == self._end_frame:
@@ -286,27 +289,21 @@ class SimRole:
         if is_here or time.monotonic_ns() - self._since_ns > _RECORDER_RESTART_NS:
             self._end("finished")
 
-    def _actuate(self) -> None:
-        """Hands the request that is due to the cabinet and shows the state it returns.
-
-        The span belongs to the frame that the request answers: in realtime and with virtual links
-        that is often an older one.
-        """
+    def _actuate(self, controls: Iterable[SignalControl]) -> None:
+        """Lets cabinets act on the requests that are due; metrics tell of each answered frame."""
         now_ns = self._world.time_ns
-        due = self._pending.take(now_ns, lambda one: self._accepts(one, now_ns))
-        if due is None:
-            return
-        request = due.request
-        since_ns = time.monotonic_ns() if request.delay_sim_ns else due.envelope.received_ns
-        self._world.set_signal(self._cabinet.advance(now_ns))
-        shown = Span(stage="actuate", start_ns=since_ns, end_ns=time.monotonic_ns())
-        self._publish_metrics(request.frame, request.sim_time_ns, shown)
-
-    def _accepts(self, request: SignalRequest, now_ns: int) -> bool:
-        return not self._is_refused(request, self._cabinet.request(request, now_ns))
+        spans: dict[tuple[int, int], list[Span]] = {}
+        for control in controls:
+            acted = control.actuate(now_ns)
+            if acted is not None:
+                answered = acted.request.frame, acted.request.sim_time_ns
+                spans.setdefault(answered, []).append(acted.span)
+        for (frame, sim_time_ns), found in sorted(spans.items()):
+            self._publish_metrics(frame, sim_time_ns, found)
 
     def _step(self) -> None:
-        self._world.set_signal(self._cabinet.advance(self._world.time_ns))
+        for tls, control in self._controls.items():
+            self._world.set_signal(tls, control.cabinet.advance(self._world.time_ns))
         self._world.step()
 
     def _publish_trips(self, *, with_unfinished: bool) -> None:
@@ -317,25 +314,23 @@ class SimRole:
             frame = min(self._frame, self._end_frame - 1)
             self._context.world.publish("trips", Trips(frame=frame, trips=trips))
 
-    def _publish_metrics(self, frame: int, sim_time_ns: int, span: Span) -> None:
+    def _publish_metrics(self, frame: int, sim_time_ns: int, spans: list[Span]) -> None:
         message = Metrics(
             process=self._context.id,
             frame=frame,
             sim_time_ns=sim_time_ns,
-            spans=[span],
+            spans=spans,
             drops=self._drops(),
         )
         self._context.world.publish("metrics", message, process=self._context.id)
 
     def _drops(self) -> dict[str, int]:
-        refused = {f"request_{why}": n for why, n in self._cabinet.refusals.items()}
-        own = {
-            "request_out_of_turn": self._out_of_turn,
-            "request_overtaken": self._pending.overtaken,
-            "request_crowded_out": self._pending.crowded_out,
-            "late": self._clock.late,
-        }
-        return {**self._context.inbox.drops, **refused, **{k: n for k, n in own.items() if n}}
+        found = Counter(self._context.inbox.drops)
+        for control in self._controls.values():
+            found += control.drops()
+        found["request_wrong_tls"] += self._unknown_signal
+        found["late"] = self._clock.late
+        return dict(+found)
 
     def _end(self, reason: str) -> None:
         self._stage = Stage.OVER
@@ -351,10 +346,13 @@ class SimRole:
         self._context.stop.set()
 
 
-def _sumo_control(setup: Setup, world: World) -> Cabinet | None:
-    """Returns the control that SUMO itself runs, if the scenario wants that."""
+def _sumo_control(setup: Setup, world: World) -> dict[str, Cabinet] | None:
+    """Returns the control that SUMO itself runs, by signal, if the scenario wants that."""
     config = CabinetConfig.model_validate(setup.scenario["cabinet"])
     if config.control != "actuated":
         return None
-    world.run_actuated(programme(setup.road_map.signal, config))
-    return ActuatedCabinet(setup.road_map.signal, world.shown)
+    found: dict[str, Cabinet] = {}
+    for one in setup.road_map.intersections:
+        world.run_actuated(one.tls, programme(one.signal, config))
+        found[one.tls] = ActuatedCabinet(one.signal, partial(world.shown, one.tls))
+    return found

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
@@ -18,11 +19,12 @@ from protocol.errors import ConfigError
 from protocol.messages import MeshPart, Setup, VehicleType
 from protocol.roadmap import RoadMap
 from protocol.version import own_version
-from sim_host import junctions
 from sim_host.config import TrafficConfig
 from sim_host.demand import types_of_demand, types_of_files, write_demand
+from sim_host.junctions import DEMAND_VPH_PER_LANE, write_net
 from sim_host.limits import MAX_HEIGHT_M
 from sim_host.netfile import UNREADABLE, Net, open_file, read_net
+from sim_host.regions import resolve_regions
 from sim_host.road_map import road_map
 from sim_host.sumo import sumo_home
 
@@ -107,8 +109,10 @@ POLYGON_RADIUS_M = 400.0
 Ring = list[tuple[float, float]]
 
 
-def read_polygons(path: Path, centre: tuple[float, float, float]) -> tuple[list[Ring], list[float]]:
-    """Returns outlines (map frame) and heights in m of the buildings around a centre.
+def read_polygons(
+    path: Path, centres: Sequence[tuple[float, float, float]]
+) -> tuple[list[Ring], list[float]]:
+    """Returns outlines (map frame) and heights in m of the buildings around any of the centres.
 
     A building is a `<poly>` whose type holds "building"; if the file has none, every polygon with
     a `height` counts. Heights come from a `<param key="height">`, 10 m otherwise.
@@ -129,7 +133,7 @@ def read_polygons(path: Path, centre: tuple[float, float, float]) -> tuple[list[
     kept = [
         (ring, height or DEFAULT_HEIGHT_M)
         for ring, height, building in found
-        if (building if named else height > 0) and len(ring) >= 3 and _is_near(ring, centre)
+        if (building if named else height > 0) and len(ring) >= 3 and _is_near(ring, centres)
     ]
     return [ring for ring, _ in kept], [height for _, height in kept]
 
@@ -155,9 +159,9 @@ def _checked_height(height_m: float) -> float:
     return height_m
 
 
-def _is_near(ring: Ring, centre: tuple[float, float, float]) -> bool:
-    away = np.array(ring) - np.array(centre[:2])
-    return bool(np.isfinite(away).all() and np.linalg.norm(away, axis=1).min() <= POLYGON_RADIUS_M)
+def _is_near(ring: Ring, centres: Sequence[tuple[float, float, float]]) -> bool:
+    away = np.array(ring)[:, None] - np.array(centres)[:, :2]
+    return bool(np.isfinite(away).all() and np.linalg.norm(away, axis=2).min() <= POLYGON_RADIUS_M)
 
 
 SUMO_FOLDER = "sumo"
@@ -173,10 +177,16 @@ def build_setup(scenario: dict[str, Any], run_dir: Path) -> Setup:
     scenario, traffic = _located(scenario)
     folder = run_dir / SUMO_FOLDER
     folder.mkdir(parents=True, exist_ok=True)
-    roads, types = _user_world(traffic) if traffic.sumocfg else _own_world(traffic, folder)
+    junctions = scenario.get("junctions")
+    if traffic.sumocfg:
+        roads, types = _user_world(traffic, junctions)
+    else:
+        roads, types = _own_world(traffic, junctions, folder)
+    scenario = resolved(scenario, roads)
     parts, vertices, triangles = pack(load_meshes(sumo_home() / "data" / "3D"))
     outlines = scenario.get("scene", {}).get("polygons")
-    rings, heights = read_polygons(Path(outlines), roads.centre) if outlines else ([], [])
+    centres = [one.centre for one in roads.intersections]
+    rings, heights = read_polygons(Path(outlines), centres) if outlines else ([], [])
     return Setup(
         scenario=scenario,
         road_map=roads,
@@ -188,6 +198,31 @@ def build_setup(scenario: dict[str, Any], run_dir: Path) -> Setup:
         polygon_heights_m=heights,
         version=own_version(),
     )
+
+
+def resolved(scenario: dict[str, Any], roads: RoadMap) -> dict[str, Any]:
+    """Returns the scenario with its junctions and regions named, and each mount at a junction.
+
+    Mounts that name no junction stand at each of them: at more than one, with a number.
+
+    Raises:
+        ConfigError: regions or mounts do not fit the junctions.
+    """
+    known = sorted(roads.by_tls)
+    mounts: list[dict[str, Any]] = []
+    for mount in scenario.get("roadside_mounts", []):
+        if mount.get("tls") is not None and mount["tls"] not in known:
+            raise ConfigError(
+                f"roadside_mounts: {mount['id']} stands at {mount['tls']!r}, which is none of the "
+                f"controlled junctions: {', '.join(known[:20])}"
+            )
+        if mount.get("tls") is not None or len(known) == 1:
+            mounts.append({**mount, "tls": mount.get("tls") or known[0]})
+            continue
+        for number, tls in enumerate(known):
+            mounts.append({**mount, "tls": tls, "id": f"{mount['id']}.{number}"})
+    regions = resolve_regions(roads, scenario.get("regions", 1))
+    return {**scenario, "junctions": known, "regions": regions, "roadside_mounts": mounts}
 
 
 def traffic_config(scenario: dict[str, Any]) -> TrafficConfig:
@@ -220,17 +255,22 @@ def config_file(traffic: TrafficConfig, run_dir: Path) -> Path:
     return run_dir / SUMO_FOLDER / OWN_CONFIG
 
 
-def _own_world(traffic: TrafficConfig, folder: Path) -> tuple[RoadMap, list[VehicleType]]:
+Junctions = Literal["all"] | Sequence[str] | None
+
+
+def _own_world(
+    traffic: TrafficConfig, junctions: Junctions, folder: Path
+) -> tuple[RoadMap, list[VehicleType]]:
     """Takes the user's net or generates the T junction, and writes a demand for it."""
     if traffic.net:
         path = Path(traffic.net)
     else:
-        path = junctions.write_net(folder)
-        demand = {**junctions.DEMAND_VPH_PER_LANE, **traffic.demand_vph_per_lane}
+        path = write_net(folder)
+        demand = {**DEMAND_VPH_PER_LANE, **traffic.demand_vph_per_lane}
         traffic = traffic.model_copy(update={"demand_vph_per_lane": demand})
     net = read_net(path)
-    roads = road_map(net, traffic.tls)
-    write_demand(folder / "demand.rou.xml", net, roads.signal, traffic)
+    roads = road_map(net, junctions)
+    write_demand(folder / "demand.rou.xml", net, roads.intersections[0].signal, traffic)
     _write_config(folder / OWN_CONFIG, net)
     return roads, types_of_demand(traffic.vehicles)
 
@@ -245,9 +285,9 @@ def _write_config(path: Path, net: Net) -> None:
     )
 
 
-def _user_world(traffic: TrafficConfig) -> tuple[RoadMap, list[VehicleType]]:
+def _user_world(traffic: TrafficConfig, junctions: Junctions) -> tuple[RoadMap, list[VehicleType]]:
     files = _files_of(Path(traffic.sumocfg or ""))
-    return road_map(read_net(files.net), traffic.tls), types_of_files(files.others)
+    return road_map(read_net(files.net), junctions), types_of_files(files.others)
 
 
 @dataclass(frozen=True, slots=True)

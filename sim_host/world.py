@@ -37,7 +37,7 @@ class Ground(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrafficState:
-    """The vehicles around the signal, sorted by id. Poses are of footprint centres."""
+    """The vehicles around the signals, sorted by id. Poses are of footprint centres."""
 
     ids: list[str]
     types: list[str]
@@ -64,10 +64,9 @@ class World:
         self._traffic = traffic_config(setup.scenario)
         self._config = config_file(self._traffic, run_dir)
         self._ground = ground
-        self._tls = setup.road_map.signal.tls
-        self._centre = np.array(setup.road_map.centre[:2])
+        self._centres = np.array([one.centre[:2] for one in setup.road_map.intersections])
         self._setup = setup
-        self._shown = ""
+        self._shown: dict[str, str] = {}
         self._sumo: Any = None
         self.counts = TrafficCounts()
         self.time_ns = 0
@@ -134,7 +133,7 @@ class World:
         vehicle = self._sumo.vehicle
         names = sorted(vehicle.getIDList())
         fronts = np.array([vehicle.getPosition(name) for name in names]).reshape(-1, 2)
-        near = np.linalg.norm(fronts - self._centre, axis=1) <= self._traffic.radius_m
+        near = _nearest_m(fronts, self._centres) <= self._traffic.radius_m
         names = [name for name, is_near in zip(names, near, strict=True) if is_near]
         journeys = self._journeys.within_radius(names)
         yaw = np.radians(90.0 - np.array([vehicle.getAngle(name) for name in names]))
@@ -152,23 +151,23 @@ class World:
             equipment=np.array([journey.equipment for journey in journeys], np.uint8),
         )
 
-    def run_actuated(self, intervals: Sequence[Interval]) -> None:
-        """Leaves the signal to SUMO from now on: its own detectors choose how long greens last."""
+    def run_actuated(self, tls: str, intervals: Sequence[Interval]) -> None:
+        """Leaves a signal to SUMO from now on: its own detectors choose how long greens last."""
         lights = self._sumo.trafficlight
         phases = [lights.Phase(i.least_s, i.state, i.least_s, i.most_s) for i in intervals]
-        lights.setProgramLogic(self._tls, lights.Logic(ACTUATED, _ACTUATED_TYPE, 0, phases))
-        lights.setProgram(self._tls, ACTUATED)
+        lights.setProgramLogic(tls, lights.Logic(ACTUATED, _ACTUATED_TYPE, 0, phases))
+        lights.setProgram(tls, ACTUATED)
 
-    def shown(self) -> str:
-        """Returns what the signal shows; to set that again does not take it from SUMO's control."""
-        self._shown = str(self._sumo.trafficlight.getRedYellowGreenState(self._tls))
-        return self._shown
+    def shown(self, tls: str) -> str:
+        """Returns what a signal shows; to set that again does not take it from SUMO's control."""
+        self._shown[tls] = str(self._sumo.trafficlight.getRedYellowGreenState(tls))
+        return self._shown[tls]
 
-    def set_signal(self, state: str) -> None:
-        """Shows a state at the signal, one character per link."""
-        if state != self._shown:
-            self._sumo.trafficlight.setRedYellowGreenState(self._tls, state)
-            self._shown = state
+    def set_signal(self, tls: str, state: str) -> None:
+        """Shows a state at a signal, one character per link."""
+        if state != self._shown.get(tls):
+            self._sumo.trafficlight.setRedYellowGreenState(tls, state)
+            self._shown[tls] = state
 
     def take_trips(self) -> list[Trip]:
         """Returns the journeys that ended since the last call."""
@@ -194,6 +193,14 @@ class World:
     def _errors(self) -> tuple[type[Exception], ...]:
         module: ModuleType = self._sumo
         return module.TraCIException, module.FatalTraCIError
+
+
+def _nearest_m(places: Floats, centres: Floats) -> Floats:
+    """Returns the distance of each place (N, 2) to the nearest centre (C, 2)."""
+    result = np.full(len(places), np.inf)
+    for centre in centres:
+        np.minimum(result, np.linalg.norm(places - centre, axis=1), out=result)
+    return result
 
 
 def connected(bodies: TrafficState) -> dict[str, Equipment]:
@@ -250,8 +257,8 @@ class Traffic(Protocol):
     def bodies(self) -> TrafficState:
         """Returns where every vehicle within the radius is."""
 
-    def set_signal(self, state: str) -> None:
-        """Shows a state at the signal."""
+    def set_signal(self, tls: str, state: str) -> None:
+        """Shows a state at a signal."""
 
     def take_trips(self) -> list[Trip]:
         """Returns the journeys that ended since the last call."""
@@ -294,7 +301,7 @@ class RecordedWorld:
             equipment=truth.equipment,
         )
 
-    def set_signal(self, state: str) -> None:
+    def set_signal(self, tls: str, state: str) -> None:
         """Does nothing: recorded traffic does not follow the signal."""
 
     def take_trips(self) -> list[Trip]:

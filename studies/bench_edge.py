@@ -27,6 +27,7 @@ from perception.registry import detector_of
 from perception.roadway import Roadway
 from protocol.errors import ConfigError
 from protocol.messages import AgentPose, Scan, Truth
+from protocol.regions import RegionMap
 from sensing.config import SceneConfig
 from sensing.recorded_scans import Recording
 from sensing.terrain import Terrain
@@ -120,7 +121,7 @@ def _measure(traffic: Path, detector: str, agents: int) -> list[EdgeRow]:
         setup = build_setup({}, Path(scratch))
     road_map = setup.road_map
     config = EdgeConfig.model_validate({"detector": detector})
-    pipeline = Pipeline.of(road_map, config, seed=SEED, detector=_detector_of)
+    pipeline = Pipeline.of(RegionMap.whole(road_map), config, seed=SEED, detector=_detector_of)
     pool = DecoderPool(pipeline.open)
     recording = Recording(traffic)
     chosen = [RSU, *(name for name in recording.agents if name != RSU)][:agents]

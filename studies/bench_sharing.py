@@ -18,6 +18,7 @@ from edge_server.config import EdgeConfig
 from edge_server.frame import Frame
 from edge_server.pipeline import Pipeline
 from protocol.messages import NEVER_NS, Scan, Setup, Truth
+from protocol.regions import RegionMap
 from recording.rows import count_rows, detection_rows, truth_rows
 from sensing.config import SceneConfig
 from sensing.link_channel import Channel as LinkPath
@@ -59,7 +60,7 @@ class _Sharing:
         self._post = rsu_pose(setup.road_map, Terrain(setup.road_map, SceneConfig(), SEED))
         self._setup = setup
         self._pipelines = {  # each vehicle's own: it remembers whom it trusts
-            agent: Pipeline.of(setup.road_map, EdgeConfig(), seed=SEED)
+            agent: Pipeline.of(RegionMap.whole(setup.road_map), EdgeConfig(), seed=SEED)
             for agent in self._recording.agents
             if agent != RSU
         }
@@ -141,7 +142,7 @@ class _Sharing:
             self._tally.add(
                 self._visible[self._recording.place(truth.frame)],
                 list(detection_rows(result.detections, agent)),  # a vehicle is its own edge
-                list(count_rows(result.counts)),
+                [row for counts in result.counts.values() for row in count_rows(counts)],
                 list(truth_rows(truth)),
             )
 

@@ -43,7 +43,7 @@ def counts_with_truth(run: Run) -> Iterator[tuple[CountRow, int]]:
             frame, vehicles = next(truths, (-1, []))
         if frame == counted:
             truth = counter.count(vehicles)
-            yield from ((row, truth[row.side].get(row.lane, 0)) for row in rows)
+            yield from ((row, truth[row.tls, row.side].get(row.lane, 0)) for row in rows)
 
 
 class TrueCounts:
@@ -54,15 +54,18 @@ class TrueCounts:
         self._numbers = {lane.id: number for number, lane in enumerate(road_map.lanes)}
         self._upstream_m, self._downstream_m = upstream_m, downstream_m
 
-    def count(self, vehicles: list[TruthRow]) -> dict[str, dict[str, int]]:
-        """Returns vehicles by side of the stop bar and lane."""
+    def count(self, vehicles: list[TruthRow]) -> dict[tuple[str, str], dict[str, int]]:
+        """Returns vehicles by signal and side of its stop bars, and by lane."""
         lanes = [self._numbers.get(vehicle.lane, -1) for vehicle in vehicles]
         along_m = [vehicle.lane_position_m for vehicle in vehicles]
         place = LanePositions(np.array(lanes, np.int64), np.array(along_m, np.float64))
-        upstream, downstream = self._index.count(
-            place, upstream_m=self._upstream_m, downstream_m=self._downstream_m
-        )
-        return {"upstream": upstream, "downstream": downstream}
+        found: dict[tuple[str, str], dict[str, int]] = {}
+        for tls in self._index.approaches:
+            upstream, downstream = self._index.count(
+                place, tls, upstream_m=self._upstream_m, downstream_m=self._downstream_m
+            )
+            found |= {(tls, "upstream"): upstream, (tls, "downstream"): downstream}
+        return found
 
 
 class PerceptionTally:
@@ -90,7 +93,9 @@ class PerceptionTally:
         self._false += wrong
         self._frames += 1
         true = self._counter.count(vehicles)
-        self._errors += [abs(row.vehicles - true[row.side].get(row.lane, 0)) for row in counts]
+        self._errors += [
+            abs(row.vehicles - true[row.tls, row.side].get(row.lane, 0)) for row in counts
+        ]
 
     @property
     def recall_visible(self) -> float | None:

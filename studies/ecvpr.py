@@ -24,6 +24,8 @@ from protocol.messages import Equipment, VehicleType
 from protocol.roadmap import RoadMap
 from recording.run import Run
 from recording.tables import CountRow, DetectionRow, SightingRow, TruthRow
+from sensing.config import Mount
+from sensing.pose import mount_place
 
 UPSTREAM_M = 200.0
 DOWNSTREAM_M = 100.0
@@ -46,7 +48,8 @@ class EvaluationArea:
         successors = {lane.id: lane.successors for lane in road_map.lanes}
         incoming = [lane for lane in road_map.incoming if lane in lengths]
         after = [after for lane in incoming for after in successors[lane] if after in lengths]
-        starts = after or [lane for lane in road_map.outgoing if lane in lengths]
+        behind = [lane for one in road_map.intersections for lane in one.outgoing]
+        starts = after or [lane for lane in behind if lane in lengths]
         # by lane: metres from its end to the stop bar, and from the stop bar to its beginning
         self._before = _distances(incoming, road_map.predecessors, lengths, upstream_m)
         self._after = _distances(starts, successors, lengths, downstream_m)
@@ -136,10 +139,9 @@ class PerceptionBounds:
     def __init__(self, run: Run) -> None:
         self._sightings = _by_frame(run.rows(SightingRow))
         self._next = next(self._sightings, None)
-        centre = np.array(run.setup.road_map.centre[:2])
         scenario = run.scenario
-        mounts: list[dict[str, float]] = scenario.get("roadside_mounts", [])
-        places = [centre + np.array([mount["x_m"], mount["y_m"]]) for mount in mounts]
+        mounts = [Mount.model_validate(one) for one in scenario.get("roadside_mounts", [])]
+        places = [mount_place(mount, run.setup.road_map) for mount in mounts]
         self._roadside = np.array(places).reshape(-1, 2)
         self._roadside_range_m = _range_m(scenario, "roadside")
         self._cav_range_m = _range_m(scenario, "vehicle")

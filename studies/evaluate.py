@@ -189,7 +189,7 @@ class Site:
 
     def without_doubles(self, found: Vehicles) -> Vehicles:
         """Removes duplicates as the edge does."""
-        return fuse(found, [], centre=self.centre.translation, config=self._config.fusion)
+        return fuse(found, [], centres=self.centre.translation[None], config=self._config.fusion)
 
 
 def evaluate(

@@ -55,8 +55,8 @@ def _window(road_map: RoadMap, aspect: float) -> tuple[Floats, Floats]:
 def _draw_road(axes: Axes, road_map: RoadMap) -> None:
     sides = [borders(lane) for lane in road_map.lanes]
     surfaces = [np.concatenate([left, right[::-1]])[:, :2] for left, right in sides]
-    if len(road_map.junction) > 2:
-        surfaces.append(np.array(road_map.junction))
+    outlines = [one.outline for one in road_map.intersections if len(one.outline) > 2]
+    surfaces += [np.array(outline) for outline in outlines]
     axes.add_collection(PolyCollection(surfaces, facecolors=palette.ASPHALT, zorder=1))
     lines = [
         side[:, :2]
@@ -107,7 +107,11 @@ def _draw_signal(axes: Axes, snapshot: Snapshot) -> None:
 
 
 def _letter(snapshot: Snapshot, lane: str) -> str:
-    links = [link.index for link in snapshot.road_map.signal.links if link.from_lane == lane]
+    links = [
+        link.index
+        for link in snapshot.road_map.intersections[0].signal.links
+        if link.from_lane == lane
+    ]
     letters = [snapshot.shown[index] for index in links if index < len(snapshot.shown)]
     return min(letters, key="Ggyr".find, default="")
 

@@ -70,8 +70,7 @@ def road_rings(road_map: RoadMap) -> tuple[tuple[Ring, ...], tuple[Ring, ...]]:
     """Returns the surfaces of lanes and junction, and the lines between lanes."""
     sides = [(lane, *borders(lane)) for lane in road_map.lanes]
     surfaces = [ring([*left, *right[::-1]]) for _, left, right in sides]
-    if len(road_map.junction) > 2:
-        surfaces.append(ring(road_map.junction))
+    surfaces += [ring(one.outline) for one in road_map.intersections if len(one.outline) > 2]
     lines = [
         ring(side) for lane, left, right in sides if not lane.internal for side in (left, right)
     ]

@@ -15,6 +15,8 @@ from protocol.messages import VehicleType
 from protocol.roadmap import RoadMap, Signal
 from recording.run import Run
 from recording.tables import CountRow, DetectionRow, PhaseRow, RequestRow, TruthRow
+from sensing.config import Mount
+from sensing.pose import mount_place
 from studies import palette
 from studies.count_error import counts_with_truth
 from studies.ecvpr import EvaluationArea, FrameScore, matches
@@ -132,7 +134,7 @@ class PhaseNames:
 
     def __init__(self, run: Run) -> None:
         try:
-            self._signal: Signal | None = run.setup.road_map.signal
+            self._signal: Signal | None = run.setup.road_map.intersections[0].signal
         except ConfigError:  # cut off before its setup was written, or moved without it
             self._signal = None
         self.greens = self._signal.greens if self._signal else []
@@ -286,10 +288,9 @@ def _vehicle_points(
 
 def _sensors(run: Run) -> list[Points]:
     """Returns the positions of the roadside sensors."""
-    centre = run.setup.road_map.centre
-    mounts = run.scenario.get("roadside_mounts", [])
-    x_m = tuple(centre[0] + float(one.get("x_m", 0)) for one in mounts)
-    y_m = tuple(centre[1] + float(one.get("y_m", 0)) for one in mounts)
+    mounts = [Mount.model_validate(one) for one in run.scenario.get("roadside_mounts", [])]
+    places = [mount_place(mount, run.setup.road_map) for mount in mounts]
+    x_m, y_m = (tuple(place[axis] for place in places) for axis in (0, 1))
     return [Points("roadside LiDAR", x_m, y_m, 13.0, "star", "#e69f00")] if mounts else []
 
 

@@ -13,6 +13,7 @@ def make_keys(
     folder: Path,
     *,
     vehicles: int = 2,
+    regions: Sequence[str] = ("r0",),
     hosts: Sequence[str] = (),
     days: int = 365,
     now: datetime | None = None,
@@ -22,5 +23,5 @@ def make_keys(
     pytest.importorskip("cryptography", reason="needs the extra `keys`")
     from cpnet.keys import add_keys
 
-    add_keys(folder, [*roles_of(vehicles, 1), *more], hosts, days, now)
+    add_keys(folder, [*roles_of(vehicles, regions), *more], hosts, days, now)
     return folder

@@ -117,7 +117,7 @@ EXAMPLES: list[m.Message] = [
         downstream={"out_0": 0},
     ),
     m.Metrics(
-        process="edge",
+        process="edge-r0",
         frame=1,
         sim_time_ns=1,
         spans=[m.Span(stage="merge", start_ns=1, end_ns=2)],
@@ -157,8 +157,17 @@ EXAMPLES: list[m.Message] = [
         detect_end_ns=3,
     ),
     m.TimeReply(machine="here", received_ns=5, replied_ns=6),
-    m.ClockReading(process="edge", offset_ns=-7, error_ns=8),
+    m.ClockReading(process="edge-r0", offset_ns=-7, error_ns=8),
     m.Sighting(frame=2, agent="a", vehicles=["b"], points=np.array([7], np.int32)),
+    m.BorderObjects(
+        frame=1,
+        sim_time_ns=1,
+        boxes=np.ones((1, 7), np.float32),
+        scores=np.ones(1, np.float32),
+        sources=["lidar"],
+        position_std_m=np.zeros(1, np.float32),
+        sensors=np.ones((1, 2)),
+    ),
 ]
 
 

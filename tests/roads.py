@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from protocol.roadmap import Lane, Link, PlanPhase, RoadMap, Signal
+from protocol.roadmap import Intersection, Lane, Link, PlanPhase, RoadMap, Signal
 
 Point = tuple[float, float, float]
 CENTRE = (0.0, 0.0, 0.0)
@@ -48,12 +48,25 @@ def signal(
     )
 
 
+def one_junction(
+    name: str,
+    lanes: Sequence[Lane],
+    signal: Signal,
+    *,
+    centre: Point = CENTRE,
+    junction: Sequence[tuple[float, float]] = (),
+) -> RoadMap:
+    """Returns a map of lanes around one intersection with this outline."""
+    one = Intersection(signal=signal, centre=centre, outline=list(junction))
+    return RoadMap(name=name, lanes=list(lanes), intersections=[one])
+
+
 def no_road(tls: str = "t", plan: Sequence[tuple[float, str]] = ()) -> RoadMap:
     """A signal without a lane."""
-    return RoadMap(name="none", centre=CENTRE, lanes=[], signal=signal(tls, plan=plan), junction=[])
+    return one_junction("none", [], signal(tls, plan=plan))
 
 
-ONE_LANE = RoadMap(
+ONE_LANE = one_junction(
     name="one lane",
     centre=(0, 0, 0),
     lanes=[lane("in_0", [(-50, 0, 0), (0, 0, 0)], "out_0", speed_mps=13.89)],
@@ -61,7 +74,7 @@ ONE_LANE = RoadMap(
     junction=[(0, 0), (1, 0), (1, 1)],
 )
 
-MAIN_AND_SIDE = RoadMap(
+MAIN_AND_SIDE = one_junction(
     name="test",
     centre=(0, 0, 0),
     lanes=[lane(name, [CENTRE, (9, 0, 0)], speed_mps=14) for name in ("main", "side", "out")],
@@ -73,7 +86,7 @@ MAIN_AND_SIDE = RoadMap(
 """A signal between two lanes that lead into a third."""
 
 SQUARE: list[tuple[float, float]] = [(-10, -5), (10, -5), (10, 5), (-10, 5)]
-WEST_TO_EAST = RoadMap(
+WEST_TO_EAST = one_junction(
     name="t",
     centre=(0, 0, 0),
     lanes=[
@@ -92,7 +105,7 @@ def _arm(name: str, start: tuple[float, float], end: tuple[float, float]) -> Lan
     return lane(f"{name}_0", [(*start, 0), (*end, 0)], width_m=3.0, speed_mps=10)
 
 
-CROSSING = RoadMap(
+CROSSING = one_junction(
     name="crossing",
     centre=(0, 0, 0),
     lanes=[
@@ -119,7 +132,7 @@ def straight_road() -> RoadMap:
         ends = [(start, 0, 0), (end, 0, 0)]
         return lane(name, ends, *after, edge=name, width_m=3.0, speed_mps=10)
 
-    return RoadMap(
+    return one_junction(
         name="straight",
         centre=(0, 0, 0),
         lanes=[
@@ -144,7 +157,7 @@ def junction_road(climb: float = 0.0) -> RoadMap:
     def at(x: float, y: float) -> Point:
         return (x, y, climb * x)
 
-    return RoadMap(
+    return one_junction(
         name="test",
         centre=CENTRE,
         lanes=[
@@ -182,7 +195,7 @@ def street(climb_m: float = 0.0) -> RoadMap:
         lanes.append(_level(f"fw_{k}", [(-10.0, y, -climb_m / 16), (-160.0, y, -climb_m)]))
     for k, x in enumerate((-1.75, 1.75)):
         lanes.append(_level(f"s_{k}", [(x, -150.0, 0.0), (x, -10.0, 0.0)]))
-    return RoadMap(
+    return one_junction(
         name="street",
         centre=CENTRE,
         lanes=lanes,

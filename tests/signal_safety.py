@@ -48,11 +48,12 @@ def violations_of(run: Run) -> list[str]:
     """
     config = CabinetConfig.model_validate(run.scenario.get("cabinet", {}))
     traffic = TrafficConfig.model_validate(run.scenario.get("traffic", {}))
-    signal, found = run.setup.road_map.signal, []
+    signals, found = run.setup.road_map.by_tls, []
     rows = sorted(run.rows(PhaseRow), key=lambda row: row.tls)
-    for _, of_signal in groupby(rows, key=lambda row: row.tls):
+    for tls, of_signal in groupby(rows, key=lambda row: row.tls):
         shown = [(row.sim_time_ns, row.state) for row in of_signal]
-        found += violations(shown, signal, config, traffic.step_s)
+        told = violations(shown, signals[tls].signal, config, traffic.step_s)
+        found += [f"{tls}: {violation}" for violation in told] if len(signals) > 1 else told
     return found
 
 

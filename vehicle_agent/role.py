@@ -13,12 +13,15 @@ from protocol.geometry import SE3, Floats
 from protocol.inbox import Envelope, Presence
 from protocol.messages import AgentPose, Equipment, Tick
 from protocol.process import Context
-from sensing.config import PoseErrorConfig
+from sensing.config import PoseErrorConfig, UploadConfig
 from sensing.lidar_uplink import LidarUplink, LidarUplinks
 from sensing.noise import stream
 from sensing.pose import estimated_pose, position_std_m
 from sensing.radio import ENVELOPE_BYTES, Radio
+from sensing.regions import RegionTracker
 from sensing.station import Station
+
+CV_RANGE_M = 10.0  # a vehicle that sees nothing is of interest where it is
 
 
 class Connections:
@@ -76,6 +79,12 @@ class VehicleRole:
         self._buses: dict[str, Bus] = {}
         self._radios: dict[str, Radio] = {}
         self._uplinks: dict[str, LidarUplink] = {}
+        upload = UploadConfig.model_validate(scenario["upload"])
+        regions = self._sensors.regions
+        self._reach = {
+            Equipment.CAV: RegionTracker(regions, upload.region_range_m),
+            Equipment.CV: RegionTracker(regions, CV_RANGE_M),
+        }
         self._types = {kind.name: kind for kind in context.setup.vehicle_types}
         self._station.open("vehicle")
 
@@ -111,12 +120,14 @@ class VehicleRole:
         self._forget_all_but({tick.ids[i] for i in hosted})
         mine = [i for i in connected if self._station.admits(self._radios[tick.ids[i]], tick)]
         scanning = [i for i in mine if tick.ids[i] in self._uplinks and self._station.uploads]
-        names = ([tick.ids[i] for i in indices] for indices in (mine, scanning))
-        self._station.publish_roster(tick, *names)
+        estimated = {i: self._estimated(tick, i) for i in mine}
+        members = {tick.ids[i]: self._regions(tick, i, estimated[i]) for i in mine}
+        self._station.publish_rosters(tick, members, {tick.ids[i] for i in scanning})
         for index in mine:
-            estimated = self._publish_pose(tick, index)
+            self._publish_pose(tick, index, estimated[index], members[tick.ids[index]])
             if index in scanning:
-                self._publish_scan(tick, index, estimated)
+                self._uplinks[tick.ids[index]].enter(members[tick.ids[index]])
+                self._publish_scan(tick, index, estimated[index])
 
     def _hosted(self, tick: Tick) -> list[int]:
         if self._context.id not in tick.processes:
@@ -124,14 +135,18 @@ class VehicleRole:
         host = tick.processes.index(self._context.id)
         return [int(i) for i in np.flatnonzero(tick.hosts == host)]
 
-    def _publish_pose(self, tick: Tick, index: int) -> Floats:
+    def _estimated(self, tick: Tick, index: int) -> Floats:
+        """Returns the pose (6,) that a vehicle believes to have."""
         agent, equipment = tick.ids[index], Equipment(int(tick.equipment[index]))
         rng = stream(self._station.seed, "pose", agent, tick.frame)
-        pose = estimated_pose(tick.poses[index], self._pose_error, equipment, rng)
+        return estimated_pose(tick.poses[index], self._pose_error, equipment, rng)
+
+    def _regions(self, tick: Tick, index: int, pose: Floats) -> tuple[str, ...]:
+        return self._reach[Equipment(int(tick.equipment[index]))].update(tick.ids[index], pose[:2])
+
+    def _publish_pose(self, tick: Tick, index: int, pose: Floats, regions: Iterable[str]) -> None:
+        agent, equipment = tick.ids[index], Equipment(int(tick.equipment[index]))
         kind = self._types[tick.types[index]]
-        transmission = self._radios[agent].transmit(
-            tick.sim_time_ns, ENVELOPE_BYTES, is_chunk=False
-        )
         message = AgentPose(
             frame=tick.frame,
             sim_time_ns=tick.sim_time_ns,
@@ -142,12 +157,19 @@ class VehicleRole:
             width_m=kind.width_m,
             height_m=kind.height_m,
             position_std_m=position_std_m(self._pose_error, equipment),
-            arrival_sim_ns=transmission and transmission.arrival_ns,
         )
-        self._buses[agent].publish(
-            "pose", message, region=self._station.region, process=self._context.id, agent=agent
-        )
-        return pose
+        for region in regions:
+            transmission = self._radios[agent].transmit(
+                tick.sim_time_ns, ENVELOPE_BYTES, is_chunk=False
+            )
+            arrival = {"arrival_sim_ns": transmission and transmission.arrival_ns}
+            self._buses[agent].publish(
+                "pose",
+                message.model_copy(update=arrival),
+                region=region,
+                process=self._context.id,
+                agent=agent,
+            )
 
     def _connect(self, tick: Tick, index: int) -> bool:
         """Gives a new agent its connection and radio; False while the connection is being opened.
@@ -184,4 +206,6 @@ class VehicleRole:
         for known in (self._buses, self._radios):
             for agent in sorted(known.keys() - present):
                 del known[agent]
+        for tracker in self._reach.values():
+            tracker.forget_all_but(present)
         self._connections.close_all_but(present)

@@ -105,7 +105,7 @@ class Board:
         self.present: dict[tuple[str, str], set[BusName]] = {}
         self.gone: set[tuple[str, str]] = set()
         self._rates = Rates(period_ns)
-        self._stages = Stages(period_ns)
+        self._stages = Stages(period_ns, setup.scenario["regions"])
         self._latencies: deque[FrameLatency] = deque(maxlen=AVERAGED_FRAMES)
         self._points: dict[str, int] = {}
         self._scores: dict[str, AgentScore] = {}
@@ -190,7 +190,7 @@ class Board:
     def phase_rows(self) -> list[PhaseRow]:
         """Returns the phases with their pressures."""
         known = pressures(self._request, self.phases)
-        greens = self.setup.road_map.signal.greens
+        greens = self.setup.road_map.intersections[0].signal.greens
         shown = self._shown.state.green if self._shown else ""
         return [
             PhaseRow(name, green == shown, known.get(name))

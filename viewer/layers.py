@@ -119,7 +119,7 @@ def true_boxes(message: Truth, types: Mapping[str, VehicleType]) -> Boxes:
 def lamps(state: SignalState, road_map: RoadMap, lanes: Sequence[str]) -> list[Rgb]:
     """Returns the colour that each lane is shown: green if any of its links is."""
     links: dict[str, list[int]] = {}
-    for link in road_map.signal.links:
+    for link in road_map.intersections[0].signal.links:
         links.setdefault(link.from_lane, []).append(link.index)
     return [_lamp(state.state, links.get(lane, ())) for lane in lanes]
 

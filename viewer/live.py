@@ -59,7 +59,9 @@ class Live:
         self._shows = shows
         self._period_ns = round(1e9 / fps)
         self._frames = FrameBuffer(ENDING)
-        self._stages = Stages(round(float(scene.setup.scenario["frame_period_s"]) * 1e9))
+        scenario = scene.setup.scenario
+        period_ns = round(float(scenario["frame_period_s"]) * 1e9)
+        self._stages = Stages(period_ns, scenario["regions"])
         self._drawn_ns = -self._period_ns
         self.is_over = False
         self.drawn = 0

@@ -142,7 +142,7 @@ class TruthScorer:
 
 def phase_names(road_map: RoadMap) -> list[str]:
     """Returns a name for each phase of the signal: who gets green, such as "east_in, west_in"."""
-    signal = road_map.signal
+    signal = road_map.intersections[0].signal
     names = []
     for green in signal.greens:
         lanes = [link.from_lane for link in signal.links if green[link.index] in "Gg"]

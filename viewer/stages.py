@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from protocol.errors import MessageError
@@ -58,7 +58,7 @@ GROUPS = {
     "wait": ("wait",),
     "ground": ("check", "merge", "ground"),
     "detect": ("detect",),
-    "fuse to signal": ("fuse", "count", "decide", "actuate"),
+    "fuse to signal": ("fuse", "border", "count", "decide", "actuate"),
     "other": ("other",),
 }
 """Stages as they are drawn: in order, those together that are short or belong together."""
@@ -77,8 +77,9 @@ class FrameLatency:
 class Stages:
     """Puts frames' accounts together as the recorder does."""
 
-    def __init__(self, frame_period_ns: int) -> None:
-        self._aggregator = FrameAggregator(frame_period_ns)
+    def __init__(self, frame_period_ns: int, regions: Mapping[str, Sequence[str]]) -> None:
+        """Takes the signals of each region."""
+        self._aggregator = FrameAggregator(frame_period_ns, regions)
         self._clocks: dict[str, tuple[int, int]] = {}
         self._told = -1
 
@@ -95,7 +96,7 @@ class Stages:
             case Metrics():
                 self._aggregator.measured(message)
             case LaneCounts():
-                self._aggregator.note(message.frame).counted(message)
+                self._aggregator.signal_region(message.frame, message.tls).counted(message)
             case ClockReading():
                 self._hear(message)
 
@@ -108,7 +109,7 @@ class Stages:
             note = self._aggregator.get(frame)
             if note is None or note.sim_time_ns is None:
                 continue
-            rows = note.latencies(self._clocks)
+            rows = note.rows(self._clocks).latencies
             if rows:
                 slowest = max(rows, key=lambda row: row.end_to_end_ns)
                 yield _frame_latency(slowest, note.sim_time_ns)

@@ -22,6 +22,7 @@ from protocol.messages.metrics import (
 )
 from protocol.messages.v2x import (
     AgentPose,
+    BorderObjects,
     Detections,
     LaneCounts,
     Objects,
@@ -53,6 +54,7 @@ __all__ = [
     "AgentPose",
     "AgentScore",
     "Arrival",
+    "BorderObjects",
     "ClockReading",
     "Detections",
     "End",

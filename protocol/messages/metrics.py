@@ -38,10 +38,12 @@ class Span(Part):
 class Upload(Part):
     """One chunk as its sender saw it.
 
-    `link_sim_ns` is its time on a virtual link, the queue before it included.
+    It went to the edge of `region`. `link_sim_ns` is its time on a virtual link, the queue before
+    it included.
     """
 
     agent: AgentId
+    region: Id
     chunk: Count
     points: Count
     payload_bytes: Count
@@ -96,6 +98,7 @@ class Metrics(Message):
     `scores` are of agents that are excluded, and of those whose score has changed.
 
     `wire` settles earlier frames: only when the next upload begins has TCP sent all of the last.
+    `border_bytes` are those that an edge sent to its neighbours, once for each.
     """
 
     kind: ClassVar[int] = 13
@@ -108,6 +111,7 @@ class Metrics(Message):
     arrivals: Annotated[list[Arrival], *BOUNDED] = Field([])
     scores: Annotated[list[AgentScore], *BOUNDED] = Field([])
     points: Count = 0
+    border_bytes: Count = 0
     drops: Annotated[dict[Id, Total], *BOUNDED] = Field({})
 
 

@@ -172,6 +172,29 @@ class LaneCounts(Message):
     delay_sim_ns: DelayNs | None = None
 
 
+class BorderObjects(Message):
+    """What a region's edge knows of the strips that it shares with its neighbours.
+
+    Boxes are as in `Detections`, before the owners of the lanes are known; `position_std_m` is as
+    in `AgentPose`, 0 for boxes of LiDARs. `sensors` are the places of the sensors whose data were
+    used, in m in the map frame: what is near none of them is unknown, not empty.
+    """
+
+    kind: ClassVar[int] = 20
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    boxes: Boxes
+    scores: Floats32
+    sources: Texts
+    position_std_m: Floats32
+    sensors: Sites
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        check_lengths(self, "boxes", "scores", "sources", "position_std_m")
+        return self
+
+
 class Plan(Message):
     """What an agent shall send: its part of the scene from `frame` on, until a newer plan comes.
 

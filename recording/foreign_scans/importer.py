@@ -14,10 +14,10 @@ from protocol.codec import encode_cloud
 from protocol.errors import CodecError, ConfigError
 from protocol.geometry import SE3, Floats
 from protocol.inbox import Envelope
-from protocol.instances import agent_instances
+from protocol.instances import vehicle_instances
 from protocol.messages import AgentPose, Equipment, Message, Roster, Scan, Setup, SignalState, Tick
 from protocol.messages.fields import Id
-from protocol.roadmap import Lane, PlanPhase, RoadMap, Signal
+from protocol.roadmap import Intersection, Lane, PlanPhase, RoadMap, Signal
 from protocol.scans import PointCloud
 from protocol.wire import encode
 from recording.foreign_scans.agents import Agent
@@ -63,14 +63,18 @@ def open_ground(ways: Mapping[str, Floats], *, width_m: float) -> RoadMap:
         width_m: of the ground; before and behind a way it goes on for `BEYOND_M`.
     """
     lanes = [_lane(f"{OPEN_GROUND}-{name}", poses, width_m) for name, poses in ways.items()]
-    centre = np.concatenate([poses[:, :3] for poses in ways.values()]).mean(axis=0)
+    x, y, z = np.concatenate([poses[:, :3] for poses in ways.values()]).mean(axis=0).tolist()
     plan = [PlanPhase(duration_s=3600.0, state=_GREEN)]
     return RoadMap(
         name=OPEN_GROUND,
-        centre=(float(centre[0]), float(centre[1]), float(centre[2])),
         lanes=lanes,
-        signal=Signal(tls=OPEN_GROUND, links=[], conflicts=[], plan=plan),
-        junction=[],
+        intersections=[
+            Intersection(
+                signal=Signal(tls=OPEN_GROUND, links=[], conflicts=[], plan=plan),
+                centre=(x, y, z),
+                outline=[],
+            )
+        ],
     )
 
 
@@ -95,7 +99,7 @@ def _beyond(pose: Floats, ahead_m: float) -> Floats:
     return pose[:3] + ahead_m * np.array([np.cos(pose[5]), np.sin(pose[5]), 0.0])
 
 
-PROCESS = agent_instances("vehicle", 1)[0].id
+PROCESS = vehicle_instances(1)[0].id
 STEM = "scans"
 _SIZE_M = {"length_m": 4.5, "width_m": 1.8, "height_m": 1.5}  # a usual car
 _STD_M = 0.05
@@ -198,8 +202,8 @@ class _FrameWriter:
     def __init__(self, imported: ImportedScans, setup: Setup) -> None:
         scenario = setup.scenario
         self._imported = imported
-        self._region: str = scenario["region"]
-        self._tls = setup.road_map.signal.tls
+        self._region = next(iter(scenario["regions"]))
+        self._tls = setup.road_map.intersections[0].tls
         self._upload = UploadConfig.model_validate(scenario["upload"])
         self._times_ns = imported.times_ns(round(scenario["frame_period_s"] * 1e9))
         self._encoded: dict[tuple[str, int], Scan] = {}

@@ -146,7 +146,7 @@ class McapRecorder:
 
 def _facts(setup: Setup, *, truth: bool) -> dict[str, str]:
     scenario = setup.scenario
-    told = {key: str(scenario.get(key, "")) for key in ("name", "mode", "seed", "region")}
+    told = {key: str(scenario.get(key, "")) for key in ("name", "mode", "seed")}
     return told | {
         "cpnet": own_version(),
         "truth": json.dumps(truth),
@@ -170,8 +170,7 @@ def build(context: Context) -> McapRecorder:
     for name in sorted(recorded_topics(truth=truth)):
         topic = TOPICS[name]
         bus = context.world if topic.bus is BusName.WORLD else context.v2x
-        own = {"region": str(scenario["region"])} if "{region}" in topic.template else {}
-        bus.subscribe(name, **own)
+        bus.subscribe(name)
     context.world.watch()
     context.v2x.watch()
     context.announce("mcap")

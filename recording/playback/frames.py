@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from protocol.errors import ConfigError
 from protocol.inbox import Envelope
-from protocol.instances import agent_number
+from protocol.instances import vehicle_number
 from protocol.limits import MAX_FRAMES_AHEAD
 from protocol.messages import (
     AgentPose,
@@ -116,8 +116,7 @@ class RecordingSummary:
                 times.add(message.frame)
             has_truth |= isinstance(message, Truth)
             if isinstance(message, Roster):
-                role, number = agent_number(item.parts.get("process", ""))
-                vehicles = max(vehicles, number + 1) if role == "vehicle" else vehicles
+                vehicles = max(vehicles, vehicle_number(item.parts.get("process", "")) + 1)
         if not times:
             raise ConfigError(
                 f"{recording.path}: holds no frame, neither a tick nor a state of the signal"
@@ -134,11 +133,13 @@ Payload = Scan | Objects
 class AgentFrame:
     """What an agent said: its pose, if it drives; chunks without a gap, or boxes; what it saw.
 
-    `spans` are its own stages, as its process measured them.
+    `regions` are those that it said it to, `parts` go to one of them each, in the order in which
+    they were made. `spans` are its own stages, as its process measured them.
     """
 
     pose: AgentPose | None = None
-    parts: list[Payload] = field(default_factory=list)
+    regions: tuple[str, ...] = ()
+    parts: list[tuple[str, Payload]] = field(default_factory=list)
     sighting: Sighting | None = None
     spans: list[Span] = field(default_factory=list)
 
@@ -150,7 +151,7 @@ class AgentFrame:
     @property
     def sense_start_ns(self) -> int | None:
         """When it began, by its process's clock."""
-        return min((part.sense_start_ns for part in self.parts), default=None)
+        return min((part.sense_start_ns for _, part in self.parts), default=None)
 
 
 def agent_frames(process: str, kind: AgentKind, items: Iterable[Envelope]) -> dict[str, AgentFrame]:
@@ -179,8 +180,9 @@ class _ProcessFrame:
         self._process = process
         self._rosters: list[Roster] = []
         self._poses: dict[str, AgentPose] = {}
-        self._chunks: dict[str, dict[int, Scan]] = {}
-        self._objects: dict[str, Objects] = {}
+        self._regions: dict[str, dict[str, None]] = {}
+        self._chunks: dict[tuple[str, str], dict[int, Scan]] = {}
+        self._objects: dict[tuple[str, str], Objects] = {}
         self._sightings: dict[str, Sighting] = {}
         self._spans: list[Span] = []
 
@@ -189,31 +191,41 @@ class _ProcessFrame:
         message = item.message
         if isinstance(message, Sighting):
             self._sightings.setdefault(message.agent, message)
-        elif item.parts.get("process") != self._process:
             return
-        elif isinstance(message, Roster):
+        if item.parts.get("process") != self._process:
+            return
+        region = item.parts.get("region", "")
+        if isinstance(message, Roster):
             self._rosters.append(message)
-        elif isinstance(message, AgentPose):
+            for agent in message.agents:
+                self._regions.setdefault(agent, {})[region] = None
+        elif isinstance(message, AgentPose | Scan | Objects):
+            self._regions.setdefault(message.agent, {})[region] = None
+        if isinstance(message, AgentPose):
             self._poses.setdefault(message.agent, message)
         elif isinstance(message, Scan):
-            self._chunks.setdefault(message.agent, {}).setdefault(message.chunk, message)
+            chunks = self._chunks.setdefault((message.agent, region), {})
+            chunks.setdefault(message.chunk, message)
         elif isinstance(message, Objects):
-            self._objects.setdefault(message.agent, message)
+            self._objects.setdefault((message.agent, region), message)
         elif isinstance(message, Metrics):
             self._spans += message.spans
 
     @property
     def agents(self) -> list[str]:
-        named = self._rosters[0].agents if self._rosters else []
-        heard = sorted(self._poses.keys() | self._chunks.keys() | self._objects.keys())
-        return list(dict.fromkeys([*named, *heard]))
+        named = [agent for roster in self._rosters for agent in roster.agents]
+        return list(dict.fromkeys([*named, *sorted(self._regions)]))
 
     def recorded(self, agent: str) -> AgentFrame:
-        objects = self._objects.get(agent)
-        scans = _without_gap(self._chunks.get(agent, {}))
-        parts: list[Payload] = [objects] if objects is not None else [*scans]
+        parts: list[tuple[str, Payload]] = []
+        for region in self._regions.get(agent, ()):
+            objects = self._objects.get((agent, region))
+            scans = _without_gap(self._chunks.get((agent, region), {}))
+            parts += [(region, p) for p in ([*scans] if objects is None else [objects])]
+        parts.sort(key=lambda part: made_ns(part[1]))
         spans = [span for span in self._spans if span.agent == agent]
-        return AgentFrame(self._poses.get(agent), parts, self._sightings.get(agent), spans)
+        regions = tuple(self._regions.get(agent, ()))
+        return AgentFrame(self._poses.get(agent), regions, parts, self._sightings.get(agent), spans)
 
 
 def _without_gap(chunks: Mapping[int, Scan]) -> list[Scan]:
@@ -260,7 +272,7 @@ class ReplayedUpload(FrameUpload):
 
     def send(self, chunk: int) -> int:
         """See `FrameUpload.send`."""
-        part = self.recorded.parts[chunk]
+        region, part = self.recorded.parts[chunk]
         if self.pace is not None:
             self.pace.wait(made_ns(part))
         shift_ns = time.monotonic_ns() - made_ns(part)
@@ -269,18 +281,19 @@ class ReplayedUpload(FrameUpload):
                 self.way.span(span.stage, span.start_ns + shift_ns, span.end_ns + shift_ns)
                 for span in _before_encoding(self.recorded)
             ]
-        return self.way.send(self, _moved(part, shift_ns), self._begun_ns(chunk) + shift_ns)
+        begun_ns = self._begun_ns(chunk) + shift_ns
+        return self.way.send(self, _moved(part, shift_ns), region, begun_ns)
 
     def _begun_ns(self, chunk: int) -> int:
         """Returns when it began to be made; as far as is known, right after what came before."""
-        part = self.recorded.parts[chunk]
+        _, part = self.recorded.parts[chunk]
         own = [s for s in self.recorded.spans if s.stage == "encode" and s.end_ns == made_ns(part)]
-        before_ns = part.sense_end_ns if chunk == 0 else made_ns(self.recorded.parts[chunk - 1])
+        before_ns = part.sense_end_ns if chunk == 0 else made_ns(self.recorded.parts[chunk - 1][1])
         return own[0].start_ns if own else before_ns
 
 
 def _before_encoding(recorded: AgentFrame) -> list[Span]:
-    first = recorded.parts[0]
+    _, first = recorded.parts[0]
     sensed = Span(stage="sense", start_ns=first.sense_start_ns, end_ns=first.sense_end_ns)
     return [sensed, *(span for span in recorded.spans if span.stage == "select")]
 

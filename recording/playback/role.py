@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 from protocol.bus import Bus
 from protocol.inbox import Envelope, Presence
-from protocol.messages import Tick
+from protocol.instances import region_of, role_of
+from protocol.messages import AgentPose, Tick
 from protocol.process import Context
 from recording.config import ReplayConfig
 from recording.mcap.reader import McapReader
@@ -37,17 +39,15 @@ class PlayerRole:
 
     def __init__(self, context: Context, frames: RecordedFrames) -> None:
         scenario = context.setup.scenario
-        role = context.id.rpartition("-")[0]
+        role = role_of(context.id)
         self._kind: AgentKind = "roadside" if role == "infra" else "vehicle"
         self._context = context
         self._frames = frames
         self._lockstep = scenario["mode"] == "lockstep"
         self._speed = ReplayConfig.model_validate(scenario["replay"]).speed
         self._period_ns = round(scenario["frame_period_s"] * 1e9)
-        self._station = Station(context, self._kind)
-        self._terms = UplinkContext(
-            self._station.region, context.id, lockstep=self._lockstep, period_ns=self._period_ns
-        )
+        self._station = Station(context, self._kind, region_of(context.id))
+        self._terms = UplinkContext(context.id, lockstep=self._lockstep, period_ns=self._period_ns)
         self._connections = Connections(context.open_v2x, wait=self._lockstep)
         self._shapes_poses = self._station.link.channel(scenario["mode"]) == "emulated"
         self._seen: dict[str, int] = {}
@@ -102,21 +102,27 @@ class PlayerRole:
         admitted = {a for a in here if self._station.admits(self._radios[a], tick)}
         mine = [a for a in here if a in admitted or self._kind == "roadside"]
         scanning = [agent for agent in mine if agent in admitted and here[agent].parts]
-        self._station.publish_roster(tick, mine, scanning)
+        members = {agent: here[agent].regions for agent in mine}
+        self._station.publish_rosters(tick, members, scanning)
         pace = self._pace(published, begun_ns)
         for agent in sorted(admitted, key=mine.index):
             self._say(tick, agent, here[agent], pace)
 
     def _say(self, tick: Tick, agent: str, recorded: AgentFrame, pace: Pace | None) -> None:
         if recorded.pose is not None:
-            passage = self._radios[agent].transmit(tick.sim_time_ns, ENVELOPE_BYTES, is_chunk=False)
-            arrival = {"arrival_sim_ns": passage and passage.arrival_ns}
-            where = {"region": self._station.region, "process": self._context.id, "agent": agent}
-            self._buses[agent].publish("pose", recorded.pose.model_copy(update=arrival), **where)
+            self._say_pose(tick, agent, recorded.pose, recorded.regions)
         if recorded.parts:
+            self._ways[agent].enter(recorded.regions)
             self._ways[agent].submit(ReplayedUpload(tick, self._ways[agent], recorded, pace))
         if recorded.sighting is not None:
             self._station.publish_sighting(recorded.sighting)
+
+    def _say_pose(self, tick: Tick, agent: str, pose: AgentPose, regions: Iterable[str]) -> None:
+        for region in regions:
+            passage = self._radios[agent].transmit(tick.sim_time_ns, ENVELOPE_BYTES, is_chunk=False)
+            arrival = {"arrival_sim_ns": passage and passage.arrival_ns}
+            where = {"region": region, "process": self._context.id, "agent": agent}
+            self._buses[agent].publish("pose", pose.model_copy(update=arrival), **where)
 
     def _pace(self, published: dict[str, AgentFrame], begun_ns: int) -> Pace | None:
         starts = [w.sense_start_ns for w in published.values() if w.sense_start_ns is not None]

@@ -72,7 +72,7 @@ class RecordedWorld:
         """Returns where every vehicle was."""
         return self._bodies
 
-    def set_signal(self, state: str) -> None:
+    def set_signal(self, tls: str, state: str) -> None:
         """Does nothing: what is recorded goes its way."""
 
     def take_trips(self) -> list[Trip]:

@@ -284,7 +284,7 @@ def test_a_flood_of_hostile_requests_shows_nothing_unsafe_and_stops_no_control(s
     command = shell.up(*arguments)
     command.read_until("vehicles")
     with Run(run_dir) as run:
-        road_signal = run.setup.road_map.signal
+        road_signal = run.setup.road_map.intersections[0].signal
     hostile = Hostile(road_signal, np.random.default_rng(3))
     rogue = rogue_on(port)
     newest_ns = [0]

@@ -9,6 +9,7 @@ from edge_server.config import EdgeConfig
 from edge_server.frame import Frame
 from edge_server.pipeline import Pipeline
 from protocol.messages import Scan, Setup
+from protocol.regions import RegionMap
 from protocol.wire import decode
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -30,7 +31,7 @@ def replay() -> list[dict[str, object]]:
     """Returns what the pipeline makes of the recorded scans, frame by frame."""
     setup = decode(SETUP.read_bytes(), Setup)
     config = EdgeConfig.model_validate(setup.scenario["edge"])
-    pipeline = Pipeline.of(setup.road_map, config, seed=setup.scenario["seed"])
+    pipeline = Pipeline.of(RegionMap.whole(setup.road_map), config, seed=setup.scenario["seed"])
     results = []
     for number, scans in groupby(recorded(), key=lambda scan: scan.frame):
         chunks = [pipeline.open(scan, 0) for scan in scans]
@@ -42,8 +43,8 @@ def replay() -> list[dict[str, object]]:
                 "frame": number,
                 "boxes": np.round(result.detections.boxes.astype(float), 2).tolist(),
                 "lanes": result.detections.lanes,
-                "upstream": result.counts.upstream,
-                "downstream": result.counts.downstream,
+                "upstream": result.counts["J"].upstream,
+                "downstream": result.counts["J"].downstream,
             }
         )
     return results

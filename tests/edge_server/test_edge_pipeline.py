@@ -25,15 +25,20 @@ from perception.detector import Vehicles
 from perception.roadway import Placed
 from protocol.codec.payload import Form, Head
 from protocol.messages import AgentPose, Equipment, Objects, Scan
+from protocol.regions import RegionMap
 from protocol.roadmap import RoadMap
 from tests.edge_server.made_frames import CARS, ROADSIDE, frame_of
+
+
+def pipeline_of(road_map: RoadMap, config: EdgeConfig, **given: Any) -> Pipeline:
+    return Pipeline.of(RegionMap.whole(road_map), config, **given)
 
 
 @pytest.mark.parametrize("merge", ["se3", "euler"])
 def test_every_car_on_a_climbing_road_is_found_and_counted(
     climbing_road: RoadMap, car_shell: Callable[..., Any], ground: Callable[..., Any], merge: Any
 ) -> None:
-    pipeline = Pipeline.of(climbing_road, EdgeConfig(merge=merge), seed=1)
+    pipeline = pipeline_of(climbing_road, EdgeConfig(merge=merge), seed=1)
     result = pipeline.run(frame_of(car_shell, ground))
     found = result.detections
     near = np.linalg.norm(
@@ -41,13 +46,17 @@ def test_every_car_on_a_climbing_road_is_found_and_counted(
     )
     assert near.min(axis=1).max() < 0.5
     assert len(found.boxes) == len(CARS) + 1
-    assert result.counts.upstream == {"in_0": 3, "in_1": 3, "side_0": 0}
-    assert result.counts.downstream == {"out_0": 1, "out_1": 1}
+    assert result.counts["j"].upstream == {"in_0": 3, "in_1": 3, "side_0": 0}
+    assert result.counts["j"].downstream == {"out_0": 1, "out_1": 1}
     assert found.sources.count("cav") == 1
     at = found.sources.index("cav")
     assert found.lanes[at] == "in_0"
     assert found.distances_m[at] == pytest.approx(50, abs=0.1)
-    assert (result.counts.sim_time_ns, result.counts.tls, result.counts.complete) == (7, "j", True)
+    assert (
+        result.counts["j"].sim_time_ns,
+        result.counts["j"].tls,
+        result.counts["j"].complete,
+    ) == (7, "j", True)
     stages = [span.stage for span in result.spans if span.stage != "place"]
     assert stages == ["check", "merge", "ground", "detect", "fuse", "count"]
 
@@ -55,8 +64,8 @@ def test_every_car_on_a_climbing_road_is_found_and_counted(
 def test_a_frame_gives_the_same_result_whatever_came_before_it(
     climbing_road: RoadMap, car_shell: Callable[..., Any], ground: Callable[..., Any]
 ) -> None:
-    fresh = Pipeline.of(climbing_road, EdgeConfig(), seed=4)
-    used = Pipeline.of(climbing_road, EdgeConfig(), seed=4)
+    fresh = pipeline_of(climbing_road, EdgeConfig(), seed=4)
+    used = pipeline_of(climbing_road, EdgeConfig(), seed=4)
     used.run(frame_of(car_shell, ground, seed=2, number=1))
     frame = frame_of(car_shell, ground, number=2)
     one, other = fresh.run(frame).detections, used.run(frame).detections
@@ -65,21 +74,21 @@ def test_a_frame_gives_the_same_result_whatever_came_before_it(
 
 
 def test_a_frame_without_agents_counts_nothing(road_map: RoadMap) -> None:
-    result = Pipeline.of(road_map, EdgeConfig(), seed=1).run(Frame(0, 0, [], [], [], True, 0, 0))
-    assert set(result.counts.upstream.values()) == {0}
+    result = pipeline_of(road_map, EdgeConfig(), seed=1).run(Frame(0, 0, [], [], [], True, 0, 0))
+    assert set(result.counts["j"].upstream.values()) == {0}
     assert len(result.detections.boxes) == 0
 
 
 def test_a_frame_to_which_no_lidar_contributed_is_seen_by_nobody(road_map: RoadMap) -> None:
     nothing = Frame(0, 0, [], [], [], True, 0, 0)
-    counts = Pipeline.of(road_map, EdgeConfig(), seed=1).run(nothing).counts
+    counts = pipeline_of(road_map, EdgeConfig(), seed=1).run(nothing).counts["j"]
     assert counts.coverage_upstream.keys() == counts.upstream.keys()
     assert {*counts.coverage_upstream.values(), *counts.coverage_downstream.values()} == {0.0}
 
 
 def test_where_there_are_no_lidars_nothing_is_said_of_sight(road_map: RoadMap) -> None:
     nothing = Frame(0, 0, [], [], [], True, 0, 0)
-    counts = Pipeline.of(road_map, EdgeConfig(), seed=1, has_lidars=False).run(nothing).counts
+    counts = pipeline_of(road_map, EdgeConfig(), seed=1, has_lidars=False).run(nothing).counts["j"]
     assert (counts.coverage_upstream, counts.coverage_downstream) == ({}, {})
 
 
@@ -92,8 +101,8 @@ def test_who_sends_boxes_sees_what_is_around_it_and_nothing_else(road_map, agent
     frame = Frame(0, 0, [agent], [], [], True, 0, 0, found=[AgentDetections(found, 0)])
     far, near = np.array([1000.0, 0, 0]), ROADSIDE[:3]
     for place, sees in ((near, is_known), (far, False)):
-        pipeline = Pipeline.of(road_map, EdgeConfig(), seed=1, mounts={"rsu-0": place})
-        seen = pipeline.run(frame).counts.coverage_upstream
+        pipeline = pipeline_of(road_map, EdgeConfig(), seed=1, mounts={"rsu-0": place})
+        seen = pipeline.run(frame).counts["j"].coverage_upstream
         assert (max(seen.values()) > 0) is sees
 
 
@@ -102,7 +111,7 @@ def test_a_scan_that_cannot_be_read_saw_nothing(road_map: RoadMap) -> None:
     scan = Chunk(0, 0, "rsu-0", 0, 1, ROADSIDE, points, 0)
     for chunk, nobody in ((scan, False), (replace(scan, is_undecodable=True), True)):
         frame = Frame(0, 0, ["rsu-0"], [], [chunk], True, 0, 0)
-        counts = Pipeline.of(road_map, EdgeConfig(), seed=1).run(frame).counts
+        counts = pipeline_of(road_map, EdgeConfig(), seed=1).run(frame).counts["j"]
         assert (max(counts.coverage_upstream.values()) == 0) is nobody
 
 
@@ -122,8 +131,8 @@ def test_the_papers_settings_work_on_a_level_road(
     points = np.concatenate([ground(rng), *cars])
     scan = Chunk(0, 0, "rsu-0", 0, 1, np.zeros(6), points, 0)
     frame = Frame(0, 0, ["rsu-0"], [], [scan], True, 0, 0)
-    result = Pipeline.of(road_map, config, seed=1).run(frame)
-    assert (result.counts.upstream["in_0"], result.counts.downstream["out_0"]) == (2, 1)
+    result = pipeline_of(road_map, config, seed=1).run(frame)
+    assert (result.counts["j"].upstream["in_0"], result.counts["j"].downstream["out_0"]) == (2, 1)
 
 
 def pose_of(agent: str, x: float, y: float, number: int, std_m: float = 0.05) -> AgentPose:
@@ -146,12 +155,12 @@ def frame_of_poses(number: int, *poses: AgentPose) -> Frame:
 
 
 def test_stationary_vehicles_are_queued_and_moving_ones_are_not(road_map: RoadMap) -> None:
-    pipeline = Pipeline.of(road_map, EdgeConfig(), seed=1)
+    pipeline = pipeline_of(road_map, EdgeConfig(), seed=1)
     for number in range(2):
         parked = [pose_of(f"p{n}", -15 - 10 * n, -1.75, number) for n in range(2)]
         moving = pose_of("m", -90 + 10 * number, 1.75, number)
         behind = pose_of("q", 30, -1.75, number)
-        counts = pipeline.run(frame_of_poses(number, moving, *parked, behind)).counts
+        counts = pipeline.run(frame_of_poses(number, moving, *parked, behind)).counts["j"]
         assert counts.upstream == {"in_0": 2, "in_1": 1, "side_0": 0}
         assert counts.stationary_upstream == {"in_0": 2 * number, "in_1": 0, "side_0": 0}
         assert counts.stationary_downstream == {"out_0": number, "out_1": 0}
@@ -162,7 +171,7 @@ def test_a_vehicle_beside_its_lane_counts_as_far_as_its_position_error_reaches(
     road_map: RoadMap, std_m: float, counted: int
 ) -> None:
     off = pose_of("a", -50, 3.5 + 0.5 + 1.0, 0, std_m)  # 1 m beyond the margin of in_1
-    counts = Pipeline.of(road_map, EdgeConfig(), seed=1).run(frame_of_poses(0, off)).counts
+    counts = pipeline_of(road_map, EdgeConfig(), seed=1).run(frame_of_poses(0, off)).counts["j"]
     assert counts.upstream["in_1"] == counted
 
 
@@ -175,19 +184,19 @@ class Track(FrameStage):
         self.known: set[str] = set()
 
     def run(self, state: FrameState) -> None:
-        seen = np.array([source in self.known for source in state.vehicles.sources], bool)
-        self.known = set(state.vehicles.sources)
-        state.vehicles, state.positions = state.vehicles.take(seen), state.positions.take(seen)
+        seen = np.array([source in self.known for source in state.fused.sources], bool)
+        self.known = set(state.fused.sources)
+        state.fused = state.fused.take(seen)
 
 
 def test_a_stage_is_added_by_adding_it_to_the_list(road_map: RoadMap) -> None:
-    stages = stages_of(road_map, EdgeConfig(), seed=1)
+    stages = stages_of(RegionMap.whole(road_map), EdgeConfig(), seed=1)
     pipeline = Pipeline([*stages[:-1], Track(), stages[-1]])
     assert [stage.name for stage in pipeline.stages] == [
         "decode", "place", "check", "merge", "detect", "fuse", "track", "count",
     ]  # fmt: skip
     states = [pipeline.run(frame_of_poses(n, pose_of("a", -50, 1.75, n))) for n in range(2)]
-    assert [state.counts.upstream["in_1"] for state in states] == [0, 1]
+    assert [state.counts["j"].upstream["in_1"] for state in states] == [0, 1]
     assert [span.stage for span in states[1].spans][-3:] == ["fuse", "track", "count"]
 
 
@@ -203,7 +212,7 @@ class Thin(ChunkStage):
 def test_a_stage_of_chunks_runs_as_they_arrive_and_has_a_span(
     climbing_road: RoadMap, car_shell: Callable[..., Any], ground: Callable[..., Any]
 ) -> None:
-    stages = stages_of(climbing_road, EdgeConfig(), seed=1)
+    stages = stages_of(RegionMap.whole(climbing_road), EdgeConfig(), seed=1)
     pipeline = Pipeline([stages[0], Thin(), *stages[1:]])
     frame = frame_of(car_shell, ground)
     chunk = pipeline.prepare(frame.chunks[0])
@@ -215,7 +224,7 @@ def test_a_stage_of_chunks_runs_as_they_arrive_and_has_a_span(
 
 
 def test_a_list_of_stages_out_of_order_or_with_one_twice_is_refused(road_map: RoadMap) -> None:
-    stages = stages_of(road_map, EdgeConfig(), seed=1)
+    stages = stages_of(RegionMap.whole(road_map), EdgeConfig(), seed=1)
     for wrong in ([*stages, stages[0]], [*stages, stages[-1]], [stages[-1], *stages[:-1]]):
         with pytest.raises(ValueError, match="stages of chunks first"):
             Pipeline(wrong)
@@ -226,7 +235,7 @@ def test_a_detector_divides_its_stage_and_one_that_does_not_is_one_span(road_map
         def detect(self, cloud: Any, rng: Any, stage: Any) -> Vehicles:
             return Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
 
-    pipeline = Pipeline.of(road_map, EdgeConfig(), seed=1, detector=lambda *_: Silent())
+    pipeline = pipeline_of(road_map, EdgeConfig(), seed=1, detector=lambda *_: Silent())
     spans = pipeline.run(frame_of_poses(0)).spans
     assert [span.stage for span in spans] == ["check", "merge", "detect", "fuse", "count"]
     assert all(a.end_ns <= b.start_ns for a, b in pairwise(spans))
@@ -241,7 +250,7 @@ def test_random_numbers_of_detection_depend_on_seed_and_frame_alone(road_map: Ro
             return Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
 
     for seed, number in ((1, 0), (1, 3), (1, 3), (2, 3)):
-        pipeline = Pipeline.of(road_map, EdgeConfig(), seed=seed, detector=lambda *_: Drawing())
+        pipeline = pipeline_of(road_map, EdgeConfig(), seed=seed, detector=lambda *_: Drawing())
         pipeline.run(frame_of_poses(number))
     assert drawn[1] == drawn[2]
     assert len(set(drawn)) == 3
@@ -265,21 +274,21 @@ def objects_of(agent: str, *x_m: float) -> AgentDetections:
 def test_boxes_of_several_agents_are_all_counted(road_map: RoadMap) -> None:
     sent = [objects_of("a", -50.0), objects_of("b", -30.0, 40.0)]
     frame = Frame(0, 0, ["a", "b"], [], [], True, 0, 0, found=sent)
-    result = Pipeline.of(road_map, EdgeConfig(), seed=1).run(frame)
+    result = pipeline_of(road_map, EdgeConfig(), seed=1).run(frame)
     assert result.detections.boxes[:, 0].tolist() == [-30, 40, -50]
     assert result.detections.scores.tolist() == [0.5] * 3
-    assert (result.counts.upstream["in_0"], result.counts.downstream["out_0"]) == (2, 1)
+    assert (result.counts["j"].upstream["in_0"], result.counts["j"].downstream["out_0"]) == (2, 1)
 
 
 def test_a_vehicle_on_the_first_lane_of_the_map_is_on_the_road(road_map: RoadMap) -> None:
     assert road_map.lanes[0].id == "far_0"
     frame = frame_of_poses(0, pose_of("a", -200, 0, 0))
-    result = Pipeline.of(road_map, EdgeConfig(), seed=1).run(frame)
+    result = pipeline_of(road_map, EdgeConfig(), seed=1).run(frame)
     assert result.detections.lanes == ["far_0"]
 
 
 def test_numbers_of_detections_are_sent_in_single_precision(road_map: RoadMap) -> None:
-    found = Pipeline.of(road_map, EdgeConfig(), seed=1).run(frame_of_poses(0)).detections
+    found = pipeline_of(road_map, EdgeConfig(), seed=1).run(frame_of_poses(0)).detections
     assert {found.boxes.dtype, found.scores.dtype, found.distances_m.dtype} == {np.dtype("f4")}
 
 
@@ -287,7 +296,7 @@ def test_counts_carry_the_coverage_of_both_sides_and_the_frames_delay(road_map: 
     pose = pose_of("a", 0, 1.75, 0)
     frame = Frame(0, 0, ["a"], [pose], [], True, 0, 0, found=[objects_of("a")])
     config = EdgeConfig(coverage_range_m=500)
-    counts = Pipeline.of(road_map, config, seed=1).run(replace(frame, delay_sim_ns=30)).counts
+    counts = pipeline_of(road_map, config, seed=1).run(replace(frame, delay_sim_ns=30)).counts["j"]
     assert counts.delay_sim_ns == 30
     assert counts.coverage_upstream == {"in_0": 1, "in_1": 1, "side_0": 1}
     assert counts.coverage_downstream == {"out_0": 1, "out_1": 1}
@@ -295,7 +304,7 @@ def test_counts_carry_the_coverage_of_both_sides_and_the_frames_delay(road_map: 
 
 def test_without_the_misbehaviour_check_it_is_no_stage(road_map: RoadMap) -> None:
     config = EdgeConfig.model_validate({"misbehaviour": {"enabled": False}})
-    names = [stage.name for stage in stages_of(road_map, config, seed=1)]
+    names = [stage.name for stage in stages_of(RegionMap.whole(road_map), config, seed=1)]
     assert names == ["decode", "place", "merge", "detect", "fuse", "count"]
 
 
@@ -303,7 +312,7 @@ def test_the_paper_merge_places_a_whole_frame_and_the_exact_one_each_chunk(
     road_map: RoadMap,
 ) -> None:
     exact, euler = (
-        stages_of(road_map, EdgeConfig.model_validate({"merge": merge}), seed=1)[1]
+        stages_of(RegionMap.whole(road_map), EdgeConfig.model_validate({"merge": merge}), seed=1)[1]
         for merge in ("se3", "euler")
     )
     assert isinstance(exact, ChunkStage)
@@ -311,13 +320,15 @@ def test_the_paper_merge_places_a_whole_frame_and_the_exact_one_each_chunk(
 
 
 def test_the_height_of_a_vehicle_is_no_motion(road_map: RoadMap) -> None:
-    pipeline = Pipeline.of(
-        road_map, EdgeConfig.model_validate({"misbehaviour": {"enabled": False}}), seed=1
+    pipeline = pipeline_of(
+        road_map,
+        EdgeConfig.model_validate({"misbehaviour": {"enabled": False}}),
+        seed=1,
     )
     for number in range(2):
         place = np.array([-30, -1.75, 2.5 * number, 0, 0, 0])
         lifted = pose_of("a", -30, -1.75, number).model_copy(update={"pose": place})
-        counts = pipeline.run(frame_of_poses(number, lifted)).counts
+        counts = pipeline.run(frame_of_poses(number, lifted)).counts["j"]
     assert counts.stationary_upstream["in_0"] == 1
 
 
@@ -342,12 +353,14 @@ def test_a_scan_that_arrives_is_decoded_and_placed(road_map: RoadMap) -> None:
         sense_start_ns=0, sense_end_ns=0, encode_end_ns=0,
         payload=np.frombuffer(Head(Form.TREE, 0, 0.02).seal(), np.uint8),
     )  # fmt: skip
-    chunk = Pipeline.of(road_map, EdgeConfig(), seed=1).open(scan, 99)
+    chunk = pipeline_of(road_map, EdgeConfig(), seed=1).open(scan, 99)
     assert (chunk.frame, chunk.agent, chunk.received_ns, chunk.payload) == (3, "a", 99, None)
     assert chunk.placed is not None
     assert [span.stage for span in chunk.spans] == ["decode", "place"]
 
 
 def test_unless_said_otherwise_a_scenario_has_lidars(road_map: RoadMap) -> None:
-    state = Pipeline(stages_of(road_map, EdgeConfig(), seed=1)).run(frame_of_poses(0))
-    assert state.counts.coverage_upstream == {"in_0": 0.0, "in_1": 0.0, "side_0": 0.0}
+    state = Pipeline(stages_of(RegionMap.whole(road_map), EdgeConfig(), seed=1)).run(
+        frame_of_poses(0)
+    )
+    assert state.counts["j"].coverage_upstream == {"in_0": 0.0, "in_1": 0.0, "side_0": 0.0}

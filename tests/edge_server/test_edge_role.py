@@ -35,11 +35,11 @@ class Rig:
         scenario = {
             "seed": 1,
             "mode": mode,
-            "region": "r0",
+            "regions": {"r0": ["j"]},
             "upload": {"policy": policy},
             "edge": EdgeConfig(**edge).model_dump(mode="json"),
             "processes": {"vehicle": 1},
-            "roadside_mounts": [{"id": "rsu-0"}],
+            "roadside_mounts": [{"id": "rsu-0", "tls": "j"}],
             "traffic": {"cav_rate": 0.05},
         }
         setup = m.Setup(
@@ -57,11 +57,11 @@ class Rig:
             listener.subscribe(topic)
         listener.watch()
         world.bus(self.seen).subscribe("metrics")
-        self.agents = {name: v2x.bus(Inbox()) for name in ("vehicle-0", "infra-0")}
+        self.agents = {name: v2x.bus(Inbox()) for name in ("vehicle-0", "infra-r0")}
         self.radio = v2x.bus(Inbox())
         bus = v2x.bus(self.inbox)
         context = Context(
-            "edge",
+            "edge-r0",
             setup,
             Path(),
             world.bus(self.inbox),
@@ -104,7 +104,7 @@ class Rig:
         self.turn()
 
     def say_rosters(self, frame: int, agents: list[str], posts: list[str]) -> None:
-        for process, names in (("vehicle-0", agents), ("infra-0", posts)):
+        for process, names in (("vehicle-0", agents), ("infra-r0", posts)):
             roster = m.Roster(frame=frame, process=process, agents=names, scanning=names)
             self.radio.publish("roster", roster, region="r0", process=process)
 
@@ -167,7 +167,7 @@ class Rig:
 
 
 def host_of(agent: str) -> str:
-    return "infra-0" if agent == "rsu-0" else "vehicle-0"
+    return "infra-r0" if agent == "rsu-0" else "vehicle-0"
 
 
 def said(heard: list[Envelope | Presence], kind: type[M]) -> list[M]:
@@ -180,10 +180,10 @@ def said(heard: list[Envelope | Presence], kind: type[M]) -> list[M]:
 
 def test_the_edge_shows_itself_once_all_agents_are_there(road_map: RoadMap) -> None:
     rig = Rig(road_map)
-    rig.agents["infra-0"].announce("infra", "infra-0")
-    assert Presence("edge", "edge", alive=True) not in rig.turn()
+    rig.agents["infra-r0"].announce("infra", "infra-r0")
+    assert Presence("edge", "edge-r0", alive=True) not in rig.turn()
     rig.agents["vehicle-0"].announce("vehicle", "vehicle-0")
-    assert Presence("edge", "edge", alive=True) in rig.turn()
+    assert Presence("edge", "edge-r0", alive=True) in rig.turn()
 
 
 def test_a_whole_frame_gives_detections_counts_and_metrics(road_map: RoadMap) -> None:
@@ -283,7 +283,7 @@ def test_nobody_speaks_for_an_agent_of_another_process(road_map: RoadMap) -> Non
     rig.start()
     rig.say_scan(0, "rsu-0", payload=b"SCAN but no scan", process="vehicle-0")
     rig.say_rosters(0, ["cav", "rsu-0"], ["rsu-0"])
-    rig.say_scan(0, "cav", payload=b"SCAN but no scan", process="infra-0")
+    rig.say_scan(0, "cav", payload=b"SCAN but no scan", process="infra-r0")
     rig.say_scan(0, "other", process="vehicle-9")
     rig.say_scan(0, "rsu-0")
     rig.say_scan(0, "cav")
@@ -552,8 +552,8 @@ def test_a_flood_from_one_agent_delays_no_frame_of_the_others(
 def test_a_scenario_says_whether_anybody_sends_what_a_lidar_sees(
     changed: dict[str, Any], expected: bool
 ) -> None:
-    scenario = {"roadside_mounts": [{}], "traffic": {"cav_rate": 0.05}, "upload": {}}
-    assert has_lidars(scenario | changed) is expected
+    scenario = {"roadside_mounts": [{}], "traffic": {"cav_rate": 0.05}, "upload": {}} | changed
+    assert has_lidars(scenario, scenario["roadside_mounts"]) is expected
 
 
 def test_strangers_who_fill_a_frame_do_not_end_the_edge(road_map: RoadMap) -> None:

@@ -14,7 +14,7 @@ from edge_server.fusion import CERTAIN_STD_M, from_poses, fuse
 from perception.detector import Vehicles
 from protocol.messages import AgentPose, Equipment
 
-CENTRE = np.zeros(3)
+CENTRE = np.zeros((1, 3))
 
 
 def boxes(*places: tuple[float, float], yaw: float = 0.0) -> Vehicles:
@@ -41,27 +41,27 @@ def places(found: Vehicles) -> list[tuple[float, float]]:
 
 
 def test_of_two_boxes_the_one_farther_from_the_junction_goes() -> None:
-    found = fuse(boxes((33, 0), (30, 0.3)), [], centre=CENTRE, config=FusionConfig())
+    found = fuse(boxes((33, 0), (30, 0.3)), [], centres=CENTRE, config=FusionConfig())
     assert places(found) == [(30, 0.3)]
 
 
 def test_neighbours_in_the_next_lane_stay_two_but_not_under_the_papers_radius() -> None:
     queue = boxes((30, 0), (30, 3.5), (37, 0), (37, 3.5))
-    assert len(fuse(queue, [], centre=CENTRE, config=FusionConfig())) == 4
-    by_radius = fuse(queue, [], centre=CENTRE, config=FusionConfig(rule="radius"))
+    assert len(fuse(queue, [], centres=CENTRE, config=FusionConfig())) == 4
+    by_radius = fuse(queue, [], centres=CENTRE, config=FusionConfig(rule="radius"))
     assert places(by_radius) == [(30, 0), (37, 0)]
 
 
 def test_along_and_across_turn_with_the_vehicle() -> None:
     pair = boxes((0, 30), (0, 33.5), (3.5, 30), yaw=np.pi / 2)
-    assert places(fuse(pair, [], centre=CENTRE, config=FusionConfig())) == [(0, 30), (3.5, 30)]
+    assert places(fuse(pair, [], centres=CENTRE, config=FusionConfig())) == [(0, 30), (3.5, 30)]
 
 
 def test_an_own_pose_wins_over_boxes_of_the_same_vehicle() -> None:
     found = fuse(
         boxes((29, 0.1), (32, 0), (40, 0)),
         [pose("b", 31, 0), pose("rsu-0", 0, 0, Equipment.NONE)],
-        centre=CENTRE,
+        centres=CENTRE,
         config=FusionConfig(),
     )
     assert found.sources == ["b", "lidar"]
@@ -72,7 +72,7 @@ def test_an_uncertain_pose_stands_for_the_nearest_box_only() -> None:
     found = fuse(
         boxes((30, 0), (30, 3.5)),
         [pose("cv", 31, 1.6, Equipment.CV)],
-        centre=CENTRE,
+        centres=CENTRE,
         config=FusionConfig(),
     )
     assert places(found) == [(31, 1.6), (30, 3.5)]
@@ -80,7 +80,7 @@ def test_an_uncertain_pose_stands_for_the_nearest_box_only() -> None:
 
 def test_poses_are_never_duplicates_of_each_other() -> None:
     both = [pose("a", 30, 0), pose("b", 31, 0)]
-    assert len(fuse(boxes(), both, centre=CENTRE, config=FusionConfig())) == 2
+    assert len(fuse(boxes(), both, centres=CENTRE, config=FusionConfig())) == 2
 
 
 spots = st.lists(
@@ -100,9 +100,9 @@ def test_the_order_of_boxes_and_poses_is_no_matter(
     agents = [pose(f"v{i}", x, y, kinds[i % 2]) for i, (x, y, _) in enumerate(own)]
     shuffled = list(range(len(rows)))
     order.shuffle(shuffled)
-    one = fuse(vehicles, agents, centre=CENTRE, config=FusionConfig())
+    one = fuse(vehicles, agents, centres=CENTRE, config=FusionConfig())
     chosen = np.array(shuffled, np.int64)
-    other = fuse(vehicles.take(chosen), agents[::-1], centre=CENTRE, config=FusionConfig())
+    other = fuse(vehicles.take(chosen), agents[::-1], centres=CENTRE, config=FusionConfig())
     np.testing.assert_array_equal(one.boxes, other.boxes)
     assert one.sources == other.sources
 
@@ -126,14 +126,14 @@ def test_without_poses_there_are_no_boxes_and_their_numbers_are_floats() -> None
 
 
 def test_the_distance_from_the_junction_counts_from_its_centre() -> None:
-    config, centre = FusionConfig(), np.array([100.0, 10.0, 0.0])
-    found = fuse(boxes((69, 10), (72, 10)), [], centre=centre, config=config)
+    config, centre = FusionConfig(), np.array([[100.0, 10.0, 0.0]])
+    found = fuse(boxes((69, 10), (72, 10)), [], centres=centre, config=config)
     assert places(found) == [(72, 10)]
 
 
 def test_equally_near_boxes_are_ordered_by_x_then_by_y() -> None:
     ring = boxes((3, -40), (-40, 3), (40, 3), (-40, -3), (-3, 40))
-    found = fuse(ring, [], centre=CENTRE, config=FusionConfig())
+    found = fuse(ring, [], centres=CENTRE, config=FusionConfig())
     assert places(found) == [(-40, -3), (-40, 3), (-3, 40), (3, -40), (40, 3)]
 
 
@@ -142,11 +142,11 @@ def test_along_is_the_direction_of_a_vehicle_that_stands_at_any_angle(yaw: float
     cos, sin = np.cos(yaw), np.sin(yaw)
     ahead = (30 + 4 * cos, 4 * sin)
     beside = (30 - 3.5 * sin, 3.5 * cos)
-    ahead_only = fuse(boxes((30, 0), ahead, yaw=yaw), [], centre=CENTRE, config=FusionConfig())
+    ahead_only = fuse(boxes((30, 0), ahead, yaw=yaw), [], centres=CENTRE, config=FusionConfig())
     assert places(ahead_only) == [(30, 0)]
     farther = boxes((30, 0), (30 + 5 * cos, 5 * sin), yaw=yaw)
-    assert len(fuse(farther, [], centre=CENTRE, config=FusionConfig())) == 2
-    both = fuse(boxes((30, 0), beside, yaw=yaw), [], centre=CENTRE, config=FusionConfig())
+    assert len(fuse(farther, [], centres=CENTRE, config=FusionConfig())) == 2
+    both = fuse(boxes((30, 0), beside, yaw=yaw), [], centres=CENTRE, config=FusionConfig())
     assert len(both) == 2
 
 
@@ -155,7 +155,7 @@ def test_along_is_the_direction_of_a_vehicle_that_stands_at_any_angle(yaw: float
 def test_boxes_a_vehicles_length_apart_are_two(rule: str, gap_m: float, left: int) -> None:
     config = FusionConfig.model_validate({"rule": rule, "duplicate_m": 4.5})
     pair = boxes((16, 0), (16 + gap_m, 0))
-    assert len(fuse(pair, [], centre=CENTRE, config=config)) == left
+    assert len(fuse(pair, [], centres=CENTRE, config=config)) == left
 
 
 @pytest.mark.parametrize("rule", ["oriented", "radius"])
@@ -165,29 +165,29 @@ def test_an_uncertain_pose_claims_a_box_as_far_as_its_error_reaches(
 ) -> None:
     config = FusionConfig.model_validate({"rule": rule, "duplicate_m": 4.5})
     own = [uncertain("a", 30, 0, 1.5)]
-    found = fuse(boxes((30 + gap_m, 0)), own, centre=CENTRE, config=config)
+    found = fuse(boxes((30 + gap_m, 0)), own, centres=CENTRE, config=config)
     assert found.sources == ["a", *["lidar"] * left]
 
 
 def test_a_pose_at_the_limit_of_certainty_stands_for_every_box_near_it() -> None:
     near = boxes((29, 0), (31, 0.5))
     certain = [uncertain("a", 30, 0, CERTAIN_STD_M)]
-    assert fuse(near, certain, centre=CENTRE, config=FusionConfig()).sources == ["a"]
+    assert fuse(near, certain, centres=CENTRE, config=FusionConfig()).sources == ["a"]
 
 
 def test_two_uncertain_poses_claim_a_box_each_the_nearest_pair_first() -> None:
     own = [uncertain("a", 30, 0, 1.5), uncertain("b", 60, 0, 1.5)]
-    found = fuse(boxes((31, 0), (61, 0), (30.5, 2.6)), own, centre=CENTRE, config=FusionConfig())
+    found = fuse(boxes((31, 0), (61, 0), (30.5, 2.6)), own, centres=CENTRE, config=FusionConfig())
     assert places(found) == [(30, 0), (60, 0), (30.5, 2.6)]
 
 
 def test_a_pose_at_the_limit_of_certainty_has_no_slack() -> None:
     own = [uncertain("a", 30, 0, CERTAIN_STD_M)]
-    found = fuse(boxes((34.7, 0)), own, centre=CENTRE, config=FusionConfig())
+    found = fuse(boxes((34.7, 0)), own, centres=CENTRE, config=FusionConfig())
     assert places(found) == [(30, 0), (34.7, 0)]
 
 
 @pytest.mark.parametrize(("across_m", "left"), [(1.99, 1), (2.0, 2)])
 def test_boxes_side_by_side_are_one_only_below_the_limit(across_m: float, left: int) -> None:
     pair = boxes((16, 0), (16, across_m))
-    assert len(fuse(pair, [], centre=CENTRE, config=FusionConfig(across_m=2.0))) == left
+    assert len(fuse(pair, [], centres=CENTRE, config=FusionConfig(across_m=2.0))) == left

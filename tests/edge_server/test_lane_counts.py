@@ -7,7 +7,7 @@ import pytest
 
 from edge_server.lanes import LaneIndex, LanePositions
 from protocol.roadmap import RoadMap
-from tests.roads import junction_road, lane, signal
+from tests.roads import junction_road, lane, one_junction, signal
 
 
 def locate(
@@ -50,14 +50,16 @@ def test_counts_end_at_the_reach_and_nobody_counts_twice(road_map: RoadMap) -> N
     index = LaneIndex(road_map)
     vehicles = [(-30, -1.75, 0), (-200, 0, 0), (-250, 0, 0), (-50, 1.75, 0), (-90, 1.75, 0)]
     vehicles += [(0, 1.75, 0), (50, -1.75, 0), (150, -1.75, 0), (1.75, -40, np.pi / 2)]
-    before, behind = index.count(locate(index, *vehicles), upstream_m=200.0, downstream_m=100.0)
+    before, behind = index.count(
+        locate(index, *vehicles), "j", upstream_m=200.0, downstream_m=100.0
+    )
     assert before == {"in_0": 2, "in_1": 2, "side_0": 1}
     assert behind == {"out_0": 1, "out_1": 1}
 
 
 def test_no_vehicles_still_name_every_lane(road_map: RoadMap) -> None:
     index = LaneIndex(road_map)
-    before, behind = index.count(locate(index), upstream_m=200.0, downstream_m=100.0)
+    before, behind = index.count(locate(index), "j", upstream_m=200.0, downstream_m=100.0)
     assert before == {"in_0": 0, "in_1": 0, "side_0": 0}
     assert behind == {"out_0": 0, "out_1": 0}
 
@@ -73,7 +75,7 @@ def test_a_net_without_the_lanes_inside_the_junction_counts_too(road_map: RoadMa
     index = LaneIndex(RoadMap.model_validate(parts))
     place = locate(index, (-30, -1.75, 0), (50, -1.75, 0))
     np.testing.assert_allclose(index.distances_m(place), [20, -40])
-    before, behind = index.count(place, upstream_m=200.0, downstream_m=100.0)
+    before, behind = index.count(place, "j", upstream_m=200.0, downstream_m=100.0)
     assert (before["in_0"], behind["out_0"]) == (1, 1)
 
 
@@ -90,16 +92,16 @@ def test_a_vehicle_as_far_away_as_the_limit_counts_and_one_farther_does_not(
 ) -> None:
     index = LaneIndex(road_map)
     place = locate(index, (-110, -1.75, 0), (60, 1.75, 0))  # 100 m before, 70 m behind
-    before, behind = index.count(place, upstream_m=100.0, downstream_m=70.0)
+    before, behind = index.count(place, "j", upstream_m=100.0, downstream_m=70.0)
     assert (before["in_0"], behind["out_1"]) == (1, 1)
-    before, behind = index.count(place, upstream_m=99.9, downstream_m=69.9)
+    before, behind = index.count(place, "j", upstream_m=99.9, downstream_m=69.9)
     assert (before["in_0"], behind["out_1"]) == (0, 0)
 
 
 def test_every_vehicle_behind_the_stop_bar_counts(road_map: RoadMap) -> None:
     index = LaneIndex(road_map)
     place = locate(index, (30, 1.75, 0), (40, 1.75, 0), (50, 1.75, 0))
-    _, behind = index.count(place, upstream_m=200.0, downstream_m=100.0)
+    _, behind = index.count(place, "j", upstream_m=200.0, downstream_m=100.0)
     assert behind == {"out_0": 0, "out_1": 3}
 
 
@@ -111,7 +113,7 @@ def test_distances_are_level_on_a_steep_road() -> None:
 
 
 def test_lanes_inside_the_junction_lead_on_one_by_one_to_the_exit_of_their_link() -> None:
-    road = RoadMap(
+    road = one_junction(
         name="two inner lanes in a row",
         centre=(0, 0, 0),
         lanes=[
@@ -130,7 +132,7 @@ def test_lanes_inside_the_junction_lead_on_one_by_one_to_the_exit_of_their_link(
     place = locate(index, (5, 0, 0), (15, 0, 0), (0, 8, north), (0, 50, north))
     assert index.names(place) == [":a", ":b", ":x", "side"]
     assert index.distances_m(place).tolist() == [-5, -15, -8, -50]
-    _, behind = index.count(place, upstream_m=200.0, downstream_m=100.0)
+    _, behind = index.count(place, "j", upstream_m=200.0, downstream_m=100.0)
     assert behind == {"out": 2, "side": 2}
 
 
@@ -143,7 +145,7 @@ def test_chosen_positions_keep_lane_and_place() -> None:
 
 
 def test_a_road_that_leads_around_into_the_junction_again_belongs_to_its_exit() -> None:
-    road = RoadMap(
+    road = one_junction(
         name="around",
         centre=(0, 0, 0),
         lanes=[
@@ -156,13 +158,13 @@ def test_a_road_that_leads_around_into_the_junction_again_belongs_to_its_exit() 
         junction=[],
     )
     index = LaneIndex(road)
-    assert index.upstream.keys() == {"in", "back"}
-    assert index.downstream.keys() == {":a", "out", "back"}
-    assert index.downstream["back"].start_m == -60
+    assert index.approaches["j"].upstream.keys() == {"in", "back"}
+    assert index.approaches["j"].downstream.keys() == {":a", "out", "back"}
+    assert index.approaches["j"].downstream["back"].start_m == -60
 
 
 def test_lengths_are_level_where_a_lane_climbs_in_part() -> None:
-    road = RoadMap(
+    road = one_junction(
         name="climb",
         centre=(0, 0, 0),
         lanes=[

@@ -5,9 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_server.lanes import LaneCoverage, LaneIndex
+from edge_server.lanes import LaneCoverage
+from protocol.approaches import Approaches
 from protocol.roadmap import RoadMap
-from tests.roads import lane, signal, straight_road
+from tests.roads import lane, one_junction, signal, straight_road
+
+
+def around(road: RoadMap) -> Approaches:
+    return Approaches(road, road.intersections[0])
+
 
 NOBODY = np.zeros((0, 2))
 
@@ -15,7 +21,7 @@ NOBODY = np.zeros((0, 2))
 @pytest.fixture
 def sight() -> LaneCoverage:
     road = straight_road()
-    return LaneCoverage(road, LaneIndex(road), upstream_m=100, downstream_m=100)
+    return LaneCoverage(road, around(road), upstream_m=100, downstream_m=100)
 
 
 def test_a_sensor_at_the_stop_bar_sees_as_far_as_it_is_trusted(sight):
@@ -53,7 +59,7 @@ def test_the_share_is_that_of_places_every_4_m_whose_distance_is_within_range(si
 
 def test_shares_have_three_digits_and_a_lane_without_a_place_has_none():
     road = straight_road()
-    lanes = LaneIndex(road)
+    lanes = around(road)
     short = LaneCoverage(road, lanes, upstream_m=12, downstream_m=100)
     assert short.shares(np.array([[-9.0, 0.0]]), 1.0)[0] == {"in": 0.333}
     none = LaneCoverage(road, lanes, upstream_m=0.5, downstream_m=100)
@@ -62,11 +68,11 @@ def test_shares_have_three_digits_and_a_lane_without_a_place_has_none():
 
 def test_places_follow_a_lane_around_a_bend_and_sensors_see_their_own_side():
     bent = lane("in", [(-60, 48, 0), (-60, 0, 0), (0, 0, 0)], "out", length_m=108)
-    road = RoadMap(
+    road = one_junction(
         name="bent", centre=(0, 0, 0), lanes=[bent, lane("out", [(0, 0, 0), (100, 0, 0)])],
         signal=signal("j", ("in", "out")), junction=[],
     )  # fmt: skip
-    around = LaneCoverage(road, LaneIndex(road), upstream_m=108, downstream_m=100)
-    assert around.shares(np.array([[-60.0, 48.0]]), 24.0)[0] == {"in": 0.222}  # 6 of 27
-    assert around.shares(np.array([[-60.0, -48.0]]), 24.0)[0] == {"in": 0.0}
-    assert around.shares(np.array([[0.0, 0.0]]), 24.0)[0] == {"in": 0.222}
+    seen = LaneCoverage(road, around(road), upstream_m=108, downstream_m=100)
+    assert seen.shares(np.array([[-60.0, 48.0]]), 24.0)[0] == {"in": 0.222}  # 6 of 27
+    assert seen.shares(np.array([[-60.0, -48.0]]), 24.0)[0] == {"in": 0.0}
+    assert seen.shares(np.array([[0.0, 0.0]]), 24.0)[0] == {"in": 0.222}

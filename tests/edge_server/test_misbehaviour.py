@@ -17,6 +17,7 @@ from perception.arrays import Floats
 from perception.roadway import Roadway
 from protocol.geometry import SE3
 from protocol.messages import AgentPose, Equipment, Objects
+from protocol.regions import RegionMap
 from protocol.roadmap import RoadMap
 
 RSU, RSU_POSE = "rsu-0", np.array([0, 0, 3.0, 0, 0, 0.7])
@@ -239,7 +240,7 @@ def test_what_is_remembered_is_bounded(scene: Scene):
 def test_boxes_of_an_excluded_agent_do_not_count(road_map: RoadMap):
     boxes = np.array([[-30, -1.75, 0.75, 4.5, 1.8, 1.5, 0]], np.float32)
     counts = []
-    pipeline = Pipeline.of(road_map, EdgeConfig(), seed=1)
+    pipeline = Pipeline.of(RegionMap.whole(road_map), EdgeConfig(), seed=1)
     for number in range(10):
         off_m = 0.0 if number == 0 else 60.0 * (number % 2)
         pose = pose_of(number, "a", np.array([-60.0 - off_m, -1.75, 0, 0, 0, 0]))
@@ -254,17 +255,17 @@ def test_boxes_of_an_excluded_agent_do_not_count(road_map: RoadMap):
             detect_end_ns=0,
         )
         frame = replace(frame_of(number, [pose], []), found=[AgentDetections(said, 0)])
-        counts.append(pipeline.run(frame).counts.upstream["in_0"])
+        counts.append(pipeline.run(frame).counts["j"].upstream["in_0"])
     assert (counts[0], counts[-1]) == (2, 0)
 
 
 def test_the_check_can_be_turned_off(road_map: RoadMap):
     config = EdgeConfig(misbehaviour=MisbehaviourConfig(enabled=False))
-    pipeline = Pipeline.of(road_map, config, seed=1)
+    pipeline = Pipeline.of(RegionMap.whole(road_map), config, seed=1)
     for number in range(10):
         pose = pose_of(number, "a", np.array([-60.0 * (number % 2), -1.75, 0, 0, 0, 0]))
         result = pipeline.run(frame_of(number, [pose], []))
-    assert (result.counts.agents, result.scores) == (["a"], [])
+    assert (result.counts["j"].agents, result.scores) == (["a"], [])
 
 
 def test_of_many_low_scores_some_are_published_in_each_frame(scene: Scene):

@@ -48,7 +48,7 @@ from sim_host.presence import Fleet, Readiness
 from tests.roads import no_road
 
 LONG = "x" * 120  # of an agent's id
-KEY = "cpnet/v2/r0/roster/p"
+KEY = "cpnet/v3/r0/roster/p"
 
 
 class Growth:

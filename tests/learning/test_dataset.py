@@ -122,7 +122,7 @@ def test_the_road_map_is_the_networks(dataset):
         for network in dataset.networks(split):
             road_map = dataset.road_map(network)
             assert road_map.name == network
-            assert road_map.signal.greens
+            assert road_map.intersections[0].signal.greens
 
 
 def broken(folder: Path, tmp_path: Path, name: str, text: str | None) -> Path:

@@ -61,12 +61,12 @@ def test_a_pose_error_of_none_is_none() -> None:
 def test_a_net_of_the_users_is_seen_alone_and_in_a_scenario(tmp_path: Path) -> None:
     net = write_net(tmp_path)
     road_map, samples = samples_on(net, "J", 1, seed=1)
-    assert road_map.signal.tls == "J"
+    assert road_map.intersections[0].signal.tls == "J"
     assert len(samples) == 1
     assert len(samples[0].scans) >= 2
     own = scanner_of(scenario(traffic__net=str(net), traffic__tls="J"), 1)
     (sample,) = samples_of(own)
-    assert own.road_map.signal == road_map.signal
+    assert own.road_map.intersections[0].signal == road_map.intersections[0].signal
     assert sample.scans[0].agent == "rsu-0"
 
 

@@ -6,11 +6,10 @@ import pytest
 import zenoh
 
 from protocol.access import Members, access_control, members_of
+from protocol.instances import region_of
 from protocol.topics import ALIVE, PRESENCE_WATCHERS, QUERIED, TOPICS, BusName
 
-MEMBERS = members_of(
-    {"processes": {"vehicle": 2}, "roadside_mounts": [{"id": "rsu-0"}], "region": "r0"}
-)
+MEMBERS = members_of({"regions": {"r0": ["J"], "r1": ["K"]}})
 EVERYBODY = sorted(
     (name, role)
     for name, role in MEMBERS.roles.items()
@@ -60,7 +59,14 @@ def test_each_may_say_and_hear_what_the_table_says_and_say_it_under_its_own_id(
     for author, _ in EVERYBODY:
         key = topic.key(process=author, **PARTS)
         own = "{process}" not in topic.template or author == process_id
-        want = {"say": role in topic.publishers and own, "hear": role in topic.subscribers}
+        # that of another region: its edge, its signals; neighbours alone hear what an edge tells
+        foreign = region_of(process_id) not in ("", "r0") and "{" in topic.template
+        says = own and not (foreign and {"{region}", "{tls}"} & {*topic.template.split("/")})
+        hears = not (foreign and "{region}" in topic.template and name != "border")
+        want = {
+            "say": role in topic.publishers and says,
+            "hear": role in topic.subscribers and hears,
+        }
         for verb, flows in (ASKS if name in QUERIED else SENDS).items():
             for flow, message in flows:
                 assert may(topic.bus, process_id, flow, message, key) == want[verb], (flow, message)
@@ -100,7 +106,7 @@ def test_nobody_asks_for_everything():
     for bus in BusName:
         for process_id, _ in EVERYBODY:
             for message in ("declare_subscriber", "query", "liveliness_query", "put", "delete"):
-                for key in ("cpnet/v2/**", "**", "@/**"):
+                for key in ("cpnet/v3/**", "**", "@/**"):
                     assert not may(bus, process_id, "ingress", message, key)
 
 

@@ -51,7 +51,7 @@ def test_a_scan_crosses_tcp_and_its_bytes_are_counted(router, client, edge_inbox
     router.subscribe("scan", region="r0")
     big = SCAN.model_copy(update={"payload": np.arange(300_000, dtype=np.uint8)})
     before = client.wire_bytes()
-    size = client.publish("scan", big, region="r0", process="infra-0", agent="rsu-0", chunk="0")
+    size = client.publish("scan", big, region="r0", process="infra-r0", agent="rsu-0", chunk="0")
     item = edge_inbox.get(WAIT_S)
     assert isinstance(item, Envelope)
     assert np.array_equal(item.message.payload, big.payload)
@@ -76,9 +76,9 @@ def test_who_speaks_to_all_at_once_is_heard_by_nobody(router, locator, client, e
         buses._config(BusName.V2X, Endpoint(locator, listen=False), 10_000, buses.NOBODY)
     ) as hostile:
         tokens = [hostile.liveliness().declare_token(key) for key in ("**", f"{ALIVE}/**")]
-        for key in ("**", "cpnet/v2/**", "cpnet/v2/r0/*/*/*", "cpnet/v2/r0/roster/*"):
+        for key in ("**", "cpnet/v3/**", "cpnet/v3/r0/*/*/*", "cpnet/v3/r0/roster/*"):
             hostile.put(key, encode(roster))
-        hostile.put("cpnet/v2/r0/roster/p", encode(roster))
+        hostile.put("cpnet/v3/r0/roster/p", encode(roster))
         came: list[Envelope | Presence] = []
         until_s = time.monotonic() + WAIT_S
         while not (came and edge_inbox.drops["MessageError"] >= 7) and time.monotonic() < until_s:

@@ -20,7 +20,7 @@ from tests.waiting import PATIENCE_S
 
 WAIT_S = PATIENCE_S
 TIMEOUT_MS = 1500
-MEMBERS = members_of({"processes": {"vehicle": 2}, "roadside_mounts": [0], "region": "r0"})
+MEMBERS = members_of({"regions": {"r0": ["J"], "r1": ["K"]}})
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def edge_inbox() -> Inbox:
 
 @pytest.fixture
 def router(folder: Path, place: str, edge_inbox: Inbox) -> Iterator[ZenohBus]:
-    endpoint = Endpoint(f"tls/{place}", listen=True, keys=Keys.of(folder, "edge"))
+    endpoint = Endpoint(f"tls/{place}", listen=True, keys=Keys.of(folder, "router"))
     bus = open_bus(BusName.V2X, endpoint, edge_inbox, members=MEMBERS)
     yield bus
     bus.close()
@@ -55,12 +55,12 @@ def guest(folder: Path, place: str, process_id: str) -> ZenohBus:
 
 def test_a_scan_crosses_tls_and_its_bytes_are_counted(router, folder, place, edge_inbox):
     router.subscribe("scan", region="r0")
-    client = guest(folder, place, "infra-0")
+    client = guest(folder, place, "infra-r0")
     big = SCAN.model_copy(update={"payload": np.arange(300_000, dtype=np.uint8)})
     crossed = []
     for _ in range(3):
         before = client.wire_bytes()
-        size = client.publish("scan", big, region="r0", process="infra-0", agent="rsu-0", chunk="0")
+        size = client.publish("scan", big, region="r0", process="infra-r0", agent="rsu-0", chunk="0")
         item = edge_inbox.get(WAIT_S)
         assert isinstance(item, Envelope)
         assert np.array_equal(item.message.payload, big.payload)
@@ -71,7 +71,7 @@ def test_a_scan_crosses_tls_and_its_bytes_are_counted(router, folder, place, edg
 
 
 def test_a_socket_of_tls_can_hold_a_whole_scan(router, folder, place):
-    client = guest(folder, place, "infra-0")
+    client = guest(folder, place, "infra-r0")
     found = _socket_at(int((client._locator() or "").rsplit(":", 1)[1]))
     cap = int(Path("/proc/sys/net/core/wmem_max").read_text())
     assert found is not None
@@ -117,14 +117,14 @@ def test_an_agents_certificate_does_not_pass_for_the_edges(folder, place):
     false = Endpoint(f"tls/{place}", listen=True, keys=Keys.of(folder, "vehicle-0"))
     bus = open_bus(BusName.V2X, false, Inbox(), members=MEMBERS)
     with pytest.raises(BusError, match="with a certificate of the same authority"):
-        guest(folder, place, "infra-0")
+        guest(folder, place, "infra-r0")
     bus.close()
 
 
 def test_the_edges_certificate_holds_for_the_names_in_it_alone(folder, place):
     elsewhere = place.replace("127.0.0.1", "127.0.0.2")
-    endpoint = Endpoint(f"tls/{elsewhere}", listen=True, keys=Keys.of(folder, "edge"))
+    endpoint = Endpoint(f"tls/{elsewhere}", listen=True, keys=Keys.of(folder, "router"))
     bus = open_bus(BusName.V2X, endpoint, Inbox(), members=MEMBERS)
     with pytest.raises(BusError, match="that names 127.0.0.2"):
-        guest(folder, elsewhere, "infra-0")
+        guest(folder, elsewhere, "infra-r0")
     bus.close()

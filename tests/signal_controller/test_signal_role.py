@@ -23,7 +23,7 @@ class Rig:
     def __init__(
         self, mode: str = "lockstep", policy: str = "max_pressure", **keys: object
     ) -> None:
-        scenario = {"mode": mode, "region": "r0", "signal": {"policy": policy, **keys}}
+        scenario = {"mode": mode, "regions": {"r0": ["j"]}, "signal": {"policy": policy, **keys}}
         scenario["edge"] = {"upstream_m": 200}
         setup = m.Setup(
             scenario=scenario,
@@ -42,10 +42,10 @@ class Rig:
         bus = v2x.bus(self.inbox)
         own_world = world.bus(self.inbox)
         context = Context(
-            "signal", setup, Path(), own_world, bus, self.inbox, threading.Event(), lambda: bus
+            "signal-r0", setup, Path(), own_world, bus, self.inbox, threading.Event(), lambda: bus
         )
         self.role = SignalRole.build(context)
-        assert self.seen.get() == Presence("signal", "signal", alive=True)
+        assert self.seen.get() == Presence("signal", "signal-r0", alive=True)
 
     def say_counts(
         self, frame: int, main: int, side: int, age_ns: int = 0, seen: float | None = None
@@ -100,7 +100,7 @@ def test_each_frames_counts_get_one_request_and_metrics() -> None:
     assert requests(heard) == [(4, 4 * 10**8, "rG", "max_pressure")]
     (metrics,) = [message for message in heard if isinstance(message, m.Metrics)]
     assert [span.stage for span in metrics.spans] == ["decide"]
-    assert (metrics.process, metrics.frame, metrics.drops) == ("signal", 4, {})
+    assert (metrics.process, metrics.frame, metrics.drops) == ("signal-r0", 4, {})
     assert rig.turn() == []
 
 

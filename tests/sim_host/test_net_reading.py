@@ -62,7 +62,7 @@ def write(tmp_path: Path, green: str = "rG", net: list[str] | None = None) -> Pa
 
 
 def test_links_conflicts_and_plan_are_read_by_link_number(tmp_path: Path) -> None:
-    signal = road_map(read_net(write(tmp_path)), "T").signal
+    signal = road_map(read_net(write(tmp_path)), ["T"]).intersections[0].signal
     assert [(link.index, link.from_lane, link.to_lane) for link in signal.links] == [
         (0, "s_0", "n_0"),
         (1, "w_0", "e_0"),
@@ -73,19 +73,19 @@ def test_links_conflicts_and_plan_are_read_by_link_number(tmp_path: Path) -> Non
 
 
 def test_who_must_yield_gets_the_lesser_green(tmp_path: Path) -> None:
-    signal = road_map(read_net(write(tmp_path, green="GG")), None).signal
+    signal = road_map(read_net(write(tmp_path, green="GG")), None).intersections[0].signal
     assert signal.plan[0].state == "gG"  # link 0, from the south, responds to the other
 
 
 def test_old_and_rare_letters_become_plain_ones(tmp_path: Path) -> None:
-    signal = road_map(read_net(write(tmp_path, green="sO")), None).signal
+    signal = road_map(read_net(write(tmp_path, green="sO")), None).intersections[0].signal
     assert signal.plan[0].state == "rg"
 
 
 def test_lanes_lead_through_the_junction_and_far_or_foreign_ones_are_left_out(
     tmp_path: Path,
 ) -> None:
-    roads = road_map(read_net(write(tmp_path)), "T")
+    roads = road_map(read_net(write(tmp_path)), ["T"])
     after = {lane.id: lane.successors for lane in roads.lanes}
     assert after == {
         ":J_0_0": ["e_0"],
@@ -97,14 +97,14 @@ def test_lanes_lead_through_the_junction_and_far_or_foreign_ones_are_left_out(
         "w_0": [":J_0_0"],
     }
     assert roads.by_id["n_0"].centreline == [(0, 10, 0), (0, 120, 3.5)]
-    assert roads.junction == [(-5, -5), (5, -5), (5, 5)]
+    assert roads.intersections[0].outline == [(-5, -5), (5, -5), (5, 5)]
 
 
 def test_a_gzipped_net_is_read_too(tmp_path: Path) -> None:
     plain = write(tmp_path)
     packed = tmp_path / "cross.net.xml.gz"
     packed.write_bytes(gzip.compress(plain.read_bytes()))
-    assert road_map(read_net(packed), "T") == road_map(read_net(plain), "T")
+    assert road_map(read_net(packed), ["T"]) == road_map(read_net(plain), ["T"])
 
 
 JOINED = [
@@ -126,15 +126,19 @@ JOINED = [
 
 
 def test_one_signal_may_stand_at_several_junctions(tmp_path: Path) -> None:
-    roads = road_map(read_net(write(tmp_path, net=JOINED)), "T")
-    assert roads.signal.conflicts == [(1, 2)]
+    roads = road_map(read_net(write(tmp_path, net=JOINED)), ["T"])
+    assert roads.intersections[0].signal.conflicts == [(1, 2)]
     assert roads.centre == (25, 0, 0)
-    assert set(roads.junction) == {(-9, -9), (59, -9), (59, 9), (-9, 9)}
+    assert set(roads.intersections[0].outline) == {(-9, -9), (59, -9), (59, 9), (-9, 9)}
 
 
 def test_demand_goes_over_the_signal_and_on_as_far_as_asked(tmp_path: Path) -> None:
     net = read_net(write(tmp_path, net=JOINED))
-    flows = movements(net, road_map(net, "T").signal, TrafficConfig(demand_vph_per_lane={"d": 90}))
+    flows = movements(
+        net,
+        road_map(net, ["T"]).intersections[0].signal,
+        TrafficConfig(demand_vph_per_lane={"d": 90}),
+    )
     assert [(f.from_edge, f.to_edge, f.route, f.vph) for f in flows] == [
         ("a", "b", ["a", "b"], 500),
         ("b", "c", ["b", "c"], 500),
@@ -146,7 +150,7 @@ def test_demand_for_an_edge_elsewhere_is_refused_with_those_allowed(tmp_path: Pa
     net = read_net(write(tmp_path))
     config = TrafficConfig(demand_vph_per_lane={"nowhere": 100})
     with pytest.raises(ConfigError, match=r"'nowhere'.*allowed: s, w"):
-        movements(net, road_map(net, "T").signal, config)
+        movements(net, road_map(net, ["T"]).intersections[0].signal, config)
 
 
 @pytest.mark.parametrize(
@@ -162,7 +166,7 @@ def test_a_file_that_is_no_net_is_a_configuration_error(
     tmp_path: Path, body: str, says: str
 ) -> None:
     with pytest.raises(ConfigError, match=says):
-        road_map(read_net(write(tmp_path, net=[body])), "T")
+        road_map(read_net(write(tmp_path, net=[body])), ["T"])
 
 
 def test_a_missing_net_and_another_kind_of_file_are_named(tmp_path: Path) -> None:
@@ -184,7 +188,7 @@ def test_a_signal_that_the_net_lacks_is_refused_with_those_it_has(tmp_path: Path
 )
 def test_an_unfit_plan_is_a_configuration_error(tmp_path: Path, green: str, says: str) -> None:
     with pytest.raises(ConfigError, match=says):
-        road_map(read_net(write(tmp_path, green=green)), "T")
+        road_map(read_net(write(tmp_path, green=green)), ["T"])
 
 
 @pytest.mark.parametrize(
@@ -218,4 +222,9 @@ def test_edges_of_names_too_long_for_a_vehicle_are_refused(tmp_path: Path) -> No
     path = write(tmp_path, net=[part.replace('"w', '"' + "w" * 120) for part in CROSS])
     net = read_net(path)
     with pytest.raises(ConfigError, match="limit 118; rename the edges"):
-        write_demand(tmp_path / "demand.rou.xml", net, road_map(net, "T").signal, TrafficConfig())
+        write_demand(
+            tmp_path / "demand.rou.xml",
+            net,
+            road_map(net, ["T"]).intersections[0].signal,
+            TrafficConfig(),
+        )

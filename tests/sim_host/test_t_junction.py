@@ -26,7 +26,7 @@ def test_lanes_and_lengths_are_those_of_the_paper(roads: RoadMap) -> None:
 
 
 def test_the_side_road_turns_left_into_all_lanes_and_right_into_one(roads: RoadMap) -> None:
-    links = [(link.from_lane, link.to_lane) for link in roads.signal.links]
+    links = [(link.from_lane, link.to_lane) for link in roads.intersections[0].signal.links]
     assert links[:5] == [
         ("north_in_0", "west_out_0"),
         *(("north_in_1", f"east_out_{i}") for i in range(4)),
@@ -36,18 +36,18 @@ def test_the_side_road_turns_left_into_all_lanes_and_right_into_one(roads: RoadM
 
 
 def test_two_phases_main_and_side(roads: RoadMap) -> None:
-    assert roads.signal.greens == ["rrrrrGGGGGGGG", "GGGGGrrrrrrrr"]
+    assert roads.intersections[0].signal.greens == ["rrrrrGGGGGGGG", "GGGGGrrrrrrrr"]
 
 
 def test_conflicts_are_those_of_the_two_roads(roads: RoadMap) -> None:
     # The right turn meets the lanes from the east alone; the left turns meet both directions.
-    assert set(roads.signal.conflicts) == {(0, m) for m in range(5, 9)} | {
+    assert set(roads.intersections[0].signal.conflicts) == {(0, m) for m in range(5, 9)} | {
         (s, m) for s in range(1, 5) for m in range(5, 13)
     }
 
 
 def test_lanes_follow_one_another_through_the_junction(roads: RoadMap) -> None:
-    for link in roads.signal.links:
+    for link in roads.intersections[0].signal.links:
         inside = roads.by_id[link.from_lane].successors
         assert all(roads.by_id[lane].internal for lane in inside)
         assert [link.to_lane] in [roads.by_id[lane].successors for lane in inside]
@@ -55,7 +55,7 @@ def test_lanes_follow_one_another_through_the_junction(roads: RoadMap) -> None:
 
 def test_the_centre_is_the_origin_and_lies_inside_the_outline(roads: RoadMap) -> None:
     assert roads.centre == (0, 0, 0)
-    xs, ys = zip(*roads.junction, strict=True)
+    xs, ys = zip(*roads.intersections[0].outline, strict=True)
     assert min(xs) < 0 < max(xs)
     assert min(ys) < 0 < max(ys)
 

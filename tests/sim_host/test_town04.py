@@ -22,21 +22,21 @@ def net() -> Net:
 
 @pytest.fixture(scope="module")
 def roads(net: Net) -> RoadMap:
-    return road_map(net, "1368")
+    return road_map(net, ["1368"])
 
 
 def test_signal_1368_is_read_as_the_paper_describes_it(roads: RoadMap) -> None:
     assert roads.centre[:2] == (117.92, 412.14)
-    assert roads.signal.greens == ["rrrrrGGGGGGGG", "GGGGGrrrrrrrr"]
-    assert len(roads.signal.links) == 13
+    assert roads.intersections[0].signal.greens == ["rrrrrGGGGGGGG", "GGGGGrrrrrrrr"]
+    assert len(roads.intersections[0].signal.links) == 13
     assert roads.by_id["-40_0"].length_m == 237.10
-    assert set(roads.signal.conflicts) == {(0, m) for m in range(5, 9)} | {
+    assert set(roads.intersections[0].signal.conflicts) == {(0, m) for m in range(5, 9)} | {
         (s, m) for s in range(1, 5) for m in range(5, 13)
     }
 
 
 def test_short_approaches_are_extended_upstream(net: Net, roads: RoadMap) -> None:
-    flows = {f.from_edge: f for f in movements(net, roads.signal, TrafficConfig())}
+    flows = {f.from_edge: f for f in movements(net, roads.intersections[0].signal, TrafficConfig())}
     assert flows["-40"].route == ["-40", "-41"]
     assert flows["41"].route[-2:] == ["41", "40"]
     assert len(flows["41"].route) == 3  # 193 m alone are less than 200
@@ -44,11 +44,11 @@ def test_short_approaches_are_extended_upstream(net: Net, roads: RoadMap) -> Non
 
 def test_every_signal_of_the_town_can_be_read(net: Net) -> None:
     for tls in sorted(net.programs):
-        roads = road_map(net, tls)
-        assert roads.signal.greens
-        assert roads.signal.conflicts
+        roads = road_map(net, [tls])
+        assert roads.intersections[0].signal.greens
+        assert roads.intersections[0].signal.conflicts
 
 
 def test_an_unknown_signal_is_refused_with_some_of_the_known(net: Net) -> None:
     with pytest.raises(ConfigError, match="1008, 1103"):
-        road_map(net, "1")
+        road_map(net, ["1"])

@@ -106,7 +106,7 @@ def user_files(run_dir: Path, folder: Path, vehicles: str) -> dict[str, object]:
 def test_a_users_own_sumocfg_runs_with_its_types(
     setup: Setup, run_dir: Path, tmp_path: Path, flat: Ground
 ) -> None:
-    assert setup.road_map.signal.tls == "J"
+    assert setup.road_map.intersections[0].signal.tls == "J"
     vehicles = """
         <vType id="line5" vClass="bus"/><vType id="bike" vClass="bicycle"/>
         <vehicle id="b/1" type="line5" depart="100"><route edges="west_in east_out"/></vehicle>
@@ -130,7 +130,7 @@ def test_a_users_own_sumocfg_runs_with_its_types(
 def test_a_demand_that_sumo_refuses_is_a_configuration_error(
     setup: Setup, run_dir: Path, tmp_path: Path, flat: Ground
 ) -> None:
-    assert setup.road_map.signal.tls == "J"
+    assert setup.road_map.intersections[0].signal.tls == "J"
     vehicles = '<vehicle id="a" depart="100"><route edges="west_in nowhere"/></vehicle>'
     own = build_setup(user_files(run_dir, tmp_path, vehicles), tmp_path / "run")
     world = World(own, tmp_path / "run", flat)

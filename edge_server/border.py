@@ -1,0 +1,171 @@
+"""Border strips: what neighbouring regions tell each other of the lanes that both of them know.
+
+Each edge publishes the vehicles that it found on these lanes, and where its sensors stand. Both
+sides of a border join the same vehicles in the same order, so that they come to one result: which
+of them publishes and counts a vehicle is then decided by its lane.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+import numpy as np
+
+from edge_server.config import FusionConfig
+from edge_server.frame import FrameState
+from edge_server.fusion import join
+from perception.arrays import Bools, Floats
+from perception.detector import Vehicles
+from perception.roadway import Roadway
+from protocol.messages import BorderObjects, Span
+from protocol.regions import RegionMap, shared_lanes
+from protocol.roadmap import RoadMap
+
+BORDER = "border"
+STRIP_M = 10.0
+"""A strip reaches so far beyond the lanes that two regions share: farther than a box is off."""
+SENSORS_M = 120.0
+"""Sensors so near a strip are told of: farther than a LiDAR detects vehicles reliably."""
+MAX_KEPT_FRAMES = 8
+"""Of a neighbour; limits what others may send."""
+
+
+class BorderStrips:
+    """The strips between a region and its neighbours, by the neighbour's id."""
+
+    def __init__(self, own: RegionMap, regions: Mapping[str, RegionMap]) -> None:
+        shared = {n: shared_lanes(own, one) for n, one in regions.items() if n != own.id}
+        lanes = {n: strip for n, strip in shared.items() if strip is not None}
+        self._strips = {n: Roadway.of(strip, margin_m=STRIP_M) for n, strip in lanes.items()}
+        self._boxes = [_box(strip) for strip in lanes.values()]
+        self._centres = own.centres
+
+    @property
+    def neighbours(self) -> list[str]:
+        """The regions that share lanes with this one."""
+        return list(self._strips)
+
+    def told(self, state: FrameState) -> BorderObjects:
+        """Returns what the neighbours need to know of a frame: vehicles and sensors at strips."""
+        inside = np.zeros(len(state.fused), np.bool_)
+        for strip in self._strips.values():
+            inside |= strip.contains(state.fused.boxes)
+        found = state.fused.take(inside)
+        return BorderObjects(
+            frame=state.frame.frame,
+            sim_time_ns=state.frame.sim_time_ns,
+            boxes=found.boxes.astype(np.float32),
+            scores=found.scores.astype(np.float32),
+            sources=found.sources,
+            position_std_m=found.position_std_m.astype(np.float32),
+            sensors=state.sensors[self._is_near(state.sensors)],
+        )
+
+    def join(self, state: FrameState, config: FusionConfig) -> None:
+        """Adds to a frame what was received of its neighbours; others' strips stay unknown."""
+        received = {n: state.received[n] for n in sorted(state.received) if n in self._strips}
+        parts = [_as_told(state.fused)]
+        for name, message in received.items():
+            vehicles = _vehicles(message)
+            parts.append(vehicles.take(self._strips[name].contains(vehicles.boxes)))
+        state.fused = join(parts, centres=self._centres, config=config)
+        state.sensors = np.concatenate([state.sensors, *(m.sensors for m in received.values())])
+
+    def _is_near(self, places: Floats) -> Bools:
+        """Whether places (N, 2) are near any strip."""
+        near = np.zeros(len(places), np.bool_)
+        for low, high in self._boxes:
+            near |= ((places >= low - SENSORS_M) & (places <= high + SENSORS_M)).all(axis=1)
+        return near
+
+
+class BorderExchange:
+    """The frame that waits for its neighbours' part, and what they told of it and of later ones.
+
+    A neighbour that is not there is not waited for; what it does not tell stays unknown.
+    """
+
+    def __init__(self, strips: BorderStrips) -> None:
+        self._strips = strips
+        self._alive: set[str] = set()
+        self._told: dict[str, dict[int, BorderObjects]] = {n: {} for n in strips.neighbours}
+        self._finished = -1
+        self._since_ns = self._until_ns = 0
+        self.state: FrameState | None = None
+
+    @property
+    def neighbours(self) -> list[str]:
+        """The regions that share lanes with this one."""
+        return self._strips.neighbours
+
+    def hear(self, region: str, *, alive: bool) -> None:
+        """Notes that a neighbour's edge appeared or vanished."""
+        (self._alive.add if alive else self._alive.discard)(region)
+
+    def take(self, region: str, told: BorderObjects) -> bool:
+        """Takes what a neighbour told of a frame; returns False if the frame is over."""
+        if region not in self._told or told.frame <= self._finished:
+            return False
+        kept = self._told[region]
+        kept[told.frame] = told
+        while len(kept) > MAX_KEPT_FRAMES:
+            del kept[max(kept) if told.frame == min(kept) else min(kept)]
+        return True
+
+    def begin(self, state: FrameState, wait_ns: int) -> BorderObjects:
+        """Begins to wait with a frame; returns what to tell the neighbours of it."""
+        self.state = state
+        self._since_ns = time.monotonic_ns()
+        self._until_ns = self._since_ns + wait_ns
+        return self._strips.told(state)
+
+    def is_due(self, now_ns: int) -> bool:
+        """Whether a frame waits, and all that is awaited has come or waiting is over."""
+        if self.state is None:
+            return False
+        frame = self.state.frame.frame
+        awaited = [n for n in self._told if n in self._alive and frame not in self._told[n]]
+        return not awaited or now_ns >= self._until_ns
+
+    def end(self) -> FrameState:
+        """Returns the frame that waited, with what came.
+
+        Raises:
+            ValueError: none waits.
+        """
+        if self.state is None:
+            raise ValueError("no frame waits for its neighbours")
+        state, self.state = self.state, None
+        waited = Span(stage=BORDER, start_ns=self._since_ns, end_ns=time.monotonic_ns())
+        state.spans.append(waited)
+        frame = self._finished = state.frame.frame
+        state.received = {n: kept[frame] for n, kept in self._told.items() if frame in kept}
+        for kept in self._told.values():
+            for past in [number for number in kept if number <= frame]:
+                del kept[past]
+        return state
+
+
+def _box(strip: RoadMap) -> tuple[Floats, Floats]:
+    points = np.concatenate([lane.points[:, :2] for lane in strip.lanes])
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _as_told(vehicles: Vehicles) -> Vehicles:
+    """Returns vehicles with the numbers that a message would hold, as the neighbours know them."""
+    return Vehicles(
+        vehicles.boxes.astype(np.float32).astype(np.float64),
+        vehicles.scores.astype(np.float32).astype(np.float64),
+        vehicles.sources,
+        vehicles.position_std_m.astype(np.float32).astype(np.float64),
+    )
+
+
+def _vehicles(message: BorderObjects) -> Vehicles:
+    return Vehicles(
+        message.boxes.astype(np.float64),
+        message.scores.astype(np.float64),
+        message.sources,
+        message.position_std_m.astype(np.float64),
+    )
