@@ -22,4 +22,5 @@ MAX_AGE_FRAMES = 10  # an older plan is of a scene that has passed
 MAX_AHEAD_FRAMES = 64  # a plan for later than this is an error
 
 # Nets
-MAX_TERRAIN_NODES = 4_000_000  # a larger map gets larger cells
+MAX_TERRAIN_NODES = 4_000_000  # 8 km by 8 km; a larger map gets larger cells
+MAX_ROAD_CELLS = 1_000_000  # of the lanes' index, 16 km by 16 km; on a larger map they grow too
