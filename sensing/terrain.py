@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +16,7 @@ from sensing.config import SceneConfig
 from sensing.limits import MAX_TERRAIN_NODES
 from sensing.mesh import TriangleMesh
 from sensing.noise import stream
-from sensing.road import RoadArea, resample
+from sensing.road import RoadArea, count_up, resample
 
 _REACH_M = 9.0  # a lane's height counts for grid points this near
 _SAMPLE_M = 3.0
@@ -209,8 +211,12 @@ def ground(terrain: Terrain, road: RoadArea) -> TriangleMesh:
     """Returns the ground's mesh; blocks that no sensor on the road sees are omitted."""
     rows, columns = terrain.nodes.shape
     blocks = _levels(terrain, road, ((rows - 1) // _BLOCK, (columns - 1) // _BLOCK))
-    triangles = [_fine_triangles(blocks, columns), _coarse_triangles(blocks, columns)]
-    used, renamed = np.unique(np.concatenate(triangles), return_inverse=True)
+    triangles = np.concatenate(
+        [_fine_triangles(blocks, columns), _coarse_triangles(blocks, columns)]
+    )
+    is_used = np.zeros(rows * columns, np.bool_)
+    is_used[triangles] = True
+    used, renamed = np.flatnonzero(is_used), np.cumsum(is_used) - 1
     row, column = np.divmod(used, columns)
     vertices = np.column_stack(
         [
@@ -219,14 +225,14 @@ def ground(terrain: Terrain, road: RoadArea) -> TriangleMesh:
             terrain.nodes[row, column],
         ]
     )
-    return TriangleMesh.of(vertices, renamed.reshape(-1, 3))
+    return TriangleMesh.of(vertices, renamed[triangles])
 
 
 def _levels(terrain: Terrain, road: RoadArea, shape: tuple[int, int]) -> Blocks:
     size_m = _BLOCK * terrain.cell_m
     row, column = np.indices(shape)
     middle: Floats = terrain.origin + (np.stack([column, row], -1) + 0.5) * size_m
-    clearance = road.clearance_m(middle).reshape(shape) - size_m * 0.71
+    clearance = road.clearance_m(middle, MARGIN_M + size_m).reshape(shape) - size_m * 0.71
     levels = np.where(clearance < _FINE_WITHIN_M, _FINE, _COARSE)
     return np.where(clearance < MARGIN_M, levels, _NONE).astype(np.int8)
 
@@ -244,31 +250,31 @@ def _fine_triangles(blocks: Blocks, columns: int) -> npt.NDArray[np.int64]:
 
 def _coarse_triangles(blocks: Blocks, columns: int) -> npt.NDArray[np.int64]:
     """A fan from each block's middle; a side shared with a fine block takes all nodes there."""
-    found: list[tuple[int, int, int]] = []
-    for row, column in np.argwhere(blocks == _COARSE).tolist():
-        ring = _ring(blocks, row, column)
-        i, j = row * _BLOCK, column * _BLOCK
-        nodes = [(i + di) * columns + j + dj for di, dj in ring]
-        hub = (i + _BLOCK // 2) * columns + j + _BLOCK // 2
-        found += [(hub, a, b) for a, b in zip(nodes, nodes[1:] + nodes[:1], strict=True)]
-    return np.array(found, np.int64).reshape(-1, 3)
+    row, column = np.nonzero(blocks == _COARSE)
+    is_fine = np.pad(blocks == _FINE, 1)
+    sides = np.stack([is_fine[row + 1 + di, column + 1 + dj] for di, dj in _SIDES], -1)
+    kinds = list(product((False, True), repeat=len(_SIDES)))
+    fans = [_fan(dict(zip(_SIDES, kind, strict=True)), columns) for kind in kinds]
+    kind = sides @ (8, 4, 2, 1)
+    size = np.array([len(fan) for fan in fans])
+    block = np.repeat(np.arange(len(kind)), size[kind])
+    nth = (np.cumsum(size) - size)[kind[block]] + count_up(size[kind])
+    low = (row * columns + column) * _BLOCK
+    return np.asarray(low[block, None] + np.concatenate(fans)[nth])
 
 
-def _ring(blocks: Blocks, row: int, column: int) -> list[tuple[int, int]]:
-    """Returns a block's border nodes, counter-clockwise from its low corner."""
+_SIDES = ((-1, 0), (0, 1), (1, 0), (0, -1))
 
-    def is_fine(r: int, c: int) -> bool:
-        within = 0 <= r < blocks.shape[0] and 0 <= c < blocks.shape[1]
-        return within and int(blocks[r, c]) == _FINE
 
-    steps = {side: 1 if is_fine(row + side[0], column + side[1]) else _BLOCK for side in _SIDES}
-    south, east, north, west = (range(0, _BLOCK, steps[side]) for side in _SIDES)
-    return (
+def _fan(is_fine: Mapping[tuple[int, int], bool], columns: int) -> npt.NDArray[np.int64]:
+    """Returns triangles (N, 3) counter-clockwise from a block's low corner, which is node 0."""
+    south, east, north, west = (range(0, _BLOCK, 1 if is_fine[side] else _BLOCK) for side in _SIDES)
+    ring = (
         [(0, n) for n in south]
         + [(n, _BLOCK) for n in east]
         + [(_BLOCK, _BLOCK - n) for n in north]
         + [(_BLOCK - n, 0) for n in west]
     )
-
-
-_SIDES = ((-1, 0), (0, 1), (1, 0), (0, -1))
+    node = np.array([i * columns + j for i, j in ring])
+    hub = np.full(len(node), _BLOCK // 2 * (columns + 1))
+    return np.stack([hub, node, np.roll(node, -1)], -1)

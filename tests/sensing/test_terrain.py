@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from protocol.geometry import SE3
 from sensing.config import SceneConfig
 from sensing.terrain import Terrain
-from tests.roads import street
+from tests.roads import lane, street
 from tests.sensing.solids import SEED
 
 FLAT = SceneConfig(terrain_amplitude_m=0)
@@ -73,3 +73,13 @@ def test_a_place_may_come_read_only() -> None:
     place = np.array([[1.0, 2.0]])
     place.setflags(write=False)
     assert CLIMB.height_m(place) == CLIMB.height_m([[1.0, 2.0]])
+
+
+def test_a_citys_ground_is_as_fine_as_a_junctions() -> None:
+    reach_m = 1100.0
+    lanes = [
+        lane("h_0", [(-reach_m, 0, 0), (reach_m, 0, 0)]),
+        lane("v_0", [(0, -reach_m, 0), (0, reach_m, 0)]),
+    ]
+    city = Terrain(street().model_copy(update={"lanes": lanes}), FLAT, SEED)
+    assert city.cell_m == CLIMB.cell_m
