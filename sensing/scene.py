@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -86,7 +87,7 @@ def buildings(
     rng: np.random.Generator,
 ) -> list[TriangleMesh]:
     """Returns one mesh a building; none stands nearer to the road than the setback."""
-    placed: list[Floats] = []
+    placed = _Placed()
     meshes: list[TriangleMesh] = []
     for edge in edges:
         for outline in _along(edge, config, rng):
@@ -94,12 +95,38 @@ def buildings(
             near = _border(outline)
             if road.clearance_m(near).min() < config.building_setback_m * 0.9:
                 continue
-            if any(overlap(outline, other) for other in placed):
+            if placed.meets(outline):
                 continue
-            placed.append(outline)
+            placed.add(outline)
             base_m = float(terrain.height_m(outline).min())
             meshes.append(extrude(outline, base_m - _WALL_SUNK_M, base_m + height_m))
     return meshes
+
+
+_PLOT_M = 32.0
+_APART_M = 1.0  # between boxes whose outlines certainly do not meet
+
+
+class _Placed:
+    """Convex outlines by the square plots that they touch."""
+
+    def __init__(self) -> None:
+        self._plots: dict[tuple[int, int], list[Floats]] = {}
+
+    def add(self, outline: Floats) -> None:
+        """Keeps an outline (K, 2)."""
+        for plot in self._touched(outline):
+            self._plots.setdefault(plot, []).append(outline)
+
+    def meets(self, outline: Floats) -> bool:
+        """Returns whether an outline (K, 2) meets one that was added."""
+        near = (other for plot in self._touched(outline) for other in self._plots.get(plot, ()))
+        return any(overlap(outline, other) for other in {id(o): o for o in near}.values())
+
+    def _touched(self, outline: Floats) -> list[tuple[int, int]]:
+        low, high = outline.min(axis=0) - _APART_M / 2, outline.max(axis=0) + _APART_M / 2
+        (i, j), (k, m) = np.floor(np.stack([low, high]) / _PLOT_M).astype(int).tolist()
+        return list(product(range(i, k + 1), range(j, m + 1)))
 
 
 def from_polygons(
@@ -113,7 +140,11 @@ def from_polygons(
     meshes = []
     for corners, height_m in zip(polygons, heights_m, strict=True):
         outline = _cleaned(corners)
-        if len(outline) < 3 or contains(outline, on_lanes).any():
+        if len(outline) < 3:
+            continue
+        low, high = outline.min(axis=0), outline.max(axis=0)
+        near = ((on_lanes >= low) & (on_lanes <= high)).all(axis=1)
+        if contains(outline, on_lanes[near]).any():
             continue
         base_m = float(terrain.height_m(outline).min())
         bottom_m, top_m = base_m - _WALL_SUNK_M, base_m + height_m
@@ -202,18 +233,19 @@ def trees(
     rng: np.random.Generator,
 ) -> TriangleMesh:
     """Returns trees behind the pavement; no crown hangs over a lane."""
-    meshes = []
+    feet: list[Floats] = []
+    radii_m: list[float] = []
+    grown: list[TriangleMesh] = []
     for edge in edges:
         length_m = float(np.hypot(*np.diff(edge.points, axis=0).T).sum())
         for _ in range(int(rng.poisson(length_m * config.trees_per_100m / 100))):
             k = int(rng.integers(len(edge.points)))
             back_m = config.sidewalk_width_m + float(rng.uniform(1.5, 4.5))
-            foot = edge.points[k] + edge.outward[k] * back_m
-            radius_m = float(rng.uniform(*_CROWN_RADIUS_M))
-            tree = _tree(foot, radius_m, terrain, rng)
-            if road.clearance_m(foot)[0] > radius_m + _LEAF_M:
-                meshes.append(tree)
-    return merge(meshes)
+            feet.append(edge.points[k] + edge.outward[k] * back_m)
+            radii_m.append(float(rng.uniform(*_CROWN_RADIUS_M)))
+            grown.append(_tree(feet[-1], radii_m[-1], terrain, rng))
+    free = road.clearance_m(np.array(feet)) > np.array(radii_m) + _LEAF_M
+    return merge(tree for tree, is_free in zip(grown, free, strict=True) if is_free)
 
 
 def _feet(edge: Edge, spacing_m: float, first_m: float, offset_m: float) -> Iterator[Floats]:
