@@ -108,7 +108,7 @@ class Caster:
             return
         self._vertices = np.zeros((len(mesh.vertices) + 1, 3), np.float32)  # Embree reads 16 bytes
         self._vertices[:-1] = mesh.vertices
-        self._triangles = mesh.triangles.copy()
+        self._triangles = mesh.triangles
         scene = _built(self._vertices, self._triangles)
         weakref.finalize(self, _library().rtcReleaseScene, scene)
         self._packet = _aligned(_RAY_ROWS * PACKET * 4).view(np.float32).reshape(-1, PACKET)

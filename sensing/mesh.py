@@ -18,14 +18,20 @@ Triangles = npt.NDArray[np.int32]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TriangleMesh:
-    """Vertices (V, 3) in metres and triangles (T, 3) of indices into them."""
+    """Vertices (V, 3) in metres and triangles (T, 3) of indices into them.
+
+    Arrays that can still be changed from elsewhere are copied.
+    """
 
     vertices: Vertices
     triangles: Triangles
 
     def __post_init__(self) -> None:
         for name, dtype in (("vertices", np.float32), ("triangles", np.int32)):
-            array = np.array(getattr(self, name), dtype).reshape(-1, 3)
+            array = np.ascontiguousarray(getattr(self, name), dtype)
+            if array.flags.writeable or array.base is not None:
+                array = array.copy()
+            array = array.reshape(-1, 3)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
         if self.triangles.size and not (
@@ -57,7 +63,10 @@ def merge(meshes: Iterable[TriangleMesh]) -> TriangleMesh:
         vertices.append(mesh.vertices)
         triangles.append(mesh.triangles + np.int32(offset))
         offset += len(mesh.vertices)
-    return TriangleMesh(np.concatenate(vertices), np.concatenate(triangles))
+    every_vertex, every_triangle = np.concatenate(vertices), np.concatenate(triangles)
+    for array in (every_vertex, every_triangle):
+        array.setflags(write=False)  # which saves the mesh a copy
+    return TriangleMesh(every_vertex, every_triangle)
 
 
 def extrude(
