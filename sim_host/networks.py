@@ -1,0 +1,265 @@
+"""Built-in nets with several signals: a corridor, a grid and an irregular town.
+
+Every signal has a split plan: each approach has a green of its own. So all greens are protected,
+which suits approaches whose left turn shares a lane with the traffic straight on (Signal Timing
+Manual, 2nd edition, chapter 4: split phasing).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from sim_host.junctions import LANE_WIDTH_M, SPEED_MPS, Row, write_plain_net, xml
+from sim_host.netfile import Net, NetConnection, read_net
+
+_ARM_M = 200.0
+_CORNER_RADIUS_M = 8.0
+_GREEN_S = {1: 15, 2: 20}  # by the lanes of the approach
+_YELLOW_S, _ALL_RED_S = 4, 1  # those of the cabinet's defaults
+
+_CORRIDOR_X_M = (0.0, 250.0, 540.0, 810.0, 1110.0)
+_GRID_SIZE, _GRID_M = 4, 200.0
+
+_TOWN_SEED = 50  # chosen so that traffic from border to border passes every approach
+_TOWN_SIZE, _TOWN_M = 6, 210.0
+_TOWN_JITTER_M, _TOWN_BEND_M = 40.0, 25.0
+_TOWN_DROPPED = 9  # streets of the full grid that the town lacks
+_TOWN_ARMS = 0.6  # share of the border's places that have one, main streets aside
+_TOWN_MAIN = ("C", "2")  # the column and the row whose streets have two lanes each way
+
+Place = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class _Street:
+    """A street between two places, with so many lanes each way; `bend_m` to its left."""
+
+    start: str
+    end: str
+    lanes: int
+    bend_m: float = 0.0
+
+
+def write_corridor(folder: Path) -> Path:
+    """Writes `corridor.net.xml`: an arterial road, west to east, that crosses five side streets.
+
+    Raises:
+        ConfigError: netconvert is missing or fails.
+    """
+    crossings = [f"{letter}0" for letter in "ABCDE"]
+    places = {name: (x, 0.0) for name, x in zip(crossings, _CORRIDOR_X_M, strict=True)}
+    places |= {"west": (-_ARM_M, 0.0), "east": (_CORRIDOR_X_M[-1] + _ARM_M, 0.0)}
+    streets = [_Street(a, b, lanes=2) for a, b in pairwise(["west", *crossings, "east"])]
+    for name in crossings:
+        for side, y in (("north", _ARM_M), ("south", -_ARM_M)):
+            places[f"{side}{name}"] = (places[name][0], y)
+            streets.append(_Street(name, f"{side}{name}", lanes=1))
+    return _write(folder, "corridor", places, streets)
+
+
+def write_grid(folder: Path) -> Path:
+    """Writes `grid.net.xml`: 4 x 4 crossings with two lanes each way and an arm at every border.
+
+    Raises:
+        ConfigError: netconvert is missing or fails.
+    """
+    places = {
+        _cell(column, row): (column * _GRID_M, row * _GRID_M)
+        for column in range(_GRID_SIZE)
+        for row in range(_GRID_SIZE)
+    }
+    streets = [_Street(a, b, lanes=2) for a, b in _neighbours(_GRID_SIZE)]
+    for name, side in _borders(_GRID_SIZE):
+        arm = f"{side}{name}"
+        places[arm] = _outwards(places[name], side)
+        streets.append(_Street(name, arm, lanes=2))
+    return _write(folder, "grid", places, streets)
+
+
+def write_town(folder: Path) -> Path:
+    """Writes `town.net.xml`: bent streets between shifted places, a few of them missing.
+
+    Raises:
+        ConfigError: netconvert is missing or fails.
+    """
+    rng = np.random.default_rng(_TOWN_SEED)
+    places = _town_places(rng)
+    pairs = _thinned(_neighbours(_TOWN_SIZE), rng)
+    has_arm = rng.random(4 * _TOWN_SIZE) < _TOWN_ARMS
+    for (name, side), chosen in zip(_borders(_TOWN_SIZE), has_arm, strict=True):
+        arm = f"{side}{name}"
+        if chosen or _is_main(name, arm):
+            places[arm] = _outwards(places[name], side)
+            pairs.append((name, arm))
+    bends_m = rng.uniform(-_TOWN_BEND_M, _TOWN_BEND_M, len(pairs)).round(1).tolist()
+    streets = [
+        _Street(a, b, lanes=2 if _is_main(a, b) else 1, bend_m=bend_m)
+        for (a, b), bend_m in zip(pairs, bends_m, strict=True)
+    ]
+    return _write(folder, "town", places, streets)
+
+
+NETWORKS: dict[str, Callable[[Path], Path]] = {
+    "corridor": write_corridor,
+    "grid": write_grid,
+    "town": write_town,
+}
+"""What writes a built-in net into a folder, by the net's name."""
+
+
+def _cell(column: int, row: int) -> str:
+    return f"{chr(ord('A') + column)}{row}"
+
+
+def _neighbours(size: int) -> list[tuple[str, str]]:
+    cells = [(column, row) for column in range(size) for row in range(size)]
+    east = [(_cell(c, r), _cell(c + 1, r)) for c, r in cells if c + 1 < size]
+    north = [(_cell(c, r), _cell(c, r + 1)) for c, r in cells if r + 1 < size]
+    return east + north
+
+
+def _borders(size: int) -> list[tuple[str, str]]:
+    """Returns (crossing, side) for each place where a street could leave the grid."""
+    last = size - 1
+    return [
+        pair
+        for n in range(size)
+        for pair in (
+            (_cell(0, n), "west"),
+            (_cell(last, n), "east"),
+            (_cell(n, 0), "south"),
+            (_cell(n, last), "north"),
+        )
+    ]
+
+
+def _outwards(place: Place, side: str) -> Place:
+    x, y = {"west": (-1, 0), "east": (1, 0), "south": (0, -1), "north": (0, 1)}[side]
+    return place[0] + x * _ARM_M, place[1] + y * _ARM_M
+
+
+def _town_places(rng: np.random.Generator) -> dict[str, Place]:
+    places = {}
+    for column in range(_TOWN_SIZE):
+        for row in range(_TOWN_SIZE):
+            x, y = rng.uniform(-_TOWN_JITTER_M, _TOWN_JITTER_M, 2).round(1).tolist()
+            places[_cell(column, row)] = (column * _TOWN_M + x, row * _TOWN_M + y)
+    return places
+
+
+def _thinned(pairs: list[tuple[str, str]], rng: np.random.Generator) -> list[tuple[str, str]]:
+    """Drops streets in random order, but no main street and none that alone joins two parts."""
+    kept = list(pairs)
+    dropped = 0
+    for index in rng.permutation(len(pairs)):
+        rest = [pair for pair in kept if pair != pairs[index]]
+        if dropped < _TOWN_DROPPED and not _is_main(*pairs[index]) and _is_connected(rest, kept):
+            kept, dropped = rest, dropped + 1
+    return kept
+
+
+def _is_main(start: str, end: str) -> bool:
+    column, row = _TOWN_MAIN
+    return (column in start and column in end) or (row in start and row in end)
+
+
+def _is_connected(rest: list[tuple[str, str]], before: list[tuple[str, str]]) -> bool:
+    """Tells whether the rest of the streets still joins all places."""
+    places = {place for pair in before for place in pair}
+    found, open_ends = set[str](), [before[0][0]]
+    while open_ends:
+        place = open_ends.pop()
+        if place not in found:
+            found.add(place)
+            open_ends += [b if place == a else a for a, b in rest if place in (a, b)]
+    return found == places
+
+
+def _write(
+    folder: Path, name: str, places: Mapping[str, Place], streets: Sequence[_Street]
+) -> Path:
+    """Writes the net twice: netconvert chooses and numbers the links, then takes their plans."""
+    arms = Counter(place for street in streets for place in (street.start, street.end))
+    nodes = [_node(place, at, arms[place]) for place, at in places.items()]
+    edges = [_edge(street, places, backwards) for street in streets for backwards in (False, True)]
+    parts = {"node": nodes, "edge": edges}
+    net = read_net(write_plain_net(folder, name, parts))
+    outside = [c for c in net.connections if not net.lanes[c.from_lane].internal]
+    parts["connection"] = [_connection(c) for c in outside]
+    return write_plain_net(folder, name, parts, _plans(net))
+
+
+def _node(name: str, at: Place, arms: int) -> Row:
+    row: Row = {"id": name, "x": round(at[0], 2), "y": round(at[1], 2), "radius": _CORNER_RADIUS_M}
+    return {**row, "type": "traffic_light", "tl": name} if arms > 2 else row
+
+
+def _edge(street: _Street, places: Mapping[str, Place], backwards: bool) -> Row:
+    start, end = (street.end, street.start) if backwards else (street.start, street.end)
+    line = _line(places[street.start], places[street.end], street.bend_m)
+    return {
+        "id": f"{start}{end}",
+        "from": start,
+        "to": end,
+        "numLanes": street.lanes,
+        "speed": SPEED_MPS,
+        "width": LANE_WIDTH_M,
+        "shape": " ".join(f"{x:.2f},{y:.2f}" for x, y in (line[::-1] if backwards else line)),
+    }
+
+
+def _line(start: Place, end: Place, bend_m: float) -> list[Place]:
+    """Returns the street's middle, which leaves both places along the straight line."""
+    if not bend_m:
+        return [start, end]
+    along = np.subtract(end, start)
+    left = np.array([-along[1], along[0]]) / np.linalg.norm(along)
+    share = np.linspace(0, 1, 9)[:, None]
+    points = start + share * along + bend_m * np.sin(np.pi * share) ** 2 * left
+    return [(x, y) for x, y in points.tolist()]
+
+
+def _plans(net: Net) -> str:
+    """Returns netconvert's file of signal plans."""
+    links: list[tuple[str, Row]] = []
+    logics = ""
+    for tls in net.programs:
+        controlled = sorted((c for c in net.connections if c.tls == tls), key=lambda c: c.link)
+        links += [
+            ("connection", {**_connection(c), "tl": tls, "linkIndex": c.link}) for c in controlled
+        ]
+        phases = "".join(
+            f'<phase duration="{duration_s}" state="{state}"/>'
+            for duration_s, state in _split_phases(net, controlled)
+        )
+        logics += (
+            f'<tlLogic id={quoteattr(tls)} type="static" programID="0" offset="0">{phases}'
+            "</tlLogic>"
+        )
+    return xml("tlLogics", links, logics)
+
+
+def _split_phases(net: Net, controlled: Sequence[NetConnection]) -> list[tuple[int, str]]:
+    """Returns durations in s and states: one approach after another, in the order of links."""
+    edges = [net.lanes[c.from_lane].edge for c in controlled]
+    phases = []
+    for approach in dict.fromkeys(edges):
+        green = "".join("G" if edge == approach else "r" for edge in edges)
+        phases.append((_GREEN_S[len(net.edges[approach])], green))
+        phases.append((_YELLOW_S, green.replace("G", "y")))
+        phases.append((_ALL_RED_S, "r" * len(edges)))
+    return phases
+
+
+def _connection(connection: NetConnection) -> Row:
+    (start, from_lane), (end, to_lane) = (
+        lane.rsplit("_", 1) for lane in (connection.from_lane, connection.to_lane)
+    )
+    return {"from": start, "to": end, "fromLane": from_lane, "toLane": to_lane}
