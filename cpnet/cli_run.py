@@ -41,7 +41,7 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     net: Annotated[Path | None, typer.Option(help="your own .net.xml")] = None,
     sumocfg: Annotated[Path | None, typer.Option(help="your own .sumocfg")] = None,
     tls: Annotated[
-        str | None, typer.Option(metavar="ID,...|all", help="the signals to control")
+        list[str] | None, typer.Option(metavar="ID,...|all", help="the signals to control")
     ] = None,
     regions: Annotated[
         int | None, typer.Option(help="edge servers, each for a part of the junctions")
@@ -97,9 +97,10 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     raise typer.Exit(status)
 
 
-def junctions_of(tls: str | None) -> str | list[str] | None:
-    """Reads `--tls`: "all", or ids with commas between them."""
-    return tls if tls is None or tls == "all" else [one.strip() for one in tls.split(",")]
+def junctions_of(tls: list[str] | None) -> str | list[str] | None:
+    """Reads `--tls`: "all", or ids with commas between them; given twice, all of them count."""
+    found = [one.strip() for text in tls or () for one in text.split(",")]
+    return "all" if "all" in found else found or None
 
 
 def _run_name(file: Path) -> str:

@@ -62,7 +62,7 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
             "--scheduler: goes with neither --jobs nor --keep-runs: its workers decide"
         )
     file = read_study(what)
-    own = {"traffic.net": net and str(net.resolve()), "traffic.tls": tls}
+    own = {"traffic.net": net and str(net.resolve()), "junctions": None if tls is None else [tls]}
     settings = {key: value for key, value in own.items() if value is not None} | assigned(set_)
     study = file.study.changed(settings, _seeds(seeds))
     if markdown is not None:

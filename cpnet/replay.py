@@ -172,16 +172,15 @@ def replay_of_scans(asked: Scans, pace: Pace, console: Console) -> Replay:
     check_clocks(agents, scenario.frame_period_s, asked.source.poses)
 
     def setup(run_dir: Path) -> Setup:
+        from sim_host.setup import build_setup, resolved
+
         recording = str(run_dir / f"{STEM}.mcap")
         changes = {"replay": {"recording": recording, "speed": pace.speed}}
         whole = scenario.model_dump(mode="json") | changes
         if asked.scenario is None:
-            made = _plain_setup(
-                whole, open_ground(imported.ways(), width_m=asked.width_m or WIDTH_M)
-            )
+            roads = open_ground(imported.ways(), width_m=asked.width_m or WIDTH_M)
+            made = _plain_setup(resolved(whole, roads), roads)
         else:
-            from sim_host.setup import build_setup  # SUMO is needed for its roads alone
-
             made = build_setup(whole, run_dir)
         if empty := record_scans(imported, made, run_dir):
             clouds = imported.frames * len(agents)

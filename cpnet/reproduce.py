@@ -23,6 +23,7 @@ def command_of(recorded: dict[str, Any]) -> str:
     """Returns the shortest `cpnet up` that gives this scenario; empty if none does."""
     if recorded.get("replay"):
         return ""
+    recorded = {**recorded, **(recorded.get("asked") or {}), "asked": None}
     name = recorded.get("name")
     base = name if name in scenarios.builtin_names() else "t_junction"
     changed = dict(_changes(recorded, scenarios.load(base, {}).model_dump(mode="json")))

@@ -102,6 +102,11 @@ class Scenario(Section):
         description="parts of the city, an edge server each: a number, into so many compact and "
         "balanced parts the junctions are cut; or the junctions of each, by the region's id",
     )
+    asked: dict[str, Any] | None = Field(
+        None,
+        description="junctions, regions and roadside_mounts as they were asked for; `cpnet up` "
+        "fills it in, for there they stand as they were resolved",
+    )
     recording: str | None = Field(
         None,
         description="folder whose traffic and scans are played in the place of SUMO and the LiDAR "

@@ -234,7 +234,12 @@ def scanner_of(scenario: dict[str, Any], samples: int) -> JunctionScanner:
         "warm_up_s": max(traffic.warmup_s, _WARM_UP_S),
     }
     site = draw_site(scenario["seed"], 0).model_copy(update=update)
-    return JunctionScanner(site, samples, sensors)
+    junctions = scenario.get("junctions")
+    if junctions == "all" or len(junctions or ()) > 1:
+        raise ConfigError(
+            f"junctions is {junctions}: samples are of one; name it with --set junctions=[ID]"
+        )
+    return JunctionScanner(site, samples, sensors, junctions[0] if junctions else None)
 
 
 def samples_of(scanner: JunctionScanner) -> Iterator[SceneSample]:

@@ -13,7 +13,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, get_args, get_type_hints
 
-SCHEMA_DIGESTS = {8: "9d40949d070f5328", 9: "242bbfd6b8778425", 10: "9578cb7e82fa5f20"}
+SCHEMA_DIGESTS = {
+    8: "9d40949d070f5328",
+    9: "242bbfd6b8778425",
+    10: "9578cb7e82fa5f20",
+    11: "20b6e0ea3ab58717",
+}
 """`schema_digest()` by schema version. Never change an entry: add one with the next number."""
 SCHEMA_VERSION = max(SCHEMA_DIGESTS)
 _SQL_TYPES = {int: "INTEGER", float: "REAL", str: "TEXT", bytes: "BLOB"}

@@ -30,7 +30,7 @@ import numpy as np
 from protocol.errors import ConfigError
 from protocol.roadmap import Signal
 from sim_host.config import TrafficConfig
-from sim_host.demand import MIX, Movement, _name, _types
+from sim_host.demand import MIX, Movement, movement_name, vehicle_type_lines
 from sim_host.netfile import Net, NetConnection, Point
 
 SATURATION_FLOW_VPH = 1800.0
@@ -61,9 +61,9 @@ def write_city_demand(
         ConfigError: see `city_movements`.
     """
     flows = city_movements(net, signals, saturation)
-    lines = ["<routes>", *_types(config.vehicles)]
+    lines = ["<routes>", *vehicle_type_lines(config.vehicles)]
     for flow in flows:
-        name, edges = quoteattr(_name(flow, net)), quoteattr(" ".join(flow.route))
+        name, edges = quoteattr(movement_name(flow, net)), quoteattr(" ".join(flow.route))
         lines.append(f"  <route id={name} edges={edges}/>")
         lines.append(
             f'  <flow id={name} route={name} type="{MIX}" begin="0" end="1e7" '

@@ -35,7 +35,11 @@ def _default_vehicles() -> list[VehicleSpec]:
 
 
 class TrafficConfig(Section):
-    """Roads and demand. Without `net` and `sumocfg` the built-in T junction is used."""
+    """Roads and demand: of a built-in network, or of the user's `net` or `sumocfg`."""
+
+    network: Literal["t_junction", "corridor", "grid", "town"] = Field(
+        "t_junction", description="built-in network that is used without net and sumocfg"
+    )
 
     net: str | None = Field(None, description="a SUMO .net.xml; demand is generated for it")
     sumocfg: str | None = Field(None, description="a .sumocfg with a net and a demand of its own")
@@ -44,7 +48,14 @@ class TrafficConfig(Section):
         60, description="time on the fixed plan, without sensors, before frame 0", ge=0, le=7200
     )
     demand_vph_per_lane: dict[str, float] = Field(
-        {}, description="vehicles per hour and lane by id of the edge that ends at the signal"
+        {}, description="one signal: vehicles per hour and lane by id of the edge that ends there"
+    )
+    saturation: float = Field(
+        0.8,
+        gt=0,
+        le=2,
+        description="several signals: demand is scaled until the most loaded approach has this "
+        "degree of saturation (v/c) on the fixed plan",
     )
     default_demand_vph_per_lane: float = Field(
         500,

@@ -133,9 +133,9 @@ class Movement:
 
 def write_demand(path: Path, net: Net, signal: Signal, config: TrafficConfig) -> None:
     """Writes vehicle types, routes and flows with exponential headways as a SUMO route file."""
-    lines = ["<routes>", *_types(config.vehicles)]
+    lines = ["<routes>", *vehicle_type_lines(config.vehicles)]
     for movement in movements(net, signal, config):
-        name = quoteattr(_name(movement, net))
+        name = quoteattr(movement_name(movement, net))
         edges = quoteattr(" ".join(movement.route))
         lines.append(f"  <route id={name} edges={edges}/>")
         if movement.vph > 0:
@@ -146,7 +146,12 @@ def write_demand(path: Path, net: Net, signal: Signal, config: TrafficConfig) ->
     path.write_text("\n".join([*lines, "</routes>", ""]), encoding="utf-8")
 
 
-def _name(movement: Movement, net: Net) -> str:
+def movement_name(movement: Movement, net: Net) -> str:
+    """Returns what a movement's route and flow are called, from edge to edge.
+
+    Raises:
+        ConfigError: that is too long for the ids of its vehicles.
+    """
     name = f"{movement.from_edge}-to-{movement.to_edge}"
     if len(name) > MAX_NAME_CHARS:
         raise ConfigError(
@@ -203,7 +208,8 @@ def _targets(net: Net, signal: Signal) -> dict[str, list[str]]:
     return result
 
 
-def _types(specs: list[VehicleSpec]) -> list[str]:
+def vehicle_type_lines(specs: list[VehicleSpec]) -> list[str]:
+    """Returns the lines of a route file that hold the vehicle types and their mix."""
     rows = [
         f'    <vType id="{spec.name}" vClass="passenger" length="{spec.length_m}" '
         f'width="{spec.width_m}" height="{spec.height_m}" probability="{spec.share}"/>'

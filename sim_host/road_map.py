@@ -77,8 +77,8 @@ def chosen(net: Net, junctions: Literal["all"] | Sequence[str] | None) -> list[s
     for tls in junctions:
         if tls not in known:
             near = difflib.get_close_matches(tls, known, n=3, cutoff=0.4)
-            hint = f"; did you mean {' or '.join(near)}?" if near else ""
-            raise ConfigError(f"there is no signal {tls!r}{hint} {_listed(net, known)}".lstrip())
+            hint = f", did you mean {' or '.join(near)}?" if near else ""
+            raise ConfigError(f"there is no signal {tls!r}{hint}; {_listed(net, known)}")
     return sorted(set(junctions))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,11 +20,13 @@ from protocol.errors import ConfigError
 from protocol.messages import MeshPart, Setup, VehicleType
 from protocol.roadmap import RoadMap
 from protocol.version import own_version
+from sim_host.city_demand import write_city_demand
 from sim_host.config import TrafficConfig
 from sim_host.demand import types_of_demand, types_of_files, write_demand
 from sim_host.junctions import DEMAND_VPH_PER_LANE, write_net
 from sim_host.limits import MAX_HEIGHT_M
 from sim_host.netfile import UNREADABLE, Net, open_file, read_net
+from sim_host.networks import NETWORKS
 from sim_host.regions import resolve_regions
 from sim_host.road_map import road_map
 from sim_host.sumo import sumo_home
@@ -34,6 +37,7 @@ FILES = {
     "minibus": "car-minibus-citrus.obj",
 }
 BOX = "box"
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,7 +226,9 @@ def resolved(scenario: dict[str, Any], roads: RoadMap) -> dict[str, Any]:
         for number, tls in enumerate(known):
             mounts.append({**mount, "tls": tls, "id": f"{mount['id']}.{number}"})
     regions = resolve_regions(roads, scenario.get("regions", 1))
-    return {**scenario, "junctions": known, "regions": regions, "roadside_mounts": mounts}
+    found = {"junctions": known, "regions": regions, "roadside_mounts": mounts}
+    asked = scenario.get("asked") or {key: scenario[key] for key in found if key in scenario}
+    return {**scenario, **found, "asked": asked}
 
 
 def traffic_config(scenario: dict[str, Any]) -> TrafficConfig:
@@ -264,15 +270,32 @@ def _own_world(
     """Takes the user's net or generates the T junction, and writes a demand for it."""
     if traffic.net:
         path = Path(traffic.net)
+    elif traffic.network in NETWORKS:
+        path, junctions = NETWORKS[traffic.network](folder), junctions or "all"
     else:
         path = write_net(folder)
         demand = {**DEMAND_VPH_PER_LANE, **traffic.demand_vph_per_lane}
         traffic = traffic.model_copy(update={"demand_vph_per_lane": demand})
     net = read_net(path)
     roads = road_map(net, junctions)
-    write_demand(folder / "demand.rou.xml", net, roads.intersections[0].signal, traffic)
+    _write_demand(folder / "demand.rou.xml", net, roads, traffic)
     _write_config(folder / OWN_CONFIG, net)
     return roads, types_of_demand(traffic.vehicles)
+
+
+def _write_demand(path: Path, net: Net, roads: RoadMap, traffic: TrafficConfig) -> None:
+    """Writes flows over the only signal of a net, or over all of its network."""
+    signals = [one.signal for one in roads.intersections]
+    if len(signals) == 1:
+        write_demand(path, net, signals[0], traffic)
+        return
+    if traffic.demand_vph_per_lane:
+        raise ConfigError(
+            "traffic.demand_vph_per_lane: goes with one signal; with several, traffic.saturation "
+            "scales the demand"
+        )
+    degrees = write_city_demand(path, net, signals, traffic, traffic.saturation)
+    _log.info("degree of saturation: %s", {tls: round(x, 2) for tls, x in degrees.items()})
 
 
 def _write_config(path: Path, net: Net) -> None:

@@ -18,7 +18,7 @@ from infra_agent.role import InfraRole
 from protocol.errors import BusError
 from protocol.in_process import InProcessRouter
 from protocol.inbox import Inbox
-from protocol.instances import instances_of
+from protocol.instances import ROUTER, instances_of
 from protocol.limits import MAX_BATCH
 from protocol.messages import Setup
 from protocol.process import Context, Role, deliver
@@ -28,6 +28,7 @@ from recording.role import RecordRole
 from signal_controller.role import SignalRole
 from sim_host.role import SimRole
 from sim_host.setup import build_setup
+from v2x_router.role import RouterRole
 from vehicle_agent.role import VehicleRole
 
 IDLE_S = 0.001  # between polls when no message is waiting, as at the recorder's end
@@ -113,6 +114,7 @@ def _role_builders(scenario: dict[str, Any]) -> tuple[Builder, list[tuple[str, B
 
         world, infra, vehicle = sim_role, PlayerRole.build, PlayerRole.build
     builders: dict[str, Builder] = {
+        ROUTER: RouterRole.build,
         "record": RecordRole.build,
         "edge": EdgeRole.build,
         "signal": SignalRole.build,

@@ -237,6 +237,6 @@ def test_buses_with_keys_are_asked_with_the_keys_of_whoever_looks_on(shell: Shel
     known = {finding["check"]: finding for finding in found}
     for check in ("v2x_processes", "world_processes", "world_clock", "world_version"):
         assert known[check]["ok"], known[check]
-    assert "infra-0" in known["v2x_processes"]["measured"]["processes"]
+    assert "infra-r0" in known["v2x_processes"]["measured"]["processes"]
     plain = {one["check"]: one for one in json.loads(shell.run(*asked)[1])["findings"]}
     assert "give --keys DIR" in plain["world_zenoh"]["advice"]

@@ -114,7 +114,7 @@ def flooded(shell: Shell) -> tuple[Path, int, float]:
     command.read_until("vehicles")
     wait_for_frames(command, run_dir)
     newest = number(run_dir, "SELECT max(frame) FROM frames")
-    edge = children_of(run_dir)["edge"]
+    edge = children_of(run_dir)["edge-r0"]
     before_mb = memory_mb(edge)
     with joined(port) as session:
         said = flood(session, newest, FLOOD_S)
@@ -128,8 +128,8 @@ def test_a_flood_costs_the_others_nothing(shell: Shell, flooded: tuple[Path, int
     run_dir, said, grown_mb = flooded
     summary = json.loads(shell.run("report", str(run_dir), "--json")[1])
     assert said > 5_000
-    assert summary["drops_by_reason"]["edge"]["rate_limited"] > said / 2
-    assert "inbox_full" not in summary["drops_by_reason"]["edge"]
+    assert summary["drops_by_reason"]["edge-r0"]["rate_limited"] > said / 2
+    assert "inbox_full" not in summary["drops_by_reason"]["edge-r0"]
     assert grown_mb < 150
     assert summary["frames"] == FRAMES
     assert summary["frames_incomplete"] < FRAMES / 2

@@ -29,7 +29,9 @@ NOBODY_ELSE = "without keys anybody on that network could read and forge"
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_keys(tmp_path_factory.mktemp("authority") / "keys", hosts=["edge.city", "10.0.0.7"])
+    return make_keys(
+        tmp_path_factory.mktemp("authority") / "keys", hosts=["router.city", "10.0.0.7"]
+    )
 
 
 @pytest.fixture
@@ -43,9 +45,9 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_each_process_has_a_certificate_and_private_keys_are_private(made):
-    ids = ["edge", "sim", "record", "signal", "watch", "vehicle-0", "vehicle-1", "infra-0"]
+    ids = ["router", "sim", "record", "edge-r0", "signal-r0", "infra-r0", "watch", "vehicle-0"]
     for name in ids:
-        check_key(made, name, hosts=name in ("edge", "sim"))
+        check_key(made, name, hosts=name in ("router", "sim"))
     modes = {stat.S_IMODE(path.stat().st_mode) for path in made.glob("*.key")}
     assert modes == {0o600}
 
@@ -86,10 +88,10 @@ def test_an_authority_is_never_made_over(folder, spoil, message):
 
 
 def test_a_host_that_an_older_certificate_does_not_name_is_refused(folder):
-    make_keys(folder, hosts=["10.0.0.7", "edge.city"])
-    with pytest.raises(ConfigError, match=r"edge.pem: is there already and does not name b.city"):
+    make_keys(folder, hosts=["10.0.0.7", "router.city"])
+    with pytest.raises(ConfigError, match=r"router.pem: is there already and does not name b.city"):
         make_keys(folder, hosts=["b.city"])
-    for name in ("edge", "sim"):
+    for name in ("router", "sim"):
         (folder / f"{name}.pem").unlink()
     make_keys(folder, hosts=["b.city"])
 
@@ -98,7 +100,7 @@ def test_without_the_extra_it_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "cryptography", None)
     monkeypatch.delitem(sys.modules, "cpnet.keys", raising=False)
     with pytest.raises(ConfigError, match=r"\(extra `keys`\): .* -m pip install 'cpnet-edge\[keys"):
-        keys_command(tmp_path / "keys", vehicles=1, roadside=1, days=1)
+        keys_command(tmp_path / "keys", vehicles=1, days=1)
     assert not (tmp_path / "keys").exists()
 
 
@@ -111,30 +113,35 @@ def test_a_name_that_no_host_can_have(tmp_path, name):
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda f: (f / "edge.pem").unlink(), "edge.pem: there is no such file, and edge runs her"),
-        (lambda f: (f / "edge.key").unlink(), "edge.key: there is no such file"),
+        (
+            lambda f: (f / "router.pem").unlink(),
+            "router.pem: there is no such file, and router runs",
+        ),
+        (lambda f: (f / "router.key").unlink(), "router.key: there is no such file"),
         (lambda f: (f / "ca.pem").unlink(), "ca.pem: there is no such file"),
         (lambda f: (f / "ca.pem").write_text("x"), "ca.pem: holds no certificate"),
-        (lambda f: (f / "edge.pem").write_text("x"), "is no PEM file of a certificate"),
-        (lambda f: shutil.copy(f / "sim.key", f / "edge.key"), "its key is not .*edge.key"),
+        (lambda f: (f / "router.pem").write_text("x"), "is no PEM file of a certificate"),
+        (lambda f: shutil.copy(f / "sim.key", f / "router.key"), "its key is not .*router.key"),
         (
-            lambda f: [shutil.copy(f / f"sim.{end}", f / f"edge.{end}") for end in ("pem", "key")],
-            "edge.pem: is the certificate of 'sim', not 'edge'",
+            lambda f: [
+                shutil.copy(f / f"sim.{end}", f / f"router.{end}") for end in ("pem", "key")
+            ],
+            "router.pem: is the certificate of 'sim', not 'router'",
         ),
     ],
 )
 def test_files_that_are_not_what_their_names_say(folder, spoil, message):
     spoil(folder)
     with pytest.raises(ConfigError, match=message):
-        check_key(folder, "edge", hosts=True)
+        check_key(folder, "router", hosts=True)
 
 
 def test_a_certificate_of_another_authority_is_named(folder, tmp_path):
     other = make_keys(tmp_path / "other")
     for end in ("pem", "key"):
-        shutil.copy(other / f"edge.{end}", folder / f"edge.{end}")
-    with pytest.raises(ConfigError, match=r"edge.pem: is not by the authority of .*ca.pem"):
-        check_key(folder, "edge", hosts=True)
+        shutil.copy(other / f"router.{end}", folder / f"router.{end}")
+    with pytest.raises(ConfigError, match=r"router.pem: is not by the authority of .*ca.pem"):
+        check_key(folder, "router", hosts=True)
 
 
 def test_an_expired_certificate_is_named(tmp_path):
@@ -151,14 +158,14 @@ def test_an_authority_whose_time_is_over_makes_no_more(tmp_path):
 
 
 def test_keys_are_looked_at_before_anything_starts(shell: Shell, folder):
-    (folder / "infra-0.key").unlink()
+    (folder / "infra-r0.key").unlink()
     status, output = shell.run("up", "--keys", "keys", "--out", "run")
-    assert (status, "keys/infra-0.key: there is no such file" in output) == (2, True), output
+    assert (status, "keys/infra-r0.key: there is no such file" in output) == (2, True), output
     assert "Traceback" not in output
     assert not (shell.folder / "run").exists()
 
 
-@pytest.mark.parametrize("named", ["vehicle-7", "signal,vehicle", "infra-0,edge"])
+@pytest.mark.parametrize("named", ["vehicle-7", "signal-r0,vehicle", "infra-r0,edge"])
 def test_keys_that_are_surely_needed_are_missed_before_anybody_is_asked(
     shell: Shell, folder, named
 ):
@@ -214,7 +221,7 @@ def test_the_settings_of_another_router_hold_the_rules_of_the_certificates(shell
     config = json.loads("".join(x for x in text.splitlines() if not x.startswith("//")))
     names = [subject["id"] for subject in config["access_control"]["subjects"]]
     assert "vehicle-1" in names
-    assert "router" not in names
+    assert "router" in names
     check_key(folder, "router", hosts=True)
 
 
@@ -226,13 +233,13 @@ def test_another_router_with_those_settings_lets_each_say_what_is_its_own(folder
     heard = Inbox()
     edge, vehicle = (
         open_bus(BusName.V2X, Endpoint(locator, False, Keys.of(folder, name)), inbox, 3000)
-        for name, inbox in (("edge", heard), ("vehicle-0", Inbox()))
+        for name, inbox in (("edge-r0", heard), ("vehicle-0", Inbox()))
     )
     edge.subscribe("roster", region="r0")
     edge.watch()
     vehicle.announce("vehicle", "vehicle-0")
     assert heard.get(5.0) == Presence("vehicle", "vehicle-0", alive=True)
-    for process in ("infra-0", "vehicle-0"):
+    for process in ("infra-r0", "vehicle-0"):
         roster = Roster(frame=0, process=process, agents=[], scanning=[])
         vehicle.publish("roster", roster, region="r0", process=process)
     item = heard.get(5.0)

@@ -21,7 +21,7 @@ from tests.hostile import Hostile
 from tests.signal_safety import violations_of
 from tests.waiting import wait_until
 
-ROLES = ["edge", "sim", "record", "signal", "infra-0", "vehicle-0", "vehicle-1"]
+ROLES = ["router", "sim", "record", "edge-r0", "signal-r0", "infra-r0", "vehicle-0", "vehicle-1"]
 
 
 def test_two_lockstep_runs_of_one_seed_are_the_same_row_for_row(shell, first_run):
@@ -88,7 +88,7 @@ def test_roles_in_two_commands_joined_over_tcp_give_the_same_rows(shell, first_r
     here = shell.up(
         "--duration=8",
         "--out=here",
-        "--only=sim,record,edge,signal",
+        "--only=router,sim,record,edge,signal",
         f"--listen=127.0.0.1:{port}",
     )
     there = shell.start("up", "--only=vehicle,infra", f"--connect=127.0.0.1:{port}", "--out=there")
@@ -101,7 +101,9 @@ def test_roles_in_two_commands_joined_over_tcp_give_the_same_rows(shell, first_r
 def test_the_edge_may_be_on_another_machine_than_the_world(shell, first_run):
     port = free_ports()
     v2x, world = f"v2x=127.0.0.1:{port}", f"world=127.0.0.1:{port + 1}"
-    edge = shell.start("up", "--only=edge", f"--listen={v2x}", f"--connect={world}", "--out=edge")
+    edge = shell.start(
+        "up", "--only=router,edge", f"--listen={v2x}", f"--connect={world}", "--out=edge"
+    )
     here = shell.up(
         "--duration=8",
         "--out=here",
@@ -120,7 +122,7 @@ def test_a_death_on_the_other_machine_ends_the_run_here(shell):
     here = shell.up(
         "--duration=600",
         "--out=here",
-        "--only=sim,record,edge,signal",
+        "--only=router,sim,record,edge,signal",
         f"--listen=127.0.0.1:{port}",
     )
     there = shell.start("up", "--only=vehicle,infra", f"--connect=127.0.0.1:{port}", "--out=there")
@@ -146,7 +148,7 @@ def test_virtual_links_give_the_same_rows_whatever_the_number_of_processes(shell
     assert differences(shell.folder / "first", alone) == []
     assert rows(shell.folder / "first", "uploads") == rows(alone, "uploads")
     drops = json.loads(shell.run("report", "first", "--json")[1])["drops_by_reason"]
-    assert drops["edge"]["late"] > 0
+    assert drops["edge-r0"]["late"] > 0
     with sqlite3.connect(f"file:{shell.folder}/first/run.sqlite?mode=ro", uri=True) as database:
         delays = database.execute("SELECT delay_sim_ns FROM requests").fetchall()
     # The deadline, unless all whose scans would be late left the frame out: their links are full.
@@ -274,7 +276,7 @@ def test_bad_messages_are_counted_and_the_run_goes_on(shell):
     status, output = command.finish()
     assert status == 0, output
     drops = json.loads(shell.run("report", "run", "--json")[1])["drops_by_reason"]
-    assert drops["edge"] == {"MessageError": 4, "VersionError": 1}
+    assert drops["edge-r0"] == {"MessageError": 4, "VersionError": 1}
 
 
 def test_a_flood_of_hostile_requests_shows_nothing_unsafe_and_stops_no_control(shell):

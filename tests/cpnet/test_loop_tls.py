@@ -11,10 +11,10 @@ from tests.cpnet.commands import Shell, check_account, free_ports
 
 def test_each_machine_needs_its_own_keys_alone(shell, first_run):
     made = make_keys(shell.folder / "keys")
-    part(made, shell.folder / "a", "edge", "sim", "record", "signal", "watch")
-    part(made, shell.folder / "b", "vehicle-0", "vehicle-1", "infra-0", "watch")
+    part(made, shell.folder / "a", "router", "sim", "record", "edge-r0", "signal-r0", "watch")
+    part(made, shell.folder / "b", "vehicle-0", "vehicle-1", "infra-r0", "watch")
     place = f"127.0.0.1:{free_ports()}"
-    world = "--only=sim,record,edge,signal"
+    world = "--only=router,sim,record,edge,signal"
     here = shell.up("--duration=8", "--out=here", world, f"--listen={place}", "--keys=a")
     there = shell.start(
         "up", "--only=vehicle,infra", f"--connect={place}", "--out=there", "--keys=b"

@@ -93,7 +93,7 @@ def test_bytes_are_counted_by_process_and_never_by_agent():
     times = dict.fromkeys(("sense_start_ns", "sense_end_ns", "encode_end_ns", "sent_ns"), 0)
     run_metrics = RunMetrics()
     for agent in ("a", "b"):
-        upload = m.Upload(agent=agent, chunk=0, points=1, payload_bytes=100, **times)
+        upload = m.Upload(agent=agent, region="r0", chunk=0, points=1, payload_bytes=100, **times)
         wire = m.WireCount(agent=agent, frame=0, sent_bytes=130)
         run_metrics.take(metrics("vehicle-0", uploads=[upload], wire=[wire]))
     samples = page(run_metrics)

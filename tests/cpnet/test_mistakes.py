@@ -54,9 +54,10 @@ def test_a_signal_that_the_net_lacks(shell):
     assert "J" in output
 
 
-def test_two_signals_for_one_run(shell):
-    output = refused(shell, "up", "--tls", "J", "--tls", "K")
-    assert "--tls J, K: a run controls one signal" in output
+def test_of_signals_that_are_named_one_by_one_none_is_forgotten(shell):
+    assert "no signal 'K'" in refused(shell, "up", "--tls", "K", "--tls", "J")
+    assert "no signal 'K'" in refused(shell, "up", "--tls", "J,K")
+    assert "1 junctions: 1 regions would have none" in refused(shell, "up", "--regions", "2")
 
 
 @pytest.mark.parametrize("value", ["seed=2020-13-45", "seed=0b_", "name=../evil", "name=[/x]"])
@@ -138,7 +139,7 @@ def test_scenario_options_where_the_world_is_elsewhere(shell):
 
 
 def test_a_role_that_does_not_exist(shell):
-    assert "allowed: edge, sim" in refused(shell, "up", "--only", "edgy")
+    assert "allowed: router, sim" in refused(shell, "up", "--only", "edgy")
 
 
 def test_a_recording_that_is_not_there(shell, tmp_path):

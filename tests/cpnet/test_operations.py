@@ -42,15 +42,16 @@ def test_a_run_is_scraped_while_it_goes_on_and_its_logs_are_json(shell: Shell):
     options = ("--duration=600", "--out=run", "--metrics", port, "--log=json")
     command = shell.up(*options, "--mode=realtime", "--restart")
     command.read_until("vehicles")
-    agents = ("vehicle-0", "vehicle-1", "infra-0")
+    agents = ("vehicle-0", "vehicle-1", "infra-r0")
     uploads = [("cpnet_uploaded_bytes_total", agent) for agent in agents]
     spans = [
         ("cpnet_stage_seconds_count", stage)
         for stage in ("sense", "encode", "decode", "merge", "detect", "decide", "actuate", "world")
     ]
-    roles = [("cpnet_process_up", role, role) for role in ("edge", "sim", "record", "signal")]
+    named = (("edge-r0", "edge"), ("sim", "sim"), ("record", "record"), ("signal-r0", "signal"))
+    roles = [("cpnet_process_up", *one) for one in named]
     counted = ("cpnet_frames_total",)
-    sent = ("cpnet_sent_bytes_total", "infra-0")
+    sent = ("cpnet_sent_bytes_total", "infra-r0")
     latency = ("cpnet_end_to_end_seconds",)
     samples = scrape_until(command, port, counted, sent, latency, *uploads, *spans, *roles)
     assert samples[("cpnet_vehicles",)] > samples[("cpnet_cavs",)] > 0
@@ -86,7 +87,7 @@ def test_a_run_is_scraped_while_it_goes_on_and_its_logs_are_json(shell: Shell):
 def test_a_machine_of_some_roles_exports_the_run_and_the_doctor_sees_the_other(shell: Shell):
     port, metrics = free_ports(), free_port()
     place = f"127.0.0.1:{port}"
-    roles = "--only=sim,record,edge,signal"
+    roles = "--only=router,sim,record,edge,signal"
     without_end = ("--mode=realtime", "--duration=600")
     here = shell.up(*without_end, "--out=here", roles, f"--listen={place}")
     there = shell.start(
@@ -94,14 +95,14 @@ def test_a_machine_of_some_roles_exports_the_run_and_the_doctor_sees_the_other(s
     )
     there.read_until("vehicles")
     samples = scrape_until(there, metrics, ("cpnet_frame",), ("cpnet_frames_total",))
-    assert samples[("cpnet_process_up", "edge", "edge")] == 1
+    assert samples[("cpnet_process_up", "edge-r0", "edge")] == 1
     assert samples[("cpnet_process_up", "vehicle-0", "vehicle")] == 1
     _, output = shell.run("doctor", "--json", "--connect", place)
     found = {finding["check"]: finding for finding in json.loads(output)["findings"]}
     for bus in ("v2x", "world"):
         assert found[f"{bus}_reached"]["ok"]
         names = found[f"{bus}_processes"]["measured"]["processes"]
-        assert {"edge", "sim", "vehicle-0", "infra-0"} <= set(names)
+        assert {"edge-r0", "router", "sim", "vehicle-0", "infra-r0"} <= set(names)
     assert found["world_clock"]["measured"]["error_ms"] == 0
     assert found["world_version"]["ok"]
     assert found["world_version"]["measured"]["scenario"] == "t_junction"

@@ -82,7 +82,7 @@ def test_edge_and_signal_may_be_elsewhere(shell, recorded):
         *(f"--listen=world=127.0.0.1:{port + 1}", f"--connect=v2x=127.0.0.1:{port}"),
     )
     there = shell.start(
-        *("up", "--only=edge,signal", "--out=there"),
+        *("up", "--only=router,edge,signal", "--out=there"),
         *(f"--listen=v2x=127.0.0.1:{port}", f"--connect=world=127.0.0.1:{port + 1}"),
     )
     for command in (here, there):

@@ -27,8 +27,8 @@ def test_what_differs_from_the_defaults_is_given() -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"name": "own-net", "traffic.net": "/a b/$(rm).net.xml", "traffic.tls": "no"},
-        {"roadside_mounts": [{"id": "a", "x_m": 3.0}, {"id": "b"}], "region": "1.5"},
+        {"name": "own-net", "traffic.net": "/a b/$(rm).net.xml", "junctions": ["no"]},
+        {"roadside_mounts": [{"id": "a", "x_m": 3.0}, {"id": "b"}], "regions": {"1.5": ["no"]}},
         {"link.profile": "5mbit,20ms"},
         {"traffic.demand_vph_per_lane": {"north.in": 300.0}},
     ],

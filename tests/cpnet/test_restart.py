@@ -42,7 +42,7 @@ def stop(command: Command) -> None:
 
 
 def test_whoever_dies_comes_back_and_all_is_right_again(shell):
-    victims = ["record", "edge", "signal", "vehicle-0", "infra-0", "record"]
+    victims = ["record", "edge-r0", "signal-r0", "vehicle-0", "infra-r0", "record"]
     with observed(shell) as (command, observer, run_dir):
         faults = []
         for victim in victims:
@@ -80,9 +80,9 @@ def test_a_run_outlives_its_fork_server_and_has_no_twins(shell):
 
 def test_who_is_stopped_is_told_of_and_starts_again(shell):
     with observed(shell) as (command, observer, run_dir):
-        os.kill(processes_of(run_dir)["infra-0"], signal.SIGSTOP)
-        command.read_until("nothing heard from infra-0: it is stopped")
-        command.read_until("infra-0 was stopped (SIGSTOP) for 5 s; started again")
+        os.kill(processes_of(run_dir)["infra-r0"], signal.SIGSTOP)
+        command.read_until("nothing heard from infra-r0: it is stopped")
+        command.read_until("infra-r0 was stopped (SIGSTOP) for 5 s; started again")
         observer.health.doubt()
         assert observer.listen(PATIENCE_S, observer.is_right), observer.health.wrong
     stop(command)
@@ -118,11 +118,12 @@ def test_a_lost_agents_cavs_move_to_the_others_and_newcomers_join(shell):
 def test_a_process_that_dies_all_the_time_ends_the_run(shell):
     with observed(shell) as (command, _, run_dir):
         for _ in range(MAX_RESTARTS + 1):
-            number = processes_of(run_dir)["signal"]
+            number = processes_of(run_dir)["signal-r0"]
             os.kill(number, signal.SIGKILL)
             wait_until(
                 lambda number=number: (
-                    processes_of(run_dir)["signal"] != number or command.process.poll() is not None
+                    processes_of(run_dir)["signal-r0"] != number
+                    or command.process.poll() is not None
                 )
             )
     status, output = command.finish()

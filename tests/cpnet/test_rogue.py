@@ -32,10 +32,10 @@ ALLOWED = {V2X: "r0/roster/vehicle-1", WORLD: "metrics/vehicle-1"}
 FORBIDDEN = {
     V2X: [
         "r0/scan/vehicle-0/rsu-0/0",
-        "r0/scan/infra-0/rsu-0/0",
+        "r0/scan/infra-r0/rsu-0/0",
         "r0/pose/vehicle-0/x",
         "r0/objects/vehicle-0/x",
-        "r0/roster/infra-0",
+        "r0/roster/infra-r0",
         "r0/roster/vehicle-0",
         "r0/lanes/J",
         "r0/detections",
@@ -232,8 +232,10 @@ def test_an_agent_sees_nobodys_presence_and_shows_nobody_elses(attacked):
     wait_until(lambda: shown.some("relay/relay-vehicle"))
     assert {key.removeprefix("alive/") for key in shown.names()} == {
         *(f"vehicle/vehicle-{n}" for n in range(2)),
-        *(f"{name}/{name}" for name in ("edge", "record", "signal", "sim")),
-        "infra/infra-0",
+        *(f"{name}/{name}" for name in ("record", "router", "sim")),
+        "edge/edge-r0",
+        "signal/signal-r0",
+        "infra/infra-r0",
         "relay/relay-vehicle",
     }
     assert seen.samples == []
@@ -299,5 +301,5 @@ def test_what_an_agent_says_under_another_name_arrives_nowhere_and_the_run_goes_
         if "MessageError" in n
     }
     # Its own rosters and scans reach the edge; scans, clocks and metrics the recorder.
-    assert bad == {"edge": 2 * (OWN_WORDS + 1), "record": 2 * (OWN_WORDS + 2)}
+    assert bad == {"edge-r0": 2 * (OWN_WORDS + 1), "record": 2 * (OWN_WORDS + 2)}
     assert summary["frames"] > 20

@@ -47,7 +47,9 @@ def test_a_value_out_of_range_is_refused_with_its_key():
 
 
 def test_an_unknown_scenario_is_refused_with_the_built_in_ones():
-    with pytest.raises(ConfigError, match="no scenario 'x_junction'.*built-in t_junction"):
+    with pytest.raises(
+        ConfigError, match="no scenario 'x_junction'.*built-in corridor, grid, t_junction"
+    ):
         load("x_junction", {})
 
 

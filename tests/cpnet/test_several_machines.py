@@ -23,7 +23,7 @@ UPLINK_MBPS = 5
 STEADY_FRAMES = 5
 PLACES = {
     "world": "sim,record",
-    "edge": "edge",
+    "edge": "router,edge",
     "signal": "signal",
     "post": "infra",
     "car-0": "vehicle-0",
@@ -177,7 +177,12 @@ def test_scans_take_as_long_as_the_shaped_uplinks_say(machines: Machines):
 def test_hosts_and_roles_come_and_go_while_the_world_goes_on(machines: Machines):
     machines.up(*WITHOUT_END, everywhere=("--restart",))
     machines.await_right()
-    for place, process in (("edge", "edge"), ("signal", "signal"), ("world", "record")):
+    for place, process in (
+        ("edge", "edge-r0"),
+        ("edge", "router"),
+        ("signal", "signal-r0"),
+        ("world", "record"),
+    ):
         os.kill(processes_of(machines.run_dir(place))[process], signal.SIGKILL)
         machines.await_right()
     machines.lose("car-0")  # its CAVs go to the other host
@@ -188,7 +193,7 @@ def test_hosts_and_roles_come_and_go_while_the_world_goes_on(machines: Machines)
     machines.stop()
     with Run(machines.run_dir("world")) as run:
         gaps = run.query("SELECT away, count(*) FROM gaps GROUP BY away")
-        assert gaps == [("recorder", 1), ("v2x", 1)]  # the edge's router died with it
+        assert gaps == [("recorder", 1), ("v2x", 1)]  # its router died
         assert run.meta["end_reason"] == "stopped"
 
 

@@ -231,14 +231,18 @@ def test_hosts_of_the_buses_start_first():
 
 def test_the_scenario_says_how_many_processes_there_are():
     scenario = Scenario.model_validate(
-        {"processes": {"vehicle": 3}, "roadside_mounts": [{"id": "a"}, {"id": "b"}]}
+        {
+            "processes": {"vehicle": 3},
+            "regions": {"r0": ["J"], "r1": ["K"]},
+            "roadside_mounts": [{"id": "a", "tls": "J"}, {"id": "b", "tls": "K"}],
+        }
     )
     ids = [p.id for p in processes_of(parse_only("vehicle,infra"), scenario)]
-    assert ids == ["infra-0", "infra-1", "vehicle-0", "vehicle-1", "vehicle-2"]
+    assert ids == ["infra-r0", "infra-r1", "vehicle-0", "vehicle-1", "vehicle-2"]
 
 
 def test_an_unknown_role_is_refused_with_the_allowed_ones():
-    with pytest.raises(ConfigError, match="no role 'edgy'; allowed: edge, sim, record"):
+    with pytest.raises(ConfigError, match="no role 'edgy'; allowed: router, sim, record"):
         parse_only("edge,edgy")
 
 
@@ -251,6 +255,8 @@ def test_every_role_is_a_package_with_a_main_module():
 def test_what_was_named_runs_whatever_the_scenario_is():
     found = [
         process.id
-        for process in processes_without_scenario(parse_only("edge,mcap,infra,vehicle-7,vehicle-1"))
+        for process in processes_without_scenario(
+            parse_only("router,mcap,infra,edge-r3,vehicle-7,vehicle-1")
+        )
     ]
-    assert found == ["edge", "vehicle-1", "vehicle-7"]
+    assert found == ["router", "edge-r3", "vehicle-1", "vehicle-7"]

@@ -38,9 +38,15 @@ def test_a_stranger_under_an_expected_id_is_not_the_one_who_is_missed():
 
 def test_everybody_is_a_role_and_an_id():
     scenario = Scenario.model_validate(
-        {"processes": {"vehicle": 2}, "roadside_mounts": [{"id": "a"}], "record": {"mcap": True}}
+        {
+            "processes": {"vehicle": 2},
+            "regions": {"r0": ["J"]},
+            "roadside_mounts": [{"id": "a", "tls": "J"}],
+            "record": {"mcap": True},
+        }
     )
     assert all_processes(scenario) == {
-        EDGE, SIM, ("signal", "signal"), ("record", "record"), ("mcap", "mcap"),
-        ("infra", "infra-0"), ("vehicle", "vehicle-0"), ("vehicle", "vehicle-1"),
+        ("router", "router"), SIM, ("record", "record"), ("mcap", "mcap"),
+        ("edge", "edge-r0"), ("signal", "signal-r0"),
+        ("infra", "infra-r0"), ("vehicle", "vehicle-0"), ("vehicle", "vehicle-1"),
     }  # fmt: skip

@@ -104,8 +104,8 @@ def metrics(process: str, frame: int, spans: int, agents: int = 0) -> m.Metrics:
     span = m.Span(stage="s", start_ns=1, end_ns=2)
     uploads = [
         m.Upload(
-            agent=f"{n}", chunk=0, points=1, payload_bytes=1, sense_start_ns=1, sense_end_ns=1,
-            encode_end_ns=1, sent_ns=1,
+            agent=f"{n}", region="r0", chunk=0, points=1, payload_bytes=1, sense_start_ns=1,
+            sense_end_ns=1, encode_end_ns=1, sent_ns=1,
         )
         for n in range(agents)
     ]  # fmt: skip
@@ -297,7 +297,7 @@ def test_whoever_watches_remembers_so_many_processes():
 @pytest.fixture
 def recorder(tmp_path: Path) -> RecordRole:
     setup = m.Setup(
-        scenario={"name": "t", "frame_period_s": 0.1},
+        scenario={"name": "t", "frame_period_s": 0.1, "regions": {"r0": ["t"]}},
         road_map=no_road(),
         vehicle_types=[],
         meshes=[],

@@ -64,7 +64,7 @@ def test_a_net_of_the_users_is_seen_alone_and_in_a_scenario(tmp_path: Path) -> N
     assert road_map.intersections[0].signal.tls == "J"
     assert len(samples) == 1
     assert len(samples[0].scans) >= 2
-    own = scanner_of(scenario(traffic__net=str(net), traffic__tls="J"), 1)
+    own = scanner_of(scenario(traffic__net=str(net), junctions=["J"]), 1)
     (sample,) = samples_of(own)
     assert own.road_map.intersections[0].signal == road_map.intersections[0].signal
     assert sample.scans[0].agent == "rsu-0"

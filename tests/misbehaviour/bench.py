@@ -23,7 +23,7 @@ from edge_server.config import EdgeConfig
 from edge_server.frame import Chunk, Frame, FrameState
 from edge_server.misbehaviour import Check
 from edge_server.placing import Place
-from edge_server.scenario import mounts_of
+from edge_server.scenario import places_of
 from perception.roadway import Roadway
 from protocol.errors import CpnetError
 from protocol.roadmap import RoadMap
@@ -105,7 +105,7 @@ class RecordedRun:
         with Run(run_dir) as run:
             scenario, self.road_map = run.scenario, run.setup.road_map
         self._config = EdgeConfig.model_validate(scenario["edge"])
-        self._mounts = mounts_of(scenario, self.road_map)
+        self._mounts = places_of(scenario["roadside_mounts"], self.road_map)
         self._roadway = Roadway.of(self.road_map, margin_m=self._config.geofence.margin_m)
         self._place = Place(self._roadway, self._config.geofence)
         self.cav_rate = float(scenario["traffic"]["cav_rate"])

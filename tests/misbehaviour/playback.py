@@ -75,7 +75,7 @@ def _piece(scenario: dict[str, Any], row: CloudRow) -> Chunk:
         agent=row.agent,
         index=row.chunk,
         chunk_count=1,
-        sensor_pose=np.array(row[4:10]),
+        sensor_pose=np.array(row[5:11]),
         points=np.ascontiguousarray(points, np.float32),
         received_ns=0,
         ground_free="foreground" in filters,

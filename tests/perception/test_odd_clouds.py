@@ -19,6 +19,7 @@ from perception.detector import Cloud, Detector, Vehicles
 from perception.registry import detector_of
 from perception.roadway import Placed, Roadway, lowest
 from protocol.geometry import SE3
+from protocol.regions import RegionMap
 from tests.edge_server.made_frames import ROADSIDE, frame_of
 from tests.roads import junction_road
 
@@ -188,9 +189,8 @@ def test_an_agent_that_sends_them_changes_nothing_of_what_others_see(
     name: str, ground_free: bool, car_shell: Callable[..., Any], ground: Callable[..., Any]
 ) -> None:
     need(name)
-    pipeline = Pipeline.of(
-        junction_road(0.035), EdgeConfig.model_validate({"detector": name}), seed=1
-    )
+    region = RegionMap.whole(junction_road(0.035))
+    pipeline = Pipeline.of(region, EdgeConfig.model_validate({"detector": name}), seed=1)
     frame = frame_of(car_shell, ground)
     bad = replace(frame.chunks[0], agent="bad", points=hostile(), ground_free=ground_free)
     honest, spoilt = (

@@ -60,7 +60,8 @@ def test_a_scan_crosses_tls_and_its_bytes_are_counted(router, folder, place, edg
     crossed = []
     for _ in range(3):
         before = client.wire_bytes()
-        size = client.publish("scan", big, region="r0", process="infra-r0", agent="rsu-0", chunk="0")
+        where = {"region": "r0", "process": "infra-r0", "agent": "rsu-0", "chunk": "0"}
+        size = client.publish("scan", big, **where)
         item = edge_inbox.get(WAIT_S)
         assert isinstance(item, Envelope)
         assert np.array_equal(item.message.payload, big.payload)

@@ -17,6 +17,7 @@ from protocol.topics import BusName
 from protocol.wire import encode
 from recording.playback.frames import RecordedFrames
 from recording.playback.role import PlayerRole
+from sim_host.setup import resolved
 from tests.roads import no_road
 
 PERIOD_NS = 100_000_000
@@ -107,14 +108,17 @@ def scan(
     return item("scan", said, **where, chunk=str(chunk))
 
 
+ROADS = no_road("J", [(9, "G")])
+
+
 class Rig:
     """A player and whoever hears it, on local buses."""
 
     def __init__(self, said: list[Envelope], process: str = "vehicle-0", **more: Any) -> None:
         data = scenarios.load("t_junction", {"replay": {"recording": "none"}, **more})
         setup = m.Setup(
-            scenario=data.model_dump(mode="json"),
-            road_map=no_road("J", [(9, "G")]),
+            scenario=resolved(data.model_dump(mode="json"), ROADS),
+            road_map=ROADS,
             vehicle_types=[],
             meshes=[],
             mesh_vertices=np.zeros((0, 3), np.float32),

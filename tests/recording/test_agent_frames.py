@@ -17,7 +17,7 @@ def test_a_whole_frame_is_told_as_it_was():
     said = [roster(4, ["b", "a"]), pose(4, "b"), *chunks, pose(4, "a", cav=False)]
     words = agent_frames("vehicle-0", "vehicle", said)
     assert [*words] == ["b", "a"]
-    assert [part is one.message for part, one in zip(words["b"].parts, chunks, strict=True)]
+    assert [part is one.message for (_, part), one in zip(words["b"].parts, chunks, strict=True)]
     assert (words["b"].has_sensor, words["a"].has_sensor) == (True, False)
     assert words["a"].parts == []
 
@@ -27,7 +27,7 @@ def test_chunks_count_up_to_the_first_that_is_missing_and_none_is_waited_for(cam
     said = [roster(0, ["a"]), pose(0, "a"), *(scan(0, "a", n, 8) for n in sorted(came))]
     parts = agent_frames("vehicle-0", "vehicle", said)["a"].parts
     whole = next(n for n in range(9) if n not in came)
-    assert [(part.chunk, part.chunks) for part in parts] == [(n, whole) for n in range(whole)]
+    assert [(part.chunk, part.chunks) for _, part in parts] == [(n, whole) for n in range(whole)]
 
 
 def test_others_words_are_left_and_who_drives_without_a_pose_too():
@@ -43,7 +43,7 @@ def test_others_words_are_left_and_who_drives_without_a_pose_too():
 
 
 def test_a_post_that_left_a_frame_out_is_still_there():
-    words = agent_frames("infra-0", "roadside", [roster(0, ["rsu-0"], "infra-0")])
+    words = agent_frames("infra-r0", "roadside", [roster(0, ["rsu-0"], "infra-r0")])
     assert words["rsu-0"].parts == []
     assert words["rsu-0"].has_sensor
 
@@ -63,6 +63,6 @@ def test_boxes_and_what_a_sensor_saw_belong_to_their_agent():
     saw = Sighting(frame=0, agent="a", vehicles=["v"], points=np.array([5], np.int32))
     said = [pose(0, "a"), item("objects", boxes, **where), item("sighting", saw, agent="a")]
     words = agent_frames("vehicle-0", "vehicle", said)["a"]
-    assert words.parts[0] is boxes
+    assert words.parts[0][1] is boxes
     assert words.sighting is saw
     assert words.sense_start_ns == 1

@@ -23,6 +23,7 @@ def span(stage: str, start_ms: float, end_ms: float, agent: str = "") -> Span:
 def upload(agent: str, chunk: int, sent_ms: float, link_ms: float | None = None) -> Upload:
     return Upload(
         agent=agent,
+        region="r0",
         chunk=chunk,
         points=1,
         payload_bytes=1,
@@ -46,10 +47,10 @@ def evidence(link_ms: Mapping[str, float] | None = None) -> FrameTimings:
     On a virtual link a's second chunk comes 3 ms after its first.
     """
     link = link_ms or {}
-    made = FrameTimings(complete=True)
+    made = FrameTimings("r0", complete=True)
     made.senders |= HOSTS
     for agent, chunks in (("a", 2), ("b", 1)):
-        spans = made.spans[HOSTS[agent]]
+        spans = made.agents[agent]
         spans += [span("sense", 0, 4, agent), span("select", 4, 5, agent)]
         for chunk in range(chunks):
             sent = 9 + 4 * chunk
@@ -61,18 +62,18 @@ def evidence(link_ms: Mapping[str, float] | None = None) -> FrameTimings:
             made.uploads[agent, chunk] = upload(agent, chunk, sent, on_link)
             came = 20 + 5 * chunk
             made.arrivals[agent, chunk] = arrival(agent, chunk, came)
-            made.spans["edge"] += [
+            made.edge += [
                 span("decode", came, came + 2, agent),
                 span("place", came + 2, came + 3, agent),
             ]
-    made.spans["edge"].append(span("wait", 20, 40))
+    made.edge.append(span("wait", 20, 40))
     ends = [40, 41, 42, 46, 51, 52, 53]
     for stage, start, end in zip(
         ("check", "merge", "ground", "detect", "fuse", "count"), ends, ends[1:], strict=False
     ):
-        made.spans["edge"].append(span(stage, start, end))
-    made.spans["signal"].append(span("decide", 54, 55))
-    made.spans["sim"].append(span("actuate", 57, 60))
+        made.edge.append(span(stage, start, end))
+    made.signal.append(span("decide", 54, 55))
+    made.actuations.append(span("actuate", 57, 60))
     return made
 
 
@@ -86,8 +87,8 @@ def test_the_stages_of_a_frame_sum_to_its_end_to_end_time() -> None:
     assert (a.frame, a.agent, b.agent) == (7, "a", "b")
     assert in_ms(a) == {
         "sense": 4, "select": 1, "encode": 4, "send": 2, "link": 12, "decode": 2, "place": 1,
-        "wait": 12, "check": 1, "merge": 1, "ground": 4, "detect": 5, "fuse": 1, "count": 1,
-        "decide": 1, "actuate": 3, "other": 5, "end_to_end": 60, "clock_error": 0,
+        "wait": 12, "check": 1, "merge": 1, "ground": 4, "detect": 5, "fuse": 1, "border": 0,
+        "count": 1, "decide": 1, "actuate": 3, "other": 5, "end_to_end": 60, "clock_error": 0,
     }  # fmt: skip
     assert stage_sum_ns(b) == b.end_to_end_ns == 60 * MS
 
@@ -96,8 +97,8 @@ def test_time_in_which_two_chunks_of_an_agent_were_opened_counts_once() -> None:
     made = evidence()
     for chunk in (0, 1):
         made.arrivals["a", chunk] = arrival("a", chunk, 20)
-    others = [s for s in made.spans["edge"] if s.agent != "a"]
-    made.spans["edge"] = [
+    others = [s for s in made.edge if s.agent != "a"]
+    made.edge = [
         *others,
         span("decode", 22, 28, "a"),
         span("place", 28, 30, "a"),
@@ -118,7 +119,7 @@ def test_only_what_was_used_counts() -> None:
 
 def test_without_the_cabinets_word_there_is_no_account_yet() -> None:
     made = evidence()
-    del made.spans["sim"]
+    made.actuations.clear()
     assert made.latencies(1, {}) == []
     assert made.unused_end_to_end_ns({}, 5) is None
 
@@ -127,11 +128,11 @@ def test_without_the_cabinets_word_there_is_no_account_yet() -> None:
 @given(st.integers(-(10**15), 10**15), st.integers(-(10**15), 10**15), st.integers(0, 10**6))
 def test_clocks_of_other_machines_are_aligned_and_their_error_is_kept(vehicle, edge, error) -> None:
     there = evidence()
-    for process, offset in (("vehicle-0", vehicle), ("vehicle-1", vehicle), ("edge", edge)):
+    held = [*((spans, vehicle) for spans in there.agents.values()), (there.edge, edge)]
+    for spans, offset in held:
         shift = {"start_ns": -offset, "end_ns": -offset}
-        there.spans[process] = [
-            s.model_copy(update={k: getattr(s, k) + v for k, v in shift.items()})
-            for s in there.spans[process]
+        spans[:] = [
+            s.model_copy(update={k: getattr(s, k) + v for k, v in shift.items()}) for s in spans
         ]
     stamps = ("sense_start_ns", "sense_end_ns", "encode_end_ns", "sent_ns")
     for key, sent in there.uploads.items():
@@ -140,7 +141,7 @@ def test_clocks_of_other_machines_are_aligned_and_their_error_is_kept(vehicle, e
     for key, came in there.arrivals.items():
         moved = {"received_ns": came.received_ns - edge, "decoded_ns": came.decoded_ns - edge}
         there.arrivals[key] = came.model_copy(update=moved)
-    clocks = {"vehicle-0": (vehicle, error), "vehicle-1": (vehicle, error), "edge": (edge, 7)}
+    clocks = {"vehicle-0": (vehicle, error), "vehicle-1": (vehicle, error), "edge-r0": (edge, 7)}
     expected = [row._replace(clock_error_ns=error + 7) for row in evidence().latencies(1, {})]
     assert there.latencies(1, clocks) == expected
 

@@ -39,7 +39,13 @@ def stay_nice(monkeypatch):
 def context_in(folder, record) -> Context:
     """Returns what a recording's process is handed, on buses of this process."""
     asked = setup()
-    scenario = {"name": "n", "mode": "lockstep", "seed": 1, "region": "r0", "record": record}
+    scenario = {
+        "name": "n",
+        "mode": "lockstep",
+        "seed": 1,
+        "regions": {"r0": ["J"]},
+        "record": record,
+    }
     made = asked.model_copy(update={"scenario": scenario})
     inbox, stop = Inbox(), threading.Event()
     world, v2x = (InProcessRouter(name).bus(inbox) for name in (BusName.WORLD, BusName.V2X))
@@ -66,17 +72,17 @@ def test_all_topics_of_both_buses_are_kept_but_truth_that_nobody_wants(tmp_path,
         set() if truth else TRUTH_TOPICS
     )
     assert recording.facts["truth"] == json.dumps(truth)
-    assert (recording.is_whole, recording.facts["region"]) == (True, "r0")
+    assert recording.is_whole
 
 
-def test_another_regions_messages_are_not_kept(tmp_path):
+def test_the_messages_of_all_regions_are_kept(tmp_path):
     context = context_in(tmp_path, {"mcap": True})
     writing = recorder.build(context)
     item = envelope("detections", 0)
     context.v2x.deliver("detections", item.data, region="r1")
     context.v2x.deliver("detections", item.data, region="r0")
     found = [one for one in iter(context.inbox.get, None) if isinstance(one, Envelope)]
-    assert [one.parts for one in found] == [{"region": "r0"}]
+    assert [one.parts for one in found] == [{"region": "r1"}, {"region": "r0"}]
     writing.close()
 
 

@@ -73,8 +73,8 @@ def test_on_a_slow_virtual_link_frames_are_left_out_and_arrivals_are_computed_an
 
 
 def test_a_post_speaks_for_itself_alone():
-    said = [state(0), roster(0, ["rsu-0"], "infra-0"), scan(0, "rsu-0", process="infra-0")]
-    rig = Rig([*said, *frames(1)], "infra-0")
+    said = [state(0), roster(0, ["rsu-0"], "infra-r0"), scan(0, "rsu-0", process="infra-r0")]
+    rig = Rig([*said, *frames(1)], "infra-r0")
     told = rig.play(0)
     assert of(m.Roster, told)[0].agents == ["rsu-0"]
     assert of(m.AgentPose, told) == []

@@ -39,7 +39,12 @@ MS = 1_000_000
 
 def setup_message(**record: object) -> m.Setup:
     return m.Setup(
-        scenario={"name": "t", "frame_period_s": 0.1, "record": record},
+        scenario={
+            "name": "t",
+            "frame_period_s": 0.1,
+            "record": record,
+            "regions": {"r0": ["t"]},
+        },
         road_map=no_road(),
         vehicle_types=[],
         meshes=[],
@@ -91,7 +96,7 @@ class Rig:
             self.v2x.publish("scan", scan, region="r0", process="v", agent=agent, chunk="0")
             uploads.append(
                 m.Upload(
-                    agent=agent, chunk=0, points=7, payload_bytes=1000,
+                    agent=agent, region="r0", chunk=0, points=7, payload_bytes=1000,
                     sense_start_ns=start + MS, sense_end_ns=start + 9 * MS,
                     encode_end_ns=start + 10 * MS, sent_ns=start + 11 * MS,
                 )
@@ -101,10 +106,10 @@ class Rig:
                     agent=agent, chunk=0, received_ns=start + 12 * MS, decoded_ns=start + 13 * MS
                 )
             )
-        self.metrics("infra-0", frame, uploads=uploads)
-        self.metrics("edge", frame, arrivals=arrivals, points=7, drops={"late": frame})
-        self.metrics("signal", frame)
-        act = m.Span(stage="actuate", start_ns=start + 80 * MS, end_ns=start + 81 * MS)
+        self.metrics("infra-r0", frame, uploads=uploads)
+        self.metrics("edge-r0", frame, arrivals=arrivals, points=7, drops={"late": frame})
+        self.metrics("signal-r0", frame)
+        act = m.Span(stage="actuate", agent="t", start_ns=start + 80 * MS, end_ns=start + 81 * MS)
         detections = m.Detections(
             **common, agents=list(agents), boxes=np.ones((2, 7)), scores=np.ones(2),
             lanes=["a_0", ""], distances_m=np.zeros(2), sources=["lidar", "lidar"],
@@ -178,7 +183,7 @@ def test_every_table_holds_what_was_said(rig: Rig, tmp_path: Path) -> None:
         assert (truth.frame, truth.vehicle, truth.type, truth.equipment) == (1, "car-1", "bus", 2)
         assert (truth.x_m, truth.yaw_rad, truth.lane) == (7.0, 12.0, "b_0")
         assert [r.arrive_s for r in run.rows(TripRow)] == [9.0, None]
-        assert list(run.rows(DropRow)) == [("edge", "late", 2)]
+        assert list(run.rows(DropRow)) == [("edge-r0", "late", 2)]
         assert run.scenario["name"] == "t"
 
 
@@ -210,7 +215,7 @@ def test_contradictory_messages_are_counted_and_dropped(rig: Rig, tmp_path: Path
         scores=np.ones(1, np.float32), lanes=[], distances_m=np.zeros(0, np.float32), sources=[],
     )  # fmt: skip
     rig.v2x.publish("detections", crooked, region="r0")
-    rig.metrics("edge", 1 << 35)
+    rig.metrics("edge-r0", 1 << 35)
     rig.world.publish("trips", m.Trips(frame=0, trips=[
         m.Trip.model_construct(
             vehicle="x", equipment=m.Equipment.NONE, depart_s=0.0, arrive_s=None,
@@ -245,7 +250,7 @@ def test_the_role_stops_soon_after_the_end_once_the_last_frame_is_whole(rig: Rig
 
 
 def test_the_role_waits_no_longer_than_its_patience_for_a_silent_edge(rig: Rig) -> None:
-    rig.metrics("signal", 0)
+    rig.metrics("signal-r0", 0)
     rig.world.publish("end", m.End(frames=1, reason="finished"))
     rig.drain()
     assert not rig.role._ending.is_over(time.monotonic_ns() + 1_500 * MS, rig.role._aggregator)
@@ -254,7 +259,7 @@ def test_the_role_waits_no_longer_than_its_patience_for_a_silent_edge(rig: Rig) 
 
 
 def test_after_a_world_that_stopped_early_the_last_frame_is_not_waited_for(rig: Rig) -> None:
-    rig.metrics("signal", 0)
+    rig.metrics("signal-r0", 0)
     rig.world.publish("end", m.End(frames=1, reason="stopped"))
     rig.drain()
     assert rig.role._ending.is_over(time.monotonic_ns() + 200 * MS, rig.role._aggregator)
@@ -302,7 +307,7 @@ def test_an_absurd_tick_is_counted_and_changes_nothing(rig: Rig, tmp_path: Path)
 def test_memory_holds_a_bounded_number_of_frames(rig: Rig, tmp_path: Path) -> None:
     frames = MAX_OPEN_FRAMES * 2
     for frame in range(frames):
-        rig.metrics("infra-0", max(frame - 1, 0))
+        rig.metrics("infra-r0", max(frame - 1, 0))
         tick = m.Tick(
             frame=frame, sim_time_ns=frame * PERIOD_NS, processes=[], ids=[], types=[],
             poses=np.zeros((0, 6)), speeds_mps=np.zeros(0), equipment=np.zeros(0),
@@ -335,7 +340,7 @@ def test_a_full_disk_ends_the_role_with_its_cause(rig: Rig) -> None:
     rig.role._database._connection.execute("PRAGMA max_page_count = 1")
     rig.frame(0)
     rig.drain()
-    rig.role._database.add(CloudRow, [CloudRow(0, "a", 0, 0, *(0.0,) * 6, bytes(1 << 22))])
+    rig.role._database.add(CloudRow, [CloudRow(0, "r0", "a", 0, 0, *(0.0,) * 6, bytes(1 << 22))])
     with pytest.raises(CpnetError, match=r"run\.sqlite cannot be written: .*full"):
         rig.role._commit(time.monotonic_ns())
     rig.role.close()

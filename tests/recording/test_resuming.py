@@ -60,7 +60,7 @@ def test_another_scenarios_recording_and_one_that_ended_are_left_alone(
 
 
 def test_what_was_recorded_before_stays_as_it_is() -> None:
-    aggregator = FrameAggregator(100_000_000)
+    aggregator = FrameAggregator(100_000_000, {})
     aggregator.tick(0, 0)
     aggregator.settle(0)
     with pytest.raises(MessageError, match="before the recorder broke off"):
@@ -69,7 +69,7 @@ def test_what_was_recorded_before_stays_as_it_is() -> None:
 
 
 def test_the_first_tick_after_a_break_is_believed_if_it_goes_on_from_the_last() -> None:
-    aggregator = FrameAggregator(100_000_000, (999, 99_900_000_000))
+    aggregator = FrameAggregator(100_000_000, {}, (999, 99_900_000_000))
     aggregator.settle(1000)
     assert aggregator.note(1002).frame == 1002  # before any tick: the recorder knows where it was
     assert aggregator.tick(1003, 100_300_000_000).frame == 1003

@@ -189,19 +189,21 @@ def test_every_value_of_a_trip_stands_in_its_own_column() -> None:
 
 def test_the_duration_of_a_stage_is_the_time_from_its_start_to_its_end() -> None:
     spans = [Span(stage="decode", agent="a", start_ns=100, end_ns=130)]
-    message = Metrics(process="edge-0", frame=7, sim_time_ns=700, spans=spans)
+    message = Metrics(process="edge-r0", frame=7, sim_time_ns=700, spans=spans)
     assert list(stage_rows(message)) == [
-        StageRow(frame=7, process="edge-0", agent="a", stage="decode", start_ns=100, duration_ns=30)
+        StageRow(
+            frame=7, process="edge-r0", agent="a", stage="decode", start_ns=100, duration_ns=30
+        )
     ]
 
 
 def test_every_part_of_an_agents_score_stands_in_its_own_column() -> None:
     score = AgentScore(agent="a", score=0.5, trusted=True, motion=0.1, place=0.2, ground=0.3)
     other = AgentScore(agent="b", score=0.25, trusted=False)
-    message = Metrics(process="edge-0", frame=7, sim_time_ns=700, scores=[score, other])
+    message = Metrics(process="edge-r0", frame=7, sim_time_ns=700, scores=[score, other])
     assert list(agent_score_rows(message)) == [
-        AgentScoreRow(7, "a", 0.5, trusted=1, motion=0.1, place=0.2, ground=0.3),
-        AgentScoreRow(7, "b", 0.25, trusted=0, motion=None, place=None, ground=None),
+        AgentScoreRow(7, "r0", "a", 0.5, trusted=1, motion=0.1, place=0.2, ground=0.3),
+        AgentScoreRow(7, "r0", "b", 0.25, trusted=0, motion=None, place=None, ground=None),
     ]
 
 
@@ -212,7 +214,8 @@ def test_every_value_of_a_cloud_stands_in_its_own_column() -> None:
         sense_start_ns=1, sense_end_ns=2, encode_end_ns=3,
         payload=np.frombuffer(b"scan", np.uint8),
     )  # fmt: skip
-    assert cloud_row(message) == CloudRow(
-        frame=7, agent="a", chunk=1, points=9, sensor_x_m=1, sensor_y_m=2, sensor_z_m=3,
+    assert cloud_row(message, "r0") == CloudRow(
+        frame=7, region="r0", agent="a", chunk=1, points=9,
+        sensor_x_m=1, sensor_y_m=2, sensor_z_m=3,
         sensor_roll_rad=0.1, sensor_pitch_rad=0.2, sensor_yaw_rad=0.3, payload=b"scan",
     )  # fmt: skip

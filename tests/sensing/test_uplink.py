@@ -67,16 +67,16 @@ def sent(road_map: RoadMap, **config: Any) -> Scan:
     )
     wire = Wire()
     context = LidarContext(
-        "r",
         "vehicle-0",
         lockstep=True,
         period_ns=10**8,
         seed=1,
         source=Tunnel(),
         config=upload,
-        detector=None,
+        detector_of=None,
     )
-    uplink = LidarUplink("a", wire, RealRadio(wire), context, selector)
+    uplink = LidarUplink("a", wire, RealRadio(wire), context, lambda _: selector)
+    uplink.enter(["r"])
     tick = Tick(
         frame=0,
         sim_time_ns=0,

@@ -104,7 +104,8 @@ def test_a_gzipped_net_is_read_too(tmp_path: Path) -> None:
     plain = write(tmp_path)
     packed = tmp_path / "cross.net.xml.gz"
     packed.write_bytes(gzip.compress(plain.read_bytes()))
-    assert road_map(read_net(packed), ["T"]) == road_map(read_net(plain), ["T"])
+    unpacked = road_map(read_net(packed), ["T"]).model_dump()
+    assert unpacked == road_map(read_net(plain), ["T"]).model_dump()
 
 
 JOINED = [
@@ -180,7 +181,7 @@ def test_a_missing_net_and_another_kind_of_file_are_named(tmp_path: Path) -> Non
 
 def test_a_signal_that_the_net_lacks_is_refused_with_those_it_has(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"no signal 'X'; cross\.net\.xml has: T$"):
-        road_map(read_net(write(tmp_path)), "X")
+        road_map(read_net(write(tmp_path)), ["X"])
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from tests.waiting import PATIENCE_S, wait_until
 
 MAIN, SIDE = "rrrrrGGGGGGGG", "GGGGGrrrrrrrr"
 M = TypeVar("M", bound=m.Message)
-OTHERS = ("edge", "signal", "record", "infra-0", "vehicle-0", "vehicle-1")
+OTHERS = ("router", "edge-r0", "signal-r0", "record", "infra-r0", "vehicle-0", "vehicle-1")
 
 
 class Rig:
@@ -37,7 +37,7 @@ class Rig:
             "traffic": {"warmup_s": 20, "cav_rate": 0.5, "start_timeout_s": 30},
             "cabinet": {},
             "scene": {},
-            "roadside_mounts": [{}],
+            "roadside_mounts": [{"id": "rsu-0"}],
             "processes": {"vehicle": 2},
         }
         setup = build_setup({**scenario, **more}, run_dir)
@@ -242,7 +242,7 @@ def test_a_request_that_a_newer_one_has_overtaken_is_counted(make: type[Rig]) ->
 
 def test_who_never_appears_is_named(make: type[Rig]) -> None:
     rig = make(traffic={"warmup_s": 0, "start_timeout_s": 0.05})
-    rig.appear("edge", "signal", "infra-0", "vehicle-1")
+    rig.appear("edge-r0", "signal-r0", "infra-r0", "vehicle-1")
     with pytest.raises(BusError, match=r"record, vehicle-0 did not appear within .* 0\.05 s"):
         rig.until(lambda _: False)
 

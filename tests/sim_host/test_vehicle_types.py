@@ -50,7 +50,7 @@ POLYGONS = """<additional>
 def test_buildings_near_the_signal_are_read_with_their_heights(tmp_path: Path) -> None:
     path = tmp_path / "town.poly.xml"
     path.write_text(POLYGONS)
-    rings, heights = read_polygons(path, (0.0, 0.0, 0.0))
+    rings, heights = read_polygons(path, [(0.0, 0.0, 0.0)])
     assert rings == [[(0, 0), (10, 0), (10, 10)], [(20, 0), (30, 0), (30, 10)]]
     assert heights == [6.0, 10.0]
 
@@ -69,6 +69,6 @@ def test_an_unfit_polygon_file_is_a_configuration_error(
     path = tmp_path / "town.poly.xml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=says):
-        read_polygons(path, (0.0, 0.0, 0.0))
+        read_polygons(path, [(0.0, 0.0, 0.0)])
     with pytest.raises(ConfigError, match="does not exist"):
-        read_polygons(tmp_path / "none.poly.xml", (0.0, 0.0, 0.0))
+        read_polygons(tmp_path / "none.poly.xml", [(0.0, 0.0, 0.0)])

@@ -18,7 +18,7 @@ def play(setup: Setup, run_dir: Path, ground: Ground, seed: int, steps: int) -> 
     world = World(setup, run_dir, ground)
     world.start(seed)
     try:
-        world.set_signal(MAIN)
+        world.set_signal("J", MAIN)
         for _ in range(steps):
             world.step()
         assert world.time_ns == steps * 100_000_000
@@ -61,7 +61,7 @@ def test_journeys_end_with_their_time_loss(setup: Setup, run_dir: Path, flat: Gr
     try:
         trips, seen = [], set()
         for step in range(1200):
-            world.set_signal(MAIN if step < 600 else SIDE)
+            world.set_signal("J", MAIN if step < 600 else SIDE)
             world.step()
             seen |= set(world.bodies().ids)
             trips += world.take_trips()
@@ -146,7 +146,6 @@ def test_a_demand_that_sumo_refuses_is_a_configuration_error(
     [
         ({"net": "none.net.xml"}, r"none\.net\.xml does not exist"),
         ({"sumocfg": "none.sumocfg"}, r"none\.sumocfg does not exist"),
-        ({"tls": "K"}, "no signal 'K'"),
         ({"cav_rate": 2}, "traffic.cav_rate"),
     ],
 )
@@ -155,6 +154,11 @@ def test_a_users_mistake_is_a_configuration_error(
 ) -> None:
     with pytest.raises(ConfigError, match=says):
         build_setup({"traffic": traffic}, tmp_path)
+
+
+def test_a_signal_that_the_net_lacks_is_a_configuration_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no signal 'K'"):
+        build_setup({"junctions": ["K"]}, tmp_path)
 
 
 def test_a_packed_sumocfg_that_breaks_off_is_a_configuration_error(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ CAR = VehicleType(name="car", mesh="car", length_m=4.0, width_m=2.0, height_m=1.
 
 def write_setup(run_dir: Path) -> None:
     setup = Setup(
-        scenario={},
+        scenario={"regions": {"r0": ["j"]}},
         road_map=straight_road(),
         vehicle_types=[CAR],
         meshes=[],

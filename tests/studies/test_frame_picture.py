@@ -27,7 +27,7 @@ def run_dir(tmp_path: Path) -> Path:
     rng = np.random.default_rng(0)
     car = VehicleType(name="car", mesh="car", length_m=4.5, width_m=1.8, height_m=1.5)
     setup = Setup(
-        scenario={}, road_map=WEST_TO_EAST, vehicle_types=[car], meshes=[],
+        scenario={"regions": {"r0": ["t"]}}, road_map=WEST_TO_EAST, vehicle_types=[car], meshes=[],
         mesh_vertices=np.zeros((0, 3)), mesh_triangles=np.zeros((0, 3)),
     )  # fmt: skip
     (tmp_path / SETUP_NAME).write_bytes(encode(setup))
@@ -35,9 +35,11 @@ def run_dir(tmp_path: Path) -> Path:
     points = (rng.uniform(-40, 40, (500, 3)) * [1, 1, 0.05]).astype(np.float32)
     payload = encode_cloud(PointCloud(points, np.zeros(500, np.float32)), 0.02)
     pose = (1.0, 2.0, 3.0, 0.0, 0.0, np.pi / 2)
-    clouds = [CloudRow(FRAME, a, 0, 500, *pose, payload) for a in ("car-1", "rsu-0")]
-    database.add(CloudRow, [*clouds, CloudRow(FRAME, "rsu-0", 1, 5, *pose, b"no scan at all")])
-    database.add(CloudRow, [CloudRow(2, "rsu-0", 0, 500, *pose, payload)])
+    clouds = [CloudRow(FRAME, "r0", a, 0, 500, *pose, payload) for a in ("car-1", "rsu-0")]
+    database.add(
+        CloudRow, [*clouds, CloudRow(FRAME, "r0", "rsu-0", 1, 5, *pose, b"no scan at all")]
+    )
+    database.add(CloudRow, [CloudRow(2, "r0", "rsu-0", 0, 500, *pose, payload)])
     database.add(TruthRow, [TruthRow(FRAME, "car-1", "car", 1, -30, 0, 0, 0, 0, 0, 9, "west", 70)])
     database.add(
         DetectionRow,

@@ -38,7 +38,7 @@ def make_run(
     """A car passes a roadside LiDAR, seen in every second frame; another is never seen."""
     car = VehicleType(name="car", mesh="car", length_m=4.5, width_m=1.8, height_m=1.5)
     setup = Setup(
-        scenario={}, road_map=WEST_TO_EAST, vehicle_types=[car], meshes=[],
+        scenario={"regions": {"r0": ["t"]}}, road_map=WEST_TO_EAST, vehicle_types=[car], meshes=[],
         mesh_vertices=np.zeros((0, 3)), mesh_triangles=np.zeros((0, 3)),
     )  # fmt: skip
     (run_dir / SETUP_NAME).write_bytes(encode(setup))
@@ -55,14 +55,14 @@ def make_run(
         "versions": '{"numpy":"2"}',
     }
     database.add(MetaRow, facts.items())
-    took = dict.fromkeys(LatencyRow._fields[2:], MS)
+    took = dict.fromkeys(LatencyRow._fields[3:], MS)
     for n in range(frames):
         ns, at = n * 100 * MS, -90 + 80 * n / frames
         seen = n % 2
         database.add(FrameRow, [FrameRow(n, ns, 2, 0, 0, 1, 9, seen, 1, ns, ns, 40 * MS)])
         stamps = (ns, ns, ns, ns, None, ns, ns)
-        database.add(UploadRow, [UploadRow(n, "rsu", 0, 9, 2000 + n, None, *stamps)])
-        database.add(LatencyRow, [LatencyRow(n, "rsu", **took)])
+        database.add(UploadRow, [UploadRow(n, "r0", "rsu", 0, 9, 2000 + n, None, *stamps)])
+        database.add(LatencyRow, [LatencyRow(n, "r0", "rsu", **took)])
         cars = [(vehicle, at), ("unseen", -50.0)]
         database.add(
             TruthRow,

@@ -39,14 +39,16 @@ def whole_run(run_dir: Path) -> None:
         database.add(FrameRow, [row])
         sent = (start + 2 * MS, start + 8 * MS, start + 9 * MS, start + 10 * MS)
         wire = 2200 if frame else 0
-        upload = UploadRow(frame, "rsu-0", 0, 9, 2000, wire, *sent, None, start + 12 * MS, None)
+        upload = UploadRow(
+            frame, "r0", "rsu-0", 0, 9, 2000, wire, *sent, None, start + 12 * MS, None
+        )
         database.add(UploadRow, [upload])
         database.add(StageRow, [StageRow(frame, "edge", "", "detect", start, (frame + 1) * MS)])
-        took = dict.fromkeys(LatencyRow._fields[2:], 0) | {
+        took = dict.fromkeys(LatencyRow._fields[3:], 0) | {
             "link_ns": 3 * MS,
             "clock_error_ns": frame,
         }
-        database.add(LatencyRow, [LatencyRow(frame, "rsu-0", **took)])
+        database.add(LatencyRow, [LatencyRow(frame, "r0", "rsu-0", **took)])
         state, stage = ("Gr", "green") if frame < 4 else ("rG", "green")
         stage = "yellow" if frame == 4 else stage
         database.add(PhaseRow, [PhaseRow(frame, "t", frame * 100 * MS, state, stage, state, "p")])

@@ -34,7 +34,7 @@ MS = 1_000_000
 
 def sent(frame: int, agent: str, payload_bytes: int) -> m.Metrics:
     upload = m.Upload(
-        agent=agent, chunk=0, points=1, payload_bytes=payload_bytes, sense_start_ns=0,
+        agent=agent, region="r0", chunk=0, points=1, payload_bytes=payload_bytes, sense_start_ns=0,
         sense_end_ns=1, encode_end_ns=2, sent_ns=3,
     )  # fmt: skip
     return m.Metrics(
@@ -67,6 +67,11 @@ def measured(
 SETUP = next(e for e in EXAMPLES if isinstance(e, m.Setup)).model_copy(
     update={
         "road_map": CROSSING,
-        "scenario": {"name": "crossing", "mode": "lockstep", "frame_period_s": 0.1},
+        "scenario": {
+            "name": "crossing",
+            "mode": "lockstep",
+            "frame_period_s": 0.1,
+            "regions": {"r0": ["J"]},
+        },
     }
 )

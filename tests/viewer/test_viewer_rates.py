@@ -39,8 +39,8 @@ def test_every_stage_of_the_account_is_drawn_once() -> None:
 
 def feed(stages: Stages, frame: int) -> None:
     upload = m.Upload(
-        agent="a", chunk=0, points=1, payload_bytes=9, sense_start_ns=0, sense_end_ns=4 * MS,
-        encode_end_ns=6 * MS, sent_ns=7 * MS,
+        agent="a", region="r0", chunk=0, points=1, payload_bytes=9, sense_start_ns=0,
+        sense_end_ns=4 * MS, encode_end_ns=6 * MS, sent_ns=7 * MS,
     )  # fmt: skip
     arrival = m.Arrival(agent="a", chunk=0, received_ns=9 * MS, decoded_ns=11 * MS)
     stages.take(
@@ -48,14 +48,14 @@ def feed(stages: Stages, frame: int) -> None:
                  uploads=[upload])
     )  # fmt: skip
     stages.take(
-        measured(frame, "edge", ("decode", "a", 9, 11), ("wait", "", 9, 12), ("detect", "", 12, 20),
-                 arrivals=[arrival])
+        measured(frame, "edge-r0", ("decode", "a", 9, 11), ("wait", "", 9, 12),
+                 ("detect", "", 12, 20), arrivals=[arrival])
     )  # fmt: skip
-    stages.take(measured(frame, "sim", ("actuate", "", 25, 26)))
+    stages.take(measured(frame, "sim", ("actuate", "J", 25, 26)))
 
 
 def test_accounts_come_some_frames_later_and_once() -> None:
-    stages = Stages(PERIOD_NS)
+    stages = Stages(PERIOD_NS, {"r0": ["J"]})
     found = []
     for frame in range(10):
         stages.take(tick(frame))
@@ -69,7 +69,7 @@ def test_accounts_come_some_frames_later_and_once() -> None:
 
 
 def test_who_comes_late_begins_where_the_world_is() -> None:
-    stages = Stages(PERIOD_NS)
+    stages = Stages(PERIOD_NS, {"r0": ["J"]})
     with pytest.raises(MessageError):
         stages.take(tick(5000))
     found = []

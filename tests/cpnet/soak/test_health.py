@@ -109,9 +109,9 @@ def test_a_frame_without_a_request_does_not_count(loop: Loop) -> None:
 
 
 def test_everybody_but_the_world_is_killed_about_as_often() -> None:
-    victims = victims_of(["sim", "edge", "signal", "infra-0"], 20, np.random.default_rng(1))
+    victims = victims_of(["sim", "edge", "signal", "infra-r0"], 20, np.random.default_rng(1))
     counts = {name: victims.count(name) for name in set(victims)}
-    assert counts.keys() == {"edge", "signal", "infra-0"}
+    assert counts.keys() == {"edge", "signal", "infra-r0"}
     assert set(counts.values()) <= {6, 7}
 
 

@@ -35,7 +35,7 @@ def test_more_scans_together_find_no_less() -> None:
 
 
 def test_a_net_of_the_users_is_measured(tmp_path: Path) -> None:
-    net = {"traffic.net": str(write_net(tmp_path)), "traffic.tls": "J"}
+    net = {"traffic.net": str(write_net(tmp_path)), "junctions": ["J"]}
     rows = measure_accuracy(small(**net), ["fast"], 1)
     assert max(row.ap40 or 0.0 for row in rows) > 0.3
 
