@@ -262,6 +262,6 @@ def test_a_second_signal_beside_a_whole_run_is_refused(shell: Shell):
     again = shell.start("up", "--only=signal", f"--connect=127.0.0.1:{ports}", "--out=again")
     status, output = again.finish(WAIT_S)
     assert status == 2, output
-    assert "signal runs on this bus already: stop it, or take another with --only" in output
+    assert "signal-r0 runs on this bus already: stop it, or take another with --only" in output
     assert not (shell.folder / "again").exists()
     assert run.process.poll() is None

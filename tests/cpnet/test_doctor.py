@@ -208,13 +208,13 @@ def test_a_port_that_nobody_named_is_explained(implied):
 
 def test_certificates_are_looked_through(tmp_path):
     make_keys(tmp_path, now=datetime.now(UTC) - timedelta(days=350))
-    (tmp_path / "signal.key").unlink()
+    (tmp_path / "signal-r0.key").unlink()
     (tmp_path / "record.pem").write_text("no certificate")
     found = {finding.what: finding for finding in doctor.examine_keys(tmp_path)}
-    holding = next(finding for what, finding in found.items() if "of edge holds until" in what)
+    holding = next(finding for what, finding in found.items() if "of router holds until" in what)
     assert (holding.ok, holding.is_well) == (False, True)
     assert "days are left" in holding.advice
-    assert "there is no such file" in found["the certificate of signal"].advice
+    assert "there is no such file" in found["the certificate of signal-r0"].advice
     assert not found["the certificate of record"].is_well
 
 

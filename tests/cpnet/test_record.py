@@ -34,7 +34,7 @@ from tests.cpnet.commands import children_of
 def test_a_tape_holds_what_the_database_was_made_of(shell):
     status, output = shell.up("--duration=5", "--record", "--out=run").finish()
     assert status == 0, output
-    assert "sim, record, mcap, signal" in output
+    assert "sim, record, mcap, edge, signal" in output
     recording = McapReader(shell.folder / "run")
     heard: dict[str, list] = {}
     for item in recording.messages():
@@ -133,7 +133,7 @@ def test_a_tape_is_started_again_and_others_come_and_go(shell):
         (["record"], "no run goes on in runs/"),
         (["record", "nowhere"], "nowhere: no run goes on there"),
         (["record", "run", "--connect", "h:1"], "give a run folder or --connect, not both"),
-        (["up", "--only=sim,edge,mcap"], "--only mcap: the scenario has record.mcap false"),
+        (["up", "--only=router,sim,edge,mcap"], "--only mcap: the scenario has record.mcap false"),
     ],
 )
 def test_what_cannot_be_taped_is_said(shell, words, said):

@@ -64,7 +64,7 @@ def sent_by(run_dir: Path) -> list:
 def test_with_its_own_settings_every_result_is_the_same(shell, recorded):
     status, output = shell.run("replay", str(recorded), "--out", "again")
     assert status == 0, output
-    assert "edge, sim, record, signal, infra, vehicle" in output
+    assert "router, sim, record, edge, signal, infra, vehicle" in output
     status, output = shell.run("report", str(recorded), "--against", "again")
     assert (status, output.strip()) == (0, "the results are the same, row for row")
     again = shell.folder / "again"
