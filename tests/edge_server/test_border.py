@@ -1,0 +1,181 @@
+"""Neighbouring regions: each vehicle is told of once, by the region of its lane."""
+
+from collections import Counter
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edge_server.border import MAX_KEPT_FRAMES, BorderExchange, BorderStrips
+from edge_server.config import EdgeConfig
+from edge_server.frame import Frame, FrameState
+from edge_server.lanes import LaneIndex
+from edge_server.pipeline import Border, Count
+from perception.detector import Vehicles
+from protocol.messages import BorderObjects, Detections
+from protocol.regions import RegionMap, regions_of
+from protocol.roadmap import Lane, RoadMap
+from sim_host.netfile import read_net
+from sim_host.networks import write_corridor
+from sim_host.road_map import road_map
+
+CONFIG = EdgeConfig()
+NOWHERE = np.zeros((0, 2))
+
+
+@cache
+def corridor() -> RoadMap:
+    with TemporaryDirectory() as folder:
+        return road_map(read_net(write_corridor(Path(folder))), "all")
+
+
+class Edge:
+    """What an edge does with a frame once its sensors' vehicles are found."""
+
+    def __init__(self, region: RegionMap, regions: dict[str, RegionMap]) -> None:
+        self.region = region
+        self.strips = BorderStrips(region, regions)
+        lanes = LaneIndex(region.surroundings)
+        self.stages = [
+            Border(self.strips, CONFIG.fusion), Count(region, lanes, CONFIG, has_lidars=True)
+        ]  # fmt: skip
+
+    def begin(self, boxes: list[tuple[float, ...]]) -> tuple[FrameState, BorderObjects]:
+        state = FrameState(Frame(0, 0, [], [], [], complete=True, first_ns=0, ready_ns=0))
+        values = np.array(boxes, np.float64).reshape(-1, 7)
+        state.fused = Vehicles.from_lidar(values, np.ones(len(values)))
+        state.sensors = NOWHERE
+        return state, self.strips.told(state)
+
+    def finish(self, state: FrameState, told: dict[str, BorderObjects]) -> Detections:
+        state.received = {name: told[name] for name in self.strips.neighbours}
+        for stage in self.stages:
+            stage.run(state)
+        return state.detections
+
+
+def box_on(lane: Lane, along_m: float) -> tuple[float, ...]:
+    """Returns a car's box so far along a lane."""
+    steps = np.diff(lane.points, axis=0)
+    ends_m = np.concatenate([[0], np.cumsum(np.hypot(*steps[:, :2].T))])
+    x, y, z = (np.interp(along_m, ends_m, column) for column in lane.points.T)
+    dx, dy, _ = steps[min(int(np.searchsorted(ends_m, along_m)), len(steps)) - 1]
+    return (x, y, z + 0.75, 4.5, 1.8, 1.5, float(np.arctan2(dy, dx)))
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.lists(st.integers(0, 4), min_size=5, max_size=5), st.integers(0, 2**32 - 1))
+def test_whatever_the_cut_a_vehicle_is_told_of_once_by_the_region_of_its_lane(cut, seed):
+    roads, rng = corridor(), np.random.default_rng(seed)
+    regions: dict[str, list[str]] = {}
+    for tls, part in zip(sorted(roads.by_tls), cut, strict=True):
+        regions.setdefault(f"r{part}", []).append(tls)
+    scenario = {"regions": regions, "edge": CONFIG.model_dump()}
+    maps = regions_of(roads, scenario)
+    seen: dict[str, list[tuple[float, ...]]] = {name: [] for name in maps}
+    want: Counter[tuple[str, str]] = Counter()
+    for lane in (lane for lane in roads.lanes if not lane.internal and lane.length_m > 20):
+        owner = next(name for name, junctions in regions.items() if lane.tls in junctions)
+        for along_m in np.arange(5.0, lane.measured_m - 5.0, 15.0):
+            near = [name for name, region in maps.items() if lane.id in region.area.by_id]
+            seeing = [name for name in near if rng.random() < 0.6] or [str(rng.choice(near))]
+            for name in seeing:  # each sees it a little elsewhere along its lane
+                seen[name].append(box_on(lane, along_m + rng.uniform(-0.8, 0.8)))
+            want[owner, lane.id] += 1
+    edges = {name: Edge(region, maps) for name, region in maps.items()}
+    states = {name: edge.begin(seen[name]) for name, edge in edges.items()}
+    told = {name: message for name, (_, message) in states.items()}
+    found: Counter[tuple[str, str]] = Counter()
+    for name, edge in edges.items():
+        found.update((name, lane) for lane in edge.finish(states[name][0], told).lanes)
+    assert found == want
+
+
+def halves() -> dict[str, RegionMap]:
+    names = sorted(corridor().by_tls)
+    regions = {"west": names[:2], "east": names[2:]}
+    return regions_of(corridor(), {"regions": regions, "edge": CONFIG.model_dump()})
+
+
+def test_regions_that_share_no_lane_are_no_neighbours():
+    names = sorted(corridor().by_tls)
+    regions = {"a": names[:1], "b": names[1:4], "c": names[4:]}
+    maps = regions_of(corridor(), {"regions": regions, "edge": CONFIG.model_dump()})
+    neighbours = {name: BorderStrips(one, maps).neighbours for name, one in maps.items()}
+    assert neighbours == {"a": ["b"], "b": ["a", "c"], "c": ["b"]}
+
+
+def test_what_a_neighbour_covers_is_covered_and_without_it_unknown():
+    maps = halves()
+    west = Edge(maps["west"], maps)
+    tls, shared = next(
+        (one.tls, lane)
+        for one in maps["west"].area.intersections
+        for lane in one.outgoing
+        if lane in maps["east"].area.by_id
+    )
+    middle = maps["west"].area.by_id[shared].points.mean(axis=0)[:2]
+    told = BorderObjects(
+        frame=0, sim_time_ns=0, boxes=np.zeros((0, 7), np.float32), scores=np.zeros(0, np.float32),
+        sources=[], position_std_m=np.zeros(0, np.float32), sensors=middle[None],
+    )  # fmt: skip
+    for received, is_covered in (({"east": told}, True), ({}, False)):
+        state, _ = west.begin([])
+        state.received = received
+        for stage in west.stages:
+            stage.run(state)
+        covered = state.counts[tls].coverage_downstream[shared]
+        assert (covered > 0) is is_covered
+
+
+@pytest.fixture
+def exchange() -> BorderExchange:
+    maps = halves()
+    return BorderExchange(BorderStrips(maps["west"], maps))
+
+
+def told_of(frame: int) -> BorderObjects:
+    empty = np.zeros(0, np.float32)
+    return BorderObjects(
+        frame=frame, sim_time_ns=frame, boxes=np.zeros((0, 7), np.float32), scores=empty,
+        sources=[], position_std_m=empty, sensors=NOWHERE,
+    )  # fmt: skip
+
+
+def waiting(exchange: BorderExchange, frame: int, wait_ns: int = 10**12) -> FrameState:
+    state = FrameState(Frame(frame, 0, [], [], [], complete=True, first_ns=0, ready_ns=0))
+    state.fused, state.sensors = Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0)), NOWHERE
+    exchange.begin(state, wait_ns)
+    return state
+
+
+def test_a_frame_waits_for_neighbours_that_are_there_and_for_no_others(exchange):
+    waiting(exchange, 3)
+    assert exchange.is_due(0)  # nobody is there
+    exchange.hear("east", alive=True)
+    assert not exchange.is_due(0)
+    assert exchange.take("east", told_of(3))
+    assert exchange.is_due(0)
+    assert exchange.end().received.keys() == {"east"}
+    assert not exchange.is_due(0)
+
+
+def test_a_frame_does_not_wait_for_ever_and_what_comes_later_is_told_apart(exchange):
+    exchange.hear("east", alive=True)
+    waiting(exchange, 3, wait_ns=0)
+    assert exchange.is_due(10**18)
+    assert exchange.end().received == {}
+    assert not exchange.take("east", told_of(3))
+    assert not exchange.take("stranger", told_of(4))
+
+
+def test_what_a_neighbour_tells_ahead_is_bounded(exchange):
+    for frame in range(3 * MAX_KEPT_FRAMES):
+        exchange.take("east", told_of(frame))
+    waiting(exchange, 3 * MAX_KEPT_FRAMES - 1)
+    exchange.hear("east", alive=True)
+    assert exchange.is_due(0)
