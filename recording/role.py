@@ -167,6 +167,7 @@ class RecordRole:
         self._commit_ns = COMMIT_NS if scenario.get("mode") == "lockstep" else 0
         self._committed_ns = self._told_ns = time.monotonic_ns()
         self._acted_frame = -1
+        self._first_tls = min(tls for junctions in regions.values() for tls in junctions)
         self._handlers = self._routes()
         resumed = self._database.last_frame
         if resumed is None:
@@ -288,7 +289,8 @@ class RecordRole:
 
     def _on_state(self, state: m.SignalState, _: Envelope) -> None:
         self._aggregator.check(state.frame)
-        self._progress.state = state.state
+        if state.tls == self._first_tls:  # one of them has room on a line
+            self._progress.state = state.state
         self._database.add(tables.PhaseRow, [rows.phase_row(state)])
 
     def _on_request(self, request: m.SignalRequest, item: Envelope) -> None:

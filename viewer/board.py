@@ -96,6 +96,7 @@ class Board:
     def __init__(self, setup: Setup) -> None:
         period_ns = round(float(setup.scenario["frame_period_s"]) * 1e9)
         self.setup = setup
+        self.signal_plan = setup.road_map.intersections[0].signal
         self.phases = phase_names(setup.road_map)
         self.progress: Progress | None = None
         self.end: End | None = None
@@ -190,7 +191,7 @@ class Board:
     def phase_rows(self) -> list[PhaseRow]:
         """Returns the phases with their pressures."""
         known = pressures(self._request, self.phases)
-        greens = self.setup.road_map.intersections[0].signal.greens
+        greens = self.signal_plan.greens
         shown = self._shown.state.green if self._shown else ""
         return [
             PhaseRow(name, green == shown, known.get(name))
@@ -239,6 +240,12 @@ class Board:
                 self.progress = message
             case End():
                 self.end = message
+            case LaneCounts() | SignalState() | SignalRequest():
+                if message.tls == self.signal_plan.tls:  # of several signals the first is shown
+                    self._take_signal(message)
+
+    def _take_signal(self, message: LaneCounts | SignalState | SignalRequest) -> None:
+        match message:
             case SignalRequest():
                 self._request = message
             case LaneCounts():

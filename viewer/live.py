@@ -60,6 +60,7 @@ class Live:
         self._period_ns = round(1e9 / fps)
         self._frames = FrameBuffer(ENDING)
         scenario = scene.setup.scenario
+        self._tls = scene.setup.road_map.intersections[0].tls  # of several signals the first
         period_ns = round(float(scenario["frame_period_s"]) * 1e9)
         self._stages = Stages(period_ns, scenario["regions"])
         self._drawn_ns = -self._period_ns
@@ -117,7 +118,7 @@ class Live:
 
     def _draw(self) -> bool:
         frame = self._frames.next()
-        picture = self._scene.picture(Moment.of(frame)) if frame is not None else None
+        picture = self._scene.picture(Moment.of(frame, self._tls)) if frame is not None else None
         if picture is None:
             return False
         self._shows.picture(picture)

@@ -56,11 +56,12 @@ class Moment:
         return next((message.sim_time_ns for message in told if message is not None), None)
 
     @classmethod
-    def of(cls, frame: BufferedFrame) -> Moment:
-        """Reads what was heard of a frame."""
+    def of(cls, frame: BufferedFrame, tls: str) -> Moment:
+        """Reads what was heard of a frame: of all regions, and of one signal."""
         moment = cls(frame.number)
         for message in frame.messages():
-            moment._add(message)
+            if getattr(message, "tls", tls) == tls:
+                moment._add(message)
         return moment
 
     def _add(self, message: Message) -> None:
@@ -68,7 +69,8 @@ class Moment:
             case Scan():
                 self.scans.append(message)
             case Detections():
-                self.detections = message
+                known = self.detections
+                self.detections = message if known is None else _together(known, message)
             case Truth():
                 self.truth = message
             case LaneCounts():
@@ -79,6 +81,20 @@ class Moment:
                 self.request = message
             case Plan():
                 self.plan = message
+
+
+def _together(one: Detections, other: Detections) -> Detections:
+    """Returns what two regions detected in a frame."""
+    return Detections(
+        frame=one.frame,
+        sim_time_ns=one.sim_time_ns,
+        agents=sorted({*one.agents, *other.agents}),
+        boxes=np.concatenate([one.boxes, other.boxes]),
+        scores=np.concatenate([one.scores, other.scores]),
+        lanes=one.lanes + other.lanes,
+        distances_m=np.concatenate([one.distances_m, other.distances_m]),
+        sources=one.sources + other.sources,
+    )
 
 
 MAX_POINTS = 50_000  # of a frame

@@ -25,9 +25,8 @@ def test_five_signals_of_two_regions_give_the_same_rows_on_one_machine_and_on_tw
     with Run(shell.folder / "here") as run:
         regions = run.scenario["regions"]
         requested = {(row.frame, row.tls) for row in run.rows(RequestRow)}
-        assert requested == {
-            (frame, tls) for frame in range(6) for tls in sum(regions.values(), [])
-        }
+        signals = [tls for junctions in regions.values() for tls in junctions]
+        assert requested == {(frame, tls) for frame in range(6) for tls in signals}
         assert {row.tls for row in run.rows(PhaseRow)} == set(signals)
         frames = list(run.rows(RegionFrameRow))
         assert [(row.frame, row.region) for row in frames] == [
