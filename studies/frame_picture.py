@@ -107,12 +107,13 @@ def _draw_signal(axes: Axes, snapshot: Snapshot) -> None:
 
 
 def _letter(snapshot: Snapshot, lane: str) -> str:
-    links = [
-        link.index
-        for link in snapshot.road_map.intersections[0].signal.links
-        if link.from_lane == lane
+    letters = [
+        shown[link.index]
+        for one in snapshot.road_map.intersections
+        for shown in [snapshot.shown.get(one.tls, "")]
+        for link in one.signal.links
+        if link.from_lane == lane and link.index < len(shown)
     ]
-    letters = [snapshot.shown[index] for index in links if index < len(snapshot.shown)]
     return min(letters, key="Ggyr".find, default="")
 
 

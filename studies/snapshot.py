@@ -52,7 +52,7 @@ class Snapshot:
     detections: Boxes
     truth: Boxes
     counts: dict[tuple[str, str], int]
-    shown: str
+    shown: dict[str, str]
     score: FrameScore
 
 
@@ -88,7 +88,7 @@ def load_snapshot(run: Run, frame: int | None) -> Snapshot:
             [t.vehicle for t, _ in sized],
         ),
         counts={(c.lane, c.side): c.vehicles for c in run.of_frame(CountRow, frame)},
-        shown=phases[0].state if phases else "",
+        shown={phase.tls: phase.state for phase in phases},
         score=score_frame(frame, detections, truth, types, EvaluationArea(run.setup.road_map)),
     )
 

@@ -77,7 +77,7 @@ def test_a_snapshot_holds_the_frame_and_leaves_out_what_does_not_decode(run_dir:
     assert np.ptp(snapshot.clouds[0].points[:, 0]) > 70
     assert (snapshot.score.present, snapshot.score.true) == (1, 1)
     assert snapshot.counts == {("west", "upstream"): 1, ("east", "downstream"): 0}
-    assert snapshot.shown == "G"
+    assert snapshot.shown == {"t": "G"}
 
 
 def test_a_frame_without_uploads_names_those_that_have_them(run_dir: Path) -> None:
