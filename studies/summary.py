@@ -20,6 +20,7 @@ from rich.table import Table
 from protocol.errors import ConfigError
 from recording.run import Run
 from recording.tables import DropRow
+from studies.by_region import junctions_of_run, regions_of_run
 from studies.ecvpr import score
 from studies.latency import STAGES, clock_error_ms, latencies
 from studies.uplink import by_agent, total_mbps
@@ -46,13 +47,14 @@ def summarise(run_dir: Path) -> Summary:
     """
     with Run(run_dir) as run:
         period_s = float(run.scenario.get("frame_period_s", 0.1))
+        pace = _pace(run, period_s)
         return {
             "scenario": run.scenario.get("name"),
             "seed": run.scenario.get("seed"),
             "mode": run.scenario.get("mode"),
             "replay_of": (run.scenario.get("replay") or {}).get("recording"),
             "ended": run.meta.get("end_reason"),
-            **_pace(run, period_s),
+            **pace,
             "agents": by_agent(run, period_s),
             "scores": agent_scores(run),
             "uplink_mbps": total_mbps(run, period_s),
@@ -61,6 +63,8 @@ def summarise(run_dir: Path) -> Summary:
             **_perception(run),
             "unknown_share": _unknown_share(run),
             **traffic_of(run),
+            "junctions": junctions_of_run(run, period_s),
+            "regions": regions_of_run(run, pace["sim_duration_s"]),
             **_drops(run),
         }
 

@@ -10,18 +10,23 @@ from rich.console import Console
 from protocol.errors import ConfigError
 from recording.database import Database
 from recording.tables import (
+    CountRow,
+    DetectionRow,
     DropRow,
     FrameRow,
     LatencyRow,
     MetaRow,
     PhaseRow,
+    RegionFrameRow,
     RequestRow,
     StageRow,
     TripRow,
+    TruthRow,
     UploadRow,
 )
 from studies.latency import STAGES
 from studies.summary import print_report, summarise, to_json
+from tests.studies.straight_runs import write_setup
 
 MS = 1_000_000
 
@@ -130,3 +135,43 @@ def test_the_report_fits_on_a_screen(tmp_path: Path, is_empty: bool) -> None:
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="is not a run"):
         summarise(tmp_path)
+
+
+def test_each_region_and_each_junction_has_its_figures(tmp_path: Path) -> None:
+    write_setup(tmp_path)
+    database = Database(tmp_path)
+    scenario = json.dumps({"frame_period_s": 1.0, "seed": 1, "name": "city"})
+    database.add(MetaRow, {"scenario": scenario}.items())
+    chunk = (0, 9, 125_000, None, *(None,) * 4, None, None, None)
+    for frame, regions in enumerate((["r0"], ["r0", "r1"], ["r1"])):
+        database.add(FrameRow, [FrameRow(frame, frame * 10**9, 1, 1, 0, 1, 9, 1, 1, frame, 5, 5)])
+        for region in regions:
+            database.add(UploadRow, [UploadRow(frame, region, "a", *chunk)])
+            row = RegionFrameRow(frame, region, 1, 9, 1, 1, 0, 5, (frame + 1) * MS)
+            database.add(RegionFrameRow, [row])
+    states = [("G", 0), ("r", 1), ("G", 2)]
+    database.add(
+        PhaseRow, [PhaseRow(n, "j", n, green, "green", green, "plan") for green, n in states]
+    )
+    at = (-60.0, 0, 0, 0, 0, 0, 5.0, "in", 95.0)
+    database.add(TruthRow, [TruthRow(n, "a", "car", 1, *at) for n in range(3)])
+    database.add(CountRow, [CountRow(n, "j", "in", "upstream", 2, 0) for n in range(3)])
+    database.add(
+        DetectionRow,
+        [DetectionRow(1, "r0", 0, -60, 0, 0.75, 4.5, 1.8, 1.5, 0, 1, "in", 55, "a")],
+    )
+    database.commit()
+    database.close()
+    summary = summarise(tmp_path)
+    assert summary["regions"] == {
+        "r0": {"agents": 1, "mbps": pytest.approx(2 / 3), "latency_ms": 1.5, "handovers": 0},
+        "r1": {"agents": 1, "mbps": pytest.approx(2 / 3), "latency_ms": 2.5, "handovers": 1},
+    }
+    assert summary["junctions"] == {
+        "j": {
+            "e_cvpr": pytest.approx(1 / 3),  # it reports itself once
+            "delay_s": pytest.approx(1.5),  # at half the limit, three seconds
+            "switches": 2,
+            "count_error": 1,
+        }
+    }
