@@ -83,6 +83,8 @@ def _perceived(run: Run, period_s: float) -> tuple[dict[str, float], dict[str, f
     """Returns by signal the share of vehicles detected, and the mean time that one lost."""
     road_map = run.setup.road_map
     lanes, area = road_map.by_id, EvaluationArea(road_map)
+    only = road_map.intersections[0].tls  # of lanes that no net has given an owner
+    owner = {name: lane.tls or only for name, lane in lanes.items()}
     types = {kind.name: kind for kind in run.setup.vehicle_types}
     detections = dict(by_frame(run.rows(DetectionRow)))
     perceived = {n for (n,) in run.query("SELECT frame FROM frames WHERE detections IS NOT NULL")}
@@ -93,7 +95,7 @@ def _perceived(run: Run, period_s: float) -> tuple[dict[str, float], dict[str, f
         for one in known:
             lane = lanes[one.lane]
             slower = max(0.0, 1.0 - one.speed_mps / lane.speed_mps)
-            lost_s[lane.tls][one.vehicle] += slower * period_s
+            lost_s[owner[one.lane]][one.vehicle] += slower * period_s
         if frame not in perceived:
             continue
         found = detections.get(frame, [])
@@ -101,8 +103,8 @@ def _perceived(run: Run, period_s: float) -> tuple[dict[str, float], dict[str, f
         matched |= {one.source for one in found}  # those that report themselves
         for one in known:
             if area.contains(one.lane, one.lane_position_m):
-                present[lanes[one.lane].tls] += 1
-                seen[lanes[one.lane].tls] += one.vehicle in matched
+                present[owner[one.lane]] += 1
+                seen[owner[one.lane]] += one.vehicle in matched
     shares = {tls: seen[tls] / count for tls, count in present.items()}
     return shares, {tls: fmean(lost.values()) for tls, lost in lost_s.items()}
 
