@@ -89,3 +89,9 @@ def assigned(texts: list[str] | None) -> dict[str, Any]:
         ConfigError: a text is no assignment.
     """
     return dict(scenarios.parse_assignment(text) for text in texts or [])
+
+
+def junctions_of(tls: list[str] | None) -> str | list[str] | None:
+    """Reads `--tls`: "all", or ids with commas between them; given twice, all of them count."""
+    found = [one.strip() for text in tls or () for one in text.split(",")]
+    return "all" if "all" in found else found or None

@@ -21,6 +21,7 @@ from cpnet.cli_options import (
     View,
     assigned,
     console,
+    junctions_of,
 )
 from protocol.errors import ConfigError
 from protocol.logs import LogStyle
@@ -95,12 +96,6 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     status, run_dir = up(options, console)
     print_results(run_dir, console)
     raise typer.Exit(status)
-
-
-def junctions_of(tls: list[str] | None) -> str | list[str] | None:
-    """Reads `--tls`: "all", or ids with commas between them; given twice, all of them count."""
-    found = [one.strip() for text in tls or () for one in text.split(",")]
-    return "all" if "all" in found else found or None
 
 
 def _run_name(file: Path) -> str:

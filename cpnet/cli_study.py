@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cpnet import scenario as scenarios
-from cpnet.cli_options import AsJson, Override, assigned, console, errors
+from cpnet.cli_options import AsJson, Override, assigned, console, errors, junctions_of
 from edge_server.config import EdgeConfig
 from perception.registry import check
 from protocol.errors import ConfigError
@@ -62,7 +62,10 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
             "--scheduler: goes with neither --jobs nor --keep-runs: its workers decide"
         )
     file = read_study(what)
-    own = {"traffic.net": net and str(net.resolve()), "junctions": None if tls is None else [tls]}
+    own = {
+        "traffic.net": net and str(net.resolve()),
+        "junctions": junctions_of(None if tls is None else [tls]),
+    }
     settings = {key: value for key, value in own.items() if value is not None} | assigned(set_)
     study = file.study.changed(settings, _seeds(seeds))
     if markdown is not None:

@@ -1,8 +1,8 @@
-"""Border strips: what neighbouring regions tell each other of the lanes that both of them know.
+"""Border strips: the vehicles and sensors that neighbouring regions exchange.
 
-Each edge publishes the vehicles that it found on these lanes, and where its sensors stand. Both
-sides of a border join the same vehicles in the same order, so that they come to one result: which
-of them publishes and counts a vehicle is then decided by its lane.
+Each edge publishes the vehicles that it found on the lanes that both regions know, and where its
+sensors stand. Both sides of a border join the same vehicles in the same order, so that they come to
+one result: which of them publishes and counts a vehicle is then decided by its lane.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ BORDER = "border"
 STRIP_M = 10.0
 """A strip reaches so far beyond the lanes that two regions share: farther than a box is off."""
 SENSORS_M = 120.0
-"""Sensors so near a strip are told of: farther than a LiDAR detects vehicles reliably."""
+"""Sensors so near a strip are published: farther than a LiDAR detects vehicles reliably."""
 MAX_KEPT_FRAMES = 8
 """Of a neighbour; limits what others may send."""
 
@@ -46,7 +46,7 @@ class BorderStrips:
         """The regions that share lanes with this one."""
         return list(self._strips)
 
-    def told(self, state: FrameState) -> BorderObjects:
+    def message_of(self, state: FrameState) -> BorderObjects:
         """Returns what the neighbours need to know of a frame: vehicles and sensors at strips."""
         inside = np.zeros(len(state.fused), np.bool_)
         for strip in self._strips.values():
@@ -65,7 +65,7 @@ class BorderStrips:
     def join(self, state: FrameState, config: FusionConfig) -> None:
         """Adds to a frame what was received of its neighbours; others' strips stay unknown."""
         received = {n: state.received[n] for n in sorted(state.received) if n in self._strips}
-        parts = [_as_told(state.fused)]
+        parts = [_as_received(state.fused)]
         for name, message in received.items():
             vehicles = _vehicles(message)
             parts.append(vehicles.take(self._strips[name].contains(vehicles.boxes)))
@@ -81,15 +81,15 @@ class BorderStrips:
 
 
 class BorderExchange:
-    """The frame that waits for its neighbours' part, and what they told of it and of later ones.
+    """The frame that waits for its neighbours' part, and what came of it and of later ones.
 
-    A neighbour that is not there is not waited for; what it does not tell stays unknown.
+    A neighbour that is not there is not waited for; what it does not publish stays unknown.
     """
 
     def __init__(self, strips: BorderStrips) -> None:
         self._strips = strips
         self._alive: set[str] = set()
-        self._told: dict[str, dict[int, BorderObjects]] = {n: {} for n in strips.neighbours}
+        self._received: dict[str, dict[int, BorderObjects]] = {n: {} for n in strips.neighbours}
         self._finished = -1
         self._since_ns = self._until_ns = 0
         self.state: FrameState | None = None
@@ -99,33 +99,33 @@ class BorderExchange:
         """The regions that share lanes with this one."""
         return self._strips.neighbours
 
-    def hear(self, region: str, *, alive: bool) -> None:
+    def note_edge(self, region: str, *, alive: bool) -> None:
         """Notes that a neighbour's edge appeared or vanished."""
         (self._alive.add if alive else self._alive.discard)(region)
 
-    def take(self, region: str, told: BorderObjects) -> bool:
-        """Takes what a neighbour told of a frame; returns False if the frame is over."""
-        if region not in self._told or told.frame <= self._finished:
+    def take(self, region: str, message: BorderObjects) -> bool:
+        """Takes what a neighbour published of a frame; returns False if the frame is over."""
+        if region not in self._received or message.frame <= self._finished:
             return False
-        kept = self._told[region]
-        kept[told.frame] = told
+        kept = self._received[region]
+        kept[message.frame] = message
         while len(kept) > MAX_KEPT_FRAMES:
-            del kept[max(kept) if told.frame == min(kept) else min(kept)]
+            del kept[max(kept) if message.frame == min(kept) else min(kept)]
         return True
 
     def begin(self, state: FrameState, wait_ns: int) -> BorderObjects:
-        """Begins to wait with a frame; returns what to tell the neighbours of it."""
+        """Begins to wait with a frame; returns what to publish of it."""
         self.state = state
         self._since_ns = time.monotonic_ns()
         self._until_ns = self._since_ns + wait_ns
-        return self._strips.told(state)
+        return self._strips.message_of(state)
 
     def is_due(self, now_ns: int) -> bool:
         """Whether a frame waits, and all that is awaited has come or waiting is over."""
         if self.state is None:
             return False
         frame = self.state.frame.frame
-        awaited = [n for n in self._told if n in self._alive and frame not in self._told[n]]
+        awaited = [n for n in self._received if n in self._alive and frame not in self._received[n]]
         return not awaited or now_ns >= self._until_ns
 
     def end(self) -> FrameState:
@@ -140,8 +140,8 @@ class BorderExchange:
         waited = Span(stage=BORDER, start_ns=self._since_ns, end_ns=time.monotonic_ns())
         state.spans.append(waited)
         frame = self._finished = state.frame.frame
-        state.received = {n: kept[frame] for n, kept in self._told.items() if frame in kept}
-        for kept in self._told.values():
+        state.received = {n: kept[frame] for n, kept in self._received.items() if frame in kept}
+        for kept in self._received.values():
             for past in [number for number in kept if number <= frame]:
                 del kept[past]
         return state
@@ -152,7 +152,7 @@ def _box(strip: RoadMap) -> tuple[Floats, Floats]:
     return points.min(axis=0), points.max(axis=0)
 
 
-def _as_told(vehicles: Vehicles) -> Vehicles:
+def _as_received(vehicles: Vehicles) -> Vehicles:
     """Returns vehicles with the numbers that a message would hold, as the neighbours know them."""
     return Vehicles(
         vehicles.boxes.astype(np.float32).astype(np.float64),

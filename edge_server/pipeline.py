@@ -8,7 +8,7 @@
     border             with what neighbouring regions found on the lanes that both know
     count              on the road, per lane; remembers where vehicles were: which are stationary?
 
-`begin` runs the stages up to what neighbours are told, `finish` those after it. Each stage is
+`begin` runs the stages up to what neighbours are sent, `finish` those after it. Each stage is
 entered once and fills in its part of the frame's state. A stage is added by adding it to the list;
 its span follows from its name. Nothing here knows a network.
 """
@@ -115,7 +115,7 @@ class Pipeline:
         return self.finish(self.begin(frame))
 
     def begin(self, frame: Frame) -> FrameState:
-        """Runs the stages of a frame up to what its neighbours are told."""
+        """Runs the stages of a frame up to what its neighbours are sent."""
         chunks = [self.prepare(chunk) for chunk in frame.chunks]
         state = FrameState(replace(frame, chunks=chunks))
         for stage in self._of_frame[: self._border]:
@@ -273,7 +273,7 @@ class Count(FrameStage):
         state.counts = {tls: self._counts(state, tls, stationary) for tls in self._coverage}
 
     def _detections(self, state: FrameState) -> Detections:
-        """Returns the vehicles on lanes of this region; the others are their owners' to tell."""
+        """Returns the vehicles on lanes of this region; their owners publish others."""
         owners = self._lanes.owners(state.positions)
         own = np.array([tls in self._owned for tls in owners], np.bool_)
         frame, vehicles, positions = (

@@ -128,8 +128,8 @@ class EdgeRole:
                 self._take_scan(scan, item)
             case Objects() as objects:
                 self._assembler.add_objects(objects, item.received_ns)
-            case BorderObjects() as told:
-                if self._border is not None and not self._border.take(item.parts["region"], told):
+            case BorderObjects() as found:
+                if self._border is not None and not self._border.take(item.parts["region"], found):
                     self._assembler.drops["late_border"] += 1
             case SignalState() as state:
                 self._assembler.add_time(state.frame, state.sim_time_ns)
@@ -176,8 +176,8 @@ class EdgeRole:
         if self._border is None:
             self._finish(state)
         else:
-            told = self._border.begin(state, self._border_wait_ns)
-            sent_bytes = self._context.v2x.publish("border", told, region=self._region)
+            message = self._border.begin(state, self._border_wait_ns)
+            sent_bytes = self._context.v2x.publish("border", message, region=self._region)
             self._border_bytes = sent_bytes * len(self._border.neighbours)
 
     def _finish(self, state: FrameState) -> None:
@@ -190,7 +190,7 @@ class EdgeRole:
 
     def _hear(self, presence: Presence) -> None:
         if presence.role == "edge" and self._border is not None:
-            self._border.hear(region_of(presence.id), alive=presence.alive)
+            self._border.note_edge(region_of(presence.id), alive=presence.alive)
         if presence.role in AGENT_ROLES:
             self._missing.discard(presence.id)
             if not presence.alive:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from protocol.errors import BusError, CpnetError
 from protocol.inbox import Envelope, Presence
-from protocol.instances import instances_of
+from protocol.instances import WORLD_HOST, instances_of
 from protocol.messages import End, Metrics, Setup, SignalRequest, Span, Trips
 from protocol.process import Context
 from protocol.topics import BusName
@@ -92,7 +92,7 @@ class SimRole:
         self._traffic = traffic_config(scenario)
         self._cabinet_config = CabinetConfig.model_validate(scenario["cabinet"])
         self._fleet = Fleet()
-        others = [one.id for one in instances_of(scenario) if one.role != "sim"]
+        others = [one.id for one in instances_of(scenario) if one.role != WORLD_HOST]
         self._readiness = Readiness(others, self._traffic.start_timeout_s)
         self._lockstep = scenario["mode"] == "lockstep"
         self._controls = {

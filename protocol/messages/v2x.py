@@ -10,6 +10,7 @@ from protocol.limits import (
     MAX_CHUNKS,
     MAX_COUNT,
     MAX_HEIGHT_M,
+    MAX_ITEMS,
     MAX_LENGTH_M,
     MAX_MBPS,
     MAX_POSITION_STD_M,
@@ -192,6 +193,10 @@ class BorderObjects(Message):
     @model_validator(mode="after")
     def _agree(self) -> Self:
         check_lengths(self, "boxes", "scores", "sources", "position_std_m")
+        if len(self.sensors) > MAX_ITEMS:
+            raise ValueError(f"{len(self.sensors)} sensors, limit {MAX_ITEMS}")
+        if not ((self.position_std_m >= 0) & (self.position_std_m <= MAX_POSITION_STD_M)).all():
+            raise ValueError(f"a position_std_m is not within 0 to {MAX_POSITION_STD_M:g} m")
         return self
 
 

@@ -49,7 +49,7 @@ class Edge:
         values = np.array(boxes, np.float64).reshape(-1, 7)
         state.fused = Vehicles.from_lidar(values, np.ones(len(values)))
         state.sensors = NOWHERE
-        return state, self.strips.told(state)
+        return state, self.strips.message_of(state)
 
     def finish(self, state: FrameState, told: dict[str, BorderObjects]) -> Detections:
         state.received = {name: told[name] for name in self.strips.neighbours}
@@ -156,7 +156,7 @@ def waiting(exchange: BorderExchange, frame: int, wait_ns: int = 10**12) -> Fram
 def test_a_frame_waits_for_neighbours_that_are_there_and_for_no_others(exchange):
     waiting(exchange, 3)
     assert exchange.is_due(0)  # nobody is there
-    exchange.hear("east", alive=True)
+    exchange.note_edge("east", alive=True)
     assert not exchange.is_due(0)
     assert exchange.take("east", told_of(3))
     assert exchange.is_due(0)
@@ -165,7 +165,7 @@ def test_a_frame_waits_for_neighbours_that_are_there_and_for_no_others(exchange)
 
 
 def test_a_frame_does_not_wait_for_ever_and_what_comes_later_is_told_apart(exchange):
-    exchange.hear("east", alive=True)
+    exchange.note_edge("east", alive=True)
     waiting(exchange, 3, wait_ns=0)
     assert exchange.is_due(10**18)
     assert exchange.end().received == {}
@@ -177,5 +177,28 @@ def test_what_a_neighbour_tells_ahead_is_bounded(exchange):
     for frame in range(3 * MAX_KEPT_FRAMES):
         exchange.take("east", told_of(frame))
     waiting(exchange, 3 * MAX_KEPT_FRAMES - 1)
-    exchange.hear("east", alive=True)
+    exchange.note_edge("east", alive=True)
     assert exchange.is_due(0)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"sensors": np.zeros((4097, 2))}, "4097 sensors, limit 4096"),
+        ({"sources": ["lidar"]}, "need one"),
+        ({"sensors": np.full((1, 2), 1e8)}, "beyond 1e7"),
+    ],
+)
+def test_what_a_neighbour_publishes_is_bounded(wrong, says):
+    with pytest.raises(ValueError, match=says):
+        BorderObjects.model_validate({**told_of(1).__dict__, **wrong})
+
+
+@pytest.mark.parametrize("std_m", [-1.0, 1001.0])
+def test_a_neighbours_poses_have_an_error_that_can_be(std_m):
+    one = {
+        "boxes": np.zeros((1, 7)), "scores": np.ones(1), "sources": ["a"],
+        "position_std_m": np.array([std_m]),
+    }  # fmt: skip
+    with pytest.raises(ValueError, match="not within 0 to 1000 m"):
+        BorderObjects.model_validate({**told_of(1).__dict__, **one})
