@@ -68,23 +68,24 @@ def cast_packets(
     address = (where[0], where[1], where[2], where[3], where[4])
     bits = packet.view(np.int32)
     together = origins.shape[1] == 1
+    for lane in range(PACKET):
+        active[lane] = -1
+        packet[_NEAR, lane] = 0.0
+        packet[_TIME, lane] = 0.0
+        bits[_MASK, lane] = -1
+        bits[_ID, lane] = 0
+        bits[_FLAGS, lane] = 0
+    bits[_HIT:] = -1  # Embree writes it, and nobody reads it
     for first in range(0, count, PACKET):
         size = min(PACKET, count - first)
+        for axis in range(3):
+            for lane in range(size):
+                packet[_ORIGIN + axis, lane] = origins[axis, 0 if together else first + lane]
+                packet[_DIRECTION + axis, lane] = directions[axis, first + lane]
         for lane in range(size):
-            ray = first + lane
-            start = 0 if together else ray
-            for axis in range(3):
-                packet[_ORIGIN + axis, lane] = origins[axis, start]
-                packet[_DIRECTION + axis, lane] = directions[axis, ray]
-            packet[_FAR, lane] = limits[ray]
-        for lane in range(PACKET):
-            active[lane] = -1 if lane < size else 0
-            packet[_NEAR, lane] = 0.0
-            packet[_TIME, lane] = 0.0
-            bits[_MASK, lane] = -1
-            bits[_ID, lane] = 0
-            bits[_FLAGS, lane] = 0
-            bits[_HIT:, lane] = -1
+            packet[_FAR, lane] = limits[first + lane]
+        for lane in range(size, PACKET):
+            active[lane] = 0
         _call(address)
         for lane in range(size):
             limits[first + lane] = packet[_FAR, lane]
