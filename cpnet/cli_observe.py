@@ -21,6 +21,10 @@ KeysFolder = Annotated[
     Path | None, typer.Option(metavar="DIR", help="certificates, if not those of the run")
 ]
 
+OneSignal = Annotated[
+    str | None, typer.Option("--tls", metavar="ID", help="show this signal's junction alone")
+]
+
 
 @view_app.command("view")
 def view_command(
@@ -49,12 +53,16 @@ def top_command(
     *,
     connect: Connect = None,
     keys: KeysFolder = None,
+    tls: OneSignal = None,
     once: Annotated[bool, typer.Option("--once", help="print one picture and end")] = False,
 ) -> None:
-    """Show a running system in the terminal: agents, latency, counts, phases, alerts."""
+    """Show a running system in the terminal: agents, latency, counts, phases, alerts.
+
+    Of several signals it shows an overview of them and of the regions.
+    """
     from cpnet.observe import top
 
-    top(run, connect or [], keys, console, once=once)
+    top(run, connect or [], keys, tls, console, once=once)
 
 
 recording_app = typer.Typer()

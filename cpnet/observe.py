@@ -109,12 +109,18 @@ def view(
 
 
 def top(
-    run: Path | None, connect: list[str], keys: Path | None, console: Console, *, once: bool
+    run: Path | None,
+    connect: list[str],
+    keys: Path | None,
+    tls: str | None,
+    console: Console,
+    *,
+    once: bool,
 ) -> None:
-    """Shows a run in the terminal until it ends or is told to stop.
+    """Shows a run, or one junction of it, in the terminal until it ends or is told to stop.
 
     Raises:
-        ConfigError: there is no such run.
+        ConfigError: there is no such run, or it has no such signal.
         BusError: the run does not answer.
     """
     from viewer import board, terminal
@@ -123,7 +129,7 @@ def top(
         lower_priority()
     found = find_run(run, connect, keys)
     with _attached(found, board.BOARD_TOPICS, console) as (observer, setup, interruption):
-        filled = board.Board(setup)
+        filled = board.Board(setup, tls)
         if once:
             terminal.show_once(observer, filled, console, interruption.event)
         else:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from operator import attrgetter
 
 from protocol.inbox import Envelope, Presence
 from protocol.messages import (
@@ -15,19 +16,26 @@ from protocol.messages import (
     Metrics,
     Progress,
     Setup,
-    SignalRequest,
     SignalState,
     Tick,
 )
 from protocol.topics import BusName
 from recording.losses import DropCounts
-from viewer.scene import phase_names, pressures
-from viewer.stages import GROUPS, MAX_RATED_AGENTS, FrameLatency, Rates, Stages
+from recording.observation import AVERAGED_FRAMES, Observation, ObservedJunction
+from viewer.scene import junctions_to_show, phase_names, pressures
+from viewer.stages import (
+    GROUPS,
+    MAX_RATED_AGENTS,
+    FrameLatency,
+    Rates,
+    Stages,
+    slowest,
+    uploads_to,
+)
 
 BOARD_TOPICS = frozenset(
     {"tick", "metrics", "clock", "progress", "end", "state", "request", "lanes"}
 )  # no scans: they are what is heavy
-AVERAGED_FRAMES = 50
 MAX_ALERTS = 64
 STILL_NS = 3_000_000_000
 _STAGES = (Tick, Metrics, LaneCounts)
@@ -72,32 +80,59 @@ class PhaseRow:
     pressure: float | None
 
 
-@dataclass(slots=True)
-class _Shown:
-    state: SignalState
-    since_ns: int
+@dataclass(frozen=True, slots=True)
+class RegionRow:
+    """A region: frames that were seen of it, those not complete, its agents, Mbit/s, mean ms."""
+
+    region: str
+    junctions: int
+    frames: int
+    incomplete: int
+    agents: int
+    mbps: float
+    mean_ms: float | None
 
 
-@dataclass(slots=True)
-class _Frames:
-    """How many of the newest frames were incomplete."""
+@dataclass(frozen=True, slots=True)
+class JunctionRow:
+    """A junction: what its signal shows, since when, and its lanes before the stop bars.
 
-    complete: deque[bool] = field(default_factory=lambda: deque(maxlen=AVERAGED_FRAMES))
-    incomplete: int = 0
+    `covered` is the share of them that sensors cover, None where nobody can know.
+    """
 
-    def take(self, counts: LaneCounts) -> None:
-        self.complete.append(counts.complete)
-        self.incomplete += not counts.complete
+    tls: str
+    region: str
+    phase: str
+    stage: str
+    since_s: float | None
+    vehicles: int
+    queued: int
+    covered: float | None
 
 
 class Board:
-    """Follows a run; rows are made when they are asked for."""
+    """Follows a run; rows are made when they are asked for.
 
-    def __init__(self, setup: Setup) -> None:
+    `junction` is the one that is shown alone, None of a board that shows several.
+    """
+
+    def __init__(self, setup: Setup, tls: str | None = None) -> None:
+        """Shows one junction and what its region does, or all; a run's only one is shown so.
+
+        Raises:
+            ConfigError: the run has no such signal.
+        """
         period_ns = round(float(setup.scenario["frame_period_s"]) * 1e9)
+        shown = junctions_to_show(setup.road_map, tls)
         self.setup = setup
-        self.signal_plan = setup.road_map.intersections[0].signal
-        self.phases = phase_names(setup.road_map)
+        self._observed = Observation(setup.road_map, setup.scenario["regions"])
+        self.junction = self._observed.junctions.get(shown[0].tls) if len(shown) == 1 else None
+        self._junctions = (
+            [*self._observed.junctions.values()] if self.junction is None else [self.junction]
+        )
+        regions = {one.region for one in self._junctions}
+        self._regions = {r: one for r, one in self._observed.regions.items() if r in regions}
+        self._phases = {one.tls: phase_names(setup.road_map, one.signal) for one in shown}
         self.progress: Progress | None = None
         self.end: End | None = None
         self.sim_time_ns = 0
@@ -106,22 +141,23 @@ class Board:
         self.present: dict[tuple[str, str], set[BusName]] = {}
         self.gone: set[tuple[str, str]] = set()
         self._rates = Rates(period_ns)
+        self._region_rates = Rates(period_ns, attrgetter("region"))
         self._stages = Stages(period_ns, setup.scenario["regions"])
         self._latencies: deque[FrameLatency] = deque(maxlen=AVERAGED_FRAMES)
+        self._region_latencies: dict[str, deque[float]] = defaultdict(
+            lambda: deque(maxlen=AVERAGED_FRAMES)
+        )
         self._points: dict[str, int] = {}
         self._scores: dict[str, AgentScore] = {}
         self._drops = DropCounts()
         self._dropped: dict[tuple[str, str], int] = {}
-        self._shown: _Shown | None = None
-        self._request: SignalRequest | None = None
-        self.counts: LaneCounts | None = None
-        self._frames = _Frames()
 
     @property
     def is_filled(self) -> bool:
         """Whether there is something of all kinds to be shown."""
-        told = self.progress, self.counts, self._shown
-        return all(one is not None for one in told) and bool(self._latencies)
+        told = (told for one in self._junctions for told in (one.counts, one.state))
+        is_told = self.progress is not None and all(one is not None for one in told)
+        return is_told and bool(self._latencies)
 
     @property
     def is_over(self) -> bool:
@@ -139,12 +175,13 @@ class Board:
             return
         message = item.message
         self._take_plain(message)
+        self._observed.take(message)
         if isinstance(message, _STAGES) or item.topic == "clock":
             self._stages.take(message)
         if isinstance(message, Tick):
             self.frame, self.sim_time_ns = message.frame, message.sim_time_ns
             self._ticked_ns = item.received_ns
-            self._latencies.extend(self._stages.latencies())
+            self._take_latencies()
         elif isinstance(message, Metrics):
             self._take_metrics(message)
 
@@ -173,42 +210,70 @@ class Board:
         return [*rows, StageRow("end to end", newest.end_to_end_ms, whole)]
 
     def lanes(self, side: str) -> list[LaneRow]:
-        """Returns the lanes "upstream" or "downstream" with their counts."""
-        if self.counts is None:
+        """Returns the junction's lanes "upstream" or "downstream" with their counts."""
+        told = self.junction.counts if self.junction else None
+        if told is None:
             return []
-        counts: Mapping[str, int] = getattr(self.counts, side)
-        stationary: Mapping[str, int] = getattr(self.counts, f"stationary_{side}")
-        seen: Mapping[str, float] = getattr(self.counts, f"coverage_{side}")
+        counts: Mapping[str, int] = getattr(told, side)
+        stationary: Mapping[str, int] = getattr(told, f"stationary_{side}")
+        seen: Mapping[str, float] = getattr(told, f"coverage_{side}")
         return [LaneRow(n, counts[n], stationary.get(n, 0), seen.get(n)) for n in counts]
 
     def signal(self) -> tuple[SignalState, float] | None:
-        """Returns what the signal shows, and for how many simulated seconds so."""
-        if self._shown is None:
+        """Returns what the junction's signal shows, and for how many simulated seconds so."""
+        if self.junction is None or self.junction.state is None:
             return None
-        since_s = max(0, self.sim_time_ns - self._shown.since_ns) / 1e9
-        return self._shown.state, since_s
+        return self.junction.state, self.junction.unchanged_s(self.sim_time_ns)
 
     def phase_rows(self) -> list[PhaseRow]:
-        """Returns the phases with their pressures."""
-        known = pressures(self._request, self.phases)
-        greens = self.signal_plan.greens
-        shown = self._shown.state.green if self._shown else ""
+        """Returns the junction's phases with their pressures."""
+        if self.junction is None:
+            return []
+        names = self._phases[self.junction.tls]
+        known = pressures(self.junction.request, names)
+        shown = self.junction.phase
+        return [PhaseRow(name, n == shown, known.get(name)) for n, name in enumerate(names)]
+
+    def regions(self) -> list[RegionRow]:
+        """Returns the regions; nothing where one junction is shown."""
+        if self.junction is not None:
+            return []
+        rates = self._region_rates.mbps(self.sim_time_ns)
         return [
-            PhaseRow(name, green == shown, known.get(name))
-            for name, green in zip(self.phases, greens, strict=True)
+            RegionRow(
+                region,
+                len(one.junctions),
+                one.frames,
+                one.incomplete,
+                one.agents,
+                rates.get(region, 0.0),
+                _mean([*times]) if (times := self._region_latencies.get(region)) else None,
+            )
+            for region, one in self._observed.regions.items()
         ]
+
+    def junctions(self) -> list[JunctionRow]:
+        """Returns the junctions by region; nothing where one is shown."""
+        return [] if self.junction is not None else [self._row(one) for one in self._junctions]
+
+    def _row(self, one: ObservedJunction) -> JunctionRow:
+        return JunctionRow(
+            one.tls,
+            one.region,
+            "" if one.phase is None else self._phases[one.tls][one.phase],
+            one.state.stage if one.state else "",
+            one.unchanged_s(self.sim_time_ns) if one.state else None,
+            one.vehicles,
+            one.queued,
+            one.coverage,
+        )
 
     def alerts(self, now_ns: int) -> list[str]:
         """Returns what somebody should know of now, on the monotonic clock, the gravest first."""
         still_ns = now_ns - self._ticked_ns
         found = [f"no frame for {still_ns / 1e9:.0f} s"] if self._is_still(still_ns) else []
         found += [f"{role} {name} is gone" for role, name in sorted(self.gone) if not self.end]
-        recent = self._frames.complete
-        if missing := recent.count(False):
-            found.append(
-                f"{missing} of the last {len(recent)} frames incomplete "
-                f"({self._frames.incomplete} since this began)"
-            )
+        found += self._incomplete()
         found += [
             f"{agent} is excluded (score {score.score:.2f})"
             for agent, score in sorted(self._scores.items())
@@ -217,6 +282,21 @@ class Board:
         drops = sorted(self._dropped.items(), key=lambda one: (-one[1], one[0]))
         found += [f"{process} dropped {n} × {reason}" for (process, reason), n in drops if n]
         return found[:MAX_ALERTS]
+
+    def _incomplete(self) -> list[str]:
+        """Returns a line for each region with incomplete frames, with its name if one of several.
+
+        Where one junction is shown, of its region alone.
+        """
+        found = []
+        for region, one in self._regions.items():
+            if missing := one.complete.count(False):
+                name = f"{region}: " if self.junction is None else ""
+                found.append(
+                    f"{name}{missing} of the last {len(one.complete)} frames incomplete "
+                    f"({one.incomplete} since this began)"
+                )
+        return found
 
     def _is_still(self, for_ns: int) -> bool:
         return self.frame >= 0 and not self.is_over and for_ns >= STILL_NS
@@ -240,25 +320,18 @@ class Board:
                 self.progress = message
             case End():
                 self.end = message
-            case LaneCounts() | SignalState() | SignalRequest():
-                if message.tls == self.signal_plan.tls:  # of several signals the first is shown
-                    self._take_signal(message)
 
-    def _take_signal(self, message: LaneCounts | SignalState | SignalRequest) -> None:
-        match message:
-            case SignalRequest():
-                self._request = message
-            case LaneCounts():
-                self.counts = message
-                self._frames.take(message)
-            case SignalState():
-                before = self._shown
-                goes_on = before is not None and before.state.state == message.state
-                since_ns = before.since_ns if before and goes_on else message.sim_time_ns
-                self._shown = _Shown(message, since_ns)
+    def _take_latencies(self) -> None:
+        for frame in self._stages.latencies():
+            for region, latency in frame.items():
+                self._region_latencies[region].append(latency.end_to_end_ms)
+            if known := {name: one for name, one in frame.items() if name in self._regions}:
+                self._latencies.append(slowest(known))
 
     def _take_metrics(self, metrics: Metrics) -> None:
+        metrics = uploads_to(metrics, self._regions)
         self._rates.take(metrics)
+        self._region_rates.take(metrics)
         sent: dict[str, int] = {}
         for upload in metrics.uploads:
             sent[upload.agent] = sent.get(upload.agent, 0) + upload.points

@@ -15,7 +15,7 @@ from protocol.observer import FrameBuffer
 from protocol.topics import BusName
 from protocol.wire import peek_frame_time
 from viewer.scene import Moment, Picture, Scene
-from viewer.stages import FrameLatency, Stages
+from viewer.stages import FrameLatency, Stages, slowest
 
 ENDING = "lanes"
 DRAWN = frozenset({"truth", "state", "request", "scan", "plan", "detections", ENDING})
@@ -109,7 +109,7 @@ class Live:
             self._stages.take(message)
         if item.topic == "tick":
             for latency in self._stages.latencies():
-                self._shows.latency(latency)
+                self._shows.latency(slowest(latency))
 
     def _draw_when_due(self) -> None:
         now_ns = time.monotonic_ns()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import logging
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
@@ -11,7 +12,7 @@ import numpy as np
 
 from perception.arrays import Floats, Floats32
 from protocol.codec import claimed_points, decode
-from protocol.errors import CodecError
+from protocol.errors import CodecError, ConfigError
 from protocol.geometry import SE3
 from protocol.messages import (
     Detections,
@@ -27,7 +28,7 @@ from protocol.messages import (
     VehicleType,
 )
 from protocol.observer import BufferedFrame
-from protocol.roadmap import RoadMap
+from protocol.roadmap import Intersection, RoadMap, Signal
 from recording.rows import detection_rows, truth_rows
 from studies.ecvpr import EvaluationArea, FrameScore, score_frame
 from viewer import layers
@@ -99,6 +100,7 @@ def _together(one: Detections, other: Detections) -> Detections:
 
 MAX_POINTS = 50_000  # of a frame
 MAX_AGENTS = 64
+MAX_NEAR = 3  # names in an error
 _log = logging.getLogger(__name__)
 
 
@@ -156,9 +158,25 @@ class TruthScorer:
         return score_frame(moment.frame, [*found], [*vehicles], self._types, self._reach)
 
 
-def phase_names(road_map: RoadMap) -> list[str]:
-    """Returns a name for each phase of the signal: who gets green, such as "east_in, west_in"."""
-    signal = road_map.intersections[0].signal
+def junctions_to_show(road_map: RoadMap, tls: str | None) -> list[Intersection]:
+    """Returns the intersection with this signal, or without one all.
+
+    Raises:
+        ConfigError: there is no such signal.
+    """
+    if tls is None:
+        return road_map.intersections
+    if tls not in road_map.by_tls:
+        known = sorted(road_map.by_tls)
+        near = difflib.get_close_matches(tls, known, n=MAX_NEAR, cutoff=0.4) or known[:MAX_NEAR]
+        raise ConfigError(
+            f"--tls {tls}: none of the run's {len(known)} signals; near it: {', '.join(near)}"
+        )
+    return [road_map.by_tls[tls]]
+
+
+def phase_names(road_map: RoadMap, signal: Signal) -> list[str]:
+    """Returns a name for each phase of a signal: who gets green, such as "east_in, west_in"."""
     names = []
     for green in signal.greens:
         lanes = [link.from_lane for link in signal.links if green[link.index] in "Gg"]
@@ -200,7 +218,7 @@ class Scene:
         self.setup = setup
         self.heads: Heads = heads(setup.road_map)
         self._places = count_places(setup.road_map)
-        self.phases = phase_names(setup.road_map)
+        self.phases = phase_names(setup.road_map, setup.road_map.intersections[0].signal)
         self._types = {kind.name: kind for kind in setup.vehicle_types}
         self._judge = TruthScorer(setup.road_map, self._types)
         self._colours = Colours()

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 from protocol.errors import MessageError
-from protocol.messages import ClockReading, LaneCounts, Message, Metrics, Tick
+from protocol.messages import ClockReading, LaneCounts, Message, Metrics, Tick, Upload
 from recording.frame_aggregator import FrameAggregator
 from recording.tables import LatencyRow
 
@@ -16,34 +17,47 @@ MAX_RATED_AGENTS = 1024
 _MAX_FRAMES = 256  # of the window
 
 
-class Rates:
-    """Adds up payloads over the last second."""
+def uploads_to(metrics: Metrics, regions: Collection[str]) -> Metrics:
+    """Returns what a process says, with the uploads to these regions alone."""
+    uploads = [upload for upload in metrics.uploads if upload.region in regions]
+    return metrics.model_copy(update={"uploads": uploads})
 
-    def __init__(self, frame_period_ns: int) -> None:
+
+class Rates:
+    """Adds up payloads over the last second, by agent or another key of an upload."""
+
+    def __init__(
+        self, frame_period_ns: int, key: Callable[[Upload], str] = attrgetter("agent")
+    ) -> None:
         self._period_ns = frame_period_ns
+        self._key = key
         self._sent: dict[str, deque[tuple[int, int]]] = {}
 
     def take(self, metrics: Metrics) -> None:
-        """Takes what a process says that its agents sent; of too many agents no more are heard."""
+        """Takes what a process says that its agents sent; of too many keys no more are heard."""
+        at_ns = metrics.sim_time_ns
         for upload in metrics.uploads:
-            if upload.agent in self._sent or len(self._sent) < MAX_RATED_AGENTS:
-                sent = self._sent.setdefault(upload.agent, deque(maxlen=_MAX_FRAMES))
-                sent.append((metrics.sim_time_ns, upload.payload_bytes))
+            key = self._key(upload)
+            if key not in self._sent and len(self._sent) >= MAX_RATED_AGENTS:
+                continue
+            sent = self._sent.setdefault(key, deque(maxlen=_MAX_FRAMES))
+            before = sent.pop()[1] if sent and sent[-1][0] == at_ns else 0
+            sent.append((at_ns, before + upload.payload_bytes))
 
     def mbps(self, now_ns: int) -> dict[str, float]:
-        """Returns each agent's rate in the second before this moment; who sent nothing is left out.
+        """Returns each key's rate in the second before this moment; who sent nothing is left out.
 
         Who came within the second has the rate since then.
         """
         rates = {}
-        for agent, sent in list(self._sent.items()):
+        for key, sent in list(self._sent.items()):
             while sent and sent[0][0] <= now_ns - WINDOW_NS:
                 sent.popleft()
             if not sent:
-                del self._sent[agent]
+                del self._sent[key]
                 continue
             heard_ns = min(WINDOW_NS, max(now_ns - sent[0][0], 0) + self._period_ns)
-            rates[agent] = sum(size for at_ns, size in sent if at_ns <= now_ns) * 8e3 / heard_ns
+            rates[key] = sum(size for at_ns, size in sent if at_ns <= now_ns) * 8e3 / heard_ns
         return rates
 
 
@@ -100,8 +114,8 @@ class Stages:
             case ClockReading():
                 self._hear(message)
 
-    def latencies(self) -> Iterator[FrameLatency]:
-        """Yields the frames whose times are known since the last call."""
+    def latencies(self) -> Iterator[dict[str, FrameLatency]]:
+        """Yields the frames whose times are known since the last call, by region."""
         self._aggregator.take_changed()
         newest = self._aggregator.newest_tick - LAG_FRAMES
         first = max(self._told + 1, newest - LAG_FRAMES)
@@ -109,16 +123,24 @@ class Stages:
             note = self._aggregator.get(frame)
             if note is None or note.sim_time_ns is None:
                 continue
+            found: dict[str, FrameLatency] = {}
             rows = note.rows(self._clocks).latencies
-            if rows:
-                slowest = max(rows, key=lambda row: row.end_to_end_ns)
-                yield _frame_latency(slowest, note.sim_time_ns)
+            for row in sorted(rows, key=lambda row: -row.end_to_end_ns):
+                if row.region not in found:
+                    found[row.region] = _frame_latency(row, note.sim_time_ns)
+            if found:
+                yield found
         self._told = max(self._told, newest)
 
     def _hear(self, reading: ClockReading) -> None:
         if reading.process not in self._clocks and len(self._clocks) >= MAX_PROCESSES:
             raise MessageError(f"{reading.process} is one process more than {MAX_PROCESSES}")
         self._clocks[reading.process] = reading.offset_ns, reading.error_ns
+
+
+def slowest(latencies: Mapping[str, FrameLatency]) -> FrameLatency:
+    """Returns the slowest of at least one region."""
+    return max(latencies.values(), key=lambda latency: latency.end_to_end_ms)
 
 
 def _frame_latency(row: LatencyRow, sim_time_ns: int) -> FrameLatency:

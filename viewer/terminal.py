@@ -15,18 +15,23 @@ from rich.text import Text
 
 from protocol.errors import BusError, MessageError
 from protocol.observer import Observer
-from viewer.board import AgentRow, Board, LaneRow
+from viewer.board import AgentRow, Board, JunctionRow, LaneRow, RegionRow
 
 MAX_SHOWN_AGENTS = 16
 MAX_LANES = 24
+MAX_REGIONS = 16
+MAX_JUNCTIONS = 32
 MAX_SHOWN_ALERTS = 5
 _LEAST_NAME = 6
 
 
 def picture(board: Board, now_ns: int) -> RenderableType:
     """Returns what is to be shown now, on the monotonic clock."""
-    tables = [_agents(board.agents()), _stages(board), _signal(board)]
-    tables += [_lanes(board.lanes(side), side) for side in ("upstream", "downstream")]
+    if board.junction is None:
+        tables = [_regions(board.regions()), _stages(board), _junctions(board.junctions())]
+    else:
+        tables = [_agents(board.agents()), _stages(board), _signal(board)]
+        tables += [_lanes(board.lanes(side), side) for side in ("upstream", "downstream")]
     shown = [table for table in tables if table.row_count]
     return Group(_head(board), _alerts(board.alerts(now_ns)), Columns(shown, padding=(0, 3)))
 
@@ -49,6 +54,44 @@ def _head(board: Board) -> RenderableType:
         f"{len(board.present)} processes"
     )
     return title
+
+
+def _regions(rows: list[RegionRow]) -> Table:
+    table = _table("region", "signals", "frames", "incomplete", "agents", "Mbit/s", "ms")
+    for row in rows[:MAX_REGIONS]:
+        table.add_row(
+            _name(row.region, "cyan"),
+            f"{row.junctions}",
+            f"{row.frames}",
+            Text(f"{row.incomplete}", "red" if row.incomplete else ""),
+            f"{row.agents}",
+            f"{row.mbps:.2f}",
+            "–" if row.mean_ms is None else f"{row.mean_ms:.1f}",
+        )
+    if len(rows) > MAX_REGIONS:
+        table.add_row(_name(f"and {len(rows) - MAX_REGIONS} more"), *[""] * 6)
+    return table
+
+
+def _junctions(rows: list[JunctionRow]) -> Table:
+    """Returns a row for each junction; of too many, those with the longest queues."""
+    table = _table("signal", "region", "", "since", "vehicles", "queued", "covered")
+    table.add_column("phase", no_wrap=True, overflow="ellipsis", max_width=24)
+    longest = sorted(rows, key=lambda row: -row.queued)[:MAX_JUNCTIONS]
+    for row in (row for row in rows if row in longest):
+        table.add_row(
+            _name(row.tls, "cyan"),
+            row.region,
+            Text("●" if row.stage else "–", _lamp(row.stage) if row.stage else ""),
+            "–" if row.since_s is None else f"{row.since_s:.1f} s",
+            f"{row.vehicles}",
+            f"{row.queued}",
+            "–" if row.covered is None else f"{row.covered:.0%}",
+            Text(row.phase),
+        )
+    if len(rows) > MAX_JUNCTIONS:
+        table.add_row(_name(f"and {len(rows) - MAX_JUNCTIONS} with shorter queues"), *[""] * 7)
+    return table
 
 
 def _agents(rows: list[AgentRow]) -> Table:

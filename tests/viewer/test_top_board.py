@@ -9,12 +9,14 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from protocol import messages as m
-from protocol.errors import MessageError
+from protocol.errors import ConfigError, MessageError
 from protocol.inbox import Envelope, Presence
 from protocol.topics import TOPICS, BusName
 from tests.messages import EXAMPLES
+from tests.viewer.city import CITY_SETUP
 from tests.viewer.shown import PERIOD_NS, SETUP, measured, sent, tick
 from viewer import board as boards
+from viewer import terminal
 from viewer.board import Board
 from viewer.terminal import picture
 
@@ -25,16 +27,16 @@ def envelope(message: m.Message) -> Envelope:
     return Envelope(NAMES[type(message)], {}, message, 0, b"")
 
 
-def fed(*messages: m.Message | Presence) -> Board:
-    board = Board(SETUP)
+def fed(*messages: m.Message | Presence, setup: m.Setup = SETUP, tls: str | None = None) -> Board:
+    board = Board(setup, tls)
     for message in messages:
         board.take(message if isinstance(message, Presence) else envelope(message))
     return board
 
 
-def state(frame: int, shown: str, stage: str = "green") -> m.SignalState:
+def state(frame: int, shown: str, stage: str = "green", tls: str = "J") -> m.SignalState:
     return m.SignalState(
-        frame=frame, sim_time_ns=frame * PERIOD_NS, tls="J", state=shown, stage=stage, green="rG",
+        frame=frame, sim_time_ns=frame * PERIOD_NS, tls=tls, state=shown, stage=stage, green="rG",
         source="max_pressure", earliest_change_ns=0,
     )  # fmt: skip
 
@@ -134,9 +136,10 @@ def test_when_the_edge_dies_with_its_router_nobody_else_is_gone() -> None:
     assert board.alerts(0) == []
 
 
+@pytest.mark.parametrize("setup", [SETUP, CITY_SETUP])
 @pytest.mark.parametrize("width", [20, 40, 80, 200])
-def test_every_message_is_taken_and_every_width_has_room(width: int) -> None:
-    board = Board(SETUP)
+def test_every_message_is_taken_and_every_width_has_room(width: int, setup: m.Setup) -> None:
+    board = Board(setup)
     for message in EXAMPLES:
         with suppress(MessageError):
             board.take(envelope(message))
@@ -153,6 +156,87 @@ def test_in_a_narrow_terminal_names_are_cut_and_numbers_are_whole() -> None:
     assert all(len(line) <= 30 for line in lines)
     assert any(line.split() == ["upstr…", "vehicles", "queued", "seen"] for line in lines), lines
     assert any(line.split() == ["a_lan…", "3456", "3456", "100%"] for line in lines), lines
+
+
+def counted(frame: int, tls: str, queued: int, complete: bool = True) -> m.LaneCounts:
+    lane = f"{tls}south_0"
+    return m.LaneCounts(
+        frame=frame, sim_time_ns=frame * PERIOD_NS, tls=tls, agents=["a", "b"], complete=complete,
+        upstream={lane: 2 * queued}, downstream={}, stationary_upstream={lane: queued},
+        coverage_upstream={lane: 0.25},
+    )  # fmt: skip
+
+
+def to_region(region: str, metrics: m.Metrics) -> m.Metrics:
+    uploads = [upload.model_copy(update={"region": region}) for upload in metrics.uploads]
+    return metrics.model_copy(update={"uploads": uploads})
+
+
+CITY = (
+    tick(0),
+    sent(0, "a", 12_500),
+    to_region("r1", sent(0, "b", 25_000)),
+    *(state(0, "rG", tls=tls) for tls in "JKL"),
+    *(counted(0, tls, n) for n, tls in enumerate("JK")),
+    counted(0, "L", 5, complete=False),
+    tick(1),
+    state(1, "ry", "yellow", tls="K"),
+    tick(2),
+)
+
+
+def test_of_several_junctions_all_are_shown_in_their_regions() -> None:
+    board = fed(*CITY, setup=CITY_SETUP)
+    regions = [(r.region, r.junctions, r.frames, r.incomplete, r.agents) for r in board.regions()]
+    assert regions == [("r0", 2, 1, 0, 2), ("r1", 1, 1, 1, 2)]
+    rates = {row.region: row.mbps for row in board.regions()}
+    assert rates["r1"] == pytest.approx(2 * rates["r0"])
+    junctions = [
+        (r.tls, r.region, r.phase, r.stage, r.since_s, r.vehicles, r.queued, r.covered)
+        for r in board.junctions()
+    ]
+    assert junctions == [
+        ("J", "r0", "Jwest", "green", 0.2, 0, 0, 0.25),
+        ("K", "r0", "Kwest", "yellow", 0.1, 2, 1, 0.25),
+        ("L", "r1", "Lwest", "green", 0.2, 10, 5, 0.25),
+    ]
+    assert board.alerts(0) == ["r1: 1 of the last 1 frames incomplete (1 since this began)"]
+    shown = text(board)
+    for word in ("incomplete", "Lwest", "25%", "r1"):
+        assert word in shown
+
+
+def test_one_junction_of_several_is_shown_as_if_it_were_alone() -> None:
+    board = fed(*CITY, setup=CITY_SETUP, tls="K")
+    assert board.regions() == [] == board.junctions()
+    assert [(row.phase, row.is_shown) for row in board.phase_rows()] == [
+        ("Ksouth", False),
+        ("Kwest", True),
+    ]
+    assert [vars_of(row) for row in board.lanes("upstream")] == [("Ksouth_0", 2, 1, 0.25)]
+    assert [row.agent for row in board.agents()] == ["a"]  # b uploads to the other region alone
+    assert board.alerts(0) == []
+
+
+def test_the_only_junction_needs_no_name() -> None:
+    by_name, without = (fed(tick(0), state(0, "rG"), tls=tls) for tls in ("J", None))
+    assert text(by_name) == text(without)
+
+
+def test_an_unknown_signal_is_refused_with_those_near_it() -> None:
+    with pytest.raises(ConfigError, match="none of the run's 3 signals; near it: J, K, L"):
+        Board(CITY_SETUP, "j")
+
+
+def test_of_many_junctions_those_with_the_longest_queues_are_shown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(terminal, "MAX_JUNCTIONS", 2)
+    shown = text(fed(*CITY, setup=CITY_SETUP))
+    assert "Kwest" in shown
+    assert "Lwest" in shown
+    assert "Jwest" not in shown
+    assert "and 1 with" in shown
 
 
 @given(st.lists(st.sampled_from(EXAMPLES), max_size=20))

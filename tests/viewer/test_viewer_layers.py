@@ -120,7 +120,7 @@ def test_the_road_has_a_surface_stop_bars_and_a_camera_above_it() -> None:
 
 
 def test_phases_are_named_by_who_gets_green() -> None:
-    names = phase_names(CROSSING)
+    names = phase_names(CROSSING, CROSSING.intersections[0].signal)
     assert names == ["south", "west"]
     request = m.SignalRequest(
         frame=1, sim_time_ns=1, tls="J", state="Gr", policy="max_pressure", pressures=[3, 1]
