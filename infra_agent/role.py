@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from protocol.bus import Bus
 from protocol.geometry import SE3
 from protocol.inbox import Envelope, Presence
 from protocol.instances import mounts_in, region_of
-from protocol.messages import Tick
 from protocol.process import Context
 from sensing.config import Mount
 from sensing.lidar_uplink import LidarUplink, LidarUplinks
 from sensing.pose import mount_pose
 from sensing.station import Station
+from sensing.world_view import WorldView
 
 
 class InfraRole:
@@ -25,6 +27,7 @@ class InfraRole:
         self._units: list[tuple[LidarUplink, SE3]] = []
         for given in mounts_in(context.setup.scenario, region):
             self._add(context, Mount.model_validate(given), region)
+        self._station.stand_at(np.array([pose.translation[:2] for _, pose in self._units]))
         self._station.open("infra")
 
     def _add(self, context: Context, mount: Mount, region: str) -> None:
@@ -42,9 +45,9 @@ class InfraRole:
 
     def poll(self) -> None:
         """Senses and publishes for the newest tick."""
-        if tick := self._station.pop():
-            self._run_frame(tick)
-        self._station.report(tick)
+        if view := self._station.pop():
+            self._run_frame(view)
+        self._station.report(view)
 
     def close(self) -> None:
         """Reports on the last frame and closes the connections."""
@@ -55,15 +58,15 @@ class InfraRole:
         for bus in self._buses:
             bus.close()
 
-    def _run_frame(self, tick: Tick) -> None:
-        self._station.begin(tick)
+    def _run_frame(self, view: WorldView) -> None:
+        self._station.begin(view)
         uploads, admits = self._station.uploads, self._station.admits
-        scanning = {one.agent for one, _ in self._units if uploads and admits(one.radio, tick)}
+        scanning = {one.agent for one, _ in self._units if uploads and admits(one.radio, view)}
         members = {uplink.agent: self._station.regions for uplink, _ in self._units}
-        self._station.publish_rosters(tick, members, scanning)
+        self._station.publish_rosters(view, members, scanning)
         for uplink, pose in self._units:
             if uplink.agent in scanning:
                 sensed = uplink.sense_and_send(
-                    tick, map_SE3_sensor=pose, estimated_SE3_sensor=pose, own=None
+                    view, map_SE3_sensor=pose, estimated_SE3_sensor=pose, own=None
                 )
-                self._station.publish_points_on(tick, uplink.agent, sensed)
+                self._station.publish_points_on(view, uplink.agent, sensed)

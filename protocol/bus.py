@@ -95,6 +95,9 @@ class Bus(Protocol):
     def subscribe(self, topic_name: str, **parts: str) -> None:
         """Subscribes to a topic; parts that are not given match everything."""
 
+    def unsubscribe(self, topic_name: str, **parts: str) -> None:
+        """Ends a subscription that was made with the same parts."""
+
     def announce(self, role: str, process_id: str) -> None:
         """Declares this process present, until the bus is closed."""
 
@@ -147,6 +150,7 @@ class ZenohBus:
         self._name = name
         self._inbox = inbox
         self._kept: list[object] = []
+        self._subscribers: dict[str, zenoh.Subscriber[None]] = {}
 
     def publish(self, topic_name: str, message: Message, **parts: str) -> int:
         """See `Bus.publish`; blocks while the link is full."""
@@ -173,7 +177,11 @@ class ZenohBus:
             return RawMessage(topic, str(sample.key_expr), sample.payload.to_bytes(), now_ns)
 
         key = topic.key(**parts)
-        self._receive(lambda handler: self._session.declare_subscriber(key, handler), read)
+        self._subscribers[key] = self._session.declare_subscriber(key, self._into_inbox(read))
+
+    def unsubscribe(self, topic_name: str, **parts: str) -> None:
+        """See `Bus.unsubscribe`."""
+        self._subscribers.pop(self._topic(topic_name).key(**parts)).undeclare()  # type: ignore[no-untyped-call]  # zenoh is untyped here
 
     def announce(self, role: str, process_id: str) -> None:
         """See `Bus.announce`."""
@@ -192,9 +200,8 @@ class ZenohBus:
             return Presence(role, process_id, sample.kind == zenoh.SampleKind.PUT, self._name)
 
         tokens = self._session.liveliness()
-        self._receive(
-            lambda handler: tokens.declare_subscriber(f"{ALIVE}/*/*", handler, history=True), read
-        )
+        handler = self._into_inbox(read)
+        self._kept.append(tokens.declare_subscriber(f"{ALIVE}/*/*", handler, history=True))
 
     def serve(self, topic_name: str, message: Message) -> None:
         """Replies to queries of this topic with this message."""
@@ -223,14 +230,14 @@ class ZenohBus:
         names = {(key[1], key[3], key[4]) for key in keys if len(key) == 5}  # no `**` among them
         return sorted(names)
 
-    def _receive(self, declare: Callable[[_Take], object], read: _Read) -> None:
-        """Puts what a subscription receives into the inbox."""
+    def _into_inbox(self, read: _Read) -> _Take:
+        """Returns what puts all that a subscription receives into the inbox."""
 
         def take(sample: zenoh.Sample) -> None:
             if (item := read(sample)) is not None:
                 self._inbox.put(item)
 
-        self._kept.append(declare(take))
+        return take
 
     def _answer(self, topic_name: str, make: Callable[[], bytes]) -> None:
         key = self._topic(topic_name).key()

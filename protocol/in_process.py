@@ -89,6 +89,12 @@ class InProcessBus:
         self._router.subscriptions.setdefault(topic_name, []).append(subscription)
         self._own.append((topic_name, subscription))
 
+    def unsubscribe(self, topic_name: str, **parts: str) -> None:
+        """See `Bus.unsubscribe`."""
+        ended = next(one for one in self._own if one[0] == topic_name and one[1].parts == parts)
+        self._own.remove(ended)
+        self._router.subscriptions[topic_name].remove(ended[1])
+
     def announce(self, role: str, process_id: str) -> None:
         """See `Bus.announce`."""
         presence = Presence(role, process_id, True, self._router.name)

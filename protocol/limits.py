@@ -8,8 +8,11 @@ anything is allocated. The other packages with input of their own have such a ta
 MAX_BODY_BYTES = 16 << 20  # the largest scan and the largest setup fit, with room
 MAX_HEADER_BYTES = 256 << 10  # 512 agents with their scores fit
 MAX_SETUP_HEADER_BYTES = 16 << 20  # two recorded link traces take 9 MiB
+MAX_WORLD_HEADER_BYTES = 8 << 20  # ids, types and lanes of the bodies of a city
 MAX_CONTAINERS = 1 << 13  # lists and maps of a header, plus one for every 16 bytes: memory
 MAX_ITEMS = 4096  # of a list or map: more than a junction holds
+MAX_BODIES = 1 << 16  # of a city at one time
+MAX_TILE = 1 << 20  # column or row: beyond what MAX_POSITION_M allows
 MAX_KEY_CHARS = 8 << 10  # more than the longest ids take, percent-encoded
 
 # Fields

@@ -125,6 +125,8 @@ def _table(*rows: Topic) -> dict[str, Topic]:
 TOPICS = _table(
     Topic("setup", "world/setup", m.Setup, _W, _B, _SIM, ROLES),
     Topic("tick", "world/tick", m.Tick, _W, _P, _SIM, _AGENTS | _RECORD),
+    Topic("bodies", "world/tick/{tile}", m.TileBodies, _W, _P, _SIM, _AGENTS),
+    Topic("tiles", "world/tiles/{process}", m.TileRequest, _W, _P, _AGENTS, _SIM),
     Topic("truth", "world/truth", m.Truth, _W, _B, _SIM, _RECORD),
     Topic("sighting", "world/sighting/{agent}", m.Sighting, _W, _B, _AGENTS, _RECORD),
     Topic("trips", "world/trips", m.Trips, _W, _B, _SIM, _RECORD),

@@ -47,7 +47,7 @@ class ProgressTracker:
         """Notes where the world is."""
         equipment = tick.equipment.tolist()
         self.frame, self.sim_time_ns = tick.frame, tick.sim_time_ns
-        self.vehicles = len(tick.ids)
+        self.vehicles = tick.bodies
         self.cavs = equipment.count(Equipment.CAV)
         self.cvs = equipment.count(Equipment.CV)
         if self._since is None:

@@ -12,6 +12,7 @@ from numba import njit
 
 from perception.arrays import Floats32, Ints, Ints32
 from protocol.geometry import SE3, Floats
+from protocol.limits import MAX_LENGTH_M
 from protocol.scans import RangeScan, ScanPattern
 from sensing.candidates import gather, keep_nearest, place, turn, windows
 from sensing.config import LidarConfig
@@ -202,10 +203,18 @@ class Lidar:
         Raises:
             MessageError: a type that the set-up did not announce.
         """
-        view = self.view(map_SE3_sensor, poses, types, own)
+        near = self._within_range(map_SE3_sensor, poses)
+        others = near if own is None else near[near != own]
+        view = self.view(map_SE3_sensor, poses[others], [types[n] for n in others], None)
         range_m, intensity = returns(view.distance_m, self._config, rng)
-        points_on = view.points_on(range_m, len(poses))
+        points_on = np.zeros(len(poses), np.int64)
+        points_on[others] = view.points_on(range_m, len(others))
         return Sensed(RangeScan(self._pattern, range_m, intensity), points_on)
+
+    def _within_range(self, map_SE3_sensor: SE3, poses: Floats) -> Ints:
+        """Returns the indices of the bodies of which a ray could reach a part."""
+        away_m = np.hypot(*(poses[:, :2] - map_SE3_sensor.translation[:2]).T)
+        return np.flatnonzero(away_m <= self._config.range + MAX_LENGTH_M)
 
     def view(
         self,

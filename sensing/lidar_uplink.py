@@ -16,7 +16,7 @@ from perception.roadway import Roadway
 from protocol.bus import Bus
 from protocol.codec import encode_scan
 from protocol.geometry import SE3
-from protocol.messages import Objects, Scan, Tick
+from protocol.messages import Objects, Scan
 from protocol.process import Context
 from protocol.regions import regions_of
 from protocol.roadmap import RoadMap
@@ -30,6 +30,7 @@ from sensing.terrain import Terrain
 from sensing.uplink import FrameUpload, Uplink, UplinkContext
 from sensing.upload_policies import Filter, policy_of
 from sensing.upload_selection import Selection, Selector, chooser_of
+from sensing.world_view import WorldView
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,26 +125,26 @@ class LidarUplink(Uplink):
 
     def sense_and_send(
         self,
-        tick: Tick,
+        view: WorldView,
         map_SE3_sensor: SE3,
         estimated_SE3_sensor: SE3,
         own: int | None,
     ) -> Sensed:
         """Scans once from the true pose and sends the scan, or its part, with the estimated one."""
         sense_start_ns = time.monotonic_ns()
-        sensed = self._shared.source.scan(self.agent, tick, map_SE3_sensor, own)
+        sensed = self._shared.source.scan(self.agent, view, map_SE3_sensor, own)
         sense_end_ns = time.monotonic_ns()
         parts = {
             region: selector.select(
                 sensed.scan,
                 estimated_SE3_sensor,
                 self.agent,
-                self._plans[region].of(tick.frame, tick.sim_time_ns),
+                self._plans[region].of(view.frame, view.sim_time_ns),
             )
             for region, selector in self._selectors.items()
         }
         upload = _ScanUpload(
-            tick, self, sensed.scan, parts, estimated_SE3_sensor, sense_start_ns, sense_end_ns
+            view, self, sensed.scan, parts, estimated_SE3_sensor, sense_start_ns, sense_end_ns
         )
         upload.spans = [
             self.span("sense", sense_start_ns, sense_end_ns),
@@ -162,7 +163,7 @@ class LidarUplink(Uplink):
         start_ns = time.monotonic_ns()
         selection = upload.parts[region]
         part = selection.part(upload.scan, chunk)
-        config, tick = self._shared.config, upload.tick
+        config, view = self._shared.config, upload.view
         payload = encode_scan(
             part,
             config.max_error_m,
@@ -170,8 +171,8 @@ class LidarUplink(Uplink):
             intensity=config.intensity,
         )
         message = Scan(
-            frame=tick.frame,
-            sim_time_ns=tick.sim_time_ns,
+            frame=view.frame,
+            sim_time_ns=view.sim_time_ns,
             agent=self.agent,
             chunk=chunk,
             chunks=selection.chunks,
@@ -188,8 +189,8 @@ class LidarUplink(Uplink):
 
     def _send_objects(self, upload: _ScanUpload, region: str, detector: OnboardDetector) -> None:
         """Sends a region the boxes that are detected in its part; this replaces encoding."""
-        start_ns, tick = time.monotonic_ns(), upload.tick
-        rng = stream(self._shared.seed, "detect", self.agent, tick.frame)
+        start_ns, view = time.monotonic_ns(), upload.view
+        rng = stream(self._shared.seed, "detect", self.agent, view.frame)
         found = detector.detect(
             upload.parts[region].part(upload.scan, 0),
             upload.estimated_SE3_sensor,
@@ -197,8 +198,8 @@ class LidarUplink(Uplink):
             ground_free=self._selectors[region].is_ground_free,
         )
         message = Objects(
-            frame=tick.frame,
-            sim_time_ns=tick.sim_time_ns,
+            frame=view.frame,
+            sim_time_ns=view.sim_time_ns,
             agent=self.agent,
             boxes=found.boxes.astype(np.float32),
             scores=found.scores.astype(np.float32),

@@ -8,13 +8,14 @@ import numpy as np
 
 from protocol.errors import ConfigError
 from protocol.geometry import SE3
-from protocol.messages import Setup, Tick
+from protocol.messages import Setup
 from sensing.config import LIDAR_SOURCES, LidarConfig, SceneConfig
 from sensing.lidar import Lidar, Sensed
 from sensing.mesh import VehicleShapes
 from sensing.noise import stream
 from sensing.recorded_scans import Recording, recording_of
 from sensing.scene import scene_of
+from sensing.world_view import WorldView
 
 
 class ScanSource(Protocol):
@@ -25,7 +26,7 @@ class ScanSource(Protocol):
     ConfigError if there could be no scans.
     """
 
-    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> Sensed:
+    def scan(self, agent: str, view: WorldView, map_SE3_sensor: SE3, own: int | None) -> Sensed:
         """Returns the scan of an agent's sensor; `own` is the index of the body that carries it."""
 
     def close(self) -> None:
@@ -39,10 +40,10 @@ class ModelSource:
         self._lidar = lidar
         self._seed = seed
 
-    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> Sensed:
+    def scan(self, agent: str, view: WorldView, map_SE3_sensor: SE3, own: int | None) -> Sensed:
         """See `ScanSource.scan`; noise follows from seed, agent and frame."""
-        rng = stream(self._seed, "scan", agent, tick.frame)
-        return self._lidar.scan(map_SE3_sensor, tick.poses, tick.types, own, rng)
+        rng = stream(self._seed, "scan", agent, view.frame)
+        return self._lidar.scan(map_SE3_sensor, view.poses, view.types, own, rng)
 
     def close(self) -> None:
         """Holds nothing."""
@@ -54,9 +55,9 @@ class RecordedSource:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
 
-    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> Sensed:  # noqa: ARG002 - what the sensor saw there is recorded
-        """See `ScanSource.scan`; the sensor was where the recording's tick has it."""
-        return Sensed(self._recording.scan(agent, tick.frame), np.zeros(0, np.int64))
+    def scan(self, agent: str, view: WorldView, map_SE3_sensor: SE3, own: int | None) -> Sensed:  # noqa: ARG002 - what the sensor saw there is recorded
+        """See `ScanSource.scan`; the sensor was where the recording has it."""
+        return Sensed(self._recording.scan(agent, view.frame), np.zeros(0, np.int64))
 
     def close(self) -> None:
         """Holds nothing."""

@@ -10,15 +10,29 @@ from typing import TypeVar
 import numpy as np
 
 from protocol.bus import Bus
+from protocol.geometry import Floats
 from protocol.inbox import Envelope, Presence
-from protocol.messages import End, Metrics, Plan, Roster, Sighting, Span, Tick, Upload, WireCount
+from protocol.limits import MAX_LENGTH_M
+from protocol.messages import (
+    End,
+    Metrics,
+    Plan,
+    Roster,
+    Sighting,
+    Span,
+    Tick,
+    TileBodies,
+    Upload,
+    WireCount,
+)
 from protocol.process import Context
-from sensing.config import UploadConfig
+from sensing.config import LidarConfig, UploadConfig
 from sensing.lidar import Sensed
 from sensing.link_config import LinkConfig
 from sensing.radio import AgentKind, Radio, radio_of
 from sensing.uplink import FrameUpload, Uplink
 from sensing.upload_policies import policy_of
+from sensing.world_view import Surroundings, WorldView
 
 U = TypeVar("U", bound=Uplink)
 
@@ -32,8 +46,10 @@ class Station:
     made of it: the same plan is followed however long its message took.
     """
 
-    def __init__(self, context: Context, kind: AgentKind, region: str = "") -> None:
-        """Serves one region, or all of the scenario."""
+    def __init__(
+        self, context: Context, kind: AgentKind, region: str = "", *, sees_bodies: bool = True
+    ) -> None:
+        """Serves one region, or all of the scenario; whoever plays a recording sees no bodies."""
         scenario = context.setup.scenario
         self.context = context
         self.seed: int = scenario["seed"]
@@ -47,6 +63,10 @@ class Station:
         self._scanned: tuple[int, list[str]] = (-1, [])
         self._settled: list[WireCount] = []
         self._left: list[FrameUpload] = []
+        reach_m = LidarConfig.model_validate(scenario["lidar"][kind]).range + MAX_LENGTH_M / 2
+        self._surroundings = (
+            Surroundings(context.world, context.id, reach_m) if sees_bodies else None
+        )
         self._tick: Tick | None = None
         self._ticked_ns = 0
         self._drops: Counter[str] = Counter()
@@ -61,6 +81,11 @@ class Station:
         self.context.world.subscribe("tick")
         self.context.world.subscribe("end")
         self.context.announce(role)
+
+    def stand_at(self, places: Floats) -> None:
+        """Follows the world around sensors that stand at x, y (N, 2), map frame, in m."""
+        if self._surroundings is not None:
+            self._surroundings.stand_at(places)
 
     def radio(self, agent: str, bus: Bus) -> Radio:
         """Returns the radio of an agent with this connection."""
@@ -81,15 +106,15 @@ class Station:
         self._settled += uplink.take_wire_counts()
         self._drops["overtaken_chunks"] += uplink.unsent_chunks
 
-    def begin(self, tick: Tick) -> None:
+    def begin(self, view: WorldView) -> None:
         """Begins a frame on all uplinks."""
         for _, uplink in sorted(self._uplinks.items()):
-            uplink.begin(tick.frame, tick.sim_time_ns)
-            self._settled += uplink.take_wire_counts(tick.frame)
+            uplink.begin(view.frame, view.sim_time_ns)
+            self._settled += uplink.take_wire_counts(view.frame)
 
-    def admits(self, radio: Radio, tick: Tick) -> bool:
+    def admits(self, radio: Radio, view: WorldView) -> bool:
         """Whether an agent takes part in a frame; not while its link is congested."""
-        congested = radio.is_congested(tick.sim_time_ns)
+        congested = radio.is_congested(view.sim_time_ns)
         self._drops["skipped_frames"] += congested
         return not congested
 
@@ -100,26 +125,33 @@ class Station:
         if isinstance(item.message, Tick):
             self._drops["skipped_ticks"] += self._tick is not None
             self._tick, self._ticked_ns = item.message, item.received_ns
+            if self._surroundings is not None:
+                self._surroundings.begin(item.message)
+        elif isinstance(item.message, TileBodies) and self._surroundings is not None:
+            self._surroundings.take(item.message)
         elif isinstance(item.message, Plan):
             if uplink := self._uplinks.get(item.message.agent):
                 uplink.receive(item.message, item.parts["region"])
         elif isinstance(item.message, End):
             self.context.stop.set()
 
-    def pop(self) -> Tick | None:
-        """Returns a tick once, as soon as the plans for it have arrived."""
-        if self._tick is None or self._awaits_plan(self._tick):
+    def pop(self) -> WorldView | None:
+        """Returns a frame once, as soon as its bodies and the plans for it have arrived."""
+        tick, around = self._tick, self._surroundings
+        if tick is None or (around is not None and not around.is_complete()):
             return None
-        tick, self._tick = self._tick, None
-        return tick
+        if self._awaits_plan(tick):
+            return None
+        self._tick = None
+        return WorldView.without_bodies(tick) if around is None else around.view(tick)
 
     def publish_rosters(
-        self, tick: Tick, members: Mapping[str, Sequence[str]], scanning: Collection[str]
+        self, view: WorldView, members: Mapping[str, Sequence[str]], scanning: Collection[str]
     ) -> None:
         """Publishes, before anything is sent, whose poses and scans each edge may expect.
 
         Args:
-            tick: begins the frame.
+            view: begins the frame.
             members: the regions of each agent that takes part.
             scanning: the agents of them that send a scan.
         """
@@ -127,22 +159,22 @@ class Station:
         for region in self.regions:
             agents = [agent for agent, regions in members.items() if region in regions]
             roster = Roster(
-                frame=tick.frame,
+                frame=view.frame,
                 process=process,
                 agents=agents,
                 scanning=[agent for agent in agents if agent in scanning],
             )
             self.context.v2x.publish("roster", roster, region=region, process=process)
-        self._scanned = (tick.frame, [agent for agent in members if agent in scanning])
+        self._scanned = (view.frame, [agent for agent in members if agent in scanning])
 
-    def publish_points_on(self, tick: Tick, agent: str, sensed: Sensed) -> None:
+    def publish_points_on(self, view: WorldView, agent: str, sensed: Sensed) -> None:
         """Publishes on which vehicles a scan's points lie, for the recorder alone."""
         hit = np.flatnonzero(sensed.points_on)
         if len(hit):
             sighting = Sighting(
-                frame=tick.frame,
+                frame=view.frame,
                 agent=agent,
-                vehicles=[tick.ids[n] for n in hit],
+                vehicles=[view.ids[n] for n in hit],
                 points=sensed.points_on[hit].astype(np.int32),
             )
             self.publish_sighting(sighting)
@@ -152,16 +184,16 @@ class Station:
         if self._keeps_truth:
             self.context.world.publish("sighting", sighting, agent=sighting.agent)
 
-    def report(self, tick: Tick | None = None) -> None:
-        """Publishes metrics of the frames that are done, and of a tick's frame in any case."""
-        frames: dict[int, tuple[Tick, list[Upload], list[Span]]] = {}
-        if tick is not None:
-            frames[tick.frame] = (tick, [], [])
+    def report(self, view: WorldView | None = None) -> None:
+        """Publishes metrics of the frames that are done, and of a view's frame in any case."""
+        frames: dict[int, tuple[WorldView, list[Upload], list[Span]]] = {}
+        if view is not None:
+            frames[view.frame] = (view, [], [])
         done, self._left = self._left, []
         for _, uplink in sorted(self._uplinks.items()):
             done += uplink.take_done()
         for upload in done:
-            _, uploads, spans = frames.setdefault(upload.frame, (upload.tick, [], []))
+            _, uploads, spans = frames.setdefault(upload.frame, (upload.view, [], []))
             uploads += upload.uploads
             spans += upload.spans
         for _, (of, uploads, spans) in sorted(frames.items()):
@@ -182,15 +214,15 @@ class Station:
         return False
 
     def _publish_metrics(
-        self, tick: Tick, uploads: list[Upload], spans: list[Span], wire: list[WireCount]
+        self, view: WorldView, uploads: list[Upload], spans: list[Span], wire: list[WireCount]
     ) -> None:
         overtaken = sum(uplink.unsent_chunks for uplink in self._uplinks.values())
         drops = Counter(self.context.inbox.drops) + self._drops
         drops["overtaken_chunks"] += overtaken
         metrics = Metrics(
             process=self.context.id,
-            frame=tick.frame,
-            sim_time_ns=tick.sim_time_ns,
+            frame=view.frame,
+            sim_time_ns=view.sim_time_ns,
             spans=spans,
             uploads=uploads,
             wire=wire,

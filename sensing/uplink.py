@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 
 from protocol.bus import Bus
 from protocol.errors import CpnetError
-from protocol.messages import Objects, Plan, Scan, Span, Tick, Upload, WireCount
+from protocol.messages import Objects, Plan, Scan, Span, Upload, WireCount
 from sensing.limits import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES
 from sensing.radio import ENVELOPE_BYTES, Radio
+from sensing.world_view import WorldView
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,14 +70,14 @@ class UplinkContext:
 class FrameUpload:
     """One frame of one agent: the chunks to be sent, and the record of those that were."""
 
-    tick: Tick
+    view: WorldView
     uploads: list[Upload] = field(default_factory=list, kw_only=True)
     spans: list[Span] = field(default_factory=list, kw_only=True)
 
     @property
     def frame(self) -> int:
         """Number of the frame."""
-        return self.tick.frame
+        return self.view.frame
 
     @property
     def chunks(self) -> int:
@@ -274,7 +275,7 @@ class Uplink:
         """
         part = _Sent.of(message)
         size_bytes = part.payload_bytes + ENVELOPE_BYTES
-        transmission = self.radio.transmit(upload.tick.sim_time_ns, size_bytes, is_chunk=True)
+        transmission = self.radio.transmit(upload.view.sim_time_ns, size_bytes, is_chunk=True)
         if transmission is not None:
             message = message.model_copy(update={"arrival_sim_ns": transmission.arrival_ns})
         shared, chunk = (
@@ -325,8 +326,8 @@ class Uplink:
         if self._outbox is not None:
             self._outbox.close()
         if self._in_flight is not None:
-            tick = self._in_flight.tick
-            self.begin(tick.frame + 1, tick.sim_time_ns + self._context.period_ns)
+            view = self._in_flight.view
+            self.begin(view.frame + 1, view.sim_time_ns + self._context.period_ns)
 
     def span(self, stage: str, start_ns: int, end_ns: int) -> Span:
         """Returns a span of this agent."""

@@ -13,7 +13,8 @@ from pathlib import Path
 from protocol.errors import BusError, CpnetError
 from protocol.inbox import Envelope, Presence
 from protocol.instances import WORLD_HOST, instances_of
-from protocol.messages import End, Metrics, Setup, SignalRequest, Span, Trips
+from protocol.limits import MAX_ITEMS
+from protocol.messages import End, Metrics, Setup, SignalRequest, Span, TileRequest, Trips
 from protocol.process import Context
 from protocol.topics import BusName
 from sensing.config import SceneConfig
@@ -24,7 +25,8 @@ from sim_host.config import CabinetConfig
 from sim_host.presence import Fleet, Readiness
 from sim_host.setup import traffic_config
 from sim_host.signal_control import SignalControl
-from sim_host.world import RecordedWorld, Traffic, World, tick_of, truth_of
+from sim_host.ticks import TickPublisher
+from sim_host.world import RecordedWorld, Traffic, World, truth_of
 
 
 class FrameClock:
@@ -92,6 +94,7 @@ class SimRole:
         self._traffic = traffic_config(scenario)
         self._cabinet_config = CabinetConfig.model_validate(scenario["cabinet"])
         self._fleet = Fleet()
+        self._ticking = TickPublisher(context.world)
         others = [one.id for one in instances_of(scenario) if one.role != WORLD_HOST]
         self._readiness = Readiness(others, self._traffic.start_timeout_s)
         self._lockstep = scenario["mode"] == "lockstep"
@@ -138,19 +141,22 @@ class SimRole:
         return cls(context, world, cabinets).open()
 
     def open(self) -> SimRole:
-        """Subscribes to requests and announces the role."""
+        """Subscribes to what is asked of the world and announces the role."""
         self._context.v2x.subscribe("request")
+        self._context.world.subscribe("tiles")
         self._context.world.watch()
         self._context.v2x.watch()
         self._context.announce("sim")
         return self
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes a presence or a request: it acts at once in realtime, else as the frame ends."""
+        """Takes a presence or a request; signals act at once in realtime, else at frame's end."""
         if isinstance(item, Presence):
             self._note_presence(item)
         elif isinstance(item.message, SignalRequest):
             self._take_request(item, item.message)
+        elif isinstance(item.message, TileRequest):
+            self._ticking.answer(item.message)
 
     def poll(self) -> None:
         """Does what is due.
@@ -231,7 +237,7 @@ class SimRole:
         self._stage = Stage.FRAME
         for tls, control in self._controls.items():
             self._context.v2x.publish("state", control.spat(frame, now_ns), tls=tls)
-        self._context.world.publish("tick", tick_of(frame, now_ns, bodies, self._fleet))
+        self._ticking.publish(frame, now_ns, bodies, self._fleet)
         self._ticks += 1
         self._context.world.publish("truth", truth_of(frame, now_ns, bodies))
 
@@ -310,9 +316,10 @@ class SimRole:
         trips = self._world.take_trips()
         if with_unfinished:
             trips += self._world.unfinished_trips()
-        if trips:
-            frame = min(self._frame, self._end_frame - 1)
-            self._context.world.publish("trips", Trips(frame=frame, trips=trips))
+        frame = min(self._frame, self._end_frame - 1)
+        for first in range(0, len(trips), MAX_ITEMS):
+            part = trips[first : first + MAX_ITEMS]
+            self._context.world.publish("trips", Trips(frame=frame, trips=part))
 
     def _publish_metrics(self, frame: int, sim_time_ns: int, spans: list[Span]) -> None:
         message = Metrics(

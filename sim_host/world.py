@@ -5,7 +5,7 @@ One SUMO world per process, for libsumo keeps its state globally.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
@@ -16,11 +16,10 @@ import numpy.typing as npt
 
 from protocol.errors import ConfigError
 from protocol.geometry import Floats
-from protocol.messages import Equipment, Setup, Tick, Trip, Truth
+from protocol.messages import Setup, Trip, Truth
 from sensing.recorded_scans import Recording
 from sim_host.cabinet import Interval
 from sim_host.journeys import Journeys
-from sim_host.presence import Fleet
 from sim_host.setup import config_file, traffic_config
 from sim_host.sumo import load_libsumo
 
@@ -203,35 +202,8 @@ def _nearest_m(places: Floats, centres: Floats) -> Floats:
     return result
 
 
-def connected(bodies: TrafficState) -> dict[str, Equipment]:
-    """Returns the connected vehicles and their equipment."""
-    return {
-        name: Equipment(int(kind))
-        for name, kind in zip(bodies.ids, bodies.equipment, strict=True)
-        if kind != Equipment.NONE
-    }
-
-
-def tick_of(frame: int, sim_time_ns: int, bodies: TrafficState, fleet: Fleet) -> Tick:
-    """Returns the tick of a frame; vehicles without radio have no host."""
-    processes = fleet.processes
-    hosts: Mapping[str, str] = fleet.assign(connected(bodies))
-    number = {name: index for index, name in enumerate(processes)}
-    return Tick(
-        frame=frame,
-        sim_time_ns=sim_time_ns,
-        processes=processes,
-        ids=bodies.ids,
-        types=bodies.types,
-        poses=bodies.poses,
-        speeds_mps=bodies.speeds_mps,
-        equipment=bodies.equipment,
-        hosts=np.array([number[hosts[n]] if n in hosts else -1 for n in bodies.ids], np.int32),
-    )
-
-
 def truth_of(frame: int, sim_time_ns: int, bodies: TrafficState) -> Truth:
-    """Returns the truth of a frame: the tick's poses, with lanes and places along them."""
+    """Returns the truth of a frame: the bodies' poses, with lanes and places along them."""
     return Truth(
         frame=frame,
         sim_time_ns=sim_time_ns,

@@ -34,12 +34,13 @@ EXAMPLES: list[m.Message] = [
         frame=1,
         sim_time_ns=100_000_000,
         processes=["vehicle-0"],
-        ids=["a", "b"],
-        types=["car", "car"],
-        poses=np.arange(12.0).reshape(2, 6),
-        speeds_mps=np.array([1, 2], np.float32),
-        equipment=np.array([0, 1], np.uint8),
+        bodies=3,
+        agents=["a", "b"],
+        equipment=np.array([1, 2], np.uint8),
         hosts=np.array([-1, 0], np.int32),
+        places=np.arange(4.0).reshape(2, 2),
+        tiles=np.array([[0, -1]], np.int32),
+        since=np.array([1]),
     ),
     m.Truth(
         frame=1,
@@ -168,6 +169,16 @@ EXAMPLES: list[m.Message] = [
         position_std_m=np.zeros(1, np.float32),
         sensors=np.ones((1, 2)),
     ),
+    m.TileBodies(
+        frame=1,
+        column=0,
+        row=-1,
+        ids=["a", "b"],
+        types=["car", "car"],
+        poses=np.arange(12.0).reshape(2, 6),
+        speeds_mps=np.array([1, 2], np.float32),
+    ),
+    m.TileRequest(tiles=np.array([[0, -1], [3, 2]], np.int32)),
 ]
 
 
@@ -182,3 +193,18 @@ def lane_counts(frame: int) -> m.LaneCounts:
         upstream={},
         downstream={},
     )
+
+
+def tick_of(frame: int, sim_time_ns: int = 0, **changes: object) -> m.Tick:
+    """Returns a tick of a world without bodies or agents but for what is given."""
+    nothing: dict[str, object] = {
+        "processes": [],
+        "bodies": 0,
+        "agents": [],
+        "equipment": np.zeros(0, np.uint8),
+        "hosts": np.zeros(0, np.int32),
+        "places": np.zeros((0, 2)),
+        "tiles": np.zeros((0, 2), np.int32),
+        "since": np.zeros(0, np.int64),
+    }
+    return m.Tick.model_validate(nothing | {"frame": frame, "sim_time_ns": sim_time_ns} | changes)

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 
-import numpy as np
-
 from protocol.bus import Bus
 from protocol.errors import MessageError
 from protocol.geometry import SE3, Floats
 from protocol.inbox import Envelope, Presence
-from protocol.messages import AgentPose, Equipment, Tick
+from protocol.messages import AgentPose, Equipment, TileBodies
 from protocol.process import Context
 from sensing.config import PoseErrorConfig, UploadConfig
 from sensing.lidar_uplink import LidarUplink, LidarUplinks
@@ -20,6 +18,7 @@ from sensing.pose import estimated_pose, position_std_m
 from sensing.radio import ENVELOPE_BYTES, Radio
 from sensing.regions import RegionTracker
 from sensing.station import Station
+from sensing.world_view import WorldView
 
 CV_RANGE_M = 10.0  # a vehicle that sees nothing is of interest where it is
 
@@ -89,22 +88,22 @@ class VehicleRole:
         self._station.open("vehicle")
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes a tick or the end.
+        """Takes a tick, bodies, a plan or the end.
 
         Raises:
-            MessageError: a tick holds a type of vehicle that the setup does not know.
+            MessageError: there is a body of a type that the setup does not know.
         """
-        if isinstance(item, Envelope) and isinstance(item.message, Tick):
+        if isinstance(item, Envelope) and isinstance(item.message, TileBodies):
             unknown = sorted(set(item.message.types) - self._types.keys())
             if unknown:
-                raise MessageError(f"tick: unknown vehicle types {unknown[:5]}")
+                raise MessageError(f"bodies: unknown vehicle types {unknown[:5]}")
         self._station.take(item)
 
     def poll(self) -> None:
         """Senses and publishes for the newest tick."""
-        if tick := self._station.pop():
-            self._run_frame(tick)
-        self._station.report(tick)
+        if view := self._station.pop():
+            self._run_frame(view)
+        self._station.report(view)
 
     def close(self) -> None:
         """Reports on the last frame and closes every agent's connection."""
@@ -113,43 +112,38 @@ class VehicleRole:
         self._sensors.close()
         self._connections.close()
 
-    def _run_frame(self, tick: Tick) -> None:
-        hosted = self._hosted(tick)
-        connected = [i for i in hosted if self._connect(tick, i)]
-        self._station.begin(tick)
-        self._forget_all_but({tick.ids[i] for i in hosted})
-        mine = [i for i in connected if self._station.admits(self._radios[tick.ids[i]], tick)]
-        scanning = [i for i in mine if tick.ids[i] in self._uplinks and self._station.uploads]
-        estimated = {i: self._estimated(tick, i) for i in mine}
-        members = {tick.ids[i]: self._regions(tick, i, estimated[i]) for i in mine}
-        self._station.publish_rosters(tick, members, {tick.ids[i] for i in scanning})
+    def _run_frame(self, view: WorldView) -> None:
+        connected = [i for i in view.hosted if self._connect(view, i)]
+        self._station.begin(view)
+        self._forget_all_but({view.ids[i] for i in view.hosted})
+        mine = [i for i in connected if self._station.admits(self._radios[view.ids[i]], view)]
+        scanning = [i for i in mine if view.ids[i] in self._uplinks and self._station.uploads]
+        estimated = {i: self._estimated(view, i) for i in mine}
+        members = {view.ids[i]: self._regions(view, i, estimated[i]) for i in mine}
+        self._station.publish_rosters(view, members, {view.ids[i] for i in scanning})
         for index in mine:
-            self._publish_pose(tick, index, estimated[index], members[tick.ids[index]])
+            self._publish_pose(view, index, estimated[index], members[view.ids[index]])
             if index in scanning:
-                self._uplinks[tick.ids[index]].enter(members[tick.ids[index]])
-                self._publish_scan(tick, index, estimated[index])
+                self._uplinks[view.ids[index]].enter(members[view.ids[index]])
+                self._publish_scan(view, index, estimated[index])
 
-    def _hosted(self, tick: Tick) -> list[int]:
-        if self._context.id not in tick.processes:
-            return []
-        host = tick.processes.index(self._context.id)
-        return [int(i) for i in np.flatnonzero(tick.hosts == host)]
-
-    def _estimated(self, tick: Tick, index: int) -> Floats:
+    def _estimated(self, view: WorldView, index: int) -> Floats:
         """Returns the pose (6,) that a vehicle believes to have."""
-        agent, equipment = tick.ids[index], Equipment(int(tick.equipment[index]))
-        rng = stream(self._station.seed, "pose", agent, tick.frame)
-        return estimated_pose(tick.poses[index], self._pose_error, equipment, rng)
+        agent, equipment = view.ids[index], view.hosted[index]
+        rng = stream(self._station.seed, "pose", agent, view.frame)
+        return estimated_pose(view.poses[index], self._pose_error, equipment, rng)
 
-    def _regions(self, tick: Tick, index: int, pose: Floats) -> tuple[str, ...]:
-        return self._reach[Equipment(int(tick.equipment[index]))].update(tick.ids[index], pose[:2])
+    def _regions(self, view: WorldView, index: int, pose: Floats) -> tuple[str, ...]:
+        return self._reach[view.hosted[index]].update(view.ids[index], pose[:2])
 
-    def _publish_pose(self, tick: Tick, index: int, pose: Floats, regions: Iterable[str]) -> None:
-        agent, equipment = tick.ids[index], Equipment(int(tick.equipment[index]))
-        kind = self._types[tick.types[index]]
+    def _publish_pose(
+        self, view: WorldView, index: int, pose: Floats, regions: Iterable[str]
+    ) -> None:
+        agent, equipment = view.ids[index], view.hosted[index]
+        kind = self._types[view.types[index]]
         message = AgentPose(
-            frame=tick.frame,
-            sim_time_ns=tick.sim_time_ns,
+            frame=view.frame,
+            sim_time_ns=view.sim_time_ns,
             agent=agent,
             equipment=equipment,
             pose=pose,
@@ -160,7 +154,7 @@ class VehicleRole:
         )
         for region in regions:
             transmission = self._radios[agent].transmit(
-                tick.sim_time_ns, ENVELOPE_BYTES, is_chunk=False
+                view.sim_time_ns, ENVELOPE_BYTES, is_chunk=False
             )
             arrival = {"arrival_sim_ns": transmission and transmission.arrival_ns}
             self._buses[agent].publish(
@@ -171,12 +165,12 @@ class VehicleRole:
                 agent=agent,
             )
 
-    def _connect(self, tick: Tick, index: int) -> bool:
+    def _connect(self, view: WorldView, index: int) -> bool:
         """Gives a new agent its connection and radio; False while the connection is being opened.
 
         CVs share the process's own connection, unless relays emulate links: they shape connections.
         """
-        agent, is_cav = tick.ids[index], tick.equipment[index] == Equipment.CAV
+        agent, is_cav = view.ids[index], view.hosted[index] == Equipment.CAV
         if agent in self._radios:
             return True
         has_own = is_cav or self._shapes_poses
@@ -189,15 +183,15 @@ class VehicleRole:
             self._uplinks[agent] = self._station.add(self._sensors.uplink(agent, bus, radio))
         return True
 
-    def _publish_scan(self, tick: Tick, index: int, estimated: Floats) -> None:
-        agent = tick.ids[index]
+    def _publish_scan(self, view: WorldView, index: int, estimated: Floats) -> None:
+        agent = view.ids[index]
         sensed = self._uplinks[agent].sense_and_send(
-            tick,
-            map_SE3_sensor=SE3.from_pose(tick.poses[index]) @ self._body_SE3_sensor,
+            view,
+            map_SE3_sensor=SE3.from_pose(view.poses[index]) @ self._body_SE3_sensor,
             estimated_SE3_sensor=SE3.from_pose(estimated) @ self._body_SE3_sensor,
             own=index,
         )
-        self._station.publish_points_on(tick, agent, sensed)
+        self._station.publish_points_on(view, agent, sensed)
 
     def _forget_all_but(self, present: set[str]) -> None:
         for agent in sorted(self._uplinks.keys() - present):

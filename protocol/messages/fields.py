@@ -17,6 +17,7 @@ from pydantic_core import CoreSchema, core_schema
 from protocol.limits import (
     MAX_AGENT_ID_BYTES,
     MAX_ANGLE_RAD,
+    MAX_BODIES,
     MAX_COUNT,
     MAX_DELAY_NS,
     MAX_HEADER_BYTES,
@@ -24,6 +25,7 @@ from protocol.limits import (
     MAX_ITEMS,
     MAX_POSITION_M,
     MAX_TEXT_CHARS,
+    MAX_TILE,
     MAX_TIME_NS,
     MAX_TOTAL,
 )
@@ -80,6 +82,8 @@ BoxRows = Annotated[npt.NDArray[np.float32], Array("<f4", (None, 7))]
 Floats32 = Annotated[npt.NDArray[np.float32], Array("<f4", (None,))]
 Bytes = Annotated[npt.NDArray[np.uint8], Array("|u1", (None,))]
 Indices = Annotated[npt.NDArray[np.int32], Array("<i4", (None,))]
+Frames = Annotated[npt.NDArray[np.int64], Array("<i8", (None,))]
+Cells = Annotated[npt.NDArray[np.int32], Array("<i4", (None, 2))]
 Vertices = Annotated[npt.NDArray[np.float32], Array("<f4", (None, 3))]
 Triangles = Annotated[npt.NDArray[np.int32], Array("<i4", (None, 3))]
 
@@ -167,6 +171,10 @@ Poses = Annotated[PoseRows, AfterValidator(_within_reach)]
 BOUNDED = (FailFast(), Field(max_length=MAX_ITEMS))  # one error will do, a million cost memory
 Ids = Annotated[list[Id], *BOUNDED]
 Texts = Annotated[list[Text], *BOUNDED]
+_BODIES = (FailFast(), Field(max_length=MAX_BODIES))
+BodyIds = Annotated[list[Id], *_BODIES]
+BodyTexts = Annotated[list[Text], *_BODIES]
+TileNumber = Annotated[int, Field(ge=-MAX_TILE, le=MAX_TILE)]
 NEVER_NS = MAX_TIME_NS - 1  # the arrival of what a virtual link was not given any more
 DelayNs = Annotated[int, Field(ge=0, le=MAX_DELAY_NS)]
 

@@ -4,24 +4,31 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Self
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import FailFast, Field, model_validator
 
-from protocol.limits import MAX_SETUP_HEADER_BYTES
+from protocol.limits import MAX_SETUP_HEADER_BYTES, MAX_WORLD_HEADER_BYTES
 from protocol.messages.fields import (
     BOUNDED,
+    BodyIds,
+    BodyTexts,
     Bytes,
+    Cells,
     Count,
     Equipment,
     Floats32,
     FrameNumber,
+    Frames,
     Id,
     Ids,
     Indices,
     Message,
     Part,
     Poses,
+    Sites,
     Text,
-    Texts,
+    TileNumber,
     TimeNs,
     Triangles,
     Vertices,
@@ -72,40 +79,84 @@ class Setup(Message):
 
 
 class Tick(Message):
-    """Where every body is at the start of a frame.
+    """A frame begins: whom each process plays, and which tiles of the map hold bodies.
 
-    A pose is that of the footprint's centre on the ground. `hosts` is an index into `processes`:
-    the vehicle process that plays this vehicle, or -1.
+    `hosts` is an index into `processes`: the vehicle process that plays this agent, or -1. Where
+    the bodies of a tile are now is said by its `TileBodies` of the frame `since`: they are not
+    sent again while nothing in the tile moves.
+
+    Attributes:
+        bodies: how many there are in all tiles.
+        agents: ids of the CAVs and CVs (N,), with `equipment` (N,) and `hosts` (N,).
+        places: (N, 2) x, y of their footprints' centres, map frame, m.
+        tiles: (T, 2) column and row, see `protocol.tiles`.
+        since: (T,) frames.
     """
 
     kind: ClassVar[int] = 2
+    max_header_bytes: ClassVar[int] = MAX_WORLD_HEADER_BYTES
     frame: FrameNumber
     sim_time_ns: TimeNs
     processes: Ids
-    ids: Ids
-    types: Texts
-    poses: Poses
-    speeds_mps: Floats32
+    bodies: Count
+    agents: BodyIds
     equipment: Bytes
     hosts: Indices
+    places: Sites
+    tiles: Cells
+    since: Frames
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
-        _check_bodies(self, "ids", "types", "poses", "speeds_mps", "equipment", "hosts")
+        check_lengths(self, "agents", "equipment", "hosts", "places")
+        check_lengths(self, "tiles", "since")
+        _check_ids(self.agents)
+        _check_equipment(self.equipment)
         if not ((self.hosts >= -1) & (self.hosts < len(self.processes))).all():
             raise ValueError(f"a host is none of the {len(self.processes)} processes")
         return self
+
+
+class TileBodies(Message):
+    """Where every body in a tile of the map is from a frame on, until the next such message.
+
+    A pose is that of the footprint's centre on the ground, map frame.
+    """
+
+    kind: ClassVar[int] = 21
+    max_header_bytes: ClassVar[int] = MAX_WORLD_HEADER_BYTES
+    frame: FrameNumber
+    column: TileNumber
+    row: TileNumber
+    ids: BodyIds
+    types: BodyTexts
+    poses: Poses
+    speeds_mps: Floats32
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        check_lengths(self, "ids", "types", "poses", "speeds_mps")
+        _check_ids(self.ids)
+        return self
+
+
+class TileRequest(Message):
+    """A process lacks the bodies of these tiles (T, 2), column and row: they are sent again."""
+
+    kind: ClassVar[int] = 22
+    tiles: Cells
 
 
 class Truth(Message):
     """What perception ought to have seen; for the recorder alone."""
 
     kind: ClassVar[int] = 3
+    max_header_bytes: ClassVar[int] = MAX_WORLD_HEADER_BYTES
     frame: FrameNumber
     sim_time_ns: TimeNs
-    ids: Ids
-    types: Texts
-    lanes: Texts
+    ids: BodyIds
+    types: BodyTexts
+    lanes: BodyTexts
     poses: Poses
     speeds_mps: Floats32
     lane_positions_m: Floats32
@@ -113,9 +164,10 @@ class Truth(Message):
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
-        _check_bodies(
-            self, "ids", "types", "lanes", "poses", "speeds_mps", "lane_positions_m", "equipment"
-        )
+        columns = ("types", "lanes", "poses", "speeds_mps", "lane_positions_m", "equipment")
+        check_lengths(self, "ids", *columns)
+        _check_ids(self.ids)
+        _check_equipment(self.equipment)
         return self
 
     @property
@@ -180,12 +232,14 @@ class End(Message):
     waiting: Count = 0
 
 
-def _check_bodies(message: Tick | Truth, *columns: str) -> None:
-    check_lengths(message, *columns)
-    if len(set(message.ids)) < len(message.ids):
+def _check_ids(ids: list[str]) -> None:
+    if len(set(ids)) < len(ids):
         raise ValueError("an id stands there twice")
-    if (message.equipment > max(Equipment)).any():
-        raise ValueError(f"equipment {message.equipment.max()} is none of {[*map(int, Equipment)]}")
+
+
+def _check_equipment(equipment: npt.NDArray[np.uint8]) -> None:
+    if (equipment > max(Equipment)).any():
+        raise ValueError(f"equipment {equipment.max()} is none of {[*map(int, Equipment)]}")
 
 
 class TimeReply(Message):

@@ -9,7 +9,7 @@ from pathlib import Path
 from protocol.bus import Bus
 from protocol.inbox import Envelope, Presence
 from protocol.instances import region_of, role_of
-from protocol.messages import AgentPose, Tick
+from protocol.messages import AgentPose
 from protocol.process import Context
 from recording.config import ReplayConfig
 from recording.mcap.reader import McapReader
@@ -25,6 +25,7 @@ from recording.playback.frames import (
 from sensing.radio import ENVELOPE_BYTES, AgentKind, Radio
 from sensing.station import Station
 from sensing.uplink import Uplink, UplinkContext
+from sensing.world_view import WorldView
 from vehicle_agent.role import Connections
 
 FORGET_FRAMES = 600  # an agent whose link was full for so long is taken to have left
@@ -46,7 +47,7 @@ class PlayerRole:
         self._lockstep = scenario["mode"] == "lockstep"
         self._speed = ReplayConfig.model_validate(scenario["replay"]).speed
         self._period_ns = round(scenario["frame_period_s"] * 1e9)
-        self._station = Station(context, self._kind, region_of(context.id))
+        self._station = Station(context, self._kind, region_of(context.id), sees_bodies=False)
         self._terms = UplinkContext(context.id, lockstep=self._lockstep, period_ns=self._period_ns)
         self._connections = Connections(context.open_v2x, wait=self._lockstep)
         self._shapes_poses = self._station.link.channel(scenario["mode"]) == "emulated"
@@ -76,9 +77,9 @@ class PlayerRole:
 
     def poll(self) -> None:
         """Plays the newest frame."""
-        if tick := self._station.pop():
-            self._play(tick)
-        self._station.report(tick)
+        if view := self._station.pop():
+            self._play(view)
+        self._station.report(view)
 
     def close(self) -> None:
         """Accounts for the last frame and hangs up every agent's connection."""
@@ -86,40 +87,42 @@ class PlayerRole:
         self._station.report()
         self._connections.close()
 
-    def _play(self, tick: Tick) -> None:
+    def _play(self, view: WorldView) -> None:
         begun_ns = time.monotonic_ns()
-        published = agent_frames(self._context.id, self._kind, self._frames.take(tick.frame))
+        published = agent_frames(self._context.id, self._kind, self._frames.take(view.frame))
         drops = {"late_in_recording": self._frames.late, "absurd_in_recording": self._frames.absurd}
         self._context.inbox.drops |= {reason: n for reason, n in drops.items() if n}
-        self._seen |= dict.fromkeys(published, tick.frame)
+        self._seen |= dict.fromkeys(published, view.frame)
         here = {
             agent: recorded
             for agent, recorded in published.items()
             if self._connect(agent, recorded)
         }
-        self._station.begin(tick)
-        self._forget_all_but({a for a, n in self._seen.items() if n > tick.frame - FORGET_FRAMES})
-        admitted = {a for a in here if self._station.admits(self._radios[a], tick)}
+        self._station.begin(view)
+        self._forget_all_but({a for a, n in self._seen.items() if n > view.frame - FORGET_FRAMES})
+        admitted = {a for a in here if self._station.admits(self._radios[a], view)}
         mine = [a for a in here if a in admitted or self._kind == "roadside"]
         scanning = [agent for agent in mine if agent in admitted and here[agent].parts]
         members = {agent: here[agent].regions for agent in mine}
-        self._station.publish_rosters(tick, members, scanning)
+        self._station.publish_rosters(view, members, scanning)
         pace = self._pace(published, begun_ns)
         for agent in sorted(admitted, key=mine.index):
-            self._say(tick, agent, here[agent], pace)
+            self._say(view, agent, here[agent], pace)
 
-    def _say(self, tick: Tick, agent: str, recorded: AgentFrame, pace: Pace | None) -> None:
+    def _say(self, view: WorldView, agent: str, recorded: AgentFrame, pace: Pace | None) -> None:
         if recorded.pose is not None:
-            self._say_pose(tick, agent, recorded.pose, recorded.regions)
+            self._say_pose(view, agent, recorded.pose, recorded.regions)
         if recorded.parts:
             self._ways[agent].enter(recorded.regions)
-            self._ways[agent].submit(ReplayedUpload(tick, self._ways[agent], recorded, pace))
+            self._ways[agent].submit(ReplayedUpload(view, self._ways[agent], recorded, pace))
         if recorded.sighting is not None:
             self._station.publish_sighting(recorded.sighting)
 
-    def _say_pose(self, tick: Tick, agent: str, pose: AgentPose, regions: Iterable[str]) -> None:
+    def _say_pose(
+        self, view: WorldView, agent: str, pose: AgentPose, regions: Iterable[str]
+    ) -> None:
         for region in regions:
-            passage = self._radios[agent].transmit(tick.sim_time_ns, ENVELOPE_BYTES, is_chunk=False)
+            passage = self._radios[agent].transmit(view.sim_time_ns, ENVELOPE_BYTES, is_chunk=False)
             arrival = {"arrival_sim_ns": passage and passage.arrival_ns}
             where = {"region": region, "process": self._context.id, "agent": agent}
             self._buses[agent].publish("pose", pose.model_copy(update=arrival), **where)

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from protocol.errors import ConfigError
-from protocol.messages import SignalState, Tick, Trip, Trips, Truth
+from protocol.messages import Equipment, SignalState, Tick, TileBodies, Trip, Trips, Truth
 from protocol.process import Context
+from protocol.tiles import Tile
 from recording.config import ReplayConfig
 from recording.mcap.reader import McapReader
 from recording.playback.frames import FRAME_TOPIC, RecordedFrames
@@ -16,7 +17,8 @@ from sim_host.role import SimRole
 from sim_host.setup import traffic_config
 from sim_host.world import TrafficCounts, TrafficState
 
-WORLD_TOPICS = ("tick", "truth", "trips", FRAME_TOPIC)
+WORLD_TOPICS = ("tick", "bodies", "truth", "trips", FRAME_TOPIC)
+_STILL = np.zeros(0, np.float32)
 _NOBODY = TrafficState(
     ids=[],
     types=[],
@@ -52,6 +54,7 @@ class RecordedWorld:
         )  # of the frame; before the first, in the warm-up: below 0
         self._bodies, self._ended = _NOBODY, list[Trip]()
         self._trips = list[Trip]()
+        self._tiles: dict[Tile, TileBodies] = {}
         self._frame = self.first_frame = first
         self.time_ns = 0
         self._open()
@@ -99,23 +102,42 @@ class RecordedWorld:
                 self.time_ns = message.sim_time_ns
                 break
         whole = [m for m in messages if isinstance(m, Truth)]
-        places = [m for m in messages if isinstance(m, Tick)]
+        ticks = [m for m in messages if isinstance(m, Tick)]
+        self._tiles |= {(m.column, m.row): m for m in messages if isinstance(m, TileBodies)}
         if whole:
-            self._bodies = _bodies(whole[0], whole[0].lanes, whole[0].lane_positions_m)
-        elif places:
-            nowhere = np.zeros(len(places[0].ids), np.float32)
-            self._bodies = _bodies(places[0], [""] * len(places[0].ids), nowhere)
+            self._bodies = _bodies_of_truth(whole[0])
+        elif ticks:
+            tiles = [self._tiles.get((c, r)) for c, r in ticks[0].tiles.tolist()]
+            self._bodies = _bodies_of_tiles(ticks[0], [one for one in tiles if one is not None])
 
 
-def _bodies(of: Tick | Truth, lanes: list[str], lane_positions_m: np.ndarray) -> TrafficState:
+def _bodies_of_truth(truth: Truth) -> TrafficState:
     return TrafficState(
-        ids=of.ids,
-        types=of.types,
-        lanes=lanes,
-        poses=of.poses,
-        speeds_mps=of.speeds_mps,
-        lane_positions_m=lane_positions_m,
-        equipment=of.equipment,
+        ids=truth.ids,
+        types=truth.types,
+        lanes=truth.lanes,
+        poses=truth.poses,
+        speeds_mps=truth.speeds_mps,
+        lane_positions_m=truth.lane_positions_m,
+        equipment=truth.equipment,
+    )
+
+
+def _bodies_of_tiles(tick: Tick, tiles: list[TileBodies]) -> TrafficState:
+    """Returns the bodies of a recording without truth, sorted by id; their lanes are unknown."""
+    names = [name for tile in tiles for name in tile.ids]
+    types = [kind for tile in tiles for kind in tile.types]
+    order = sorted(range(len(names)), key=names.__getitem__)
+    carried = dict(zip(tick.agents, tick.equipment.tolist(), strict=True))
+    ids = [names[n] for n in order]
+    return TrafficState(
+        ids=ids,
+        types=[types[n] for n in order],
+        lanes=[""] * len(ids),
+        poses=np.concatenate([np.zeros((0, 6)), *(tile.poses for tile in tiles)])[order],
+        speeds_mps=np.concatenate([_STILL, *(tile.speeds_mps for tile in tiles)])[order],
+        lane_positions_m=np.zeros(len(ids), np.float32),
+        equipment=np.array([carried.get(name, Equipment.NONE) for name in ids], np.uint8),
     )
 
 

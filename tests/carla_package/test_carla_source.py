@@ -15,13 +15,14 @@ from hypothesis import strategies as st
 from cpnet import scenario as scenarios
 from protocol.errors import BusError, ConfigError
 from protocol.geometry import SE3
-from protocol.messages import Setup, Tick, VehicleType
+from protocol.messages import Setup, VehicleType
 from protocol.scans import ScanPattern
 from protocol.wire import decode
 from recording.run import Run
 from recording.tables import UploadRow
 from sensing.config import LidarConfig
 from sensing.source import check_source
+from sensing.world_view import WorldView
 from studies.in_process import run_in_process
 from tests.carla_package.fake_carla import Location, Package, Rotation, Transform
 from tests.example_plugins import EXAMPLES, install
@@ -136,18 +137,16 @@ def source(**config: Any) -> CarlaSource:
     return CarlaSource(setup, LIDAR, keys)
 
 
-def tick(frame: int, **bodies: tuple[float, ...]) -> Tick:
+def tick(frame: int, **bodies: tuple[float, ...]) -> WorldView:
     count = len(bodies)
-    return Tick(
+    return WorldView(
         frame=frame,
         sim_time_ns=frame * 10**8,
-        processes=[],
         ids=list(bodies),
         types=["van" if name == "van" else "sedan" for name in bodies],
         poses=np.array([*bodies.values()], np.float64).reshape(-1, 6),
         speeds_mps=np.zeros(count, np.float32),
-        equipment=np.zeros(count, np.uint8),
-        hosts=np.full(count, -1, np.int32),
+        hosted={},
     )
 
 

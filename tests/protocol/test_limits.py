@@ -52,4 +52,8 @@ def test_no_message_bounds_a_field_by_a_number_of_its_own():
 
 def test_headers_of_all_messages_are_bounded():
     sizes = {kind.max_header_bytes for kind in MESSAGES.values()}
-    assert sizes == {limits.MAX_HEADER_BYTES, limits.MAX_SETUP_HEADER_BYTES}
+    assert sizes == {
+        limits.MAX_HEADER_BYTES,
+        limits.MAX_WORLD_HEADER_BYTES,
+        limits.MAX_SETUP_HEADER_BYTES,
+    }

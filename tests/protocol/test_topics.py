@@ -17,7 +17,7 @@ def test_every_key_carries_the_protocol_version():
 
 def test_no_ground_truth_travels_on_the_v2x_bus():
     world = {name for name, topic in TOPICS.items() if topic.bus is BusName.WORLD}
-    physics = {"setup", "tick", "truth", "sighting", "trips", "end"}
+    physics = {"setup", "tick", "bodies", "tiles", "truth", "sighting", "trips", "end"}
     measuring = {"progress", "metrics", "time", "clock"}
     assert world == physics | measuring
 

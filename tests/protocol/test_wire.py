@@ -190,11 +190,15 @@ def test_what_is_out_of_bounds_is_refused(example: type[m.Message], changes: dic
 @pytest.mark.parametrize(
     ("example", "changes", "text"),
     [
-        (m.Tick, {"ids": ["a"]}, "lists have lengths"),
-        (m.Tick, {"ids": ["a", "a"]}, "twice"),
+        (m.Tick, {"agents": ["a"]}, "lists have lengths"),
+        (m.Tick, {"agents": ["a", "a"]}, "twice"),
+        (m.Tick, {"since": np.zeros(2, np.int64)}, "lists have lengths"),
         (m.Tick, {"hosts": np.array([0, 1], np.int32)}, "a host is none of the 1 processes"),
         (m.Tick, {"equipment": np.array([0, 3], np.uint8)}, "equipment 3"),
-        (m.Tick, {"poses": np.full((2, 6), 2e7)}, "1e7 m"),
+        (m.Tick, {"places": np.full((2, 2), 2e7)}, "1e7 m"),
+        (m.TileBodies, {"types": ["car"]}, "lists have lengths"),
+        (m.TileBodies, {"ids": ["a", "a"]}, "twice"),
+        (m.TileBodies, {"poses": np.full((2, 6), 2e7)}, "1e7 m"),
         (m.Truth, {"lanes": []}, "lists have lengths"),
         (m.Detections, {"sources": []}, "lists have lengths"),
         (m.AgentPose, {"pose": np.full(6, 1e4)}, "1e3 rad"),

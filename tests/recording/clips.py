@@ -13,11 +13,13 @@ from protocol import messages as m
 from protocol.in_process import InProcessRouter
 from protocol.inbox import Envelope, Inbox
 from protocol.process import Context
+from protocol.tiles import tile_name
 from protocol.topics import BusName
 from protocol.wire import encode
 from recording.playback.frames import RecordedFrames
 from recording.playback.role import PlayerRole
 from sim_host.setup import resolved
+from tests.messages import tick_of
 from tests.roads import no_road
 
 PERIOD_NS = 100_000_000
@@ -43,20 +45,26 @@ def state(frame: int, sim_time_ns: int | None = None) -> Envelope:
     return item("state", shown, tls="J")
 
 
-def tick(frame: int, sim_time_ns: int | None = None, ids: tuple[str, ...] = ()) -> Envelope:
+def tick(
+    frame: int, sim_time_ns: int | None = None, tiles: tuple[tuple[int, int], ...] = ()
+) -> Envelope:
+    at_ns = frame * PERIOD_NS if sim_time_ns is None else sim_time_ns
+    cells, since = np.array(tiles, np.int32).reshape(-1, 2), np.full(len(tiles), frame)
+    return item("tick", tick_of(frame, at_ns, processes=["vehicle-0"], tiles=cells, since=since))
+
+
+def bodies(frame: int, tile: tuple[int, int], *ids: str) -> Envelope:
     count = len(ids)
-    at = m.Tick(
+    stand = m.TileBodies(
         frame=frame,
-        sim_time_ns=frame * PERIOD_NS if sim_time_ns is None else sim_time_ns,
-        processes=["vehicle-0"],
+        column=tile[0],
+        row=tile[1],
         ids=[*ids],
         types=["car"] * count,
         poses=np.zeros((count, 6)),
         speeds_mps=np.zeros(count, np.float32),
-        equipment=np.zeros(count, np.uint8),
-        hosts=np.full(count, -1, np.int32),
     )
-    return item("tick", at)
+    return item("bodies", stand, tile=tile_name(tile))
 
 
 def roster(frame: int, agents: list[str], process: str = "vehicle-0") -> Envelope:

@@ -30,6 +30,7 @@ from recording.tables import (
     TruthRow,
     UploadRow,
 )
+from tests.messages import tick_of
 from tests.roads import no_road
 from tests.waiting import wait_until
 
@@ -82,9 +83,10 @@ class Rig:
         common = {"frame": frame, "sim_time_ns": sim_time_ns}
         bodies = {"ids": ids, "types": ["car", "bus"], "poses": poses, "speeds_mps": np.ones(2)}
         equipment = np.array([1, 2], np.uint8)
-        tick = m.Tick(
-            **common, **bodies, processes=[], equipment=equipment, hosts=np.array([-1, -1])
-        )
+        tick = tick_of(
+            **common, bodies=2, agents=ids, equipment=equipment, hosts=np.array([-1, -1]),
+            places=poses[:, :2],
+        )  # fmt: skip
         self.world.publish("tick", tick)
         uploads, arrivals = [], []
         for agent in agents:
@@ -287,11 +289,7 @@ def test_progress_is_told_about_once_a_second(rig: Rig) -> None:
 def test_an_absurd_tick_is_counted_and_changes_nothing(rig: Rig, tmp_path: Path) -> None:
     rig.frame(0)
     for frame, sim_time_ns in ((1 << 39, PERIOD_NS), (1, 1 << 61)):
-        tick = m.Tick(
-            frame=frame, sim_time_ns=sim_time_ns, processes=[], ids=[], types=[],
-            poses=np.zeros((0, 6)), speeds_mps=np.zeros(0), equipment=np.zeros(0),
-            hosts=np.zeros(0),
-        )  # fmt: skip
+        tick = tick_of(frame, sim_time_ns)
         rig.world.publish("tick", tick)
     rig.frame(1)
     rig.drain()
@@ -308,11 +306,7 @@ def test_memory_holds_a_bounded_number_of_frames(rig: Rig, tmp_path: Path) -> No
     frames = MAX_OPEN_FRAMES * 2
     for frame in range(frames):
         rig.metrics("infra-r0", max(frame - 1, 0))
-        tick = m.Tick(
-            frame=frame, sim_time_ns=frame * PERIOD_NS, processes=[], ids=[], types=[],
-            poses=np.zeros((0, 6)), speeds_mps=np.zeros(0), equipment=np.zeros(0),
-            hosts=np.zeros(0),
-        )  # fmt: skip
+        tick = tick_of(frame, frame * PERIOD_NS)
         rig.world.publish("tick", tick)
         rig.drain()
     rig.role._commit(time.monotonic_ns())

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from clips import item, scan, state, tick
+from clips import bodies, item, scan, state, tick
 
 from protocol.errors import ConfigError
 from protocol.messages import Trip, Trips, Truth
@@ -68,15 +68,19 @@ def test_frames_have_the_times_that_they_had_and_those_that_are_missing_the_peri
     assert times == [5, 5 + 2 * STEP_NS + 3, 5 + 4 * STEP_NS + 3, 900_000_000]
 
 
-def test_bodies_are_those_of_the_truth_else_of_the_tick_else_those_before():
-    world = world_of([tick(0, ids=("a", "b")), truth(0, "a", "b"), tick(1, ids=("c",)), state(2)])
+def test_bodies_are_those_of_the_truth_else_of_the_tiles_else_those_before():
+    there, beside = (0, 0), (1, 0)
+    first = [bodies(0, there, "d", "b"), bodies(0, beside, "c"), truth(0, "a", "b")]
+    second = [bodies(1, beside, "a"), tick(1, tiles=(there, beside)), tick(2, tiles=(there,))]
+    world = world_of([*first, tick(0, tiles=(there, beside)), *second, state(3)])
     seen = []
-    for _ in range(3):
-        bodies = world.bodies()
-        seen.append((bodies.ids, bodies.lanes))
+    for _ in range(4):
+        now = world.bodies()
+        seen.append((now.ids, now.lanes))
         world.step()
         world.step()
-    assert seen == [(["a", "b"], ["lane", "lane"]), (["c"], [""]), (["c"], [""])]
+    last = (["b", "d"], [""] * 2)
+    assert seen == [(["a", "b"], ["lane", "lane"]), (["a", "b", "d"], [""] * 3), last, last]
 
 
 def test_journeys_end_in_their_frame():

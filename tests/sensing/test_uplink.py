@@ -10,7 +10,7 @@ import pytest
 from perception.roadway import Roadway
 from protocol.codec import decode
 from protocol.geometry import SE3
-from protocol.messages import Scan, Tick
+from protocol.messages import Scan
 from protocol.roadmap import RoadMap
 from protocol.scans import RangeScan, ScanPattern
 from sensing.config import UploadConfig
@@ -19,6 +19,7 @@ from sensing.lidar_uplink import LidarContext, LidarUplink
 from sensing.radio import RealRadio
 from sensing.upload_policies import POLICIES
 from sensing.upload_selection import Selector
+from sensing.world_view import WorldView
 
 PATTERN = ScanPattern(16, 900, 15.0, -25.0)
 POSE = SE3.from_pose([0, 0, 3.0, 0, 0, 0])
@@ -42,7 +43,7 @@ class Wire:
 class Tunnel:
     """The same scan again and again: everything is 8 m away, a tenth of the beams is lost."""
 
-    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> Sensed:
+    def scan(self, agent: str, view: WorldView, map_SE3_sensor: SE3, own: int | None) -> Sensed:
         shape = (PATTERN.channels, PATTERN.columns)
         range_m = np.full(shape, 8.0, np.float32)
         range_m[np.random.default_rng(1).random(shape) < 0.1] = 0
@@ -77,18 +78,16 @@ def sent(road_map: RoadMap, **config: Any) -> Scan:
     )
     uplink = LidarUplink("a", wire, RealRadio(wire), context, lambda _: selector)
     uplink.enter(["r"])
-    tick = Tick(
+    view = WorldView(
         frame=0,
         sim_time_ns=0,
-        processes=[],
         ids=["a"],
         types=["car"],
         poses=np.zeros((1, 6)),
         speeds_mps=np.zeros(1, np.float32),
-        equipment=np.zeros(1, np.uint8),
-        hosts=np.array([-1], np.int32),
+        hosted={},
     )
-    uplink.sense_and_send(tick, POSE, POSE, 0)
+    uplink.sense_and_send(view, POSE, POSE, 0)
     (scan,) = wire.scans
     return scan
 

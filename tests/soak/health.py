@@ -81,7 +81,7 @@ class Health:
         self.frame = tick.frame
         hosted = {
             name
-            for name, kind, host in zip(tick.ids, tick.equipment, tick.hosts, strict=True)
+            for name, kind, host in zip(tick.agents, tick.equipment, tick.hosts, strict=True)
             if kind == Equipment.CAV and host >= 0
         }
         first = self._first_seen

@@ -7,23 +7,21 @@ import pytest
 
 from protocol.errors import MessageError
 from protocol.inbox import Envelope
-from protocol.messages import Tick
+from protocol.messages import TileBodies
 from vehicle_agent.role import VehicleRole
 
 
-def test_a_tick_with_an_unknown_type_of_vehicle_is_refused() -> None:
-    tick = Tick(
+def test_a_body_of_an_unknown_type_is_refused() -> None:
+    bodies = TileBodies(
         frame=0,
-        sim_time_ns=0,
-        processes=[],
+        column=0,
+        row=0,
         ids=["a"],
         types=["zeppelin"],
         poses=np.zeros((1, 6)),
         speeds_mps=np.zeros(1, np.float32),
-        equipment=np.zeros(1, np.uint8),
-        hosts=np.array([-1], np.int32),
     )
     role = VehicleRole.__new__(VehicleRole)
     role._types = {}
     with pytest.raises(MessageError, match="zeppelin"):
-        role.on(Envelope("tick", {}, tick, 0, b""))
+        role.on(Envelope("bodies", {"tile": "0.0"}, bodies, 0, b""))

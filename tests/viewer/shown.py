@@ -3,7 +3,7 @@
 import numpy as np
 
 from protocol import messages as m
-from tests.messages import EXAMPLES
+from tests.messages import EXAMPLES, tick_of
 from tests.roads import CROSSING
 
 CAR = m.VehicleType(name="car", mesh="car", length_m=4.0, width_m=2.0, height_m=1.5)
@@ -43,13 +43,7 @@ def sent(frame: int, agent: str, payload_bytes: int) -> m.Metrics:
 
 
 def tick(frame: int) -> m.Tick:
-    import numpy as np
-
-    return m.Tick(
-        frame=frame, sim_time_ns=frame * PERIOD_NS, processes=[], ids=[], types=[],
-        poses=np.zeros((0, 6)), speeds_mps=np.zeros(0, np.float32), equipment=np.zeros(0, np.uint8),
-        hosts=np.zeros(0, np.int32),
-    )  # fmt: skip
+    return tick_of(frame, frame * PERIOD_NS)
 
 
 def measured(

@@ -25,10 +25,11 @@ from perception.arrays import Floats, Floats32, Ints
 from protocol.config import Section
 from protocol.errors import BusError, ConfigError
 from protocol.geometry import SE3
-from protocol.messages import Setup, Tick
+from protocol.messages import Setup
 from protocol.scans import RangeScan, ScanPattern
 from sensing.config import LidarConfig
 from sensing.lidar import Sensed
+from sensing.world_view import WorldView
 
 
 class CarlaConfig(Section):
@@ -310,7 +311,7 @@ class CarlaSource:
         if needs:
             raise ConfigError(f"lidar.source: carla needs {', and '.join(needs)}")
 
-    def scan(self, agent: str, tick: Tick, map_SE3_sensor: SE3, own: int | None) -> Sensed:
+    def scan(self, agent: str, view: WorldView, map_SE3_sensor: SE3, own: int | None) -> Sensed:
         """See `sensing.source.ScanSource.scan`; CARLA does not tell which bodies the points lie on.
 
         Raises:
@@ -318,10 +319,10 @@ class CarlaSource:
         """
         server, offset_m = self._server, self._config.net_offset_m
         poses = {
-            body: carla_pose(tick.poses[n], offset_m) if n != own else _AWAY
-            for n, body in enumerate(tick.ids)
+            body: carla_pose(view.poses[n], offset_m) if n != own else _AWAY
+            for n, body in enumerate(view.ids)
         }
-        looks = {body: self._looks[kind] for body, kind in zip(tick.ids, tick.types, strict=True)}
+        looks = {body: self._looks[kind] for body, kind in zip(view.ids, view.types, strict=True)}
         sensor_pose = carla_pose(map_SE3_sensor.as_pose(), offset_m)
         with server.turn():
             server.place(poses, looks)

@@ -33,7 +33,7 @@ class Loop:
 
     def play(self, agents: list[str], cavs: list[str], *, complete: bool = True) -> None:
         kinds, hosts = np.ones(len(cavs), np.uint8), np.zeros(len(cavs), np.int32)
-        tick = {"frame": self.frame, "ids": cavs, "equipment": kinds, "hosts": hosts}
+        tick = {"frame": self.frame, "agents": cavs, "equipment": kinds, "hosts": hosts}
         counts = {"frame": self.frame, "agents": agents, "complete": complete}
         self.say("tick", m.Tick.model_construct(**tick))
         self.say("lanes", m.LaneCounts.model_construct(**counts))

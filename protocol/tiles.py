@@ -1,0 +1,37 @@
+"""Tiles of the map: squares by which the world's bodies are published, so that nobody hears all."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from protocol.geometry import Floats
+
+Tile = tuple[int, int]
+"""Column and row: x and y of the south-west corner over the edge."""
+
+TILE_M = 200.0
+"""A tile's edge. A LiDAR that reaches 100 m meets four tiles or so."""
+
+
+def tiles_of(places: Floats) -> npt.NDArray[np.int32]:
+    """Returns the tile (N, 2) in which each place (N, 2 or more), x, y in m, lies."""
+    return np.floor(places[:, :2] / TILE_M).astype(np.int32)
+
+
+def tiles_within(places: Floats, reach_m: float) -> set[Tile]:
+    """Returns the tiles of which a part is nearer than `reach_m` to one of the places (N, 2)."""
+    first = np.floor((places - reach_m) / TILE_M).astype(int)
+    last = np.floor((places + reach_m) / TILE_M).astype(int)
+    boxes = {(*low, *high) for low, high in zip(first.tolist(), last.tolist(), strict=True)}
+    return {
+        (column, row)
+        for west, south, east, north in boxes
+        for column in range(west, east + 1)
+        for row in range(south, north + 1)
+    }
+
+
+def tile_name(tile: Tile) -> str:
+    """Returns how a tile stands in a key."""
+    return f"{tile[0]}.{tile[1]}"
