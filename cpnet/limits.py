@@ -7,3 +7,5 @@ MAX_WAITING_METRICS = 64  # messages of each process, until the supervisor takes
 MAX_PROCESSES = 256
 MAX_REASONS = 64
 MAX_STAGES = 32
+MAX_REGIONS = 128
+MAX_SIGNALS = 512

@@ -1,7 +1,8 @@
 """A run's metrics for Prometheus (`cpnet up --metrics`): what they are, and the page that has them.
 
-They follow from what the supervisor receives on the world bus. Labels are bounded, whatever the
-network sends: a name that is odd or one too many counts as `other`.
+They follow from what the supervisor receives on the world bus. What is about one region or one
+signal is labelled so. Labels are bounded, whatever the network sends: a name that is odd or one too
+many counts as `other`.
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ from dataclasses import dataclass
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, start_http_server
 
-from cpnet.limits import MAX_PROCESSES, MAX_REASONS, MAX_STAGES
+from cpnet.limits import MAX_PROCESSES, MAX_REASONS, MAX_REGIONS, MAX_SIGNALS, MAX_STAGES
 from cpnet.processes import ProcessEntry
 from cpnet.watch import ProcessKey
 from protocol.errors import ConfigError
 from protocol.inbox import Envelope, Presence
+from protocol.instances import region_of
 from protocol.messages import Metrics, Progress, Span
 from protocol.topics import ROLES
 from protocol.version import own_version
@@ -32,6 +34,7 @@ BUCKETS_S = (
 OTHER = "other"
 SUPERVISOR = "up"
 _LABEL = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
+_TLS = re.compile(r"[^\x00-\x1f\x7f-\x9f]{1,200}")  # nets join many ids into one
 _ADDRESS = re.compile(r"(?:(?P<host>\[[^\]\s]+\]|[^:\[\]/\s]+):)?(?P<port>\d{1,5})")
 _PROGRESS = {
     "frame": "Newest frame",
@@ -49,14 +52,15 @@ _PROGRESS = {
 class LabelSet:
     """The first labels of a kind, up to a limit; all others are `other`."""
 
-    def __init__(self, limit: int) -> None:
+    def __init__(self, limit: int, pattern: re.Pattern[str] = _LABEL) -> None:
         self._limit = limit
+        self._pattern = pattern
         self._known: set[str] = set()
 
     def label(self, name: str) -> str:
         """Returns the name itself, or `other` if it is odd or came too late."""
         if name not in self._known:
-            if len(self._known) >= self._limit or not _LABEL.fullmatch(name):
+            if len(self._known) >= self._limit or not self._pattern.fullmatch(name):
                 return OTHER
             self._known.add(name)
         return name
@@ -76,11 +80,12 @@ class RunMetrics:
         self._processes = LabelSet(MAX_PROCESSES)
         self._reasons = LabelSet(MAX_REASONS)
         self._stages = LabelSet(MAX_STAGES)
+        self._regions = LabelSet(MAX_REGIONS)
+        self._signals = LabelSet(MAX_SIGNALS, _TLS)
         self._last_drops: dict[str, Tally[str]] = {}
         self._progress: dict[str, Gauge] = {}
         self._state = ""
         self._state_since_sim_ns = 0
-        self._request_age: Gauge | None = None
         self._gauge("build_info", "The cpnet that exports this", ["version"]).labels(
             own_version()
         ).set(1)
@@ -89,11 +94,15 @@ class RunMetrics:
         self._stage = Histogram(
             "cpnet_stage_seconds",
             "Time of a stage",
-            ["stage"],
+            ["stage", "region"],
             buckets=BUCKETS_S,
             registry=self.registry,
         )
-        self._uploaded = self._counter("uploaded_bytes", "Payload of scans", ["process"])
+        self._uploaded = self._counter("uploaded_bytes", "Payload of scans", ["process", "region"])
+        self._border = self._counter("border_bytes", "Sent to neighbouring edges", ["region"])
+        self._request_age = self._gauge(
+            "signal_request_age_seconds", "Since a request last reached the signal", ["tls"]
+        )
         self._sent = self._counter(
             "sent_bytes", "Sent by TCP for agents, or over virtual links", ["process"]
         )
@@ -108,6 +117,8 @@ class RunMetrics:
             self._up.labels(role, process).set(0)
             self._restarts.labels(process)
         self._expected.update(here, (self._who(*who) for who in elsewhere))
+        for _, process in self._expected:
+            self._region_of(process)
 
     def restarted(self, process: str) -> None:
         """Counts a process that was started again after its end."""
@@ -175,28 +186,29 @@ class RunMetrics:
 
     def _take_metrics(self, metrics: Metrics) -> None:
         process = self._processes.label(metrics.process)
+        region = self._region_of(metrics.process)
         for span in metrics.spans:
-            self._take_span(span)
-        if metrics.uploads:
-            payload_bytes = sum(upload.payload_bytes for upload in metrics.uploads)
-            self._uploaded.labels(process).inc(payload_bytes)
+            self._take_span(span, region)
+        for upload in metrics.uploads:
+            to_region = self._regions.label(upload.region)
+            self._uploaded.labels(process, to_region).inc(upload.payload_bytes)
+        if metrics.border_bytes:
+            self._border.labels(region).inc(metrics.border_bytes)
         if metrics.wire:
             self._sent.labels(process).inc(sum(count.sent_bytes for count in metrics.wire))
         self._count_drops(process, metrics.drops)
 
-    def _take_span(self, span: Span) -> None:
+    def _take_span(self, span: Span, region: str) -> None:
         took_ns = span.end_ns - span.start_ns
         if not 0 <= took_ns <= LONGEST_NS:
             self._odd_spans.inc()
             return
-        self._stage.labels(self._stages.label(span.stage)).observe(took_ns / 1e9)
+        self._stage.labels(self._stages.label(span.stage), region).observe(took_ns / 1e9)
         if span.stage == "world":
             self._frames.inc()
         elif span.stage == "actuate":
-            self._request_age = self._request_age or self._gauge(
-                "signal_request_age_seconds", "Since a request last reached the signal"
-            )
-            _set_age(self._request_age, time.monotonic_ns())
+            age = self._request_age.labels(self._signals.label(span.agent))
+            _set_age(age, time.monotonic_ns())
 
     def _count_drops(self, process: str, drops: Mapping[str, int]) -> None:
         """Adds what a process dropped since its last message; a fall means that it restarted.
@@ -212,6 +224,11 @@ class RunMetrics:
         for reason, count in counts.items():
             self._drops.labels(process, reason).inc(max(0, count - last[reason]))
             last[reason] = max(count, last[reason])
+
+    def _region_of(self, process: str) -> str:
+        """Returns the label of the region that a process serves, empty if it serves no single."""
+        region = region_of(process)
+        return self._regions.label(region) if region else ""
 
     def _who(self, role: str, process: str) -> ProcessKey:
         return role if role in ROLES else OTHER, self._processes.label(process)

@@ -14,6 +14,7 @@ from cpnet.metrics_page import (
     BUCKETS_S,
     MAX_PROCESSES,
     MAX_REASONS,
+    MAX_REGIONS,
     MAX_STAGES,
     OTHER,
     LabelSet,
@@ -66,8 +67,8 @@ def test_stages_are_counted_by_bucket_in_seconds():
     samples = page(run_metrics)
     reached = {"0.0001": 1, "0.0025": 1, "0.005": 2, "1.0": 2, "+Inf": 3}
     for bound, count in reached.items():
-        assert samples[("cpnet_stage_seconds_bucket", bound, "merge")] == count
-    assert samples[("cpnet_stage_seconds_sum", "merge")] == pytest.approx(5.0031)
+        assert samples[("cpnet_stage_seconds_bucket", bound, "", "merge")] == count
+    assert samples[("cpnet_stage_seconds_sum", "", "merge")] == pytest.approx(5.0031)
     assert list(BUCKETS_S) == sorted(BUCKETS_S)
 
 
@@ -77,16 +78,48 @@ def test_a_stage_that_ends_before_it_began_or_never_is_left_out(end_ns):
     run_metrics.take(metrics(spans=[m.Span(stage="merge", start_ns=0, end_ns=end_ns)]))
     samples = page(run_metrics)
     assert samples[("cpnet_odd_spans_total",)] == 1
-    assert ("cpnet_stage_seconds_count", "merge") not in samples
+    assert ("cpnet_stage_seconds_count", "", "merge") not in samples
 
 
 def test_frames_are_those_that_the_world_has_finished():
     run_metrics = RunMetrics()
     for stage in ("actuate", "world", "actuate", "world"):
-        run_metrics.take(metrics("sim", spans=[m.Span(stage=stage, start_ns=0, end_ns=MS)]))
+        span = m.Span(stage=stage, agent="J" if stage == "actuate" else "", start_ns=0, end_ns=MS)
+        run_metrics.take(metrics("sim", spans=[span]))
     samples = page(run_metrics)
     assert samples[("cpnet_frames_total",)] == 2
-    assert 0 <= samples[("cpnet_signal_request_age_seconds",)] < 60
+    assert 0 <= samples[("cpnet_signal_request_age_seconds", "J")] < 60
+
+
+def test_what_is_about_one_region_or_signal_says_which():
+    times = dict.fromkeys(("sense_start_ns", "sense_end_ns", "encode_end_ns", "sent_ns"), 0)
+    run_metrics = RunMetrics()
+    for region, size in (("r0", 100), ("r1", 40)):
+        upload = m.Upload(agent="a", region=region, chunk=0, points=1, payload_bytes=size, **times)
+        run_metrics.take(metrics("vehicle-0", uploads=[upload]))
+        detect = m.Span(stage="detect", start_ns=0, end_ns=MS)
+        run_metrics.take(metrics(f"edge-{region}", spans=[detect], border_bytes=size))
+    for tls in ("A0", "cluster_1_2 #x/y"):  # ids of nets are not ours to choose
+        acted = m.Span(stage="actuate", agent=tls, start_ns=0, end_ns=MS)
+        run_metrics.take(metrics("sim", spans=[acted]))
+    samples = page(run_metrics)
+    for region, size in (("r0", 100), ("r1", 40)):
+        assert samples[("cpnet_uploaded_bytes_total", "vehicle-0", region)] == size
+        assert samples[("cpnet_border_bytes_total", region)] == size
+        assert samples[("cpnet_stage_seconds_count", region, "detect")] == 1
+    ages = {key[1] for key in samples if key[0] == "cpnet_signal_request_age_seconds"}
+    assert ages == {"A0", "cluster_1_2 #x/y"}
+
+
+def test_ghosts_take_no_label_of_the_regions_that_are_expected():
+    run_metrics = RunMetrics()
+    run_metrics.expect([], [("edge", "edge-south")])
+    for n in range(2 * MAX_REGIONS):
+        run_metrics.take(metrics(f"edge-ghost{n}", border_bytes=1))
+    run_metrics.take(metrics("edge-south", border_bytes=7))
+    samples = page(run_metrics)
+    assert samples[("cpnet_border_bytes_total", "south")] == 7
+    assert sum(key[0] == "cpnet_border_bytes_total" for key in samples) == MAX_REGIONS + 1
 
 
 def test_bytes_are_counted_by_process_and_never_by_agent():
@@ -97,7 +130,7 @@ def test_bytes_are_counted_by_process_and_never_by_agent():
         wire = m.WireCount(agent=agent, frame=0, sent_bytes=130)
         run_metrics.take(metrics("vehicle-0", uploads=[upload], wire=[wire]))
     samples = page(run_metrics)
-    assert samples[("cpnet_uploaded_bytes_total", "vehicle-0")] == 200
+    assert samples[("cpnet_uploaded_bytes_total", "vehicle-0", "r0")] == 200
     assert samples[("cpnet_sent_bytes_total", "vehicle-0")] == 260
 
 
@@ -186,7 +219,7 @@ def test_names_without_end_leave_a_page_with_one():
     samples = page(run_metrics)
     stages = [key for key in samples if key[0] == "cpnet_stage_seconds_count"]
     assert len(stages) == MAX_STAGES + 1
-    assert samples[("cpnet_stage_seconds_count", OTHER)] == 400 - MAX_STAGES
+    assert samples[("cpnet_stage_seconds_count", "", OTHER)] == 400 - MAX_STAGES
     dropping = {key[1:] for key in samples if key[0] == "cpnet_drops_total"}
     assert len({reason for _, reason in dropping}) == MAX_REASONS + 1
     assert len({process for process, _ in dropping}) == MAX_PROCESSES + 1

@@ -43,10 +43,14 @@ def test_a_run_is_scraped_while_it_goes_on_and_its_logs_are_json(shell: Shell):
     command = shell.up(*options, "--mode=realtime", "--restart")
     command.read_until("vehicles")
     agents = ("vehicle-0", "vehicle-1", "infra-r0")
-    uploads = [("cpnet_uploaded_bytes_total", agent) for agent in agents]
+    uploads = [("cpnet_uploaded_bytes_total", agent, "r0") for agent in agents]
     spans = [
-        ("cpnet_stage_seconds_count", stage)
-        for stage in ("sense", "encode", "decode", "merge", "detect", "decide", "actuate", "world")
+        ("cpnet_stage_seconds_count", region, stage)
+        for region, stages in {
+            "": ("sense", "encode", "actuate", "world"),
+            "r0": ("decode", "merge", "detect", "decide"),
+        }.items()
+        for stage in stages
     ]
     named = (("edge-r0", "edge"), ("sim", "sim"), ("record", "record"), ("signal-r0", "signal"))
     roles = [("cpnet_process_up", *one) for one in named]
@@ -67,7 +71,7 @@ def test_a_run_is_scraped_while_it_goes_on_and_its_logs_are_json(shell: Shell):
     assert later[("cpnet_process_restarts_total", "vehicle-0")] == 0
     os.kill(children_of(shell.folder / "run")["vehicle-0"], signal.SIGKILL)
     restarted = scrape_until(command, port, ("cpnet_process_restarts_total", "vehicle-0"))
-    uploaded = ("cpnet_uploaded_bytes_total", "vehicle-0")
+    uploaded = ("cpnet_uploaded_bytes_total", "vehicle-0", "r0")
     command.wait_until(lambda: scrape(port)[uploaded] > restarted[uploaded])
     os.kill(children_of(shell.folder / "run")["sim"], signal.SIGKILL)
     status, output = command.finish()
