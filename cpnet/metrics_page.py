@@ -7,6 +7,7 @@ many counts as `other`.
 
 from __future__ import annotations
 
+import math
 import re
 import socket
 import time
@@ -23,7 +24,7 @@ from cpnet.watch import ProcessKey
 from protocol.errors import ConfigError
 from protocol.inbox import Envelope, Presence
 from protocol.instances import region_of
-from protocol.messages import Metrics, Progress, Span
+from protocol.messages import JunctionProgress, Metrics, Progress, RegionProgress, Span
 from protocol.topics import ROLES
 from protocol.version import own_version
 
@@ -45,6 +46,20 @@ _PROGRESS = {
     "cvs": "Of these, with a radio alone",
     "detections": "Vehicles detected in the newest frame",
     "end_to_end_seconds": "Newest, from sensing to signal",
+}
+_REGION_PROGRESS = {
+    "region_frames": "Frames of a region that were counted in",
+    "region_frames_incomplete": "Of these, those that lacked an upload",
+    "region_agents": "Agents whose uploads are in its newest frame",
+    "region_detections": "Vehicles that it detected in its newest frame",
+    "region_uplink_mbps": "Payload of its agents, in Mbit per simulated second",
+    "region_end_to_end_seconds": "Its newest, from sensing to signal",
+}
+_JUNCTION_PROGRESS = {
+    "junction_phase": "Number of the green shown, or shown last, in the order of the plan; or -1",
+    "junction_vehicles": "Vehicles counted before its stop bars",
+    "junction_queued": "Of these, stationary ones",
+    "junction_coverage_ratio": "Share of its lanes before the stop bars that sensors cover",
     "signal_state_age_seconds": "Simulated time since the signal's state changed",
 }
 
@@ -84,8 +99,8 @@ class RunMetrics:
         self._signals = LabelSet(MAX_SIGNALS, _TLS)
         self._last_drops: dict[str, Tally[str]] = {}
         self._progress: dict[str, Gauge] = {}
-        self._state = ""
-        self._state_since_sim_ns = 0
+        self._region_progress: dict[str, Gauge] = {}
+        self._junction_progress: dict[str, Gauge] = {}
         self._gauge("build_info", "The cpnet that exports this", ["version"]).labels(
             own_version()
         ).set(1)
@@ -161,14 +176,18 @@ class RunMetrics:
         self._processes.release(process)
 
     def _take_progress(self, progress: Progress) -> None:
-        if progress.state != self._state or not self._progress:
-            self._state, self._state_since_sim_ns = progress.state, progress.sim_time_ns
         if not self._progress:
             self._progress = {name: self._gauge(name, text) for name, text in _PROGRESS.items()}
             self._progress["progress_age_seconds"] = self._gauge(
                 "progress_age_seconds", "Since these were received"
             )
-        state_age_ns = max(0, progress.sim_time_ns - self._state_since_sim_ns)
+            self._region_progress = {
+                name: self._gauge(name, text, ["region"]) for name, text in _REGION_PROGRESS.items()
+            }
+            self._junction_progress = {
+                name: self._gauge(name, text, ["tls", "region"])
+                for name, text in _JUNCTION_PROGRESS.items()
+            }
         values = {
             "frame": progress.frame,
             "simulated_time_seconds": progress.sim_time_ns / 1e9,
@@ -178,11 +197,38 @@ class RunMetrics:
             "cvs": progress.cvs,
             "detections": progress.detections,
             "end_to_end_seconds": progress.end_to_end_ms / 1e3,
-            "signal_state_age_seconds": state_age_ns / 1e9,
         }
         for name, value in values.items():
             self._progress[name].set(value)
         _set_age(self._progress["progress_age_seconds"], time.monotonic_ns())
+        for region, of_region in progress.regions.items():
+            self._take_region(self._regions.label(region), of_region)
+        for tls, of_junction in progress.junctions.items():
+            self._take_junction(self._signals.label(tls), of_junction)
+
+    def _take_region(self, region: str, progress: RegionProgress) -> None:
+        values = {
+            "region_frames": progress.frames,
+            "region_frames_incomplete": progress.incomplete,
+            "region_agents": progress.agents,
+            "region_detections": progress.detections,
+            "region_uplink_mbps": progress.mbps,
+            "region_end_to_end_seconds": progress.end_to_end_ms / 1e3,
+        }
+        for name, value in values.items():
+            self._region_progress[name].labels(region).set(value)
+
+    def _take_junction(self, tls: str, progress: JunctionProgress) -> None:
+        region = self._regions.label(progress.region)
+        values = {
+            "junction_phase": progress.phase,
+            "junction_vehicles": progress.vehicles,
+            "junction_queued": progress.queued,
+            "junction_coverage_ratio": math.nan if progress.coverage is None else progress.coverage,
+            "signal_state_age_seconds": progress.unchanged_s,
+        }
+        for name, value in values.items():
+            self._junction_progress[name].labels(tls, region).set(value)
 
     def _take_metrics(self, metrics: Metrics) -> None:
         process = self._processes.label(metrics.process)

@@ -11,6 +11,7 @@ MAX_END_TO_END_NS = 60_000_000_000  # of a frame: what is later acts on nothing
 
 # The record role
 MAX_PROGRESS_AGENTS = 1024  # with a rate in a progress message: its header is bounded
+MAX_PROGRESS_JUNCTIONS = 512  # likewise
 MAX_TOTAL_DROPS = (1 << 53) - 1  # what a progress message takes
 MAX_PROCESSES = 512  # whose clocks and drops are kept: without keys anybody may invent ids
 MAX_REASONS = 64  # for which a process drops messages: a process names them itself

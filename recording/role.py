@@ -7,24 +7,38 @@ import logging
 import sqlite3
 import time
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import islice
 from typing import Any
 
 from protocol import messages as m
 from protocol.errors import CpnetError, MessageError
 from protocol.inbox import Envelope, Presence
 from protocol.instances import region_instances
-from protocol.messages import Equipment, Metrics, Progress, Tick
+from protocol.messages import (
+    Equipment,
+    JunctionProgress,
+    Metrics,
+    Progress,
+    RegionProgress,
+    Tick,
+)
 from protocol.process import Context
 from protocol.topics import TOPICS, BusName, Delivery
 from recording import rows, tables
 from recording.config import RecordConfig
 from recording.database import Database, versions
 from recording.frame_aggregator import FrameAggregator
-from recording.limits import MAX_PROCESSES, MAX_PROGRESS_AGENTS, MAX_TOTAL_DROPS
+from recording.limits import (
+    MAX_PROCESSES,
+    MAX_PROGRESS_AGENTS,
+    MAX_PROGRESS_JUNCTIONS,
+    MAX_TOTAL_DROPS,
+)
 from recording.losses import BusGaps, DropCounts, RestartGaps
+from recording.observation import Observation, ObservedJunction
 
 
 @dataclass(slots=True)
@@ -32,6 +46,7 @@ class ProgressTracker:
     """Gathers between two reports; rates are per simulated second, as the agents would see them."""
 
     frame_period_ns: int
+    observation: Observation
     frame: int = 0
     sim_time_ns: int = 0
     vehicles: int = 0
@@ -39,8 +54,10 @@ class ProgressTracker:
     cvs: int = 0
     state: str = ""
     end_to_end_ns: int = 0
+    region_end_to_end_ns: dict[str, int] = field(default_factory=dict)
     _detections: dict[str, int] = field(default_factory=dict)
     payload_bytes: Counter[str] = field(default_factory=Counter)
+    region_bytes: Counter[str] = field(default_factory=Counter)
     _since: tuple[int, int] | None = None
 
     def ticked(self, tick: Tick, now_ns: int) -> None:
@@ -62,6 +79,15 @@ class ProgressTracker:
         for upload in metrics.uploads:
             if upload.agent in self.payload_bytes or len(self.payload_bytes) < MAX_PROGRESS_AGENTS:
                 self.payload_bytes[upload.agent] += upload.payload_bytes
+            if upload.region in self.observation.regions:
+                self.region_bytes[upload.region] += upload.payload_bytes
+
+    def took(self, frame: tables.FrameRow, regions: Iterable[tables.RegionFrameRow]) -> None:
+        """Notes how long the newest frame took, as far as that is known."""
+        self.end_to_end_ns = frame.end_to_end_ns or self.end_to_end_ns
+        self.region_end_to_end_ns |= {
+            row.region: row.end_to_end_ns for row in regions if row.end_to_end_ns
+        }
 
     def report(self, now_ns: int, drops: int) -> Progress:
         """Returns what happened since the last report and begins anew."""
@@ -69,11 +95,11 @@ class ProgressTracker:
         sim_passed_ns, wall_passed_ns = self.sim_time_ns - sim_ns, now_ns - wall_ns
         self._since = (self.sim_time_ns, now_ns)
         # Mbit/s = 8e-6 Mbit per byte over 1e-9 s per ns
-        mbps = {
-            agent: count * 8e3 / sim_passed_ns if sim_passed_ns > 0 else 0.0
-            for agent, count in sorted(self.payload_bytes.items())
-        }
+        mbps_per_byte = 8e3 / sim_passed_ns if sim_passed_ns > 0 else 0.0
+        mbps = {agent: count * mbps_per_byte for agent, count in sorted(self.payload_bytes.items())}
+        regions = {name: self._region(name, mbps_per_byte) for name in self.observation.regions}
         self.payload_bytes.clear()
+        self.region_bytes.clear()
         return Progress(
             frame=self.frame,
             sim_time_ns=self.sim_time_ns,
@@ -86,6 +112,32 @@ class ProgressTracker:
             end_to_end_ms=self.end_to_end_ns / 1e6,
             state=self.state,
             drops=drops,
+            regions=regions,
+            junctions={one.tls: self._junction(one) for one in self._first_junctions()},
+        )
+
+    def _region(self, name: str, mbps_per_byte: float) -> RegionProgress:
+        one = self.observation.regions[name]
+        return RegionProgress(
+            agents=one.agents,
+            detections=self._detections.get(name, 0),
+            frames=one.frames,
+            incomplete=one.incomplete,
+            mbps=self.region_bytes[name] * mbps_per_byte,
+            end_to_end_ms=self.region_end_to_end_ns.get(name, 0) / 1e6,
+        )
+
+    def _first_junctions(self) -> Iterable[ObservedJunction]:
+        return islice(self.observation.junctions.values(), MAX_PROGRESS_JUNCTIONS)
+
+    def _junction(self, one: ObservedJunction) -> JunctionProgress:
+        return JunctionProgress(
+            region=one.region,
+            phase=-1 if one.phase is None else one.phase,
+            unchanged_s=one.unchanged_s(self.sim_time_ns),
+            vehicles=one.vehicles,
+            queued=one.queued,
+            coverage=one.coverage,
         )
 
 
@@ -156,7 +208,9 @@ class RecordRole:
         self._is_broken = False
         regions: dict[str, list[str]] = scenario["regions"]
         self._aggregator = FrameAggregator(self._frame_period_ns, regions, self._database.last_tick)
-        self._progress = ProgressTracker(self._frame_period_ns)
+        self._progress = ProgressTracker(
+            self._frame_period_ns, Observation(context.setup.road_map, regions)
+        )
         last = [one for role in ("edge", "signal") for one in region_instances(role, regions)]
         self._ending = EndOfRun([one.id for one in last], len(regions))
         self._clocks: dict[str, tuple[int, int]] = {}
@@ -291,6 +345,7 @@ class RecordRole:
         self._aggregator.check(state.frame)
         if state.tls == self._first_tls:  # one of them has room on a line
             self._progress.state = state.state
+        self._progress.observation.take(state)
         self._database.add(tables.PhaseRow, [rows.phase_row(state)])
 
     def _on_request(self, request: m.SignalRequest, item: Envelope) -> None:
@@ -308,6 +363,7 @@ class RecordRole:
 
     def _on_lanes(self, lanes: m.LaneCounts, _: Envelope) -> None:
         self._aggregator.signal_region(lanes.frame, lanes.tls).counted(lanes)
+        self._progress.observation.take(lanes)
         self._database.add(tables.CountRow, rows.count_rows(lanes))
 
     def _on_scan(self, scan: m.Scan, item: Envelope) -> None:
@@ -360,8 +416,9 @@ class RecordRole:
 
     def _tell(self, now_ns: int) -> None:
         acted = self._aggregator.get(self._acted_frame)
-        took_ns = acted.rows(self._clocks).frame.end_to_end_ns if acted is not None else None
-        self._progress.end_to_end_ns = took_ns or self._progress.end_to_end_ns
+        if acted is not None:
+            found = acted.rows(self._clocks)
+            self._progress.took(found.frame, found.regions)
         drops = min(self._drops.total(), MAX_TOTAL_DROPS)
         self._context.world.publish("progress", self._progress.report(now_ns, drops))
         self._told_ns = now_ns

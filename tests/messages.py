@@ -137,6 +137,16 @@ EXAMPLES: list[m.Message] = [
         end_to_end_ms=60,
         state="G",
         drops=0,
+        regions={
+            "r0": m.RegionProgress(
+                agents=1, detections=2, frames=3, incomplete=1, mbps=5, end_to_end_ms=60
+            )
+        },
+        junctions={
+            "J": m.JunctionProgress(
+                region="r0", phase=0, unchanged_s=1.5, vehicles=2, queued=1, coverage=0.5
+            )
+        },
     ),
     m.Plan(
         frame=2,

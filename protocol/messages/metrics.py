@@ -6,6 +6,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
+from protocol.limits import MAX_ITEMS
 from protocol.messages.fields import (
     BOUNDED,
     AgentId,
@@ -15,6 +16,7 @@ from protocol.messages.fields import (
     Id,
     Lights,
     Message,
+    NetId,
     Part,
     Text,
     TimeNs,
@@ -115,8 +117,38 @@ class Metrics(Message):
     drops: Annotated[dict[Id, Total], *BOUNDED] = Field({})
 
 
+class RegionProgress(Part):
+    """A region: agents and detections of its newest frame, frames since the recorder began."""
+
+    agents: Count
+    detections: Count
+    frames: Count
+    incomplete: Count
+    mbps: float
+    end_to_end_ms: float
+
+
+class JunctionProgress(Part):
+    """A junction in the newest frame; `vehicles` and `queued` are before its stop bars.
+
+    `phase` is the number of the green, in the order of the fixed plan, that is shown or was shown
+    last, -1 if the plan has none such. `coverage` is the share of the lanes before the stop bars
+    that sensors cover, None if it is unknown.
+    """
+
+    region: Id
+    phase: int = Field(ge=-1, lt=MAX_ITEMS)
+    unchanged_s: float = Field(ge=0)
+    vehicles: Count
+    queued: Count
+    coverage: Score | None = None
+
+
 class Progress(Message):
-    """The progress of the run, about once a second, for observers."""
+    """The progress of the run, about once a second, for observers.
+
+    `junctions` are by the id of their signal; `state` is that of the first.
+    """
 
     kind: ClassVar[int] = 14
     frame: FrameNumber
@@ -130,3 +162,5 @@ class Progress(Message):
     end_to_end_ms: float
     state: Lights
     drops: Total
+    regions: Annotated[dict[Id, RegionProgress], *BOUNDED] = Field({})
+    junctions: Annotated[dict[NetId, JunctionProgress], *BOUNDED] = Field({})

@@ -1,5 +1,6 @@
 """What is exported of a run, whatever its processes say."""
 
+import math
 import socket
 import threading
 import urllib.request
@@ -189,24 +190,43 @@ def test_restarts_are_counted_and_begin_with_0():
     assert page(run_metrics)[("cpnet_process_restarts_total", "edge")] == 1
 
 
-def test_the_signals_age_is_simulated_time_since_its_state_changed():
-    run_metrics, ages = RunMetrics(), []
-    for second, state in enumerate(("Gr", "Gr", "yr", "yr", "yr")):
-        run_metrics.take(progress(sim_time_ns=second * 1000 * MS, state=state))
-        ages.append(page(run_metrics)[("cpnet_signal_state_age_seconds",)])
-    assert ages == [0, 1, 0, 1, 2]
+def junction(**fields) -> m.JunctionProgress:
+    plain = {"region": "r0", "phase": 0, "unchanged_s": 1.5, "vehicles": 4, "queued": 3}
+    return m.JunctionProgress(**(plain | fields))
+
+
+def test_the_progress_of_each_region_and_junction_has_a_series_of_its_own():
+    region = {"agents": 2, "detections": 5, "frames": 8, "incomplete": 1, "mbps": 1.5}
+    regions = {n: m.RegionProgress(**region, end_to_end_ms=40 + i) for i, n in enumerate("ab")}
+    junctions = {"J": junction(coverage=0.25), "K": junction(region="b", phase=-1, queued=0)}
+    run_metrics = RunMetrics()
+    run_metrics.take(progress(regions=regions, junctions=junctions))
+    run_metrics.take(progress(regions=regions, junctions=junctions | {"J": junction(vehicles=6)}))
+    samples = page(run_metrics)
+    assert samples[("cpnet_region_agents", "a")] == 2
+    assert samples[("cpnet_region_detections", "a")] == 5
+    assert samples[("cpnet_region_frames", "a")] == 8
+    assert samples[("cpnet_region_frames_incomplete", "a")] == 1
+    assert samples[("cpnet_region_uplink_mbps", "b")] == 1.5
+    assert samples[("cpnet_region_end_to_end_seconds", "b")] == pytest.approx(0.041)
+    assert samples[("cpnet_junction_vehicles", "r0", "J")] == 6
+    assert samples[("cpnet_junction_queued", "b", "K")] == 0
+    assert samples[("cpnet_junction_phase", "b", "K")] == -1
+    assert samples[("cpnet_signal_state_age_seconds", "r0", "J")] == 1.5
+    assert math.isnan(samples[("cpnet_junction_coverage_ratio", "r0", "J")])
 
 
 def test_absurd_figures_leave_a_page_that_can_be_read():
     run_metrics = RunMetrics()
     huge = {"real_time_factor": -1e308, "end_to_end_ms": 1.7e308, "vehicles": (1 << 40) - 1}
-    run_metrics.take(progress(sim_time_ns=(1 << 62) - 1, state="u" * 512, **huge))
+    absurd = {"J": junction(unchanged_s=1e308)}
+    run_metrics.take(progress(sim_time_ns=(1 << 62) - 1, state="u" * 512, junctions=absurd, **huge))
     run_metrics.take(progress(sim_time_ns=1 - (1 << 62), state="u" * 512, **huge))
     for told in ((1 << 53) - 1, 0) * 50:
         run_metrics.take(metrics(drops={"late": told}))
     samples = page(run_metrics)
     assert samples[("cpnet_end_to_end_seconds",)] == pytest.approx(1.7e305)
-    assert samples[("cpnet_signal_state_age_seconds",)] == 0
+    assert samples[("cpnet_signal_state_age_seconds", "r0", "J")] == 1e308
     assert samples[("cpnet_drops_total", "edge", "late")] == pytest.approx(50 * 2**53)
 
 
