@@ -8,8 +8,10 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from statistics import mean
+from statistics import mean, stdev
 from typing import Any
+
+from scipy.stats import t as student_t
 
 Rows = list[dict[str, Any]]
 Table = list[list[str]]  # the first row is the head
@@ -197,6 +199,66 @@ def _accuracy(rows: Rows) -> Table:
     return table
 
 
+def _city(rows: Rows) -> Table:
+    """Returns a line for each net and control; differences are paired by seed, 95 % intervals."""
+    seen, *others = dict.fromkeys(row["control"] for row in rows)
+    heads = ["delay, s", "perception saves, s", "E-CVPR, %", "count error", "Mbit/s"]
+    table = [["net", "control", "seeds", *heads]]
+    for net in dict.fromkeys(row["net"] for row in rows):
+        by = {name: {r["seed"]: r for r in rows if (r["net"], r["control"]) == (net, name)}
+              for name in (seen, *others)}  # fmt: skip
+        for name, own in by.items():
+            both = sorted(own.keys() & by[seen].keys())
+            gains = [own[seed]["delay_s"] - by[seen][seed]["delay_s"] for seed in both]
+            cells = [_interval([row["delay_s"] for row in own.values()], 1)]
+            cells.append("" if name == seen else _interval(gains, 1))
+            if name == seen:
+                cells += [_interval([100 * row["e_cvpr"] for row in own.values()], 1)]
+                for key in ("count_error", "uplink_mbps"):
+                    cells.append(_interval([row[key] for row in own.values()], 2))
+            table.append([net, name, str(len(own)), *cells, *[""] * (len(heads) - len(cells))])
+    return table
+
+
+def _interval(values: list[float], digits: int) -> str:
+    """Returns the mean with half the width of its 95 % interval, Student's t."""
+    if len(values) < 2:
+        return _fixed(mean(values), digits) if values else "–"
+    half = float(student_t.ppf(0.975, len(values) - 1)) * stdev(values) / len(values) ** 0.5
+    return f"{_fixed(mean(values), digits)} ± {_fixed(half, digits)}"
+
+
+def _city_runs(runs: dict[str, dict[str, Any]]) -> Table:
+    heads = ["junctions", "regions", "agents a frame", "real-time factor", "latency p50 / p95, ms"]
+    table = [["net", *heads, "E-CVPR, %", "delay, s", "Mbit/s in all"]]
+    for net, run in runs.items():
+        ms = run["latency_ms"]["end_to_end"]
+        table.append(
+            [
+                net, str(len(run["junctions"])), str(len(run["regions"])),
+                _fixed(sum(one["agents"] for one in run["regions"].values()), 1),
+                _fixed(run["real_time_factor"], 1),
+                f"{_fixed(ms['p50'], 0)} / {_fixed(ms['p95'], 0)}",
+                _fixed(run["e_cvpr"]["mean"], 1, 100), _fixed(run["delay_s"]["mean"], 1),
+                _fixed(sum(one["mbps"] for one in run["regions"].values()), 1),
+            ]
+        )  # fmt: skip
+    return table
+
+
+def _city_junctions(runs: dict[str, dict[str, Any]]) -> Table:
+    table = [["net", "signal", "delay, s", "E-CVPR, %", "switches", "count error"]]
+    for net, run in runs.items():
+        for tls, one in run["junctions"].items():
+            table.append(
+                [
+                    net, f"`{tls}`", _fixed(one["delay_s"], 1), _fixed(one["e_cvpr"], 1, 100),
+                    str(one["switches"]), _fixed(one["count_error"], 2),
+                ]
+            )  # fmt: skip
+    return table
+
+
 def _totals(rows: Rows) -> dict[tuple[str, int], dict[str, Any]]:
     return {(r["detector"], r["agents"]): r for r in rows if r["stage"] == "total"}
 
@@ -259,6 +321,11 @@ def _summary_and_text(output: str) -> dict[str, Any]:
     return {"summary": json.loads(summary), "text": text}
 
 
+_RESCO = (
+    'for net in cologne3 ingolstadt7; do [ -e resco/$net ] || { echo "runs/figures/resco/$net is '
+    "missing: a folder of RESCO's nets\" >&2; exit 1; }; done; "
+)
+_CITY_UP = "cpnet up --tls all --cav-rate 0.05 --duration 3600 --seed 1 --set frame_period_s=1"
 _RUN = "cpnet up t_junction --cav-rate 0.05 --duration 120 --seed 1"
 _SOAK = " ".join(
     f"--set lidar.{kind}.{key}"
@@ -375,6 +442,29 @@ _LIST = (
         3,
         (),
         files=("docs/frame.png",),
+    ),
+    Figure(
+        "city",
+        f"{_RESCO}cpnet study $ROOT/docs/figures/city.yaml --out city >&2; "
+        "python -c 'import json, pyarrow.parquet as p; "
+        'print(json.dumps(p.read_table("city/results.parquet").to_pylist()))\'',
+        STUDY,
+        60,
+        (Part("control", "docs/city.md", _city),),
+    ),
+    Figure(
+        "city-run",
+        f"{_RESCO}rm -rf city-3 city-7; "
+        f"{_CITY_UP} --sumocfg resco/cologne3/cologne3.sumocfg --out city-3 >&2; "
+        f"{_CITY_UP} --sumocfg resco/ingolstadt7/ingolstadt7.sumocfg --regions 2 --out city-7 >&2; "
+        "printf '{\"cologne3\": '; cpnet report city-3 --json; "
+        "printf ', \"ingolstadt7\": '; cpnet report city-7 --json; echo '}'",
+        SYSTEM,
+        15,
+        (
+            Part("runs", "docs/city.md", _city_runs),
+            Part("junctions", "docs/city.md", _city_junctions),
+        ),
     ),
     # By hand: from the pages of the studies, from a browser.
     Figure("paper-readme", "", STUDY, 0, (Part("table", "README.md"),)),
