@@ -109,3 +109,20 @@ def bench_edge_command(
 
     bench = EdgeBench(detectors_of(detectors), numbers_of(agents), frames)
     show_measured(measure_edge(bench), bench.rows, print_edge, as_json=as_json)
+
+
+@bench_app.command("scale")
+def bench_scale_command(
+    *,
+    junctions: Annotated[
+        str, typer.Option(metavar="N,...", help="squares, such as 1,4,16,64,100")
+    ] = "1,4,16",
+    duration: Annotated[float, typer.Option(help="simulated seconds of each, at 1 Hz")] = 60,
+    cav_rate: Annotated[float, typer.Option(min=0, max=1, help="share of CAVs")] = 0.05,
+    as_json: AsJson = False,
+) -> None:
+    """Measure what an agent's frame costs as the city grows: CPU time by role, memory."""
+    from cpnet.bench_scale import ScaleBench, measure_scale, print_scale
+
+    bench = ScaleBench.of(junctions, duration, cav_rate)
+    show_measured(measure_scale(bench), len(bench.junctions), print_scale, as_json=as_json)

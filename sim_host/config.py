@@ -41,6 +41,7 @@ class TrafficConfig(Section):
         "t_junction", description="built-in network that is used without net and sumocfg"
     )
 
+    grid_size: int = Field(4, description="crossings a side of the network grid", ge=1, le=26)
     net: str | None = Field(None, description="a SUMO .net.xml; demand is generated for it")
     sumocfg: str | None = Field(None, description="a .sumocfg with a net and a demand of its own")
     step_s: float = Field(0.1, description="SUMO step; milliseconds count", ge=0.01, le=1)

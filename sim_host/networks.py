@@ -25,7 +25,7 @@ _GREEN_S = {1: 15, 2: 20}  # by the lanes of the approach
 _YELLOW_S, _ALL_RED_S = 4, 1  # those of the cabinet's defaults
 
 _CORRIDOR_X_M = (0.0, 250.0, 540.0, 810.0, 1110.0)
-_GRID_SIZE, _GRID_M = 4, 200.0
+_GRID_M = 200.0
 
 _TOWN_SEED = 50  # chosen so that traffic from border to border passes every approach
 _TOWN_SIZE, _TOWN_M = 6, 210.0
@@ -64,19 +64,23 @@ def write_corridor(folder: Path) -> Path:
     return _write(folder, "corridor", places, streets)
 
 
-def write_grid(folder: Path) -> Path:
-    """Writes `grid.net.xml`: 4 x 4 crossings with two lanes each way and an arm at every border.
+def write_grid(folder: Path, size: int = 4) -> Path:
+    """Writes `grid.net.xml`: crossings with two lanes each way, an arm at every border.
+
+    Args:
+        folder: gets the file.
+        size: crossings a side, 26 at most.
 
     Raises:
         ConfigError: netconvert is missing or fails.
     """
     places = {
         _cell(column, row): (column * _GRID_M, row * _GRID_M)
-        for column in range(_GRID_SIZE)
-        for row in range(_GRID_SIZE)
+        for column in range(size)
+        for row in range(size)
     }
-    streets = [_Street(a, b, lanes=2) for a, b in _neighbours(_GRID_SIZE)]
-    for name, side in _borders(_GRID_SIZE):
+    streets = [_Street(a, b, lanes=2) for a, b in _neighbours(size)]
+    for name, side in _borders(size):
         arm = f"{side}{name}"
         places[arm] = _outwards(places[name], side)
         streets.append(_Street(name, arm, lanes=2))

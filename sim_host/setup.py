@@ -26,7 +26,7 @@ from sim_host.demand import types_of_demand, types_of_files, write_demand
 from sim_host.junctions import DEMAND_VPH_PER_LANE, write_net
 from sim_host.limits import MAX_HEIGHT_M
 from sim_host.netfile import UNREADABLE, Net, open_file, read_net
-from sim_host.networks import NETWORKS
+from sim_host.networks import NETWORKS, write_grid
 from sim_host.regions import resolve_regions
 from sim_host.road_map import road_map
 from sim_host.sumo import sumo_home
@@ -271,7 +271,7 @@ def _own_world(
     if traffic.net:
         path = Path(traffic.net)
     elif traffic.network in NETWORKS:
-        path, junctions = NETWORKS[traffic.network](folder), junctions or "all"
+        path, junctions = _write_network(traffic, folder), junctions or "all"
     else:
         path = write_net(folder)
         demand = {**DEMAND_VPH_PER_LANE, **traffic.demand_vph_per_lane}
@@ -283,10 +283,16 @@ def _own_world(
     return roads, types_of_demand(traffic.vehicles)
 
 
+def _write_network(traffic: TrafficConfig, folder: Path) -> Path:
+    if traffic.network == "grid":
+        return write_grid(folder, traffic.grid_size)
+    return NETWORKS[traffic.network](folder)
+
+
 def _write_demand(path: Path, net: Net, roads: RoadMap, traffic: TrafficConfig) -> None:
     """Writes flows over the only signal of a net, or over all of its network."""
     signals = [one.signal for one in roads.intersections]
-    if len(signals) == 1:
+    if len(signals) == 1 and (traffic.net or traffic.network not in NETWORKS):
         write_demand(path, net, signals[0], traffic)
         return
     if traffic.demand_vph_per_lane:
