@@ -32,6 +32,7 @@ def view_command(
     *,
     connect: Connect = None,
     keys: KeysFolder = None,
+    tls: OneSignal = None,
     web: Annotated[bool, typer.Option("--web", help="in a browser; prints where")] = False,
     port: Annotated[int, typer.Option(min=1, max=65534, help="of the page, with --web")] = 9090,
     save: Annotated[
@@ -44,7 +45,7 @@ def view_command(
 
     if save is not None and web:
         raise ConfigError("--save writes a file, --web serves a page: give one of them")
-    view(run, connect or [], keys, Screen(port if web else None, save, fps), console)
+    view(run, connect or [], keys, tls, Screen(port if web else None, save, fps), console)
 
 
 @view_app.command("top")

@@ -67,12 +67,17 @@ class Screen:
 
 
 def view(
-    run: Path | None, connect: list[str], keys: Path | None, screen: Screen, console: Console
+    run: Path | None,
+    connect: list[str],
+    keys: Path | None,
+    tls: str | None,
+    screen: Screen,
+    console: Console,
 ) -> None:
-    """Shows a run in Rerun until it ends or is told to stop.
+    """Shows a run, or one junction of it, in Rerun until it ends or is told to stop.
 
     Raises:
-        ConfigError: there is no such run, the extra is missing, or the screen cannot be.
+        ConfigError: there is no such run or signal, the extra is missing, or the screen cannot be.
         BusError: the run does not answer.
         ProtocolError: what the run says of itself cannot be read.
         CpnetError: the page's server ended, or the file is not whole.
@@ -86,7 +91,7 @@ def view(
     lower_priority()
     found = find_run(run, connect, keys)
     with _attached(found, TOPICS, console) as (observer, setup, interruption):
-        scene = Scene(setup)
+        scene = Scene(setup, tls)
         with opened(screen.port, screen.save, scene) as sink:
             console.print(sink.where, markup=False, highlight=False, soft_wrap=True)
             log = Log(sink.recording, scene)

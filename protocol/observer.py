@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
@@ -173,10 +173,17 @@ class BufferedFrame:
             self.received.append(item)
 
     def messages(self) -> Iterator[Message]:
-        """Reads what was said, in the order in which it came; what cannot be read is left out."""
+        """Reads what was said, as `keyed_messages` without the keys."""
+        return (message for message, _ in self.keyed_messages())
+
+    def keyed_messages(self) -> Iterator[tuple[Message, Mapping[str, str]]]:
+        """Reads what was said, in the order in which it came, each with the parts of its key.
+
+        What cannot be read is left out.
+        """
         for item in self.received:
             if (message := _message_of(self.number, item)) is not None:
-                yield message
+                yield message, item.parts
 
 
 class FrameBuffer:

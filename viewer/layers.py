@@ -11,7 +11,8 @@ import numpy as np
 from edge_server.power_diagram import PLAIN, cells
 from perception.arrays import Floats
 from protocol.messages import Detections, LaneCounts, Plan, SignalState, Truth, VehicleType
-from protocol.roadmap import RoadMap
+from protocol.roadmap import Intersection, RoadMap
+from recording.observation import ObservedJunction
 from studies import palette
 
 Rgb = tuple[int, int, int]
@@ -45,8 +46,9 @@ class Colours:
         return {agent: rgb(palette.AGENTS[self._numbers[agent]]) for agent in present}
 
 
-CELLS_REACH_M = 120.0  # around the junction's centre
+CELLS_REACH_M = 120.0  # around the junctions' centres
 CELLS_ABOVE_M = 0.3
+TOTAL_ABOVE_M = 9.0  # over the signal heads
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,24 +118,35 @@ def true_boxes(message: Truth, types: Mapping[str, VehicleType]) -> Boxes:
     return Boxes(values, labels, [rgb(palette.TRUTH)] * len(labels))
 
 
-def lamps(state: SignalState, road_map: RoadMap, lanes: Sequence[str]) -> list[Rgb]:
-    """Returns the colour that each lane is shown: green if any of its links is."""
-    links: dict[str, list[int]] = {}
-    for link in road_map.intersections[0].signal.links:
-        links.setdefault(link.from_lane, []).append(link.index)
-    return [_lamp(state.state, links.get(lane, ())) for lane in lanes]
+def lamps(states: Mapping[str, SignalState], road_map: RoadMap, lanes: Sequence[str]) -> list[Rgb]:
+    """Returns the colour that each lane is shown: green if any of its links is.
+
+    `states` are by the id of the signal.
+    """
+    letters: dict[str, list[str]] = {}
+    for one in road_map.intersections:
+        shown = states[one.tls].state if one.tls in states else ""
+        for link in one.signal.links:
+            letters.setdefault(link.from_lane, []).append(shown[link.index : link.index + 1])
+    return [_lamp(letters.get(lane, ())) for lane in lanes]
 
 
-def lane_counts(message: LaneCounts, places_of: Mapping[tuple[str, str], Floats]) -> Texts:
-    """Returns the count of each lane, before the stop bar and, fainter, behind it.
+def lane_counts(
+    messages: Iterable[LaneCounts], places_of: Mapping[tuple[str, str], Floats]
+) -> Texts:
+    """Returns the count of each lane, before the stop bars and, fainter, behind them.
 
     Places are those of `viewer.road.count_places`. A lane that nobody sees has a question mark.
     """
     places, texts, colours = [], [], []
-    sides = (
-        ("upstream", message.upstream, message.coverage_upstream, palette.TEXT),
-        ("downstream", message.downstream, message.coverage_downstream, palette.FAINT),
-    )
+    sides = [
+        side
+        for message in messages
+        for side in (
+            ("upstream", message.upstream, message.coverage_upstream, palette.TEXT),
+            ("downstream", message.downstream, message.coverage_downstream, palette.FAINT),
+        )
+    ]
     for side, counts, seen, colour in sides:
         for name, count in counts.items():
             if (place := places_of.get((side, name))) is not None:
@@ -143,22 +156,54 @@ def lane_counts(message: LaneCounts, places_of: Mapping[tuple[str, str], Floats]
     return Texts(np.array(places, np.float64).reshape(-1, 3), texts, colours)
 
 
-def plan_cells(plan: Plan | None, road_map: RoadMap, colours: Mapping[str, Rgb]) -> Lines:
-    """Returns the border of each agent's part of the scene; nothing where nobody has one."""
+def junction_totals(junctions: Iterable[ObservedJunction]) -> Texts:
+    """Returns at each junction its signal's id, and what is known before its stop bars."""
+    known = [one for one in junctions if one.counts is not None]
+    places = np.array([one.intersection.centre for one in known], np.float64).reshape(-1, 3)
+    texts = [f"{one.tls}: {one.vehicles}, {one.queued} queued{_covered(one)}" for one in known]
+    above = np.array([0.0, 0.0, TOTAL_ABOVE_M])
+    return Texts(places + above, texts, [rgb(palette.TEXT)] * len(texts))
+
+
+def _covered(junction: ObservedJunction) -> str:
+    return "" if junction.coverage is None else f", {junction.coverage:.0%} covered"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CellArea:
+    """Where the parts of a region's agents are drawn: x, y of two corners (4,), and how high."""
+
+    box: Floats
+    z_m: float
+
+    @classmethod
+    def around(cls, intersections: Sequence[Intersection]) -> CellArea:
+        """Returns the area around at least one intersection."""
+        centres = np.array([one.centre for one in intersections])
+        x_y = centres[:, :2]
+        corners = [x_y.min(axis=0) - CELLS_REACH_M, x_y.max(axis=0) + CELLS_REACH_M]
+        return cls(np.concatenate(corners), float(centres[:, 2].mean()) + CELLS_ABOVE_M)
+
+
+def plan_cells(
+    plans: Mapping[str, Plan], areas: Mapping[str, CellArea], colours: Mapping[str, Rgb]
+) -> Lines:
+    """Returns the border of each agent's part of the scene, by region; nothing where none has one.
+
+    An agent of two regions has a part in each.
+    """
     found = Lines()
-    if plan is None or not plan.agents:
-        return found
-    x, y, z = road_map.centre
-    reach_m = CELLS_REACH_M
-    box = np.array([x - reach_m, y - reach_m, x + reach_m, y + reach_m])
-    sites, weights_m2 = np.array(plan.sites), np.array(plan.weights_m2)
-    parts = cells(sites, weights_m2, box, border=PLAIN)
-    for agent, corners in zip(plan.agents, parts, strict=True):
-        if len(corners) and agent in colours:
-            ring = np.vstack([corners, corners[:1]])
-            found.lines.append(np.column_stack([ring, np.full(len(ring), z + CELLS_ABOVE_M)]))
-            found.names.append(agent)
-            found.colours.append(colours[agent])
+    for region, plan in plans.items():
+        if region not in areas or not plan.agents:
+            continue
+        area = areas[region]
+        parts = cells(np.array(plan.sites), np.array(plan.weights_m2), area.box, border=PLAIN)
+        for agent, corners in zip(plan.agents, parts, strict=True):
+            if len(corners) and agent in colours:
+                ring = np.vstack([corners, corners[:1]])
+                found.lines.append(np.column_stack([ring, np.full(len(ring), area.z_m)]))
+                found.names.append(agent)
+                found.colours.append(colours[agent])
     return found
 
 
@@ -171,7 +216,6 @@ def _colour(source: str, colours: Mapping[str, Rgb]) -> Rgb:
     return colours.get(source, rgb(palette.BOX))
 
 
-def _lamp(shown: str, links: Sequence[int]) -> Rgb:
-    letters = [shown[index] for index in links if index < len(shown)]
-    known = min((letter for letter in letters if letter in "Ggyr"), key="Ggyr".find, default="")
+def _lamp(letters: Iterable[str]) -> Rgb:
+    known = min((one for one in letters if one and one in "Ggyr"), key="Ggyr".find, default="")
     return rgb(palette.SIGNAL.get(known, palette.FAINT))

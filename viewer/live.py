@@ -60,7 +60,6 @@ class Live:
         self._period_ns = round(1e9 / fps)
         self._frames = FrameBuffer(ENDING)
         scenario = scene.setup.scenario
-        self._tls = scene.setup.road_map.intersections[0].tls  # of several signals the first
         period_ns = round(float(scenario["frame_period_s"]) * 1e9)
         self._stages = Stages(period_ns, scenario["regions"])
         self._drawn_ns = -self._period_ns
@@ -108,8 +107,10 @@ class Live:
         with suppress(MessageError):  # whoever comes into a run hears ends of what had begun before
             self._stages.take(message)
         if item.topic == "tick":
+            shown = self._scene.regions.keys()
             for latency in self._stages.latencies():
-                self._shows.latency(slowest(latency))
+                if here := {region: latency[region] for region in shown & latency.keys()}:
+                    self._shows.latency(slowest(here))
 
     def _draw_when_due(self) -> None:
         now_ns = time.monotonic_ns()
@@ -118,7 +119,9 @@ class Live:
 
     def _draw(self) -> bool:
         frame = self._frames.next()
-        picture = self._scene.picture(Moment.of(frame, self._tls)) if frame is not None else None
+        if frame is None:
+            return False
+        picture = self._scene.picture(Moment.of(frame, self._scene.regions))
         if picture is None:
             return False
         self._shows.picture(picture)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
@@ -13,10 +15,11 @@ from viewer.scene import Picture, Scene
 from viewer.stages import GROUPS, FrameLatency
 
 FRAME, TIME = "frame", "sim time"
-TRUTH = "/scene/truth"
+TRUTH, COUNTS, FRONTS = "/scene/truth", "/scene/counts", "/scene/boxes/front"
 _BARS, _HEADS = "/scene/signal/stop_bars", "/scene/signal/heads"
 _POINT_UI, _LINE_M, _BAR_M, _HEAD_M = -1.0, 0.05, 0.35, 0.6
 _EDGE_M, _CELL_M = 0.07, 0.15
+_FAR_HEAD_UI = -3.5  # as large on the screen from any distance
 
 
 class Log:
@@ -27,6 +30,7 @@ class Log:
         self._to = recording
         self._agents: set[str] = set()
         self._plotted: set[str] = set()
+        self._is_overview, self._signals = scene.is_overview, scene.signals
         self._road(scene)
         self._style_plots(scene)
 
@@ -37,13 +41,15 @@ class Log:
         if picture.boxes is not None:
             self._boxes("/scene/boxes", picture.boxes)
         if picture.fronts is not None:
-            self._texts("/scene/boxes/front", picture.fronts)
+            self._texts(FRONTS, picture.fronts)
         if picture.truth is not None:
             self._boxes(TRUTH, picture.truth)
         if picture.lamps is not None:
             self._lamps(picture.lamps)
         if picture.counts is not None:
-            self._texts("/scene/counts", picture.counts)
+            self._texts(COUNTS, picture.counts)
+        if picture.totals is not None and self._is_overview:
+            self._texts("/scene/junctions", picture.totals)
         self._cells(picture)
         self._figures(picture)
 
@@ -57,7 +63,7 @@ class Log:
         self._to.set_time(TIME, duration=sim_time_ns / 1e9)
 
     def _road(self, scene: Scene) -> None:
-        road = surface(scene.setup.road_map)
+        road = surface(scene.road_map)
         self._to.log("/scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         mesh = rr.Mesh3D(
             vertex_positions=road.vertices,
@@ -69,7 +75,8 @@ class Log:
         self._to.log("/scene/road/lanes", lines, static=True)
         bars = rr.LineStrips3D(scene.heads.bars, radii=_BAR_M)
         self._to.log(_BARS, bars, static=True)
-        heads = rr.Points3D(scene.heads.places, radii=_HEAD_M)
+        radius = _FAR_HEAD_UI if scene.is_overview else _HEAD_M
+        heads = rr.Points3D(scene.heads.places, radii=radius)
         self._to.log(_HEADS, heads, static=True)
 
     def _clouds(self, picture: Picture) -> None:
@@ -85,7 +92,7 @@ class Log:
             colors=[picture.colours[cloud.agent] for cloud in picture.clouds],
             labels=[cloud.agent for cloud in picture.clouds],
             radii=_HEAD_M,
-            show_labels=True,
+            show_labels=not self._is_overview,
         )
         self._to.log("/scene/agents", sensors)
 
@@ -131,6 +138,8 @@ class Log:
         self._style("/latency", [*GROUPS, "end to end"], stages, widths)
         phases = scene.phases
         self._style("/pressure", phases, _cycle(len(phases)), [2.0] * len(phases))
+        if scene.is_overview:
+            self._style("/queue", scene.signals, _cycle(len(scene.signals)), [2.0])
         self._style("/e_cvpr", ["E-CVPR %"], [rgb(palette.AGENTS[2])], [2.0])
 
     def _figures(self, picture: Picture) -> None:
@@ -142,6 +151,9 @@ class Log:
             self._scalars(path, [mbps])
         if picture.pressures:
             self._scalars("/pressure", [*picture.pressures.values()])
+        if self._is_overview and picture.queues:
+            values = [float(picture.queues.get(tls, math.nan)) for tls in self._signals]
+            self._scalars("/queue", values)
         if picture.score is not None and picture.score.e_cvpr is not None:
             self._scalars("/e_cvpr", [100 * picture.score.e_cvpr])
 
@@ -168,9 +180,12 @@ _ROWS = (4, 7, 3, 3)
 
 
 def blueprint(scene: Scene) -> rrb.Blueprint:
-    """Returns the layout for a run; truth is there, but hidden until it is asked for."""
+    """Returns the layout for a run; truth is there, but hidden until it is asked for.
+
+    So are, of several junctions, the texts of single lanes: they would hide one another.
+    """
     return rrb.Blueprint(
-        rrb.Horizontal(_junction(scene), _plots(), column_shares=_COLUMNS),
+        rrb.Horizontal(_junctions(scene), _plots(scene), column_shares=_COLUMNS),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIME, play_state="following"),
@@ -179,24 +194,28 @@ def blueprint(scene: Scene) -> rrb.Blueprint:
     )
 
 
-def _junction(scene: Scene) -> rrb.Spatial3DView:
-    look = camera(scene.setup.road_map)
+def _junctions(scene: Scene) -> rrb.Spatial3DView:
+    look = camera(scene.road_map)
+    hidden = [TRUTH, COUNTS, FRONTS] if scene.is_overview else [TRUTH]
     return rrb.Spatial3DView(
         origin="/scene",
         name=f"{scene.setup.scenario.get('name', 'junction')} as the edge sees it",
         background=rgb(palette.BACKGROUND),
         line_grid=False,
         eye_controls=rrb.EyeControls3D(position=look.position, look_target=look.target),
-        overrides={TRUTH: rrb.EntityBehavior(visible=False)},
+        overrides={path: rrb.EntityBehavior(visible=False) for path in hidden},
     )
 
 
-def _plots() -> rrb.Vertical:
+def _plots(scene: Scene) -> rrb.Vertical:
     share = rrb.ScalarAxis(range=(0.0, 100.0))
+    control = ("/pressure", "pressure of each phase, vehicles")
+    if scene.is_overview:
+        control = ("/queue", "queued before the stop bars of each junction, vehicles")
     return rrb.Vertical(
         _plot("/uplink", "upload of each agent, Mbit/s"),
         _plot("/latency", "from sensing to signal by stage, ms"),
-        _plot("/pressure", "pressure of each phase, vehicles"),
+        _plot(*control),
         _plot("/e_cvpr", "E-CVPR: vehicles truly detected, %", axis=share, has_legend=False),
         row_shares=_ROWS,
     )

@@ -19,6 +19,7 @@ COUNT_AT_M = {"upstream": 30.0, "downstream": 22.0}
 _BAR_INSET = 0.1  # of the lane's width, on either side
 _STEP_M = 5.0
 _BACK_M, _UP_M, _AHEAD_M = 60.0, 54.0, 2.0
+_BACK_SHARE, _UP_SHARE = 0.4, 1.6  # more for each metre that the junctions lie from their middle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,11 +100,18 @@ def approaches(road_map: RoadMap, lanes: Iterable[str]) -> list[str]:
 
 
 def camera(road_map: RoadMap) -> Camera:
-    """Returns a look at the junction from above and behind, so that a T's stem leads away."""
-    azimuth_rad = view_azimuth(road_map)
+    """Returns a look from above and behind: of one junction so that a T's stem leads away.
+
+    Of several, north is ahead.
+    """
+    is_one = len(road_map.intersections) == 1
+    azimuth_rad = view_azimuth(road_map) if is_one else np.pi / 2
     ahead = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
     target = np.array(road_map.centre) + _AHEAD_M * ahead
-    place = target - _BACK_M * ahead + _up(_UP_M)
+    centres = np.array([one.centre for one in road_map.intersections])
+    spread_m = float(np.linalg.norm(centres - road_map.centre, axis=1).max())
+    back_m, up_m = _BACK_M + _BACK_SHARE * spread_m, _UP_M + _UP_SHARE * spread_m
+    place = target - back_m * ahead + _up(up_m)
     return Camera(_triple(place), _triple(target))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import logging
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,43 +29,59 @@ from protocol.messages import (
 )
 from protocol.observer import BufferedFrame
 from protocol.roadmap import Intersection, RoadMap, Signal
+from recording.observation import ObservedJunction
 from recording.rows import detection_rows, truth_rows
 from studies.ecvpr import EvaluationArea, FrameScore, score_frame
 from viewer import layers
-from viewer.layers import Boxes, Colours, Lines, Rgb, Texts
+from viewer.layers import Boxes, CellArea, Colours, Lines, Rgb, Texts
 from viewer.road import Heads, approaches, count_places, heads
-from viewer.stages import Rates
+from viewer.stages import Rates, uploads_to
+
+_Told = LaneCounts | Detections | Truth | SignalState | SignalRequest
 
 
 @dataclass(slots=True, eq=False)
 class Moment:
-    """The messages of one frame, as far as they arrived and could be read."""
+    """The messages of one frame, as far as they arrived and could be read.
+
+    Those about a signal are by its id, plans by the region whose edge made them.
+    """
 
     frame: int
     scans: list[Scan] = field(default_factory=list)
     detections: Detections | None = None
     truth: Truth | None = None
-    counts: LaneCounts | None = None
-    state: SignalState | None = None
-    request: SignalRequest | None = None
-    plan: Plan | None = None
+    counts: dict[str, LaneCounts] = field(default_factory=dict)
+    states: dict[str, SignalState] = field(default_factory=dict)
+    requests: dict[str, SignalRequest] = field(default_factory=dict)
+    plans: dict[str, Plan] = field(default_factory=dict)
 
     @property
     def sim_time_ns(self) -> int | None:
         """The world's time at the frame, None as long as nobody said it."""
-        told = (self.counts, self.detections, self.truth, self.state, self.request)
-        return next((message.sim_time_ns for message in told if message is not None), None)
+        told: list[_Told] = [*self.counts.values()]
+        told += [one for one in (self.detections, self.truth) if one is not None]
+        told += [*self.states.values(), *self.requests.values()]
+        return told[0].sim_time_ns if told else None
 
     @classmethod
-    def of(cls, frame: BufferedFrame, tls: str) -> Moment:
-        """Reads what was heard of a frame: of all regions, and of one signal."""
+    def of(cls, frame: BufferedFrame, regions: Mapping[str, Collection[str]]) -> Moment:
+        """Reads what was heard of a frame: of these signals, and uploads to their regions.
+
+        Truth and detections are those of the whole run.
+        """
+        signals = {tls for shown in regions.values() for tls in shown}
         moment = cls(frame.number)
-        for message in frame.messages():
-            if getattr(message, "tls", tls) == tls:
-                moment._add(message)
+        for message, parts in frame.keyed_messages():
+            is_of_region = isinstance(message, Scan | Plan)
+            if is_of_region and parts.get("region") not in regions:
+                continue
+            if getattr(message, "tls", None) in {None, *signals}:
+                moment.add(message, parts.get("region", ""))
         return moment
 
-    def _add(self, message: Message) -> None:
+    def add(self, message: Message, region: str = "") -> None:
+        """Adds a message; of two of a kind about the same the later counts."""
         match message:
             case Scan():
                 self.scans.append(message)
@@ -75,13 +91,13 @@ class Moment:
             case Truth():
                 self.truth = message
             case LaneCounts():
-                self.counts = message
+                self.counts[message.tls] = message
             case SignalState():
-                self.state = message
+                self.states[message.tls] = message
             case SignalRequest():
-                self.request = message
+                self.requests[message.tls] = message
             case Plan():
-                self.plan = message
+                self.plans[region] = message
 
 
 def _together(one: Detections, other: Detections) -> Detections:
@@ -205,39 +221,72 @@ class Picture:
     truth: Boxes | None
     lamps: list[Rgb] | None
     counts: Texts | None
+    totals: Texts | None
     cells: Lines
     mbps: dict[str, float]
     pressures: dict[str, float]
+    queues: dict[str, int]
     score: FrameScore | None
 
 
 class Scene:
-    """Makes pictures of one run's moments."""
+    """Makes pictures of one run's moments: of all junctions, or of one.
 
-    def __init__(self, setup: Setup) -> None:
+    `road_map` has all lanes, and the junctions that are shown; `regions` their signals by region.
+    `phases` are the names of an only junction's phases, none where several are shown.
+    """
+
+    def __init__(self, setup: Setup, tls: str | None = None) -> None:
+        """Shows the junction with this signal, or all.
+
+        Raises:
+            ConfigError: the run has no such signal.
+        """
+        shown = junctions_to_show(setup.road_map, tls)
         self.setup = setup
-        self.heads: Heads = heads(setup.road_map)
-        self._places = count_places(setup.road_map)
-        self.phases = phase_names(setup.road_map, setup.road_map.intersections[0].signal)
+        self.signals = [one.tls for one in shown]
+        self.road_map = setup.road_map.part(setup.road_map.by_id, self.signals)
+        self.regions = {
+            region: here
+            for region, own in setup.scenario["regions"].items()
+            if (here := [tls for tls in own if tls in self.road_map.by_tls])
+        }
+        self.heads: Heads = heads(self.road_map)
+        self.phases = phase_names(self.road_map, shown[0].signal) if len(shown) == 1 else []
+        self._places = count_places(self.road_map)
+        self._areas = {
+            region: CellArea.around([self.road_map.by_tls[tls] for tls in own])
+            for region, own in self.regions.items()
+        }
         self._types = {kind.name: kind for kind in setup.vehicle_types}
-        self._judge = TruthScorer(setup.road_map, self._types)
+        self._judge = TruthScorer(self.road_map, self._types)
         self._colours = Colours()
         self._rates = Rates(round(float(setup.scenario["frame_period_s"]) * 1e9))
 
+    @property
+    def is_overview(self) -> bool:
+        """Whether several junctions are shown, so that the figures of one have no place."""
+        return len(self.signals) > 1
+
     def measured(self, metrics: Metrics) -> None:
         """Takes what a process says that it sent."""
-        self._rates.take(metrics)
+        self._rates.take(uploads_to(metrics, self.regions))
 
     def picture(self, moment: Moment) -> Picture | None:
         """Returns the picture of a moment; None if nobody said when it was."""
         sim_time_ns = moment.sim_time_ns
         if sim_time_ns is None:
             return None
-        road_map, found = self.setup.road_map, moment.detections
+        road_map, found, counts = self.road_map, moment.detections, moment.counts
         shown = clouds(moment.scans)
         said = found.agents if found else []
         colours = self._colours.of([cloud.agent for cloud in shown] + said)
-        state = moment.state
+        states, request = moment.states, moment.requests.get(self.signals[0])
+        junctions = [
+            ObservedJunction(self.road_map.by_tls[tls], region, counts=counts.get(tls))
+            for region, own in self.regions.items()
+            for tls in own
+        ]
         return Picture(
             frame=moment.frame,
             sim_time_ns=sim_time_ns,
@@ -246,10 +295,12 @@ class Scene:
             boxes=layers.detected(found, colours) if found else None,
             fronts=layers.fronts(found) if found else None,
             truth=layers.true_boxes(moment.truth, self._types) if moment.truth else None,
-            lamps=layers.lamps(state, road_map, self.heads.lanes) if state else None,
-            counts=layers.lane_counts(moment.counts, self._places) if moment.counts else None,
-            cells=layers.plan_cells(moment.plan, road_map, colours),
+            lamps=layers.lamps(states, road_map, self.heads.lanes) if states else None,
+            counts=layers.lane_counts(counts.values(), self._places) if counts else None,
+            totals=layers.junction_totals(junctions) if counts else None,
+            cells=layers.plan_cells(moment.plans, self._areas, colours),
             mbps=self._rates.mbps(sim_time_ns),
-            pressures=pressures(moment.request, self.phases),
+            pressures=pressures(request, self.phases),
+            queues={one.tls: one.queued for one in junctions if one.counts is not None},
             score=self._judge.score(moment),
         )

@@ -46,7 +46,7 @@ def test_lamps_show_what_their_lanes_are_shown(shown: str, south: str, west: str
         frame=1, sim_time_ns=1, tls="J", state=shown, stage="green", green=shown, source="plan",
         earliest_change_ns=0,
     )  # fmt: skip
-    found = layers.lamps(state, CROSSING, heads(CROSSING).lanes)
+    found = layers.lamps({"J": state}, CROSSING, heads(CROSSING).lanes)
     assert found == [rgb(palette.SIGNAL.get(c, palette.FAINT)) for c in (south, west)]
 
 
@@ -56,7 +56,7 @@ def test_counts_stand_at_their_lanes_with_a_mark_where_nobody_sees() -> None:
         upstream={"south_0": 3, "gone_0": 1}, downstream={"east_0": 0},
         coverage_downstream={"east_0": 0.0},
     )  # fmt: skip
-    found = layers.lane_counts(counts, count_places(CROSSING))
+    found = layers.lane_counts([counts], count_places(CROSSING))
     assert found.texts == ["3", "0?"]
     assert found.places[0] == pytest.approx(count_place(CROSSING.by_id["south_0"], "upstream"))
     assert -80 < found.places[0][1] < -5 < 5 < found.places[1][0] < 80
@@ -67,14 +67,15 @@ def test_cells_are_clipped_to_a_box_and_have_their_agents_colours() -> None:
         frame=1, agent="a", mbps=0, enough=-1, agents=["a", "b"],
         sites=np.array([[-10.0, 0], [10, 0]]), weights_m2=np.zeros((2, 3)),
     )  # fmt: skip
-    found = layers.plan_cells(plan, CROSSING, {"a": (1, 1, 1), "b": (2, 2, 2)})
+    areas = {"r0": layers.CellArea.around(CROSSING.intersections)}
+    found = layers.plan_cells({"r0": plan}, areas, {"a": (1, 1, 1), "b": (2, 2, 2)})
     assert found.names == ["a", "b"]
     left, right = found.lines
     assert left[:, 0].max() == pytest.approx(0)
     assert right[:, 0].min() == pytest.approx(0)
     assert np.abs(left[:, :2]).max() == layers.CELLS_REACH_M
     assert (left[0] == left[-1]).all()
-    assert layers.plan_cells(None, CROSSING, {}).lines == []
+    assert layers.plan_cells({}, areas, {}).lines == []
 
 
 def test_clouds_are_thinned_and_placed_and_bad_ones_left_out() -> None:
