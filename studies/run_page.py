@@ -9,6 +9,7 @@ import yaml
 
 from protocol.errors import ConfigError
 from recording.run import Run
+from studies.city_section import city_section
 from studies.ecvpr import FrameScore, score
 from studies.latency import latency_section, latency_table
 from studies.over_time import FrameClock
@@ -28,6 +29,8 @@ from studies.page.model import (
 from studies.run_sections import map_section, phases_section, vehicles_section
 from studies.summary import Summary, summarise
 from studies.uplink import uplink_section
+
+MIN_JUNCTIONS = 2  # that are compared
 
 
 def facts(summary: Summary) -> tuple[Fact, ...]:
@@ -156,6 +159,7 @@ def run_page(run_dir: Path, command: str = "") -> Page:
                     _drops(summary),
                 ),
             ),
+            *_city(run, summary),
             vehicles_section(run, clock, _scores(run)),
             phases_section(run, clock),
             uplink_section(run, clock),
@@ -165,6 +169,13 @@ def run_page(run_dir: Path, command: str = "") -> Page:
         )
         name = str(summary["scenario"] or run_dir.name)
     return Page(name, lead_sentence(summary), sections, facts(summary))
+
+
+def _city(run: Run, summary: Summary) -> tuple[Section, ...]:
+    """Returns the section of junctions and regions; of a run with one, its figures stand above."""
+    if len(summary["junctions"]) < MIN_JUNCTIONS:
+        return ()
+    return (city_section(run, summary["junctions"], summary["regions"]),)
 
 
 def _scores(run: Run) -> list[FrameScore]:

@@ -125,18 +125,16 @@ def _means(pairs: list[tuple[int, int | None]]) -> tuple[float | None, ...]:
     return mean, float(known[:, 1].mean()), float(error.mean()), float(np.abs(error).mean())
 
 
+MAX_PRESSURES = 6  # charts
 _LONGEST = 28  # letters of a phase's name
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
 class PhaseNames:
-    """Names of phases: a letter and the edges that have green; the plan's phases come first."""
+    """Names of a signal's phases: a letter and the edges with green; the plan's come first."""
 
-    def __init__(self, run: Run) -> None:
-        try:
-            self._signal: Signal | None = run.setup.road_map.intersections[0].signal
-        except ConfigError:  # cut off before its setup was written, or moved without it
-            self._signal = None
+    def __init__(self, signal: Signal | None) -> None:
+        self._signal = signal
         self.greens = self._signal.greens if self._signal else []
 
     def __getitem__(self, green: str) -> str:
@@ -155,9 +153,19 @@ class PhaseNames:
         return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
 
 
+def _phase_names(run: Run) -> dict[str, PhaseNames]:
+    """Returns the names of each signal's phases, by its id."""
+    try:
+        known = run.setup.road_map.by_tls
+    except ConfigError:  # cut off before its setup was written, or moved without it
+        known = {}
+    found = {tls for (tls,) in run.query("SELECT tls FROM phases UNION SELECT tls FROM requests")}
+    return {tls: PhaseNames(known[tls].signal if tls in known else None) for tls in sorted(found)}
+
+
 def phases_section(run: Run, clock: FrameClock) -> Section:
-    """Returns phases over time, and pressures."""
-    names = PhaseNames(run)
+    """Returns phases over time, and pressures, of each signal."""
+    names = _phase_names(run)
     blocks: list[Block] = []
     spans = _spans(list(run.rows(PhaseRow)), names, clock)
     if spans:
@@ -166,17 +174,22 @@ def phases_section(run: Run, clock: FrameClock) -> Section:
     else:
         blocks.append(Text("No signal state was recorded."))
     pressures = _pressures(run, names, clock)
-    blocks.append(pressures or Text("No pressures were recorded: the policy does not weigh any."))
+    if not pressures:
+        blocks.append(Text("No pressures were recorded: the policy does not weigh any."))
+    elif len(pressures) > MAX_PRESSURES:
+        blocks.append(Text(f"Pressures are drawn of {MAX_PRESSURES} signals at most."))
+    else:
+        blocks += pressures
     return Section("Signal", tuple(blocks))
 
 
-def _spans(rows: list[PhaseRow], names: PhaseNames, clock: FrameClock) -> list[Span]:
+def _spans(rows: list[PhaseRow], names: dict[str, PhaseNames], clock: FrameClock) -> list[Span]:
     """Returns how long each stage lasted, of all signals."""
     rows = sorted(rows, key=lambda row: (row.tls, row.frame))
-    many = len({row.tls for row in rows}) > 1
     spans: list[Span] = []
     for tls, shown in groupby(rows, key=lambda row: row.tls):
-        spans += _of_signal(list(shown), names, clock, f"{tls} " if many else "")
+        prefix = f"{tls} " if len(names) > 1 else ""
+        spans += _of_signal(list(shown), names[tls], clock, prefix)
     return spans
 
 
@@ -200,21 +213,29 @@ def _of_signal(
     return spans
 
 
-def _pressures(run: Run, names: PhaseNames, clock: FrameClock) -> Chart | None:
-    x: list[float] = []
-    table: list[list[float]] = []
+def _pressures(run: Run, names: dict[str, PhaseNames], clock: FrameClock) -> list[Chart]:
+    """Returns a chart of each signal whose policy weighs its phases."""
+    x: dict[str, list[float]] = defaultdict(list)
+    tables: dict[str, list[list[float]]] = defaultdict(list)
     for row in run.rows(RequestRow):
         values = _parsed(row.pressures)
-        if values and len(values) == len(names.greens):
-            x.append(clock[row.frame])
-            table.append(values)
-    if not table:
-        return None
+        if values and len(values) == len(names[row.tls].greens):
+            x[row.tls].append(clock[row.frame])
+            tables[row.tls].append(values)
+    return [
+        _pressures_of(names[tls], x[tls], tables[tls], f" of {tls}" if len(names) > 1 else "")
+        for tls in sorted(tables)
+    ]
+
+
+def _pressures_of(
+    names: PhaseNames, x: list[float], table: list[list[float]], of_signal: str
+) -> Chart:
     series = tuple(
         thinned_series(names[green], x, [values[i] for values in table])
         for i, green in enumerate(names.greens)
     )
-    return over_time("Pressure of each phase", "vehicles", series, kind="steps")
+    return over_time(f"Pressure of each phase{of_signal}", "vehicles", series, kind="steps")
 
 
 def _parsed(text: str) -> list[float]:

@@ -66,7 +66,7 @@ class Chart:
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """Points of one class on a map, in m."""
+    """Points of one class on a map, in m; each with its label, or none has one."""
 
     name: str
     x_m: tuple[float, ...]
@@ -74,6 +74,7 @@ class Points:
     size: float = 5.0
     mark: Mark = "disc"
     colour: str | None = None
+    labels: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

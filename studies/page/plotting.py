@@ -138,6 +138,7 @@ def is_tight(names: tuple[str, ...]) -> bool:
 
 
 _MARKS = {"disc": "o", "cross": "x", "star": "*"}
+_LABEL_AT = (5, 5)  # from its point
 _CLOUD = 200  # points from which on they are a cloud
 
 
@@ -166,6 +167,11 @@ def draw_map(chart: MapChart, axes: Axes, colours: Colours) -> list[str]:
             rasterized=len(points.x_m) > _CLOUD,
             label="-",
         )
+        for x_m, y_m, label in zip(points.x_m, points.y_m, points.labels, strict=False):
+            axes.annotate(
+                label, (x_m, y_m), xytext=_LABEL_AT, textcoords="offset points", fontsize=7,
+                color=palette.INK, parse_math=False, clip_on=True,
+            )  # fmt: skip
     axes.autoscale_view()
     if chart.window is not None:
         left, low, right, high = chart.window
