@@ -9,7 +9,9 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from protocol.messages import LaneCounts, Message, SignalRequest, SignalState
+import numpy as np
+
+from protocol.messages import Detections, LaneCounts, Message, SignalRequest, SignalState
 from protocol.roadmap import Intersection, RoadMap
 
 AVERAGED_FRAMES = 50
@@ -117,3 +119,17 @@ class Observation:
     def _listed(self) -> Iterator[ObservedJunction]:
         for region in self.regions.values():
             yield from region.junctions
+
+
+def joined_detections(one: Detections, other: Detections) -> Detections:
+    """Returns what two regions detected in a frame."""
+    return Detections(
+        frame=one.frame,
+        sim_time_ns=one.sim_time_ns,
+        agents=sorted({*one.agents, *other.agents}),
+        boxes=np.concatenate([one.boxes, other.boxes]),
+        scores=np.concatenate([one.scores, other.scores]),
+        lanes=one.lanes + other.lanes,
+        distances_m=np.concatenate([one.distances_m, other.distances_m]),
+        sources=one.sources + other.sources,
+    )

@@ -29,7 +29,7 @@ from protocol.messages import (
 )
 from protocol.observer import BufferedFrame
 from protocol.roadmap import Intersection, RoadMap, Signal
-from recording.observation import ObservedJunction
+from recording.observation import ObservedJunction, joined_detections
 from recording.rows import detection_rows, truth_rows
 from studies.ecvpr import EvaluationArea, FrameScore, score_frame
 from viewer import layers
@@ -87,7 +87,7 @@ class Moment:
                 self.scans.append(message)
             case Detections():
                 known = self.detections
-                self.detections = message if known is None else _together(known, message)
+                self.detections = message if known is None else joined_detections(known, message)
             case Truth():
                 self.truth = message
             case LaneCounts():
@@ -98,20 +98,6 @@ class Moment:
                 self.requests[message.tls] = message
             case Plan():
                 self.plans[region] = message
-
-
-def _together(one: Detections, other: Detections) -> Detections:
-    """Returns what two regions detected in a frame."""
-    return Detections(
-        frame=one.frame,
-        sim_time_ns=one.sim_time_ns,
-        agents=sorted({*one.agents, *other.agents}),
-        boxes=np.concatenate([one.boxes, other.boxes]),
-        scores=np.concatenate([one.scores, other.scores]),
-        lanes=one.lanes + other.lanes,
-        distances_m=np.concatenate([one.distances_m, other.distances_m]),
-        sources=one.sources + other.sources,
-    )
 
 
 MAX_POINTS = 50_000  # of a frame

@@ -20,6 +20,7 @@ from recording.mcap import foxglove_messages
 from recording.mcap.format import PREVIOUS_FILE
 from recording.mcap.reader import McapReader
 from recording.mcap.writer import McapWriter
+from recording.observation import joined_detections
 
 LAST_TOPIC = "detections"
 CONVERTED_TOPICS = frozenset({"pose", "scan", "truth", LAST_TOPIC})
@@ -110,6 +111,7 @@ class FoxgloveConverter:
         shapes: dict[str, tuple[foxglove_messages.Shape, int]] = {}
         poses: dict[str, foxglove_messages.Floats] = {}
         scans: defaultdict[str, list[m.Scan]] = defaultdict(list)
+        found: m.Detections | None = None  # of all regions
         time_ns = 0
         for message in frame.messages():
             match message:
@@ -124,11 +126,13 @@ class FoxgloveConverter:
                     truth = foxglove_messages.truth(message, self._types, stamp_ns)
                     shapes[f"{_WORLD}/truth"] = truth, message.sim_time_ns
                 case m.Detections():
-                    boxes = foxglove_messages.detections(message, stamp_ns)
-                    shapes[f"{_V2X}/detections"] = boxes, message.sim_time_ns
+                    found = message if found is None else joined_detections(found, message)
                 case _:
                     continue
             time_ns = message.sim_time_ns
+        if found is not None:
+            boxes = foxglove_messages.detections(found, stamp_ns)
+            shapes[f"{_V2X}/detections"] = boxes, found.sim_time_ns
         if poses:
             tree = foxglove_messages.transforms(poses, stamp_ns)
             shapes[f"{_V2X}/transforms"] = tree, time_ns

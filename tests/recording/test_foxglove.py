@@ -194,6 +194,15 @@ def test_boxes_and_poses_are_those_that_were_said(tmp_path):
     assert turned == pytest.approx(euler_rotation(*BODY_POSE[3:]), abs=1e-9)
 
 
+def test_boxes_of_all_regions_are_together(tmp_path):
+    tape = Tape(tmp_path)
+    tape.hear(0)
+    elsewhere = messages_of(0)["detections"].model_copy(update={"boxes": BOXES + np.float32(1)})
+    tape.take("detections", elsewhere, 10**9 + 9)
+    (update,) = tape.read()["foxglove/v2x/detections"]
+    assert sum(len(entity.cubes) for entity in update.entities) == 2 * len(BOXES)
+
+
 def test_true_vehicles_stand_on_the_ground_and_are_apart(tmp_path):
     tape = Tape(tmp_path)
     tape.hear(0)
