@@ -206,3 +206,26 @@ def test_a_router_that_is_not_ours_may_die_and_come_back(machines: Machines):
         machines.await_right()
         machines.stop()
         router.kill()
+
+
+def test_four_regions_on_four_hosts_give_the_same_rows_as_on_one(shell: Shell):
+    scenario = ("corridor", *SMALL, "--regions=4", "--cav-rate=0.2", "--duration=6")
+    status, output = shell.run("up", *scenario, "--out=here")
+    assert status == 0, output
+    with City() as city:
+        hosts = [city.host(f"r{n}") for n in range(4)]
+        buses = f"v2x={hosts[0].v2x}:7447", f"world={hosts[0].world}:7448"
+        roles = [f"edge-r{n},signal-r{n},infra-r{n}" for n in range(4)]
+        roles[0] += ",router,sim,record"
+        roles[2] += ",vehicle-0"
+        roles[3] += ",vehicle-1"
+        commands = []
+        for n, host in enumerate(hosts):
+            places = [f"--{'connect' if n else 'listen'}={bus}" for bus in buses]
+            words = ["up", *(() if n else scenario), f"--only={roles[n]}", *places, "--insecure"]
+            commands.append(shell.start(*words, f"--out=host-{n}", within=host.namespace))
+        for command in commands:
+            status, output = command.finish()
+            assert status == 0, output
+        shell.stop_all()
+    assert differences(shell.folder / "here", shell.folder / "host-0") == []
