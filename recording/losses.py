@@ -88,7 +88,7 @@ class BusGaps:
         self._since: int | None = None
 
     def look(self, last_whole: int, now_ns: int) -> None:
-        """Asks the bus, before each message is taken; `last_whole` is the last frame with all."""
+        """Asks the bus, before messages are taken; `last_whole` is the last frame with all."""
         router = self._bus.router()
         if router == self._router:
             return
