@@ -18,9 +18,17 @@ LIDAR_SOURCES = Catalogue("cpnet.lidar_sources", "LiDAR source", ("cast",))
 """Every source of scans by its name; `sensing.source` defines what a plug-in must be."""
 
 
+_SPARSE = {"channels": 16, "points_per_second": 288_000}  # 16 x 1800 x 10
+
+
 class LidarConfig(Section):
     """A spinning LiDAR, with the attributes of CARLA's `sensor.lidar.ray_cast` by their names."""
 
+    model: Literal["full", "sparse"] = Field(
+        "full",
+        description="Defaults of channels and points_per_second: those below, or with sparse a "
+        "quarter of both, as a 16-ring LiDAR has.",
+    )
     channels: int = Field(64, ge=1, le=256, description="Number of lasers. CARLA: 32.")
     range: float = Field(
         120.0, gt=1, le=500, description="Farthest return in m. CARLA: 10; here a 64-ring LiDAR's."
@@ -62,6 +70,13 @@ class LidarConfig(Section):
         description="Standard deviation of range noise along the ray in m. CARLA: 0; here a real "
         "LiDAR's 2 cm.",
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_model(cls, given: object) -> object:
+        if isinstance(given, dict) and given.get("model") == "sparse":
+            return _SPARSE | given
+        return given
 
     @property
     def columns(self) -> int:

@@ -259,6 +259,33 @@ def _city_junctions(runs: dict[str, dict[str, Any]]) -> Table:
     return table
 
 
+def _scale(rows: Rows) -> Table:
+    roles = ("vehicle", "infra", "edge", "sim", "record")
+    heads = [
+        "junctions",
+        "regions",
+        "agents",
+        "CAVs",
+        "real-time factor",
+        "core-ms",
+        "to the first",
+    ]
+    table = [[*heads, *(f"`{role}`" for role in roles), "others", "MB a CAV"]]
+    for row in rows:
+        by = row["core_ms_by_role"]
+        others = sum(value for role, value in by.items() if role not in roles)
+        table.append(
+            [
+                str(row["junctions"]), str(row["regions"]), _fixed(row["agents"], 1),
+                _fixed(row["cavs"], 1), _fixed(row["real_time_factor"], 2),
+                _fixed(row["core_ms"], 1), _fixed(row["core_ms"] / rows[0]["core_ms"], 2),
+                *(_fixed(by[role], 2) for role in roles), _fixed(others, 2),
+                _fixed(row["agent_mb"], 1),
+            ]
+        )  # fmt: skip
+    return table
+
+
 def _totals(rows: Rows) -> dict[tuple[str, int], dict[str, Any]]:
     return {(r["detector"], r["agents"]): r for r in rows if r["stage"] == "total"}
 
@@ -465,6 +492,13 @@ _LIST = (
             Part("runs", "docs/city.md", _city_runs),
             Part("junctions", "docs/city.md", _city_junctions),
         ),
+    ),
+    Figure(
+        "scale",
+        "cpnet bench scale --junctions 1,4,16,64,100 --json",
+        (*SYSTEM, "cpnet/bench_scale.py"),
+        8,
+        (Part("cost", "docs/city.md", _scale),),
     ),
     # By hand: from the pages of the studies, from a browser.
     Figure("paper-readme", "", STUDY, 0, (Part("table", "README.md"),)),

@@ -35,3 +35,10 @@ def test_every_option_is_described_and_survives_json(section: type[LidarConfig])
 def test_a_mount_whose_name_cannot_stand_in_a_topic_is_refused() -> None:
     with pytest.raises(ValidationError, match="pattern"):
         Mount(id="a/b")
+
+
+def test_a_sparse_lidar_has_a_quarter_of_the_rays_unless_told_otherwise() -> None:
+    full, sparse = LidarConfig(), LidarConfig(model="sparse")
+    assert (sparse.channels, sparse.columns) == (full.channels // 4, full.columns)
+    assert LidarConfig.model_validate(sparse.model_dump()) == sparse
+    assert LidarConfig(model="sparse", channels=32, points_per_second=576_000).channels == 32
