@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import FailFast, Field, model_validator
 
-from protocol.limits import MAX_SETUP_HEADER_BYTES, MAX_WORLD_HEADER_BYTES
+from protocol.limits import MAX_ITEMS, MAX_SETUP_HEADER_BYTES, MAX_WORLD_HEADER_BYTES
 from protocol.messages.fields import (
     BOUNDED,
     BodyIds,
@@ -145,6 +145,12 @@ class TileRequest(Message):
 
     kind: ClassVar[int] = 22
     tiles: Cells
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        if len(self.tiles) > MAX_ITEMS:
+            raise ValueError(f"{len(self.tiles)} tiles, limit {MAX_ITEMS}")
+        return self
 
 
 class Truth(Message):

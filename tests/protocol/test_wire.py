@@ -197,6 +197,7 @@ def test_what_is_out_of_bounds_is_refused(example: type[m.Message], changes: dic
         (m.Tick, {"equipment": np.array([0, 3], np.uint8)}, "equipment 3"),
         (m.Tick, {"places": np.full((2, 2), 2e7)}, "1e7 m"),
         (m.TileBodies, {"types": ["car"]}, "lists have lengths"),
+        (m.TileRequest, {"tiles": np.zeros((4097, 2), np.int32)}, "4097 tiles, limit 4096"),
         (m.TileBodies, {"ids": ["a", "a"]}, "twice"),
         (m.TileBodies, {"poses": np.full((2, 6), 2e7)}, "1e7 m"),
         (m.Truth, {"lanes": []}, "lists have lengths"),
