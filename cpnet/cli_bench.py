@@ -126,3 +126,19 @@ def bench_scale_command(
 
     bench = ScaleBench.of(junctions, duration, cav_rate)
     show_measured(measure_scale(bench), len(bench.junctions), print_scale, as_json=as_json)
+
+
+@bench_app.command("recorder")
+def bench_recorder_command(
+    *,
+    junctions: Annotated[int, typer.Option(min=1, max=1000, help="with 15 vehicles each")] = 200,
+    regions: Annotated[int, typer.Option(min=1, help="they are cut into")] = 50,
+    agents: Annotated[int, typer.Option(min=1, max=64, help="that scan, in each region")] = 5,
+    frames: Annotated[int, typer.Option(min=1, max=3600, help="at 1 Hz")] = 120,
+    as_json: AsJson = False,
+) -> None:
+    """Measure the recorder alone on what a city publishes: bytes an hour, frames a second."""
+    from studies.bench_recorder import RecorderBench, measure_recorder, print_recorder
+
+    bench = RecorderBench(junctions, regions, agents, frames)
+    show([measure_recorder(bench)], print_recorder, as_json=as_json)

@@ -313,6 +313,23 @@ def _misbehaviour(rows: Rows) -> Table:
     return heads + [[attack, *cells] for attack, cells in lines.items()]
 
 
+def _recorder(rows: Rows) -> Table:
+    row = rows[0]
+    tables = row["gb_by_table"]
+    shown = [f"`{name}` {_fixed(tables[name], 2)}" for name in _LARGE]
+    return [
+        ["junctions, regions, agents, vehicles", "frames/s", "core-ms a frame", "GB/h", "of these"],
+        [
+            ", ".join(str(row[key]) for key in ("junctions", "regions", "agents", "vehicles")),
+            _fixed(row["frames_per_s"], 1), _fixed(row["core_ms"], 0),
+            _fixed(row["gb_per_hour"], 2), ", ".join(shown),
+        ],
+    ]  # fmt: skip
+
+
+_LARGE = ("detections", "truth", "sightings", "counts", "stages")
+
+
 def _run_readme(data: dict[str, Any]) -> Table:
     run = data["summary"]
     ms, factor = run["latency_ms"]["end_to_end"], _fixed(run["real_time_factor"], 2)
@@ -412,6 +429,13 @@ _LIST = (
         (*PERCEPTION, "protocol", "studies/bench_edge.py"),
         8,
         (Part("all", "docs/detection.md", _edge),),
+    ),
+    Figure(
+        "recorder",
+        "cpnet bench recorder --json",
+        ("protocol", "recording", "studies/bench_recorder.py"),
+        1,
+        (Part("all", "docs/running.md", _recorder),),
     ),
     Figure(
         "accuracy",
