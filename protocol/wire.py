@@ -161,11 +161,12 @@ def _unpacker(packed: bytes) -> msgpack.Unpacker:
             raise ValueError("too many lists and maps")
         return container
 
+    hook = count if len(packed) > room else None  # each takes a byte or more: few bytes hold few
     unpacker = msgpack.Unpacker(
         strict_map_key=True,
         max_buffer_size=len(packed) or 1,
-        list_hook=count,
-        object_hook=count,
+        list_hook=hook,
+        object_hook=hook,
         ext_hook=_refuse_extension,
         timestamp=1,  # a float, which costs least
     )

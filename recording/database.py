@@ -20,6 +20,7 @@ from recording.limits import MAX_PENDING_BYTES, MAX_PENDING_ROWS
 from recording.tables import SCHEMA_VERSION, TABLES, CloudRow, DropRow, MetaRow
 
 FILE_NAME = "run.sqlite"
+PAGE_BYTES = 8192  # a row with more than a quarter of a page, as of sightings, takes pages alone
 Row = tuple[Any, ...]
 _ROW_FAULTS = (OverflowError, sqlite3.IntegrityError, sqlite3.DataError, sqlite3.InterfaceError)
 
@@ -45,6 +46,7 @@ class Database:
         is_there = self.path.exists()
         try:
             self._connection = sqlite3.connect(self.path, isolation_level=None)
+            self._connection.execute(f"PRAGMA page_size = {PAGE_BYTES}")
             self._connection.execute("PRAGMA journal_mode = WAL")
             self._connection.execute("PRAGMA synchronous = NORMAL")
             self.last_frame = self._resume(scenario) if is_there else None

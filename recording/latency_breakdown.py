@@ -15,8 +15,9 @@ before it are on the link, so that of `link` only what comes after the computing
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from operator import itemgetter
 
 from protocol.instances import WORLD_HOST, region_instances
 from protocol.messages import Arrival, Span, Upload
@@ -59,7 +60,7 @@ class FrameTimings:
         used = self._last_chunks()
         if acted is None or not ready or not used:
             return []
-        ways = [self._way(frame, upload, arrival) for upload, arrival in used]
+        ways = list(self._ways(frame, used))
         if all(upload.link_sim_ns is not None for upload, _ in used):
             return self._virtual(ways, acted)
         rows = [self._real(way, ready[-1], acted, clocks) for way in ways]
@@ -98,33 +99,34 @@ class FrameTimings:
                 last[agent] = pair
         return list(last.values())
 
-    def _way(self, frame: int, upload: Upload, arrival: Arrival) -> _AgentPath:
-        agent = upload.agent
-        sent = self._sent(upload)
-        edge = [s for s in self.edge if s.agent == agent]
-        came = _sums_apart(s for s in edge if s.start_ns >= arrival.received_ns)
-        shared = _sums(s for s in self.edge if not s.agent)
-        decided = _sums(self.signal)
-        return _AgentPath(
-            row=LatencyRow(
+    def _ways(self, frame: int, used: Iterable[tuple[Upload, Arrival]]) -> Iterator[_AgentPath]:
+        """Yields what was measured of each agent, and of the stages that serve all."""
+        at_edge: dict[str, list[Span]] = defaultdict(list)
+        for span in self.edge:
+            at_edge[span.agent].append(span)
+        shared, decided = _sums(at_edge[""]), _sums(self.signal)
+        for_all = {f"{stage}_ns": shared.get(stage, 0) for stage in EDGE_STAGES}
+        for upload, arrival in used:
+            sent = self._sent(upload)
+            opened = at_edge[upload.agent]
+            came = _sums_apart(s for s in opened if s.start_ns >= arrival.received_ns)
+            row = LatencyRow(
                 frame,
                 self.region,
-                agent,
+                upload.agent,
                 **{f"{stage}_ns": sent.get(stage, 0) for stage in SENDER_STAGES},
                 link_ns=0,
                 decode_ns=came.get("decode", 0),
                 place_ns=came.get("place", 0),
                 wait_ns=0,
-                **{f"{stage}_ns": shared.get(stage, 0) for stage in EDGE_STAGES},
+                **for_all,
                 decide_ns=decided.get("decide", 0),
                 actuate_ns=0,
                 other_ns=0,
                 end_to_end_ns=0,
                 clock_error_ns=0,
-            ),
-            upload=upload,
-            arrival=arrival,
-        )
+            )
+            yield _AgentPath(row, upload, arrival)
 
     def _real(
         self, way: _AgentPath, ready_ns: int, acted: Span, clocks: Clocks
@@ -199,11 +201,13 @@ class _AgentPath:
     arrival: Arrival
 
 
+_NO_STAGE = ("frame", "region", "agent", "end_to_end_ns", "clock_error_ns")
+_stages_of = itemgetter(*(i for i, n in enumerate(LatencyRow._fields) if n not in _NO_STAGE))
+
+
 def stage_sum_ns(row: LatencyRow) -> int:
     """Returns the sum of all stages of a row, `other` included."""
-    names = (name for name in row._fields if name.endswith("_ns"))
-    skipped = ("end_to_end_ns", "clock_error_ns")
-    return sum(getattr(row, name) for name in names if name not in skipped)
+    return sum(_stages_of(row))
 
 
 def _until_placed_ns(row: LatencyRow) -> int:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import count, repeat
+from typing import Any, TypeVar
 
 from protocol.instances import region_of
 from protocol.messages import (
@@ -18,6 +20,7 @@ from protocol.messages import (
     Truth,
 )
 from recording.tables import (
+    TABLES,
     AgentScoreRow,
     CloudRow,
     CountRow,
@@ -30,31 +33,34 @@ from recording.tables import (
     TruthRow,
 )
 
+R = TypeVar("R", bound=tuple[Any, ...])
+
+
+def _rows(row: type[R], **columns: Iterable[object]) -> Iterator[R]:
+    """Returns rows from columns by name: thousands a frame, so that no Python runs for each."""
+    table = TABLES[row]
+    return map(table.row._make, zip(*(columns[name] for name in table.columns), strict=False))
+
 
 def detection_rows(message: Detections, region: str) -> Iterator[DetectionRow]:
     """Returns a row per box of a region's edge, numbered as in the message."""
-    boxes = message.boxes.astype(float).tolist()
-    scores, distances = message.scores.tolist(), message.distances_m.tolist()
-    columns = zip(boxes, scores, message.lanes, distances, message.sources, strict=True)
-    return (
-        DetectionRow(
-            frame=message.frame,
-            region=region,
-            detection=index,
-            x_m=x,
-            y_m=y,
-            z_m=z,
-            length_m=length,
-            width_m=width,
-            height_m=height,
-            yaw_rad=yaw,
-            score=score,
-            lane=lane,
-            distance_m=distance_m,
-            source=source,
-        )
-        for index, (box, score, lane, distance_m, source) in enumerate(columns)
-        for x, y, z, length, width, height, yaw in [box]
+    x, y, z, length, width, height, yaw = message.boxes.T.astype(float).tolist()
+    return _rows(
+        DetectionRow,
+        frame=repeat(message.frame),
+        region=repeat(region),
+        detection=count(),
+        x_m=x,
+        y_m=y,
+        z_m=z,
+        length_m=length,
+        width_m=width,
+        height_m=height,
+        yaw_rad=yaw,
+        score=message.scores.tolist(),
+        lane=message.lanes,
+        distance_m=message.distances_m.tolist(),
+        source=message.sources,
     )
 
 
@@ -100,27 +106,22 @@ def request_row(message: SignalRequest) -> RequestRow:
 
 def truth_rows(message: Truth) -> Iterator[TruthRow]:
     """Returns a row per vehicle."""
-    poses, equipment = message.poses.tolist(), message.equipment.tolist()
-    speeds, positions = message.speeds_mps.tolist(), message.lane_positions_m.tolist()
-    columns = (message.ids, message.types, equipment, poses, speeds, message.lanes, positions)
-    return (
-        TruthRow(
-            frame=message.frame,
-            vehicle=vehicle,
-            type=kind,
-            equipment=carries,
-            x_m=x,
-            y_m=y,
-            z_m=z,
-            roll_rad=roll,
-            pitch_rad=pitch,
-            yaw_rad=yaw,
-            speed_mps=speed_mps,
-            lane=lane,
-            lane_position_m=position_m,
-        )
-        for vehicle, kind, carries, pose, speed_mps, lane, position_m in zip(*columns, strict=True)
-        for x, y, z, roll, pitch, yaw in [pose]
+    x, y, z, roll, pitch, yaw = message.poses.T.tolist()
+    return _rows(
+        TruthRow,
+        frame=repeat(message.frame),
+        vehicle=message.ids,
+        type=message.types,
+        equipment=message.equipment.tolist(),
+        x_m=x,
+        y_m=y,
+        z_m=z,
+        roll_rad=roll,
+        pitch_rad=pitch,
+        yaw_rad=yaw,
+        speed_mps=message.speeds_mps.tolist(),
+        lane=message.lanes,
+        lane_position_m=message.lane_positions_m.tolist(),
     )
 
 

@@ -200,3 +200,13 @@ def test_a_damaged_table_is_named_when_it_is_read(tmp_path: Path) -> None:
             list(run.rows(CountRow))
         with pytest.raises(ConfigError, match="no such table"):
             run.query("SELECT * FROM counts")
+
+
+def test_rows_of_a_kilobyte_share_pages(tmp_path: Path) -> None:
+    sightings = [SightingRow(frame, "rsu-0", "x" * 1200) for frame in range(500)]
+    database = Database(tmp_path)
+    database.add(SightingRow, sightings)
+    database.close()
+    with Run(tmp_path) as run:
+        ((size_bytes,),) = run.query("SELECT sum(pgsize) FROM dbstat WHERE name = 'sightings'")
+    assert size_bytes < 1.5 * 1200 * len(sightings)
