@@ -1,22 +1,29 @@
-"""`--restart` in a city: who dies takes himself along, and the others' frames go on."""
+"""`--restart` in a city: who dies takes himself along, and the others' frames go on.
+
+All is right again within 3 s by the run's own clock, its frames. A machine that others load may be
+too slow for that: then the process is killed again, and one kill that goes well is enough.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import time
+from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
 from recording.run import Run
-from recording.tables import FrameRow, RequestRow
 from tests.cpnet.commands import SMALL, Command, Shell, query
 from tests.signal_safety import violations_of
 from tests.soak.findings import processes_of
 
 PERIOD_S = 0.5
 STEADY = 3  # frames in a row that are right
-FRAMES_AFTER = 6
+FRAMES_AFTER = round(3 / PERIOD_S)
+KILLS = 4  # of one process at most
 CITY = (
     "corridor",
     *SMALL,
@@ -30,74 +37,95 @@ CITY = (
     "--set=traffic.warmup_s=30",
     "--out=run",
 )
-VICTIMS = {  # and the region whose frames go on without a gap meanwhile
+GO_ON = {
     "edge-r1": ["r0"],
     "signal-r1": ["r0"],
     "infra-r1": ["r0"],
-    "vehicle-0": [],  # its agents are of both regions: each waits for them until its deadline
-    "router": [],
+    "vehicle-0": ["r0", "r1"],  # without its uploads
+    "router": [],  # it serves both
 }
-_RIGHT = (
-    "SELECT count(*) FROM (SELECT complete, request_ns FROM region_frames WHERE region = 'r{}' "
-    "AND frame > ? ORDER BY frame DESC LIMIT ?) WHERE complete AND request_ns IS NOT NULL"
-)
+"""By victim the regions that miss no frame meanwhile."""
+_RIGHT = """
+SELECT (SELECT count(*) FROM region_frames r WHERE r.frame = f.frame AND complete) = 2
+   AND (SELECT count(*) FROM requests q WHERE q.frame = f.frame) = 5
+   AND agents = cavs + 5
+FROM frames f WHERE tick_ns > ? ORDER BY frame
+"""
+"""Of each frame after a time: whether both regions were complete, with a request for each of the
+five signals and uploads of all CAVs and posts."""
 
 
-def wait_until_right(command: Command, shell: Shell, after: int) -> None:
-    """Waits for frames in a row, later than `after`, that are whole and answered in each region."""
-
-    def is_right() -> bool:
-        run = shell.folder / "run"
-        counts = [query(run, _RIGHT.format(n), after, STEADY)[0][0] for n in (0, 1)]
-        return min(counts) == STEADY
-
-    command.wait_until(is_right)
+def frames_until_right(run_dir: Path, since_ns: int) -> int:
+    """Returns how many frames it took to the first of `STEADY` right ones, itself counted; or 0."""
+    right = [bool(holds) for (holds,) in query(run_dir, _RIGHT, since_ns)]
+    windows = range(len(right) - STEADY + 1)
+    return next((n + 1 for n in windows if all(right[n : n + STEADY])), 0)
 
 
-def newest_frame(shell: Shell) -> int:
-    return int(query(shell.folder / "run", "SELECT max(frame) FROM frames")[0][0])
+@dataclass(frozen=True, slots=True)
+class Kill:
+    """How many frames it took until all was right; those missed by regions that were to go on."""
+
+    frames: int
+    missed: list[int]
+
+    @property
+    def went_well(self) -> bool:
+        return self.frames <= FRAMES_AFTER and not self.missed
+
+
+def kill_once(command: Command, run_dir: Path, victim: str) -> Kill:
+    """Kills a process and waits until all is right."""
+    number = processes_of(run_dir)[victim]
+    killed_ns = time.monotonic_ns()
+    os.kill(number, signal.SIGKILL)
+    command.wait_until(lambda: processes_of(run_dir)[victim] != number)
+    frames = command.wait_until(lambda: frames_until_right(run_dir, killed_ns))
+    sql = "SELECT frame FROM frames WHERE tick_ns > ? ORDER BY frame LIMIT ?"
+    meanwhile = [frame for (frame,) in query(run_dir, sql, killed_ns, frames)]
+    asked = set(query(run_dir, "SELECT frame, tls FROM requests"))
+    regions = json.loads((run_dir / "scenario.json").read_text())["regions"]
+    signals = [tls for region in GO_ON[victim] for tls in regions[region]]
+    return Kill(frames, [n for n in meanwhile if any((n, tls) not in asked for tls in signals)])
+
+
+@dataclass(frozen=True, slots=True)
+class City:
+    """A run, and its kills by victim."""
+
+    run_dir: Path
+    kills: dict[str, list[Kill]]
 
 
 @pytest.fixture(scope="module")
-def city(tmp_path_factory: pytest.TempPathFactory) -> Shell:
-    """Returns the folder of a run in which each victim was killed once and all came right again."""
+def city(tmp_path_factory: pytest.TempPathFactory) -> City:
     shell = Shell(tmp_path_factory.mktemp("city"))
+    city = City(shell.folder / "run", {victim: [] for victim in GO_ON})
     command = shell.start("up", *CITY)
     try:
-        command.wait_until((shell.folder / "run" / "run.sqlite").is_file)
+        command.wait_until((city.run_dir / "run.sqlite").is_file)
         command.read_until("vehicles")
-        wait_until_right(command, shell, 0)
-        for victim in VICTIMS:
-            number = processes_of(shell.folder / "run")[victim]
-            os.kill(number, signal.SIGKILL)
-            (shell.folder / victim).write_text(str(time.monotonic_ns()))
-            came = lambda: processes_of(shell.folder / "run")[victim] != number  # noqa: B023, E731
-            command.wait_until(came)
-            wait_until_right(command, shell, newest_frame(shell))
+        command.wait_until(lambda: frames_until_right(city.run_dir, 0))
+        for victim, kills in city.kills.items():
+            while len(kills) < KILLS and not any(kill.went_well for kill in kills):
+                kills.append(kill_once(command, city.run_dir, victim))
         command.process.send_signal(signal.SIGINT)
         status, output = command.finish()
         assert status == 130, output
     finally:
         shell.stop_all()
-    return shell
+    return city
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("victim", [name for name, others in VICTIMS.items() if others])
-def test_the_other_regions_frames_go_on(city: Shell, victim: str):
-    killed_ns = int((city.folder / victim).read_text())
-    with Run(city.folder / "run") as run:
-        ticks = [row.frame for row in run.rows(FrameRow) if (row.tick_ns or 0) > killed_ns]
-        requests = {(row.frame, row.tls) for row in run.rows(RequestRow)}
-        regions = run.scenario["regions"]
-    after = ticks[:FRAMES_AFTER]
-    assert len(after) == FRAMES_AFTER or victim == [*VICTIMS][-1]
-    for region in VICTIMS[victim]:
-        missed = [n for n in after if any((n, tls) not in requests for tls in regions[region])]
-        assert len(missed) <= 1, (region, missed)  # one may come too late on a loaded machine
+@pytest.mark.parametrize("victim", GO_ON)
+def test_all_is_right_again_within_three_seconds_and_the_others_miss_no_frame(
+    city: City, victim: str
+):
+    assert any(kill.went_well for kill in city.kills[victim]), city.kills
 
 
 @pytest.mark.process
-def test_no_signal_of_the_city_was_unsafe_meanwhile(city: Shell):
-    with Run(city.folder / "run") as run:
+def test_no_signal_of_the_city_was_unsafe_meanwhile(city: City):
+    with Run(city.run_dir) as run:
         assert violations_of(run) == []
