@@ -1,8 +1,7 @@
 """Runs the record role: `python -m recording --id record …`."""
 
 from protocol.process import run
-from recording.role import RecordRole, collect_seldom
+from recording.role import RecordRole
 
 if __name__ == "__main__":
-    collect_seldom()
     run("record", RecordRole.build)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import logging
 import sqlite3
@@ -187,15 +186,9 @@ class EndOfRun:
 COMMIT_NS = 1_000_000_000
 COMMIT_ROWS = 5_000
 PROGRESS_NS = 1_000_000_000
-NEW_OBJECTS = 50_000  # before Python looks for cycles, 700 by default
 _log = logging.getLogger(__name__)
 _LOOK_NS = 5_000_000  # less than any reconnection takes
 _SUBSCRIBED_LAST = ("tick", "state")  # of each bus one: who hears it hears all others too
-
-
-def collect_seldom() -> None:
-    """Lets Python look for unreachable cycles less often: rows wait by thousands, and hold none."""
-    gc.set_threshold(NEW_OBJECTS)
 
 
 class RecordRole:

@@ -25,10 +25,10 @@ from protocol.errors import ConfigError
 from protocol.in_process import InProcessBus, InProcessRouter
 from protocol.inbox import Inbox
 from protocol.limits import MAX_BATCH
-from protocol.process import Context, deliver
+from protocol.process import Context, collect_seldom, deliver
 from protocol.roadmap import Intersection, RoadMap, Signal
 from protocol.topics import BusName
-from recording.role import RecordRole, collect_seldom
+from recording.role import RecordRole
 from recording.run import Run
 from studies.bench import JsonRow, empty_table, print_whole
 
