@@ -8,10 +8,11 @@ from statistics import fmean, median
 from typing import Any
 
 from protocol.errors import ConfigError
+from protocol.roadmap import RoadMap
 from recording.run import Run
-from recording.tables import DetectionRow, TruthRow
-from studies.count_error import counts_with_truth
-from studies.ecvpr import EvaluationArea, by_frame, matched_vehicles
+from recording.tables import TruthRow
+from studies.count_error import count_errors
+from studies.ecvpr import FrameScore, lane_owners
 
 Figures = dict[str, dict[str, Any]]
 
@@ -19,6 +20,11 @@ _REGIONS = """
     SELECT region, avg(agents) FROM region_frames WHERE agents IS NOT NULL GROUP BY region
 """
 _LATENCIES = "SELECT region, end_to_end_ns FROM region_frames WHERE end_to_end_ns IS NOT NULL"
+_SENT_BY_AGENT = "SELECT agent, total(payload_bytes) FROM uploads GROUP BY agent"
+_SENT_BY_LANE = """
+    SELECT truth.lane, total(payload_bytes) FROM uploads
+    JOIN truth ON truth.frame = uploads.frame AND truth.vehicle = uploads.agent GROUP BY truth.lane
+"""
 _MEMBERS = "SELECT DISTINCT frame, agent, region FROM uploads ORDER BY agent, frame"
 _GREENS = "SELECT tls, state FROM phases WHERE stage = 'green' ORDER BY tls, frame"
 
@@ -44,23 +50,29 @@ def regions_of_run(run: Run, duration_s: float) -> Figures:
     }
 
 
-def junctions_of_run(run: Run, period_s: float) -> Figures:
-    """Returns by signal: E-CVPR, mean delay of a vehicle on its lanes, switches, count error."""
+def junctions_of_run(run: Run, scores: list[FrameScore], duration_s: float) -> Figures:
+    """Returns by signal: E-CVPR, mean delay of a vehicle on its lanes, switches, count error, mbps.
+
+    `mbps` is the payload of the CAVs on its lanes and of the posts at it, in Mbit/s, to whichever
+    regions it went. Empty for a run that lacks its setup.
+    """
     switches: Counter[str] = Counter()
     for (tls, green), (other, after) in pairwise(run.query(_GREENS)):
         switches[tls] += tls == other and green != after
     try:
         road_map = run.setup.road_map
-        detected, delay_s = _perceived(run, period_s)
-        errors = _count_errors(run)
+        delay_s, payload = _delays(run, road_map), _payload_bytes(run, road_map)
+        errors = count_errors(run)
     except ConfigError:  # killed before its setup was written, or moved without it
         return {}
+    shares = _detected_shares(scores)
     return {
         one.tls: {
-            "e_cvpr": detected.get(one.tls),
+            "e_cvpr": shares.get(one.tls),
             "delay_s": delay_s.get(one.tls),
             "switches": switches[one.tls],
-            "count_error": errors.get(one.tls),
+            "count_error": fmean(map(abs, errors[one.tls])) if one.tls in errors else None,
+            "mbps": payload[one.tls] * 8e-6 / duration_s if duration_s else None,
         }
         for one in road_map.intersections
     }
@@ -79,39 +91,35 @@ def _handovers(run: Run) -> Counter[str]:
     return found
 
 
-def _perceived(run: Run, period_s: float) -> tuple[dict[str, float], dict[str, float]]:
-    """Returns by signal the share of vehicles detected, and the mean time that one lost."""
-    road_map = run.setup.road_map
-    lanes, area = road_map.by_id, EvaluationArea(road_map)
-    only = road_map.intersections[0].tls  # of lanes that no net has given an owner
-    owner = {name: lane.tls or only for name, lane in lanes.items()}
-    types = {kind.name: kind for kind in run.setup.vehicle_types}
-    detections = dict(by_frame(run.rows(DetectionRow)))
-    perceived = {n for (n,) in run.query("SELECT frame FROM frames WHERE detections IS NOT NULL")}
-    present, seen = Counter[str](), Counter[str]()
-    lost_s: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
-    for frame, vehicles in by_frame(run.rows(TruthRow)):
-        known = [vehicle for vehicle in vehicles if vehicle.lane in lanes]
-        for one in known:
-            lane = lanes[one.lane]
-            slower = max(0.0, 1.0 - one.speed_mps / lane.speed_mps)
-            lost_s[owner[one.lane]][one.vehicle] += slower * period_s
-        if frame not in perceived:
-            continue
-        found = detections.get(frame, [])
-        matched, _ = matched_vehicles(found, vehicles, types)
-        matched |= {one.source for one in found}  # those that report themselves
-        for one in known:
-            if area.contains(one.lane, one.lane_position_m):
-                present[owner[one.lane]] += 1
-                seen[owner[one.lane]] += one.vehicle in matched
-    shares = {tls: seen[tls] / count for tls, count in present.items()}
-    return shares, {tls: fmean(lost.values()) for tls, lost in lost_s.items()}
+def _detected_shares(scores: list[FrameScore]) -> dict[str, float]:
+    """Returns by signal the share of vehicles detected, over all frames together."""
+    present, true = Counter[str](), Counter[str]()
+    for one in scores:
+        present.update(one.present_at)
+        true.update(one.true_at)
+    return {tls: true[tls] / count for tls, count in present.items()}
 
 
-def _count_errors(run: Run) -> dict[str, float]:
-    """Returns by signal the mean absolute error of a lane's count."""
-    errors: dict[str, list[int]] = defaultdict(list)
-    for row, present in counts_with_truth(run):
-        errors[row.tls].append(abs(row.vehicles - present))
-    return {tls: fmean(found) for tls, found in errors.items()}
+def _delays(run: Run, road_map: RoadMap) -> dict[str, float]:
+    """Returns by signal the mean time in s that a vehicle lost on its lanes."""
+    owners, period_s = lane_owners(road_map), float(run.scenario.get("frame_period_s", 0.1))
+    limits_mps = {lane.id: lane.speed_mps for lane in road_map.lanes}
+    lost: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
+    for row in run.rows(TruthRow):
+        limit_mps = limits_mps.get(row.lane)
+        if limit_mps is not None:
+            frames = max(0.0, 1.0 - row.speed_mps / limit_mps)
+            lost[owners[row.lane]][row.vehicle] += frames
+    return {tls: period_s * fmean(frames.values()) for tls, frames in lost.items()}
+
+
+def _payload_bytes(run: Run, road_map: RoadMap) -> Counter[str]:
+    """Returns by signal the payload of the CAVs on its lanes and of the posts at it."""
+    owners, found = lane_owners(road_map), Counter[str]()
+    for lane, sent in run.query(_SENT_BY_LANE):
+        found[owners.get(lane, "")] += sent
+    posts = {mount["id"]: mount.get("tls") for mount in run.scenario.get("roadside_mounts", [])}
+    for agent, sent in run.query(_SENT_BY_AGENT):
+        if agent in posts:
+            found[posts[agent] or road_map.intersections[0].tls] += sent
+    return found

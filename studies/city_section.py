@@ -33,6 +33,7 @@ _JUNCTION_COLUMNS = (
     Column("delay, s", ".1f"),
     Column("phase switches", "d"),
     Column("count error, vehicles", ".2f"),
+    Column("Mbit/s", ".2f"),
 )
 _REGION_COLUMNS = (
     Column("region"),
@@ -71,6 +72,7 @@ def _junction_table(junctions: Figures, members: dict[str, list[str]]) -> Table:
             found["delay_s"],
             found["switches"],
             found["count_error"],
+            found["mbps"],
         )
         for tls, found in junctions.items()
     )

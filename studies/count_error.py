@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator
 
 import numpy as np
 
 from edge_server.config import EdgeConfig
 from edge_server.lanes import LaneIndex, LanePositions
-from perception.arrays import Floats
 from protocol.messages import Setup
 from protocol.roadmap import RoadMap
 from recording.run import Run
@@ -16,16 +16,18 @@ from recording.tables import CountRow, DetectionRow, TruthRow
 from studies.ecvpr import DOWNSTREAM_M, UPSTREAM_M, EvaluationArea, by_frame, matched_vehicles
 
 
-def lane_errors(run: Run) -> Floats:
-    """Returns vehicles counted too many (N,), negative if too few, by frame and counted lane.
+def count_errors(run: Run) -> dict[str, list[int]]:
+    """Returns by signal the vehicles counted too many, negative if too few, by frame and lane.
 
     Lanes upstream and downstream of the stop bar, within the distances that the edge counts in.
 
     Raises:
         ConfigError: the run folder lacks its setup.
     """
-    errors = [row.vehicles - present for row, present in counts_with_truth(run)]
-    return np.array(errors, np.float64)
+    errors: dict[str, list[int]] = defaultdict(list)
+    for row, present in counts_with_truth(run):
+        errors[row.tls].append(row.vehicles - present)
+    return dict(errors)
 
 
 def counts_with_truth(run: Run) -> Iterator[tuple[CountRow, int]]:

@@ -11,7 +11,7 @@ import heapq
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from operator import attrgetter
 from typing import Any, TypeVar
@@ -29,6 +29,13 @@ from sensing.pose import mount_place
 
 UPSTREAM_M = 200.0
 DOWNSTREAM_M = 100.0
+
+
+def lane_owners(road_map: RoadMap) -> dict[str, str]:
+    """Returns the signal of each lane; where the map has one signal, all lanes are its own."""
+    signals = [one.tls for one in road_map.intersections]
+    only = signals[0] if len(signals) == 1 else ""
+    return {lane.id: lane.tls or only for lane in road_map.lanes}
 
 
 class EvaluationArea:
@@ -54,7 +61,14 @@ class EvaluationArea:
         self._before = _distances(incoming, road_map.predecessors, lengths, upstream_m)
         self._after = _distances(starts, successors, lengths, downstream_m)
         self._lengths = lengths
+        self._owners = lane_owners(road_map)
         self._upstream_m, self._downstream_m = upstream_m, downstream_m
+
+    def present_at(self, vehicles: Iterable[TruthRow]) -> Counter[str]:
+        """Returns how many of the vehicles within the area are on each signal's lanes."""
+        return Counter(
+            self._owners[v.lane] for v in vehicles if self.contains(v.lane, v.lane_position_m)
+        )
 
     def contains(self, lane: str, position_m: float) -> bool:
         """Whether a vehicle at this distance from its lane's beginning is within the area."""
@@ -198,7 +212,8 @@ class FrameScore:
     """One frame: vehicles present, those of them that were detected, false detections.
 
     `visible` of those present could have been detected, as LiDAR points lay on them or they report
-    themselves; `in_range` were near enough to a LiDAR for that, or report themselves.
+    themselves; `in_range` were near enough to a LiDAR for that, or report themselves. `present_at`
+    and `true_at` are the parts on each signal's lanes.
     """
 
     frame: int
@@ -207,6 +222,8 @@ class FrameScore:
     false: int
     visible: int = 0
     in_range: int = 0
+    present_at: Mapping[str, int] = field(default_factory=dict, compare=False)
+    true_at: Mapping[str, int] = field(default_factory=dict, compare=False)
 
     @property
     def e_cvpr(self) -> float | None:
@@ -271,9 +288,17 @@ def score_frame(
     others = [i for i in range(len(vehicles)) if i not in selves]
     seen = [d for d in detections if d.source not in index]
     pairs = _pairs(seen, [vehicles[i] for i in others], types, margin_m)
-    present = {i for i, v in enumerate(vehicles) if area.contains(v.lane, v.lane_position_m)}
-    true = len(present & (selves | {others[vehicle] for _, vehicle in pairs}))
-    return FrameScore(frame, len(present), true, len(seen) - len(pairs))
+    found = selves | {others[vehicle] for _, vehicle in pairs}
+    present_at = area.present_at(vehicles)
+    true_at = area.present_at(vehicles[i] for i in found)
+    return FrameScore(
+        frame,
+        present_at.total(),
+        true_at.total(),
+        len(seen) - len(pairs),
+        present_at=present_at,
+        true_at=true_at,
+    )
 
 
 def _pairs(

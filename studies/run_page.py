@@ -7,10 +7,8 @@ from pathlib import Path
 
 import yaml
 
-from protocol.errors import ConfigError
 from recording.run import Run
 from studies.city_section import city_section
-from studies.ecvpr import FrameScore, score
 from studies.latency import latency_section, latency_table
 from studies.over_time import FrameClock
 from studies.page.model import (
@@ -27,7 +25,7 @@ from studies.page.model import (
     Text,
 )
 from studies.run_sections import map_section, phases_section, vehicles_section
-from studies.summary import Summary, summarise
+from studies.summary import Summary, scores_of, summary_of
 from studies.uplink import uplink_section
 
 MIN_JUNCTIONS = 2  # that are compared
@@ -148,8 +146,9 @@ def run_page(run_dir: Path, command: str = "") -> Page:
     Raises:
         ConfigError: the folder is no run.
     """
-    summary = summarise(run_dir)
     with Run(run_dir) as run:
+        scores = scores_of(run)
+        summary = summary_of(run, scores)
         clock = FrameClock.of(run)
         sections = (
             Section(
@@ -160,7 +159,7 @@ def run_page(run_dir: Path, command: str = "") -> Page:
                 ),
             ),
             *_city(run, summary),
-            vehicles_section(run, clock, _scores(run)),
+            vehicles_section(run, clock, scores),
             phases_section(run, clock),
             uplink_section(run, clock),
             latency_section(run, clock, summary["latency_ms"]),
@@ -176,13 +175,6 @@ def _city(run: Run, summary: Summary) -> tuple[Section, ...]:
     if len(summary["junctions"]) < MIN_JUNCTIONS:
         return ()
     return (city_section(run, summary["junctions"], summary["regions"]),)
-
-
-def _scores(run: Run) -> list[FrameScore]:
-    try:
-        return score(run)
-    except ConfigError:  # killed before its setup was written, or moved without it
-        return []
 
 
 def _drops(summary: Summary) -> Block:

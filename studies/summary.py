@@ -21,7 +21,7 @@ from protocol.errors import ConfigError
 from recording.run import Run
 from recording.tables import DropRow
 from studies.by_region import junctions_of_run, regions_of_run
-from studies.ecvpr import score
+from studies.ecvpr import FrameScore, score
 from studies.latency import STAGES, clock_error_ms, latencies
 from studies.uplink import by_agent, total_mbps
 
@@ -46,27 +46,44 @@ def summarise(run_dir: Path) -> Summary:
         ConfigError: the folder is no run.
     """
     with Run(run_dir) as run:
-        period_s = float(run.scenario.get("frame_period_s", 0.1))
-        pace = _pace(run, period_s)
-        return {
-            "scenario": run.scenario.get("name"),
-            "seed": run.scenario.get("seed"),
-            "mode": run.scenario.get("mode"),
-            "replay_of": (run.scenario.get("replay") or {}).get("recording"),
-            "ended": run.meta.get("end_reason"),
-            **pace,
-            "agents": by_agent(run, period_s),
-            "scores": agent_scores(run),
-            "uplink_mbps": total_mbps(run, period_s),
-            "latency_ms": latencies(run),
-            "clock_error_ms": clock_error_ms(run),
-            **_perception(run),
-            "unknown_share": _unknown_share(run),
-            **traffic_of(run),
-            "junctions": junctions_of_run(run, period_s),
-            "regions": regions_of_run(run, pace["sim_duration_s"]),
-            **_drops(run),
-        }
+        return summary_of(run, scores_of(run))
+
+
+def scores_of(run: Run) -> list[FrameScore]:
+    """Returns the scores of a run's frames; none of a run that lacks its setup."""
+    try:
+        return score(run)
+    except ConfigError:  # killed before its setup was written, or moved without it
+        return []
+
+
+def summary_of(run: Run, scores: list[FrameScore]) -> Summary:
+    """Returns the figures of a run whose frames have these scores.
+
+    Raises:
+        ConfigError: the database is damaged.
+    """
+    period_s = float(run.scenario.get("frame_period_s", 0.1))
+    pace = _pace(run, period_s)
+    return {
+        "scenario": run.scenario.get("name"),
+        "seed": run.scenario.get("seed"),
+        "mode": run.scenario.get("mode"),
+        "replay_of": (run.scenario.get("replay") or {}).get("recording"),
+        "ended": run.meta.get("end_reason"),
+        **pace,
+        "agents": by_agent(run, period_s),
+        "scores": agent_scores(run),
+        "uplink_mbps": total_mbps(run, period_s),
+        "latency_ms": latencies(run),
+        "clock_error_ms": clock_error_ms(run),
+        **_perception(scores),
+        "unknown_share": _unknown_share(run),
+        **traffic_of(run),
+        "junctions": junctions_of_run(run, scores, pace["sim_duration_s"]),
+        "regions": regions_of_run(run, pace["sim_duration_s"]),
+        **_drops(run),
+    }
 
 
 def to_json(summary: Summary) -> str:
@@ -88,11 +105,7 @@ def _pace(run: Run, period_s: float) -> Summary:
     }
 
 
-def _perception(run: Run) -> Summary:
-    try:
-        scores = score(run)
-    except ConfigError:  # killed before its setup was written, or moved without it
-        scores = []
+def _perception(scores: list[FrameScore]) -> Summary:
     rates = [s.e_cvpr for s in scores if s.e_cvpr is not None]
     mean, std = _mean_std(rates)
     return {

@@ -15,7 +15,7 @@ import numpy as np
 
 from protocol.errors import ConfigError
 from recording.run import Run
-from studies.count_error import lane_errors
+from studies.count_error import count_errors
 from studies.ecvpr import FrameScore, score
 from studies.in_process import run_in_process
 from studies.summary import traffic_of
@@ -39,7 +39,7 @@ def measure(run_dir: Path) -> Row:
     with Run(run_dir) as run:
         scores = score(run)
         uplink = total_mbps(run, float(run.scenario["frame_period_s"]))
-        errors = lane_errors(run)
+        errors = np.concatenate([*count_errors(run).values(), []])
         return {
             "frames": len(scores),
             **_perception(scores),

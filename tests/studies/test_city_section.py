@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,6 +18,8 @@ from recording.tables import (
     TruthRow,
     UploadRow,
 )  # fmt: skip
+from studies import ecvpr
+from studies.ecvpr import FrameScore, score_frame
 from studies.page.model import Chart, Colours, MapChart, Page, Table, Timeline, flattened
 from studies.run_page import run_page
 from tests.viewer.city import CITY_SETUP
@@ -47,7 +50,7 @@ def page(tmp_path: Path) -> Page:
             row = RegionFrameRow(n, region, agents, 9, 0, 1, 0, ns, took_ns)
             database.add(RegionFrameRow, [row])
             stamps = (ns, ns, ns, ns, None, ns, ns)
-            database.add(UploadRow, [UploadRow(n, region, "a", 0, 9, 1250, None, *stamps)])
+            database.add(UploadRow, [UploadRow(n, region, "rsu", 0, 9, 1250, None, *stamps)])
         car = TruthRow(n, "v", "car", 0, 400, -20, 0, 0, 0, 0, 0, "Lsouth_0", 60)
         database.add(TruthRow, [car])
         for tls in "JKL":
@@ -72,6 +75,7 @@ def test_junctions_and_regions_are_compared_in_tables(page: Page) -> None:
     assert [rows[tls][0] for tls in "JKL"] == ["r0", "r0", "r1"]
     assert rows["L"][2] == pytest.approx(1.0)  # the car stands all the time
     assert [rows[tls][3] for tls in "JKL"] == [0, 1, 1]
+    assert [rows[tls][5] for tls in "JKL"] == [0, 0, pytest.approx(0.2)]  # the post's, to both
     regions = {row[0]: row[1:] for row in tables(page)["region"]}
     assert regions["r0"] == (2, 1.0, pytest.approx(0.1), 10.0, 0)
     assert regions["r1"] == (1, 2.0, pytest.approx(0.1), 20.0, 0)
@@ -112,6 +116,20 @@ def test_labels_are_drawn_at_their_points(page: Page) -> None:
     draw_map(city, axes, Colours.of(page))
     drawn = {text.get_text(): text.xy for text in axes.texts}
     assert drawn == {"J": (0, 0), "K": (200, 0), "L 1 s": (400, 0)}
+
+
+def test_frames_are_scored_once(
+    page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames: list[int] = []
+
+    def scored(frame: int, *arguments: Any) -> FrameScore:
+        frames.append(frame)
+        return score_frame(frame, *arguments)
+
+    monkeypatch.setattr(ecvpr, "score_frame", scored)
+    assert run_page(tmp_path) == page
+    assert frames == [*range(10)]
 
 
 def test_a_run_with_one_junction_has_no_such_section(tmp_path: Path) -> None:

@@ -173,5 +173,6 @@ def test_each_region_and_each_junction_has_its_figures(tmp_path: Path) -> None:
             "delay_s": pytest.approx(1.5),  # at half the limit, three seconds
             "switches": 2,
             "count_error": 1,
+            "mbps": pytest.approx(4 / 3),  # of both regions
         }
     }
