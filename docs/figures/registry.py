@@ -228,64 +228,6 @@ def _interval(values: list[float], digits: int) -> str:
     return f"{_fixed(mean(values), digits)} ± {_fixed(half, digits)}"
 
 
-def _city_runs(runs: dict[str, dict[str, Any]]) -> Table:
-    heads = ["junctions", "regions", "agents a frame", "real-time factor", "latency p50 / p95, ms"]
-    table = [["net", *heads, "E-CVPR, %", "delay, s", "Mbit/s in all"]]
-    for net, run in runs.items():
-        ms = run["latency_ms"]["end_to_end"]
-        table.append(
-            [
-                net, str(len(run["junctions"])), str(len(run["regions"])),
-                _fixed(sum(one["agents"] for one in run["regions"].values()), 1),
-                _fixed(run["real_time_factor"], 1),
-                f"{_fixed(ms['p50'], 0)} / {_fixed(ms['p95'], 0)}",
-                _fixed(run["e_cvpr"]["mean"], 1, 100), _fixed(run["delay_s"]["mean"], 1),
-                _fixed(sum(one["mbps"] for one in run["regions"].values()), 1),
-            ]
-        )  # fmt: skip
-    return table
-
-
-def _city_junctions(runs: dict[str, dict[str, Any]]) -> Table:
-    table = [["net", "signal", "delay, s", "E-CVPR, %", "switches", "count error"]]
-    for net, run in runs.items():
-        for tls, one in run["junctions"].items():
-            table.append(
-                [
-                    net, f"`{tls}`", _fixed(one["delay_s"], 1), _fixed(one["e_cvpr"], 1, 100),
-                    str(one["switches"]), _fixed(one["count_error"], 2),
-                ]
-            )  # fmt: skip
-    return table
-
-
-def _scale(rows: Rows) -> Table:
-    roles = ("vehicle", "infra", "edge", "sim", "record")
-    heads = [
-        "junctions",
-        "regions",
-        "agents",
-        "CAVs",
-        "real-time factor",
-        "core-ms",
-        "to the first",
-    ]
-    table = [[*heads, *(f"`{role}`" for role in roles), "others", "MB a CAV"]]
-    for row in rows:
-        by = row["core_ms_by_role"]
-        others = sum(value for role, value in by.items() if role not in roles)
-        table.append(
-            [
-                str(row["junctions"]), str(row["regions"]), _fixed(row["agents"], 1),
-                _fixed(row["cavs"], 1), _fixed(row["real_time_factor"], 2),
-                _fixed(row["core_ms"], 1), _fixed(row["core_ms"] / rows[0]["core_ms"], 2),
-                *(_fixed(by[role], 2) for role in roles), _fixed(others, 2),
-                _fixed(row["agent_mb"], 1),
-            ]
-        )  # fmt: skip
-    return table
-
-
 def _totals(rows: Rows) -> dict[tuple[str, int], dict[str, Any]]:
     return {(r["detector"], r["agents"]): r for r in rows if r["stage"] == "total"}
 
@@ -369,7 +311,6 @@ _RESCO = (
     'for net in cologne3 ingolstadt7; do [ -e resco/$net ] || { echo "runs/figures/resco/$net is '
     "missing: a folder of RESCO's nets\" >&2; exit 1; }; done; "
 )
-_CITY_UP = "cpnet up --tls all --cav-rate 0.05 --duration 3600 --seed 1 --set frame_period_s=1"
 _RUN = "cpnet up t_junction --cav-rate 0.05 --duration 120 --seed 1"
 _SOAK = " ".join(
     f"--set lidar.{kind}.{key}"
@@ -502,27 +443,6 @@ _LIST = (
         STUDY,
         60,
         (Part("control", "docs/city.md", _city),),
-    ),
-    Figure(
-        "city-run",
-        f"{_RESCO}rm -rf city-3 city-7; "
-        f"{_CITY_UP} --sumocfg resco/cologne3/cologne3.sumocfg --out city-3 >&2; "
-        f"{_CITY_UP} --sumocfg resco/ingolstadt7/ingolstadt7.sumocfg --regions 2 --out city-7 >&2; "
-        "printf '{\"cologne3\": '; cpnet report city-3 --json; "
-        "printf ', \"ingolstadt7\": '; cpnet report city-7 --json; echo '}'",
-        SYSTEM,
-        15,
-        (
-            Part("runs", "docs/city.md", _city_runs),
-            Part("junctions", "docs/city.md", _city_junctions),
-        ),
-    ),
-    Figure(
-        "scale",
-        "cpnet bench scale --junctions 1,4,16,64,100 --json",
-        (*SYSTEM, "cpnet/bench_scale.py"),
-        8,
-        (Part("cost", "docs/city.md", _scale),),
     ),
     # By hand: from the pages of the studies, from a browser.
     Figure("paper-readme", "", STUDY, 0, (Part("table", "README.md"),)),
