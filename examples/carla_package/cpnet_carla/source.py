@@ -278,8 +278,8 @@ class CarlaSource:
         self._server = CarlaServer(config, 1 / lidar.rotation_frequency)
         with self._server.turn():
             blueprint = self._server.blueprint(SENSOR)
-            # The attributes have the names of the scenario's keys.
-            attributes = lidar.model_dump() | {
+            # The attributes have the names of the scenario's keys; `model` is a set of some.
+            attributes = lidar.model_dump(exclude={"model"}) | {
                 "horizontal_fov": 360.0,
                 "noise_seed": setup.scenario["seed"],
             }
