@@ -21,7 +21,7 @@ from perception.registry import check
 from protocol.errors import ConfigError
 from studies.page.model import Page, Section
 from studies.page.write import check_target, save_html, save_markdown
-from studies.sweep.cells import Cell, ResultStore, cells_of
+from studies.sweep.cells import Cell, PartKind, ResultStore, cells_of
 from studies.sweep.study_file import Accuracy, Study, read_study
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
         raise ConfigError(f"{what}: {error}") from None
     _check_detectors(study, cells)
     with _explained_if_missing():
-        from studies.sweep.results import table, write_table
+        from studies.sweep.results import parts_table, table, write_table
     store = ResultStore.at(out or Path("runs") / f"study-{study.name}")
     with _stopped_by_signals() as stop:
         failures = _run(cells, store, scheduler, jobs, stop, keep_runs=keep_runs)
@@ -84,12 +84,13 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
     if not len(frame):
         raise ConfigError(f"{what}: no cell was done: {failures[0].reason}")
     path = write_table(frame, store)
+    kinds: tuple[PartKind, ...] = ("junctions", "regions")
+    parts = [write_table(parts_table(cells, store, one), store, f"{one}.parquet") for one in kinds]
     if study.title is not None and not as_json:
         console.print(study.title, style="bold", markup=False, highlight=False)
-    _print_results(frame, cells, failures, path, as_json=as_json)
+    _print_results(frame, cells, failures, [path, *parts], as_json=as_json)
     scenario = _resolved(file.scenario, study.settings | {"seed": study.seeds[0]})
-    gaps = tuple(cell.title for cell in cells if store.row(cell.id) is None)
-    page = _page(study, scenario, frame, gaps, store.folder)
+    page = _page(study, scenario, frame, cells, store)
     reports = {store.folder / REPORT: save_html}
     if markdown is not None:
         reports[markdown] = save_markdown
@@ -155,31 +156,33 @@ def _print_results(
     frame: Any,  # noqa: ANN401 - polars may not be installed
     cells: list[Cell],
     failures: list[Failure],
-    path: Path,
+    paths: list[Path],
     *,
     as_json: bool,
 ) -> None:
+    """Prints the overview; `paths` are the tables: of cells, by junction, by region."""
     from studies.sweep.results import overview, print_overview
 
     axes = list(dict.fromkeys(name for cell in cells for name in cell.labels))
     if as_json:
         failed = [{"cell": one.cell.title, "reason": one.reason} for one in failures]
         rows = overview(frame, axes).to_dicts()
-        results = {"results": str(path), "rows": len(frame), "failed": failed, "cells": rows}
+        tables = dict(zip(("results", "junctions", "regions"), map(str, paths), strict=True))
+        results = {**tables, "rows": len(frame), "failed": failed, "cells": rows}
         typer.echo(json.dumps(results, indent=2))
         return
     print_overview(frame, axes, console)
     if failures:
         console.print(f"{len(failures)} cells failed; the same command tries them again")
-    console.print(f"wrote {path}", highlight=False, soft_wrap=True)
+    console.print(f"wrote {', '.join(map(str, paths))}", highlight=False, soft_wrap=True)
 
 
 def _page(
     study: Study,
     scenario: dict[str, Any],
     frame: Any,  # noqa: ANN401 - polars may not be installed
-    missing: tuple[str, ...],
-    folder: Path,
+    cells: list[Cell],
+    store: ResultStore,
 ) -> Page:
     """Returns the report of a study, with what was set on the command line.
 
@@ -187,21 +190,24 @@ def _page(
         study: as it was run.
         scenario: what its cells have in common, with every key.
         frame: the study's table.
-        missing: titles of cells that it lacks.
-        folder: of its results.
+        cells: all of it, also those that the table lacks.
+        store: their results.
 
     Raises:
         ConfigError: a detector cannot be had here.
     """
     from recording.database import versions
     from studies.paper_page import paper_page
+    from studies.study_networks import network_sections
     from studies.study_page import bandwidth_page, plain_page
     from studies.study_tables import StudyResults
 
     pages = {"plain": plain_page, "paper": paper_page, "bandwidth": bandwidth_page}
     command = shlex.join(["cpnet", *sys.argv[1:]])
-    results = StudyResults(study, frame, command, versions(), scenario, missing)
-    return pages[study.page](results, _accuracy_sections(study.accuracy, scenario, folder))
+    missing = tuple(cell.title for cell in cells if store.row(cell.id) is None)
+    networks = network_sections(cells, store)
+    results = StudyResults(study, frame, command, versions(), scenario, missing, networks)
+    return pages[study.page](results, _accuracy_sections(study.accuracy, scenario, store.folder))
 
 
 def _accuracy_sections(

@@ -9,7 +9,7 @@ Figures of one run
 Pages and pictures
 - `page/`: content of a page, its charts by matplotlib, HTML and Markdown files
 - `run_page`, `run_sections`, `over_time`: the page of a run (`cpnet report --html`)
-- `study_page`, `paper_page`, `study_tables`: the pages of studies
+- `study_page`, `paper_page`, `study_tables`, `study_networks`: the pages of studies
 - `snapshot`, `frame_picture`: the picture of a frame (`cpnet draw`)
 - `outlines`, `palette`: shapes and colours, also of the viewer
 

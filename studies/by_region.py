@@ -7,11 +7,9 @@ from itertools import pairwise
 from statistics import fmean, median
 from typing import Any
 
-from protocol.errors import ConfigError
 from protocol.roadmap import RoadMap
 from recording.run import Run
 from recording.tables import TruthRow
-from studies.count_error import count_errors
 from studies.ecvpr import FrameScore, lane_owners
 
 Figures = dict[str, dict[str, Any]]
@@ -50,21 +48,28 @@ def regions_of_run(run: Run, duration_s: float) -> Figures:
     }
 
 
-def junctions_of_run(run: Run, scores: list[FrameScore], duration_s: float) -> Figures:
+def junctions_of_run(
+    run: Run, scores: list[FrameScore], errors: dict[str, list[int]], duration_s: float
+) -> Figures:
     """Returns by signal: E-CVPR, mean delay of a vehicle on its lanes, switches, count error, mbps.
 
     `mbps` is the payload of the CAVs on its lanes and of the posts at it, in Mbit/s, to whichever
-    regions it went. Empty for a run that lacks its setup.
+    regions it went.
+
+    Args:
+        run: with its setup.
+        scores: of its frames.
+        errors: of its counts, by signal.
+        duration_s: simulated time.
+
+    Raises:
+        ConfigError: the run folder lacks its setup.
     """
+    road_map = run.setup.road_map
+    delay_s, payload = _delays(run, road_map), _payload_bytes(run, road_map)
     switches: Counter[str] = Counter()
     for (tls, green), (other, after) in pairwise(run.query(_GREENS)):
         switches[tls] += tls == other and green != after
-    try:
-        road_map = run.setup.road_map
-        delay_s, payload = _delays(run, road_map), _payload_bytes(run, road_map)
-        errors = count_errors(run)
-    except ConfigError:  # killed before its setup was written, or moved without it
-        return {}
     shares = _detected_shares(scores)
     return {
         one.tls: {

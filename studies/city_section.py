@@ -110,7 +110,7 @@ def _map(
         lines,
         tuple(one for one in points if one.x_m),
         (covered,) if covered.rings else (),
-        _window(road_map),
+        map_window(road_map),
     )
 
 
@@ -142,7 +142,8 @@ def _circle(x_m: float, y_m: float, radius_m: float) -> Ring:
     return ring(radius_m * around + [x_m, y_m])
 
 
-def _window(road_map: RoadMap) -> tuple[float, float, float, float] | None:
+def map_window(road_map: RoadMap) -> tuple[float, float, float, float] | None:
+    """Returns what a map shows of all roads: the lowest x and y in m, then the highest."""
     if not road_map.lanes:
         return None
     bounds = np.array([lane.bounds for lane in road_map.lanes])

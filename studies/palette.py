@@ -29,6 +29,8 @@ QUIET = "#9aa4b1"
 INK = "#1c2733"
 INK_FAINT = "#5d6b7a"
 GRID = "#e3e8ee"
+LEVELS = ("#fdca26", "#fb9f3a", "#ed7953", "#d8576b", "#9c179e", "#46039f")
+"""From the least to the most, ever darker: of the map plasma, Smith and van der Walt 2015."""
 ROAD = "#e9edf2"
 ROAD_EDGE = "#c5cdd7"
 LAMPS = (("green", "#2a9d5c"), ("yellow", "#f0b429"), ("all red", "#c8553d"))

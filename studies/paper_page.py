@@ -185,6 +185,7 @@ def paper_page(findings: StudyResults, sections: Sequence[Section] = ()) -> Page
             _delay_section(findings),
             _reports_section(findings),
             _control_section(findings),
+            *findings.networks,
             origin_section(findings),
         ),
         _facts(findings),

@@ -31,7 +31,11 @@ def plain_page(findings: StudyResults, sections: Sequence[Section] = ()) -> Page
     grids = (_grid_section(findings, grid.name) for grid in study.grids)
     lead = f"Study {study.name}: {len(findings.frame)} runs, seeds {_listed(study.seeds)}."
     lead += findings.gaps()
-    return Page(study.title or study.name, lead, (*sections, *grids, origin_section(findings)))
+    return Page(
+        study.title or study.name,
+        lead,
+        (*sections, *grids, *findings.networks, origin_section(findings)),
+    )
 
 
 def _grid_section(findings: StudyResults, grid: str) -> Section:
@@ -79,7 +83,13 @@ def bandwidth_page(findings: StudyResults, sections: Sequence[Section] = ()) -> 
     return Page(
         study.title or study.name,
         lead,
-        (_answer_section(findings), *sections, *grids, origin_section(findings)),
+        (
+            _answer_section(findings),
+            *sections,
+            *grids,
+            *findings.networks,
+            origin_section(findings),
+        ),
     )
 
 

@@ -36,7 +36,8 @@ GridRow = dict[str, float | int | str | None]
 class StudyResults:
     """A study, its table, and the command that makes both again.
 
-    `scenario` is what all cells have in common, with every key; `missing` has no figures.
+    `scenario` is what all cells have in common, with every key; `missing` has no figures;
+    `networks` are sections about nets of several junctions.
     """
 
     study: Study
@@ -45,6 +46,7 @@ class StudyResults:
     versions: Mapping[str, str] = field(default_factory=dict)
     scenario: Mapping[str, Any] = field(default_factory=dict)
     missing: tuple[str, ...] = ()
+    networks: tuple[Section, ...] = ()
 
     def gaps(self) -> str:
         """Returns a sentence on cells that failed or were not run; empty if there are none."""

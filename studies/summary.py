@@ -20,7 +20,8 @@ from rich.table import Table
 from protocol.errors import ConfigError
 from recording.run import Run
 from recording.tables import DropRow
-from studies.by_region import junctions_of_run, regions_of_run
+from studies.by_region import Figures, junctions_of_run, regions_of_run
+from studies.count_error import count_errors
 from studies.ecvpr import FrameScore, score
 from studies.latency import STAGES, clock_error_ms, latencies
 from studies.uplink import by_agent, total_mbps
@@ -64,7 +65,7 @@ def summary_of(run: Run, scores: list[FrameScore]) -> Summary:
         ConfigError: the database is damaged.
     """
     period_s = float(run.scenario.get("frame_period_s", 0.1))
-    pace = _pace(run, period_s)
+    pace = pace_of(run)
     return {
         "scenario": run.scenario.get("name"),
         "seed": run.scenario.get("seed"),
@@ -80,7 +81,7 @@ def summary_of(run: Run, scores: list[FrameScore]) -> Summary:
         **_perception(scores),
         "unknown_share": _unknown_share(run),
         **traffic_of(run),
-        "junctions": junctions_of_run(run, scores, pace["sim_duration_s"]),
+        "junctions": _junctions(run, scores, pace["sim_duration_s"]),
         "regions": regions_of_run(run, pace["sim_duration_s"]),
         **_drops(run),
     }
@@ -91,7 +92,9 @@ def to_json(summary: Summary) -> str:
     return json.dumps(summary, indent=2, allow_nan=False)
 
 
-def _pace(run: Run, period_s: float) -> Summary:
+def pace_of(run: Run) -> Summary:
+    """Returns frames, simulated time, and how fast it went."""
+    period_s = float(run.scenario.get("frame_period_s", 0.1))
     sql = """
         SELECT count(*), max(sim_time_ns) - min(sim_time_ns), max(tick_ns) - min(tick_ns),
                total(complete = 0) FROM frames WHERE tick_ns IS NOT NULL
@@ -103,6 +106,13 @@ def _pace(run: Run, period_s: float) -> Summary:
         "sim_duration_s": round(sim_ns / 1e9 + period_s, 9) if frames else 0.0,
         "real_time_factor": sim_ns / wall_ns if wall_ns else None,
     }
+
+
+def _junctions(run: Run, scores: list[FrameScore], duration_s: float) -> Figures:
+    try:
+        return junctions_of_run(run, scores, count_errors(run), duration_s)
+    except ConfigError:  # killed before its setup was written, or moved without it
+        return {}
 
 
 def _perception(scores: list[FrameScore]) -> Summary:

@@ -11,19 +11,19 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from protocol.config import is_file
 from protocol.errors import ConfigError
-from studies.sweep.study_file import LISTS, MEASURES, Grid, Label, Settings, Study, points
+from studies.sweep.study_file import LISTS, MEASURES, Grid, Label, Point, Settings, Study, points
 
 if TYPE_CHECKING:  # a study's file is read and refused without loading all roles
-    from studies.sweep.worker import Outcome, Row
+    from studies.sweep.worker import Outcome, Row, Rows
 
 
-SCHEMA = 1
+SCHEMA = 2
 """To be raised when `worker.measure` gives other figures for the same run: all is run anew."""
-
+PartKind: TypeAlias = Literal["junctions", "regions"]
 Scenario = dict[str, Any]
 Resolve = Callable[[Settings], Scenario]
 """Lays dotted keys over the study's scenario; every key of the result has its value."""
@@ -67,7 +67,18 @@ def _of_grid(study: Study, grid: Grid, resolve: Resolve) -> Iterator[Cell]:
                 raise ConfigError(
                     f"grid {grid.name}: mode is {scenario['mode']}, a study's must be lockstep"
                 )
+            _check_network(grid, point, scenario)
             yield Cell(grid.name, point.labels, seed, scenario, identify(scenario))
+
+
+def _check_network(grid: Grid, point: Point, scenario: Scenario) -> None:
+    """Raises ConfigError if a net hides an axis of built-in networks: its cells are equal."""
+    given = [key for key in ("net", "sumocfg") if scenario.get("traffic", {}).get(key)]
+    if given and "traffic.network" in point.settings:
+        raise ConfigError(
+            f"grid {grid.name}, {point.labels}: traffic.network has no effect, as "
+            f"traffic.{given[0]} is set"
+        )
 
 
 def identify(scenario: Scenario) -> str:
@@ -118,14 +129,29 @@ class ResultStore:
 
     def row(self, cell_id: str) -> Row | None:
         """Returns the figures of a finished cell; None if it has to be run."""
+        found = self._read(cell_id)
+        row: Row | None = found and found["row"]
+        return row
+
+    def parts(self, cell_id: str, kind: PartKind) -> Rows | None:
+        """Returns the figures of a finished cell by junction or region; None if it is to be run."""
+        found = self._read(cell_id)
+        rows: Rows | None = found and found[kind]
+        return rows
+
+    def _read(self, cell_id: str) -> dict[str, Any] | None:
         try:
             data: Any = json.loads(self._path(cell_id).read_text("utf-8"))
         except (OSError, ValueError):
             return None
         if not isinstance(data, dict) or data.get("id") != cell_id:
             return None
-        row: Any = data.get("row")
-        return row if _is_row(row) else None
+        rows = [data.get("row")]
+        for parts in (data.get("junctions"), data.get("regions")):
+            if not isinstance(parts, dict):
+                return None
+            rows += parts.values()
+        return data if all(map(_is_row, rows)) else None
 
     def save(self, cell: Cell, outcome: Outcome) -> None:
         """Writes a finished cell; from then on it is never run again."""
@@ -134,10 +160,11 @@ class ResultStore:
             "title": cell.title,
             "took_s": round(outcome.took_s, 3),
             "row": outcome.row,
+            "junctions": outcome.junctions,
+            "regions": outcome.regions,
             "scenario": cell.scenario,
         }
         write_atomically(self._path(cell.id), json.dumps(data, indent=1).encode())
-
         self._traceback(cell.id).unlink(missing_ok=True)
 
     def record_failure(self, cell: Cell, error: BaseException) -> None:

@@ -15,10 +15,12 @@ from scipy.special import stdtrit
 
 from protocol.errors import ConfigError
 from studies.bench import print_whole
-from studies.sweep.cells import Cell, ResultStore, write_atomically
+from studies.sweep.cells import Cell, PartKind, ResultStore, write_atomically
 from studies.sweep.worker import Row
 
 FILE = "results.parquet"
+PART_IDS: dict[PartKind, str] = {"junctions": "tls", "regions": "region"}
+"""The column that names a row's junction or region; `KIND.parquet` is the file."""
 _CONFIDENCE = 0.95
 
 
@@ -31,7 +33,24 @@ def table(cells: list[Cell], store: ResultStore) -> pl.DataFrame:
     Raises:
         ConfigError: an axis is called like a measure.
     """
-    found = [(cell, row) for cell in cells if (row := store.row(cell.id)) is not None]
+    return _frame(cells, [(cell, row) for cell in cells if (row := store.row(cell.id)) is not None])
+
+
+def parts_table(cells: list[Cell], store: ResultStore, kind: PartKind) -> pl.DataFrame:
+    """Returns the table by junction (`tls`) or region (`region`): a row for each in each cell.
+
+    Raises:
+        ConfigError: an axis is called like a measure.
+    """
+    found: list[tuple[Cell, Row]] = [
+        (cell, {PART_IDS[kind]: part, **row})
+        for cell in cells
+        for part, row in (store.parts(cell.id, kind) or {}).items()
+    ]
+    return _frame(cells, found)
+
+
+def _frame(cells: list[Cell], found: list[tuple[Cell, Row]]) -> pl.DataFrame:
     axes = list(dict.fromkeys(name for cell in cells for name in cell.labels))
     measures = list(dict.fromkeys(name for _, row in found for name in row))
     both = sorted(set(axes) & set(measures))
@@ -44,11 +63,11 @@ def table(cells: list[Cell], store: ResultStore) -> pl.DataFrame:
     return pl.DataFrame(columns)
 
 
-def write_table(frame: pl.DataFrame, store: ResultStore) -> Path:
-    """Writes the table into the study's folder; returns its path."""
+def write_table(frame: pl.DataFrame, store: ResultStore, name: str = FILE) -> Path:
+    """Writes a table into the study's folder; returns its path."""
     buffer = io.BytesIO()
     frame.write_parquet(buffer)
-    path = store.folder / FILE
+    path = store.folder / name
     write_atomically(path, buffer.getvalue())
     return path
 

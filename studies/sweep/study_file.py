@@ -44,17 +44,19 @@ MEASURES = frozenset(
         "uplink_peak_mbps",
     }
 )
-"""Keys of what `studies.sweep.worker.measure` returns."""
+"""Keys of the whole run's figures by `studies.sweep.worker.measure`."""
 
 LISTS = frozenset({"e_cvpr_hist"})
-RESERVED = frozenset({"grid", "seed", "n"}) | MEASURES
+PART_MEASURES = frozenset({"mbps", "agents", "handovers"})
+"""Further measures, of the tables by junction and by region."""
+RESERVED = frozenset({"grid", "seed", "n", "tls", "region"}) | MEASURES | PART_MEASURES
 """Names that no axis may have; nor a measure's name with a suffix, such as delay_s_mean."""
 
 
 def is_taken(name: str) -> bool:
     """Whether a column of this name is the table's own."""
     stems = (name.removeprefix("_").rpartition("_")[0], name)
-    return name in RESERVED or any(stem in MEASURES for stem in stems)
+    return name in RESERVED or any(stem in MEASURES | PART_MEASURES for stem in stems)
 
 
 Label = str | int | float

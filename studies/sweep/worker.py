@@ -6,7 +6,7 @@ import shutil
 import tempfile
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,23 +15,35 @@ import numpy as np
 
 from protocol.errors import ConfigError
 from recording.run import Run
+from studies.by_region import Figures, junctions_of_run, regions_of_run
 from studies.count_error import count_errors
 from studies.ecvpr import FrameScore, score
 from studies.in_process import run_in_process
-from studies.summary import traffic_of
+from studies.summary import pace_of, traffic_of
 from studies.uplink import total_mbps
 
 Value = float | int | str | list[int] | None
 Row = dict[str, Value]
+Rows = dict[str, Row]
 
 HISTOGRAM_BINS = 20  # of E-CVPR, from 0 to 1
 
 
-def measure(run_dir: Path) -> Row:
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A run's figures: of the whole, and by junction and region, each by its id."""
+
+    row: Row
+    junctions: Rows
+    regions: Rows
+
+
+def measure(run_dir: Path) -> Measured:
     """Returns a finished run's figures; one that the run does not yield is None.
 
     Shares are 0 to 1, delays in s over all journeys, uplink rates in Mbit/s of all agents together.
-    `e_cvpr_hist` counts the frames by E-CVPR, in `HISTOGRAM_BINS` bins.
+    `e_cvpr_hist` counts the frames by E-CVPR, in `HISTOGRAM_BINS` bins. Junctions name their
+    region.
 
     Raises:
         ConfigError: the folder is no whole run.
@@ -39,8 +51,10 @@ def measure(run_dir: Path) -> Row:
     with Run(run_dir) as run:
         scores = score(run)
         uplink = total_mbps(run, float(run.scenario["frame_period_s"]))
-        errors = np.concatenate([*count_errors(run).values(), []])
-        return {
+        by_signal = count_errors(run)
+        errors = np.concatenate([*by_signal.values(), []])
+        duration_s = pace_of(run)["sim_duration_s"]
+        row: Row = {
             "frames": len(scores),
             **_perception(scores),
             "count_error": _mean(np.abs(errors)),
@@ -49,6 +63,22 @@ def measure(run_dir: Path) -> Row:
             "uplink_mbps": uplink["mean"],
             "uplink_peak_mbps": uplink["peak"],
         }
+        junctions = junctions_of_run(run, scores, by_signal, duration_s)
+        return Measured(row, _with_regions(run, junctions), _regions(run, duration_s))
+
+
+def _with_regions(run: Run, junctions: Figures) -> Rows:
+    members: dict[str, list[str]] = run.scenario["regions"]
+    region_of = {tls: region for region, signals in members.items() for tls in signals}
+    return {tls: {"region": region_of.get(tls), **found} for tls, found in junctions.items()}
+
+
+def _regions(run: Run, duration_s: float) -> Rows:
+    """Returns what does not depend on how fast a worker is: no latency."""
+    return {
+        region: {name: found[name] for name in ("agents", "mbps", "handovers")}
+        for region, found in regions_of_run(run, duration_s).items()
+    }
 
 
 def _perception(scores: list[FrameScore]) -> Row:
@@ -99,6 +129,8 @@ class Outcome:
 
     row: Row
     took_s: float
+    junctions: Rows = field(default_factory=dict)
+    regions: Rows = field(default_factory=dict)
 
 
 def run_cell(task: Task) -> Outcome:
@@ -115,11 +147,11 @@ def run_cell(task: Task) -> Outcome:
         run_dir = Path(folder) / "run"
         run_dir.mkdir()
         run_in_process(task.scenario, run_dir)
-        row = measure(run_dir)
+        found = measure(run_dir)
         took_s = (time.monotonic_ns() - begun_ns) / 1e9
         if task.run_dir is not None:
             shutil.copytree(run_dir, task.run_dir, dirs_exist_ok=True)
-    return Outcome(row, took_s)
+    return Outcome(found.row, took_s, found.junctions, found.regions)
 
 
 def in_own_folder() -> tempfile.TemporaryDirectory[str]:

@@ -56,7 +56,7 @@ def played(folder: Path, **settings: Any) -> Path:
 
 def test_all_three_kinds_by_name_in_one_run(installed, tmp_path) -> None:
     run_dir = played(tmp_path / "a", **BY_NAME, **{"upload.plugin.near_m": 25})
-    assert measure(run_dir)["e_cvpr"] > 0.2
+    assert measure(run_dir).row["e_cvpr"] > 0.2
     with Run(run_dir) as run:
         assert {row.policy for row in run.rows(RequestRow)} == {"longest-queue"}
         points = {0: 0, 1: 0}

@@ -161,8 +161,8 @@ def test_a_scheduler_with_two_workers_gives_the_table_of_this_machine_and_its_lo
     address, scheduler = cluster
     finish(shell, "--out", "there", "--scheduler", address)
     assert table(folder / "there").equals(table(whole))
-    there = (folder / "there" / "results.parquet").read_bytes()
-    assert there == (whole / "results.parquet").read_bytes()
+    for name in ("results.parquet", "junctions.parquet", "regions.parquet"):
+        assert (folder / "there" / name).read_bytes() == (whole / name).read_bytes()
 
     longer = ("--out", "out", "--set", "duration_s=20", "--scheduler", address)
     command = shell.start("study", "small.yaml", *longer)

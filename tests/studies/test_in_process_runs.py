@@ -12,7 +12,7 @@ from protocol.errors import ConfigError
 from recording.run import Run, differences
 from recording.tables import CountRow, PhaseRow, TripRow
 from studies.in_process import run_in_process
-from studies.sweep.study_file import MEASURES
+from studies.sweep.study_file import MEASURES, PART_MEASURES
 from studies.sweep.worker import HISTOGRAM_BINS, measure
 
 SMALL = {
@@ -44,7 +44,7 @@ def test_the_same_seed_gives_the_same_rows_and_another_does_not(tmp_path):
 
 def test_planned_uploads_over_virtual_links_end_well(tmp_path):
     settings = {"upload.policy": "reap", "upload.filters": ["foreground"], "link.profile": "5mbit"}
-    row = measure(played(tmp_path / "a", **settings, traffic__cav_rate=0.1))
+    row = measure(played(tmp_path / "a", **settings, traffic__cav_rate=0.1)).row
     assert row["frames"] == 6
     assert row["e_cvpr"] > 0.3
     assert row["e_cvpr"] <= row["visible_share"] <= row["in_range_share"] <= 1
@@ -52,8 +52,21 @@ def test_planned_uploads_over_virtual_links_end_well(tmp_path):
     assert len(row["e_cvpr_hist"]) == HISTOGRAM_BINS
 
 
+def test_junctions_and_regions_of_a_network_add_up_to_the_whole(tmp_path):
+    city = {"traffic.network": "corridor", "regions": 2, "duration_s": 4, "traffic.warmup_s": 60}
+    found = measure(played(tmp_path / "a", **city))
+    assert {*found.junctions} == {"A0", "B0", "C0", "D0", "E0"}
+    assert {row["region"] for row in found.junctions.values()} == {*found.regions} == {"r0", "r1"}
+    whole = pytest.approx(found.row["uplink_mbps"])
+    assert sum(row["mbps"] for row in found.junctions.values()) == whole
+    assert sum(row["mbps"] for row in found.regions.values()) == whole
+    shares = [row["e_cvpr"] for row in found.junctions.values()]
+    assert min(shares) <= found.row["e_cvpr"] <= max(shares)
+    assert {name for row in found.regions.values() for name in row} <= PART_MEASURES
+
+
 def test_exact_reports_of_all_are_perfect_counts(tmp_path):
-    row = measure(played(tmp_path / "a", **BLIND, **EXACT))
+    row = measure(played(tmp_path / "a", **BLIND, **EXACT)).row
     assert row.keys() == MEASURES
     assert row["e_cvpr"] == 1
     assert row["count_error"] < 0.15  # where a vehicle changes lanes, its middle decides

@@ -53,6 +53,14 @@ def test_a_grid_without_axes_is_one_cell_a_seed():
     assert [c.title for c in cells_of(study, resolve)] == ["g seed=1"]
 
 
+def test_a_net_that_hides_an_axis_of_networks_is_refused():
+    axes = {"city": {"a": {"traffic.network": "grid"}, "b": {"traffic.network": "town"}}}
+    study = Study.model_validate({"name": "s", "grids": [{"name": "g", "axes": axes}]})
+    with pytest.raises(ConfigError, match=r"g, .*'a'.*: traffic.network has no effect, as traffic"):
+        cells_of(study, lambda keys: resolve({**keys, "traffic": {"net": "own.net.xml"}}))
+    assert len(cells_of(study, lambda keys: resolve({**keys, "traffic": {"net": None}}))) == 2
+
+
 def test_a_cell_is_known_by_its_scenario_alone():
     assert identify({"a": 1, "b": 2}) == identify({"b": 2, "a": 1})
     assert identify({"a": 1}) != identify({"a": 2})

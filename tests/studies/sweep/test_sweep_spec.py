@@ -123,6 +123,8 @@ def test_built_in_studies_can_be_read():
         ("axes: {n: {a: {}, b: {}}}", "a column of its own"),
         ("axes: {delay_s: {a: {}}}", "a column of its own"),
         ("axes: {delay_s_mean: {a: {}}}", "a column of its own"),
+        ("axes: {region: {a: {}}}", "a column of its own"),
+        ("axes: {mbps_mean: {a: {}}}", "a column of its own"),
         ("axes: {big: {99999999999999999999: {}}}", "put it into quotes"),
         ("axes: {traffic.cv_rate: [1], x: {a: {traffic: {cv_rate: 0}}}}", "both set traffic"),
         ("axes: {traffic.cv_rate: [1]}\nseeds: [1]\nseeds: [2]", "'seeds' stands twice"),

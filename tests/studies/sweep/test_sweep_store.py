@@ -27,6 +27,14 @@ def test_a_row_comes_back_as_it_was(store):
     assert kept["scenario"] == cell(1).scenario
 
 
+def test_figures_by_junction_and_region_come_back_as_they_were(store):
+    junctions, regions = {"J": {"region": "r0", "delay_s": 1.5}}, {"r0": {"agents": 2.0}}
+    store.save(cell(1), Outcome(ROW, 1.5, junctions, regions))
+    assert store.parts(cell(1).id, "junctions") == junctions
+    assert store.parts(cell(1).id, "regions") == regions
+    assert store.parts(cell(2).id, "regions") is None
+
+
 @pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"id": "another", "row": {}}'])
 def test_what_is_no_whole_file_is_run_again(store, text):
     (store.folder / "cells" / f"{cell(1).id}.json").write_text(text)
@@ -63,3 +71,11 @@ def test_figures_that_cannot_be_are_measured_anew(store, row):
     path = store.folder / "cells" / f"{cell(1).id}.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"row": row}))
     assert store.row(cell(1).id) is None
+
+
+@pytest.mark.parametrize("parts", [None, [], {"J": None}, {"J": {"delay_s": "abc"}}])
+def test_junctions_that_cannot_be_are_measured_anew(store, parts):
+    store.save(cell(1), Outcome({"delay_s": 1.0}, 1.0))
+    path = store.folder / "cells" / f"{cell(1).id}.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"junctions": parts}))
+    assert missing([cell(1)], store) == [cell(1)]

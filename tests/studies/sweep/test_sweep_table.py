@@ -12,7 +12,7 @@ from tests.studies.sweep.made_cells import cell
 pl = pytest.importorskip("polars", reason="needs the extra `study`")
 pytest.importorskip("scipy", reason="needs the extra `study`")
 
-from studies.sweep.results import over_seeds, table, write_table  # noqa: E402
+from studies.sweep.results import over_seeds, parts_table, table, write_table  # noqa: E402
 from studies.sweep.worker import Outcome  # noqa: E402
 
 
@@ -44,6 +44,19 @@ def test_a_cell_that_is_not_done_has_no_row_and_leaves_types_as_they_are(store):
 def test_equal_cells_have_a_row_in_each_grid(store):
     frame = filled(store, [cell(1, "a"), cell(1, "b")])
     assert frame["grid"].to_list() == ["a", "b"]
+
+
+def test_each_junction_of_each_cell_has_a_row(store):
+    cells = [cell(seed, rate=0.5) for seed in (1, 2)]
+    for one in cells:
+        rows = {tls: {"region": "r0", "delay_s": one.seed * 1.5} for tls in "JK"}
+        store.save(one, Outcome({"frames": 1}, 1.0, rows))
+    frame = parts_table([*cells, cell(3, rate=0.5)], store, "junctions")
+    assert frame.columns == ["grid", "rate", "seed", "tls", "region", "delay_s"]
+    assert frame.select("seed", "tls", "delay_s").rows() == [
+        (1, "J", 1.5), (1, "K", 1.5), (2, "J", 3.0), (2, "K", 3.0),
+    ]  # fmt: skip
+    assert len(parts_table(cells, store, "regions")) == 0
 
 
 def test_measures_keep_their_kinds(store):
