@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from operator import attrgetter
 
 from protocol.inbox import Envelope, Presence
 from protocol.messages import (
@@ -82,14 +81,17 @@ class PhaseRow:
 
 @dataclass(frozen=True, slots=True)
 class RegionRow:
-    """A region: frames that were seen of it, those not complete, its agents, Mbit/s, mean ms."""
+    """A region: frames that were seen of it, those not complete, its agents, Mbit/s, mean ms.
+
+    Mbit/s are the recorder's, None as long as it has said nothing.
+    """
 
     region: str
     junctions: int
     frames: int
     incomplete: int
     agents: int
-    mbps: float
+    mbps: float | None
     mean_ms: float | None
 
 
@@ -141,7 +143,6 @@ class Board:
         self.present: dict[tuple[str, str], set[BusName]] = {}
         self.gone: set[tuple[str, str]] = set()
         self._rates = Rates(period_ns)
-        self._region_rates = Rates(period_ns, attrgetter("region"))
         self._stages = Stages(period_ns, setup.scenario["regions"])
         self._latencies: deque[FrameLatency] = deque(maxlen=AVERAGED_FRAMES)
         self._region_latencies: dict[str, deque[float]] = defaultdict(
@@ -238,7 +239,7 @@ class Board:
         """Returns the regions; nothing where one junction is shown."""
         if self.junction is not None:
             return []
-        rates = self._region_rates.mbps(self.sim_time_ns)
+        told = self.progress.regions if self.progress else {}
         return [
             RegionRow(
                 region,
@@ -246,7 +247,7 @@ class Board:
                 one.frames,
                 one.incomplete,
                 one.agents,
-                rates.get(region, 0.0),
+                told[region].mbps if region in told else None,
                 _mean([*times]) if (times := self._region_latencies.get(region)) else None,
             )
             for region, one in self._observed.regions.items()
@@ -331,7 +332,6 @@ class Board:
     def _take_metrics(self, metrics: Metrics) -> None:
         metrics = uploads_to(metrics, self._regions)
         self._rates.take(metrics)
-        self._region_rates.take(metrics)
         sent: dict[str, int] = {}
         for upload in metrics.uploads:
             sent[upload.agent] = sent.get(upload.agent, 0) + upload.points

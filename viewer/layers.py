@@ -157,16 +157,19 @@ def lane_counts(
 
 
 def junction_totals(junctions: Iterable[ObservedJunction]) -> Texts:
-    """Returns at each junction its signal's id, and what is known before its stop bars."""
+    """Returns at each junction its signal's id, and what is known before its stop bars.
+
+    On narrow lines, for junctions may be near each other.
+    """
     known = [one for one in junctions if one.counts is not None]
     places = np.array([one.intersection.centre for one in known], np.float64).reshape(-1, 3)
-    texts = [f"{one.tls}: {one.vehicles}, {one.queued} queued{_covered(one)}" for one in known]
+    texts = [f"{one.tls}: {one.vehicles}\n{one.queued} queued{_covered(one)}" for one in known]
     above = np.array([0.0, 0.0, TOTAL_ABOVE_M])
     return Texts(places + above, texts, [rgb(palette.TEXT)] * len(texts))
 
 
 def _covered(junction: ObservedJunction) -> str:
-    return "" if junction.coverage is None else f", {junction.coverage:.0%} covered"
+    return "" if junction.coverage is None else f"\n{junction.coverage:.0%} covered"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

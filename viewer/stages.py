@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
 
 from protocol.errors import MessageError
-from protocol.messages import ClockReading, LaneCounts, Message, Metrics, Tick, Upload
+from protocol.messages import ClockReading, LaneCounts, Message, Metrics, Tick
 from recording.frame_aggregator import FrameAggregator
 from recording.tables import LatencyRow
 
+LAG_FRAMES = 3
+"""Metrics arrive last: so much later the messages of a frame are complete."""
 WINDOW_NS = 1_000_000_000
 MAX_RATED_AGENTS = 1024
 _MAX_FRAMES = 256  # of the window
@@ -24,45 +25,42 @@ def uploads_to(metrics: Metrics, regions: Collection[str]) -> Metrics:
 
 
 class Rates:
-    """Adds up payloads over the last second, by agent or another key of an upload."""
+    """Adds up each agent's payloads over the last second whose frames are complete."""
 
-    def __init__(
-        self, frame_period_ns: int, key: Callable[[Upload], str] = attrgetter("agent")
-    ) -> None:
+    def __init__(self, frame_period_ns: int) -> None:
         self._period_ns = frame_period_ns
-        self._key = key
+        self._window_ns = max(WINDOW_NS, frame_period_ns)
         self._sent: dict[str, deque[tuple[int, int]]] = {}
 
     def take(self, metrics: Metrics) -> None:
-        """Takes what a process says that its agents sent; of too many keys no more are heard."""
+        """Takes what a process says that its agents sent; of too many agents no more are heard."""
         at_ns = metrics.sim_time_ns
         for upload in metrics.uploads:
-            key = self._key(upload)
-            if key not in self._sent and len(self._sent) >= MAX_RATED_AGENTS:
+            if upload.agent not in self._sent and len(self._sent) >= MAX_RATED_AGENTS:
                 continue
-            sent = self._sent.setdefault(key, deque(maxlen=_MAX_FRAMES))
+            sent = self._sent.setdefault(upload.agent, deque(maxlen=_MAX_FRAMES))
             before = sent.pop()[1] if sent and sent[-1][0] == at_ns else 0
             sent.append((at_ns, before + upload.payload_bytes))
 
     def mbps(self, now_ns: int) -> dict[str, float]:
-        """Returns each key's rate in the second before this moment; who sent nothing is left out.
+        """Returns each agent's rate, as of `LAG_FRAMES` before now; who sent nothing is left out.
 
         Who came within the second has the rate since then.
         """
+        end_ns = now_ns - LAG_FRAMES * self._period_ns
         rates = {}
-        for key, sent in list(self._sent.items()):
-            while sent and sent[0][0] <= now_ns - WINDOW_NS:
+        for agent, sent in list(self._sent.items()):
+            while sent and sent[0][0] <= end_ns - self._window_ns:
                 sent.popleft()
             if not sent:
-                del self._sent[key]
-                continue
-            heard_ns = min(WINDOW_NS, max(now_ns - sent[0][0], 0) + self._period_ns)
-            rates[key] = sum(size for at_ns, size in sent if at_ns <= now_ns) * 8e3 / heard_ns
+                del self._sent[agent]
+            elif (since_ns := end_ns - sent[0][0]) >= 0:
+                heard_ns = min(self._window_ns, since_ns + self._period_ns)
+                known_bytes = sum(size for at_ns, size in sent if at_ns <= end_ns)
+                rates[agent] = known_bytes * 8e3 / heard_ns
         return rates
 
 
-LAG_FRAMES = 3
-"""Metrics arrive last: so much later the messages of a frame are complete."""
 MAX_PROCESSES = 512
 GROUPS = {
     "sense": ("sense",),

@@ -65,7 +65,7 @@ def _regions(rows: list[RegionRow]) -> Table:
             f"{row.frames}",
             Text(f"{row.incomplete}", "red" if row.incomplete else ""),
             f"{row.agents}",
-            f"{row.mbps:.2f}",
+            "–" if row.mbps is None else f"{row.mbps:.2f}",
             "–" if row.mean_ms is None else f"{row.mean_ms:.1f}",
         )
     if len(rows) > MAX_REGIONS:

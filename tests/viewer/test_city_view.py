@@ -15,6 +15,7 @@ from viewer import layers
 from viewer.layers import rgb
 from viewer.road import camera
 from viewer.scene import Moment, Scene
+from viewer.stages import LAG_FRAMES
 
 GREEN, YELLOW, RED = (rgb(palette.SIGNAL[letter]) for letter in "Gyr")
 
@@ -26,10 +27,10 @@ def state(tls: str, shown: str) -> m.SignalState:
     )  # fmt: skip
 
 
-def counts(tls: str, queued: int) -> m.LaneCounts:
+def counts(tls: str, queued: int, number: int = 1) -> m.LaneCounts:
     lane = f"{tls}south_0"
     return m.LaneCounts(
-        frame=1, sim_time_ns=PERIOD_NS, tls=tls, agents=["a"], complete=True,
+        frame=number, sim_time_ns=number * PERIOD_NS, tls=tls, agents=["a"], complete=True,
         upstream={lane: 2 * queued}, downstream={}, stationary_upstream={lane: queued},
         coverage_upstream={lane: 0.25},
     )  # fmt: skip
@@ -67,9 +68,9 @@ def test_the_overview_has_lamps_counts_and_parts_of_all_junctions() -> None:
     assert picture.counts.texts == ["0", "2", "4"]
     assert picture.totals is not None
     assert picture.totals.texts == [
-        "J: 0, 0 queued, 25% covered",
-        "K: 2, 1 queued, 25% covered",
-        "L: 4, 2 queued, 25% covered",
+        "J: 0\n0 queued\n25% covered",
+        "K: 2\n1 queued\n25% covered",
+        "L: 4\n2 queued\n25% covered",
     ]
     assert picture.totals.places[:, 0].tolist() == [0, 200, 400]
     assert picture.queues == {"J": 0, "K": 1, "L": 2}
@@ -134,6 +135,8 @@ def test_rates_are_those_of_uploads_to_the_shown_region() -> None:
         scene.measured(
             m.Metrics(process="vehicle-0", frame=1, sim_time_ns=PERIOD_NS, uploads=[upload])
         )
-    picture = scene.picture(Moment.of(frame(), scene.regions))
+    number = 1 + LAG_FRAMES
+    later = BufferedFrame(number, [item("lanes", counts("L", 0, number), region="r1")])
+    picture = scene.picture(Moment.of(later, scene.regions))
     assert picture is not None
     assert picture.mbps == {"a": pytest.approx(1.0)}

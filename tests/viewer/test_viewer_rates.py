@@ -8,7 +8,7 @@ from tests.viewer.shown import MS, PERIOD_NS, measured, sent, tick
 from viewer.stages import GROUPS, LAG_FRAMES, MAX_RATED_AGENTS, Rates, Stages
 
 
-def test_a_rate_is_that_of_the_last_second_of_the_world() -> None:
+def test_a_rate_is_that_of_the_last_second_of_complete_frames() -> None:
     rates = Rates(PERIOD_NS)
     for frame in range(30):
         rates.take(sent(frame, "a", 12_500))
@@ -16,17 +16,31 @@ def test_a_rate_is_that_of_the_last_second_of_the_world() -> None:
     assert rates.mbps(60 * PERIOD_NS) == {}
 
 
-def test_who_came_just_now_has_its_rate_at_once() -> None:
+def test_who_came_just_now_has_its_rate_as_soon_as_its_frame_is_complete() -> None:
     rates = Rates(PERIOD_NS)
     rates.take(sent(100, "a", 12_500))
-    assert rates.mbps(100 * PERIOD_NS) == pytest.approx({"a": 1.0})
+    assert rates.mbps((99 + LAG_FRAMES) * PERIOD_NS) == {}
+    assert rates.mbps((100 + LAG_FRAMES) * PERIOD_NS) == pytest.approx({"a": 1.0})
+
+
+@pytest.mark.parametrize("period_s", [1, 2])
+def test_frames_that_last_a_second_or_more_have_their_rate_though_metrics_come_after_the_tick(
+    period_s: int,
+) -> None:
+    rates = Rates(period_s * 10**9)
+    for frame in range(10):
+        now_ns = frame * period_s * 10**9
+        expected = {"a": 1.0} if frame >= LAG_FRAMES else {}
+        assert rates.mbps(now_ns) == pytest.approx(expected)
+        upload = sent(frame, "a", period_s * 125_000)
+        rates.take(upload.model_copy(update={"sim_time_ns": now_ns}))
 
 
 def test_a_flood_of_agents_is_bounded() -> None:
     rates = Rates(PERIOD_NS)
     for n in range(MAX_RATED_AGENTS + 10):
         rates.take(sent(0, str(n), 1))
-    assert len(rates.mbps(0)) == MAX_RATED_AGENTS
+    assert len(rates.mbps(LAG_FRAMES * PERIOD_NS)) == MAX_RATED_AGENTS
 
 
 def test_every_stage_of_the_account_is_drawn_once() -> None:
