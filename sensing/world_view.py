@@ -11,7 +11,7 @@ import numpy.typing as npt
 from protocol.bus import Bus
 from protocol.geometry import Floats
 from protocol.messages import Equipment, Tick, TileBodies, TileRequest
-from protocol.tiles import Tile, tile_name, tiles_within
+from protocol.tiles import Tile, joined, tile_name, tiles_within
 
 AHEAD_M = 50.0
 """Tiles are subscribed to so much before an agent needs them, and kept for twice that."""
@@ -63,7 +63,6 @@ class Surroundings:
         self._known: dict[Tile, TileBodies] = {}
         self._needed: dict[Tile, int] = {}
         self._hosted: dict[str, Equipment] = {}
-        self._tick: Tick | None = None
         self._asked_ns = 0
 
     def stand_at(self, places: Floats) -> None:
@@ -83,7 +82,6 @@ class Surroundings:
         mine = np.zeros(0, np.int64)
         if self._process in tick.processes:
             mine = np.flatnonzero(tick.hosts == tick.processes.index(self._process))
-        self._tick = tick
         self._hosted = {tick.agents[n]: Equipment(int(tick.equipment[n])) for n in mine}
         places = np.concatenate([self._fixed, tick.places[mine]])
         self._follow(places)
@@ -103,17 +101,18 @@ class Surroundings:
         return not missing
 
     def view(self, tick: Tick) -> WorldView:
-        """Returns the frame's bodies; of one that stands in two tiles, the newer place."""
-        parts = sorted((self._known[tile] for tile in self._needed), key=lambda part: part.frame)
-        where = {name: (k, n) for k, part in enumerate(parts) for n, name in enumerate(part.ids)}
-        ids = sorted(where)
-        poses, speeds_mps = np.zeros((len(ids), 6)), np.zeros(len(ids), np.float32)
-        for index, name in enumerate(ids):
-            k, n = where[name]
-            poses[index], speeds_mps[index] = parts[k].poses[n], parts[k].speeds_mps[n]
-        hosted = {n: self._hosted[name] for n, name in enumerate(ids) if name in self._hosted}
-        types = [parts[k].types[n] for k, n in (where[name] for name in ids)]
-        return WorldView(tick.frame, tick.sim_time_ns, ids, types, poses, speeds_mps, hosted)
+        """Returns the frame's bodies."""
+        near = joined(self._known[tile] for tile in self._needed)
+        hosted = {n: self._hosted[name] for n, name in enumerate(near.ids) if name in self._hosted}
+        return WorldView(
+            tick.frame,
+            tick.sim_time_ns,
+            near.ids,
+            near.types,
+            near.poses,
+            near.speeds_mps,
+            hosted,
+        )
 
     def _has(self, tile: Tile, since: int) -> bool:
         known = self._known.get(tile)

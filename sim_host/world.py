@@ -46,6 +46,19 @@ class TrafficState:
     lane_positions_m: npt.NDArray[np.float32]
     equipment: npt.NDArray[np.uint8]
 
+    @classmethod
+    def of_truth(cls, truth: Truth) -> TrafficState:
+        """Returns the vehicles of a recorded frame."""
+        return cls(
+            ids=truth.ids,
+            types=truth.types,
+            lanes=truth.lanes,
+            poses=truth.poses,
+            speeds_mps=truth.speeds_mps,
+            lane_positions_m=truth.lane_positions_m,
+            equipment=truth.equipment,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class TrafficCounts:
@@ -262,16 +275,8 @@ class RecordedWorld:
 
     def bodies(self) -> TrafficState:
         """Returns where every vehicle was."""
-        truth = self._recording.truths[self._recording.place(self._frame)]
-        return TrafficState(
-            ids=truth.ids,
-            types=truth.types,
-            lanes=truth.lanes,
-            poses=truth.poses,
-            speeds_mps=truth.speeds_mps,
-            lane_positions_m=truth.lane_positions_m,
-            equipment=truth.equipment,
-        )
+        place = self._recording.place(self._frame)
+        return TrafficState.of_truth(self._recording.truths[place])
 
     def set_signal(self, tls: str, state: str) -> None:
         """Does nothing: recorded traffic does not follow the signal."""

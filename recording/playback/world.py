@@ -9,7 +9,7 @@ import numpy as np
 from protocol.errors import ConfigError
 from protocol.messages import Equipment, SignalState, Tick, TileBodies, Trip, Trips, Truth
 from protocol.process import Context
-from protocol.tiles import Tile
+from protocol.tiles import Tile, joined
 from recording.config import ReplayConfig
 from recording.mcap.reader import McapReader
 from recording.playback.frames import FRAME_TOPIC, RecordedFrames
@@ -18,7 +18,6 @@ from sim_host.setup import traffic_config
 from sim_host.world import TrafficCounts, TrafficState
 
 WORLD_TOPICS = ("tick", "bodies", "truth", "trips", FRAME_TOPIC)
-_STILL = np.zeros(0, np.float32)
 _NOBODY = TrafficState(
     ids=[],
     types=[],
@@ -105,39 +104,24 @@ class RecordedWorld:
         ticks = [m for m in messages if isinstance(m, Tick)]
         self._tiles |= {(m.column, m.row): m for m in messages if isinstance(m, TileBodies)}
         if whole:
-            self._bodies = _bodies_of_truth(whole[0])
+            self._bodies = TrafficState.of_truth(whole[0])
         elif ticks:
             tiles = [self._tiles.get((c, r)) for c, r in ticks[0].tiles.tolist()]
             self._bodies = _bodies_of_tiles(ticks[0], [one for one in tiles if one is not None])
 
 
-def _bodies_of_truth(truth: Truth) -> TrafficState:
-    return TrafficState(
-        ids=truth.ids,
-        types=truth.types,
-        lanes=truth.lanes,
-        poses=truth.poses,
-        speeds_mps=truth.speeds_mps,
-        lane_positions_m=truth.lane_positions_m,
-        equipment=truth.equipment,
-    )
-
-
 def _bodies_of_tiles(tick: Tick, tiles: list[TileBodies]) -> TrafficState:
-    """Returns the bodies of a recording without truth, sorted by id; their lanes are unknown."""
-    names = [name for tile in tiles for name in tile.ids]
-    types = [kind for tile in tiles for kind in tile.types]
-    order = sorted(range(len(names)), key=names.__getitem__)
+    """Returns the bodies of a recording without truth; their lanes are unknown."""
+    found = joined(tiles)
     carried = dict(zip(tick.agents, tick.equipment.tolist(), strict=True))
-    ids = [names[n] for n in order]
     return TrafficState(
-        ids=ids,
-        types=[types[n] for n in order],
-        lanes=[""] * len(ids),
-        poses=np.concatenate([np.zeros((0, 6)), *(tile.poses for tile in tiles)])[order],
-        speeds_mps=np.concatenate([_STILL, *(tile.speeds_mps for tile in tiles)])[order],
-        lane_positions_m=np.zeros(len(ids), np.float32),
-        equipment=np.array([carried.get(name, Equipment.NONE) for name in ids], np.uint8),
+        ids=found.ids,
+        types=found.types,
+        lanes=[""] * len(found.ids),
+        poses=found.poses,
+        speeds_mps=found.speeds_mps,
+        lane_positions_m=np.zeros(len(found.ids), np.float32),
+        equipment=np.array([carried.get(name, Equipment.NONE) for name in found.ids], np.uint8),
     )
 
 

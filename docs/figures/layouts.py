@@ -1,0 +1,270 @@
+"""How figures are laid out: from what a command measured to the table or text that a page shows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from statistics import mean, stdev
+from typing import Any
+
+from scipy.stats import t as student_t
+
+Rows = list[dict[str, Any]]
+Table = list[list[str]]  # the first row is the head
+
+
+def _fixed(value: float | None, digits: int, factor: float = 1.0) -> str:
+    return "–" if value is None else f"{factor * value:.{digits}f}"
+
+
+def uplink(link: str) -> Callable[[Rows], Table]:
+    """Returns the layout of upload policies on one link."""
+
+    def layout(rows: Rows) -> Table:
+        heads = ["kB", "Mbit/s", "mean", "p95", "scans/s", "seen %", "false a frame", "count"]
+        return [[LINKS[link], *heads]] + [
+            [
+                f"`{row['policy']}`", _fixed(row["bytes_per_frame"], 1, 1e-3),
+                _fixed(row["mbps_per_agent"], 2), _fixed(row["latency_ms"]["mean"], 1),
+                _fixed(row["latency_ms"]["p95"], 1), _fixed(row["fps"], 1),
+                _fixed(row["recall_visible"], 1, 100), _fixed(row["false_per_frame"], 1),
+                _fixed(row["count_error"], 2),
+            ]
+            for row in rows if row["link"] == link
+        ]  # fmt: skip
+
+    return layout
+
+
+LINKS = {
+    "5mbit": "5 Mbit/s",
+    "lte": "LTE, 6 Mbit/s on average, round trip 50 ms",
+    "5g-urban": "urban 5G, 50 Mbit/s on average, round trip 16 ms",
+}
+_WAYS_TO_UPLOAD = {
+    "full": "whole scans to the edge",
+    "reap+foreground": "`reap` with `foreground` (EMP's scheme, without ground and background)",
+    "objects": "boxes, detected on the agents",
+    "sharing": "no edge: everybody hears everybody and detects alone",
+}
+
+
+def uplink_readme(rows: Rows) -> Table:
+    """Returns the README's table of ways to upload."""
+    by_policy = {row["policy"]: row for row in rows if row["link"] == "5mbit"}
+    table = [["", "bytes a frame", "mean latency", "visible vehicles detected"]]
+    for policy, words in _WAYS_TO_UPLOAD.items():
+        row = by_policy[policy]
+        size = f"{_fixed(row['bytes_per_frame'], 1, 1e-3)} kB"
+        latency = f"{_fixed(row['latency_ms']['mean'], 0)} ms"
+        table.append([words, size, latency, f"{_fixed(row['recall_visible'], 1, 100)} %"])
+    return table
+
+
+def rates(rows: Rows) -> Table:
+    """Returns the highest frame rate of each policy."""
+    table = [["policy", "at 10 frames/s, mean / p95", "highest rate kept up with"]]
+    for policy in dict.fromkeys(row["policy"] for row in rows):
+        own = [row for row in rows if row["policy"] == policy]
+        ms = own[0]["latency_ms"]
+        best_hz = max((row["rate_hz"] for row in own if row["is_sustained"]), default=0)
+        latency = f"{_fixed(ms['mean'], 0)} / {_fixed(ms['p95'], 0)} ms"
+        table.append([f"`{policy}`", latency, f"{best_hz:g} frames/s"])
+    return table
+
+
+def emulated(runs: Rows) -> Table:
+    """Returns link latency by kind of link."""
+    table = [["", "p50", "p95"]]
+    for name, run in zip(("virtual", "emulated"), runs, strict=True):
+        link = run["latency_ms"]["link"]
+        table.append([name, _fixed(link["p50"], 1), _fixed(link["p95"], 1)])
+    return table
+
+
+def _beside_draco(rows: Rows) -> Iterable[tuple[str, str, list[tuple[float, float, float]]]]:
+    """Yields Draco's bits, a profile, and its ratios of bytes and times on each cloud."""
+    draco = {(r["cloud"], r["bound_m"]): r for r in rows if r["codec"].startswith("draco")}
+    groups: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
+    for row in rows:
+        other = draco.get((row["cloud"], row["bound_m"]))
+        if other is not None and other is not row:
+            ratios = (
+                row["bytes"] / other["bytes"],
+                other["encode_ms"] / row["encode_ms"],
+                other["decode_ms"] / row["decode_ms"],
+            )
+            groups.setdefault((other["codec"].removeprefix("draco-"), row["codec"]), []).append(
+                ratios
+            )
+    yield from ((bits, codec, ratios) for (bits, codec), ratios in groups.items())
+
+
+def codec(rows: Rows) -> Table:
+    """Returns bytes and times beside Draco's, by its bits."""
+    table = [["bits of Draco", "profile", "bytes / Draco", "worst", "encode x Draco", "worst",
+              "decode x Draco", "worst"]]  # fmt: skip
+    for bits, codec, ratios in _beside_draco(rows):
+        cells = []
+        for values, worst in zip(zip(*ratios, strict=True), (max, min, min), strict=True):
+            cells += [_fixed(sum(values) / len(values), 2), _fixed(worst(values), 2)]
+        table.append([bits, f"`{codec}`", *cells])
+    return table
+
+
+def codec_floor(rows: Rows) -> Table:
+    """Returns bits a point beside the noise that they must hold."""
+    table = [["cloud", "`default` bits/point", "x noise", "x noise and losses"]]
+    for row in rows:
+        noise = row["noise_floor_bits"]
+        if noise and row["codec"] == "default" and row["bound_m"] == 0.01:
+            both, bits = noise + (row["loss_floor_bits"] or 0), row["bits_per_point"]
+            table.append(
+                [row["cloud"], _fixed(bits, 2), _fixed(bits / noise, 2), _fixed(bits / both, 2)]
+            )
+    return table
+
+
+_CLOUDS = {"none": "one scan", "early": "merged", "late": "each scan, then fused"}
+_CELLS = (("bev", 0.01), ("bev", 0.1), ("bev", 0.5), ("bev", 0.7), ("3d", 0.1), ("3d", 0.5))
+
+
+def _visible(rows: Rows) -> dict[tuple[str, str, bool], dict[tuple[str, float], dict[str, Any]]]:
+    """Returns rows of all visible vehicles by detector, cloud and geofence, then view and IoU."""
+    found: dict[tuple[str, str, bool], dict[tuple[str, float], dict[str, Any]]] = {}
+    for row in rows:
+        if row["part"] == "all" and row["truth"] == "visible":
+            key = row["detector"], _CLOUDS[row["fusion"]], row["geofence"]
+            found.setdefault(key, {})[row["view"], row["iou"]] = row
+    return found
+
+
+def accuracy(rows: Rows) -> Table:
+    """Returns average precision, recall and precision by detector."""
+    heads = ["BEV 0.01", "0.1", "0.5", "0.7", "3D 0.1", "0.5", "recall", "precision"]
+    table = [["detector", "cloud", "geofence", *heads]]
+    order = {cloud: place for place, cloud in enumerate(_CLOUDS.values())}
+    lines = _visible(rows)
+    for key in sorted(lines, key=lambda k: (k[0], order[k[1]], not k[2])):
+        detector, cloud, geofence = key
+        cells = lines[key]
+        at = cells["bev", 0.1]
+        figures = [_fixed(cells[cell]["ap40"], 1, 100) for cell in _CELLS]
+        figures += [_fixed(at["recall"], 1, 100), _fixed(at["precision"], 1, 100)]
+        table.append([f"`{detector}`", cloud, "yes" if geofence else "no", *figures])
+    return table
+
+
+def city(rows: Rows) -> Table:
+    """Returns a line for each net and control; differences are paired by seed, 95 % intervals."""
+    seen, *others = dict.fromkeys(row["control"] for row in rows)
+    heads = ["delay, s", "perception saves, s", "E-CVPR, %", "count error", "Mbit/s"]
+    table = [["net", "control", "seeds", *heads]]
+    for net in dict.fromkeys(row["net"] for row in rows):
+        by = {name: {r["seed"]: r for r in rows if (r["net"], r["control"]) == (net, name)}
+              for name in (seen, *others)}  # fmt: skip
+        for name, own in by.items():
+            both = sorted(own.keys() & by[seen].keys())
+            gains = [own[seed]["delay_s"] - by[seen][seed]["delay_s"] for seed in both]
+            cells = [_interval([row["delay_s"] for row in own.values()], 1)]
+            cells.append("" if name == seen else _interval(gains, 1))
+            if name == seen:
+                cells += [_interval([100 * row["e_cvpr"] for row in own.values()], 1)]
+                for key in ("count_error", "uplink_mbps"):
+                    cells.append(_interval([row[key] for row in own.values()], 2))
+            table.append([net, name, str(len(own)), *cells, *[""] * (len(heads) - len(cells))])
+    return table
+
+
+def _interval(values: list[float], digits: int) -> str:
+    """Returns the mean with half the width of its 95 % interval, Student's t."""
+    if len(values) < 2:
+        return _fixed(mean(values), digits) if values else "–"
+    half = float(student_t.ppf(0.975, len(values) - 1)) * stdev(values) / len(values) ** 0.5
+    return f"{_fixed(mean(values), digits)} ± {_fixed(half, digits)}"
+
+
+def _totals(rows: Rows) -> dict[tuple[str, int], dict[str, Any]]:
+    return {(r["detector"], r["agents"]): r for r in rows if r["stage"] == "total"}
+
+
+def edge(rows: Rows) -> Table:
+    """Returns milliseconds of the edge by agents and detector."""
+    totals = _totals(rows)
+    detectors = list(dict.fromkeys(name for name, _ in totals))
+    table = [["agents", "points", *(f"`{name}`" for name in detectors)]]
+    for agents in dict.fromkeys(agents for _, agents in totals):
+        own = [totals[name, agents] for name in detectors]
+        table.append([str(agents), str(own[0]["points"]), *(_fixed(r["ms_p50"], 1) for r in own)])
+    return table
+
+
+def misbehaviour(rows: Rows) -> Table:
+    """Returns which attacks are detected, and after how long."""
+    heads = [["what one agent sends"]]
+    lines: dict[str, list[str]] = {}
+    for rate in dict.fromkeys(row["cav_rate"] for row in rows):
+        heads[0] += [f"{100 * rate:g} % CAVs: detected", "after, s"]
+        for row in rows:
+            if row["cav_rate"] == rate:
+                after = "" if row["after_s"] is None else _fixed(row["after_s"], 1)
+                cells = [f"{row['found']} of {row['tried']}", after]
+                lines.setdefault(row["attack"], []).extend(cells)
+    return heads + [[attack, *cells] for attack, cells in lines.items()]
+
+
+def recorder(rows: Rows) -> Table:
+    """Returns what the recorder of a city takes."""
+    row = rows[0]
+    tables = row["gb_by_table"]
+    shown = [f"`{name}` {_fixed(tables[name], 2)}" for name in _LARGE]
+    return [
+        ["junctions, regions, agents, vehicles", "frames/s", "core-ms a frame", "GB/h", "of these"],
+        [
+            ", ".join(str(row[key]) for key in ("junctions", "regions", "agents", "vehicles")),
+            _fixed(row["frames_per_s"], 1), _fixed(row["core_ms"], 0),
+            _fixed(row["gb_per_hour"], 2), ", ".join(shown),
+        ],
+    ]  # fmt: skip
+
+
+_LARGE = ("detections", "truth", "sightings", "counts", "stages")
+
+
+def run_readme(data: dict[str, Any]) -> Table:
+    """Returns the README's table of a run."""
+    run = data["summary"]
+    ms, factor = run["latency_ms"]["end_to_end"], _fixed(run["real_time_factor"], 2)
+    latency = f"{_fixed(ms['p50'], 0)} / {_fixed(ms['p95'], 0)} ms"
+    mbps = mean(agent["mbps"] for agent in run["agents"].values())
+    return [
+        ["", "cpnet", "published"],
+        ["real-time factor, sensors, edge and SUMO together", factor, "–"],
+        ["sensing to signal, median / p95", latency, "93 ms mean (EMP, without detection)"],
+        ["uplink per agent, whole scans at 2 cm error", f"{_fixed(mbps, 1)} Mbit/s", "–"],
+    ]
+
+
+def run_text(data: dict[str, Any]) -> str:
+    """Returns the head of the summary, its end-to-end latency and the first agents."""
+    lines = data["text"].strip().split("\n")
+    end = next(i for i, line in enumerate(lines) if "end to end" in line)
+    agents = next(i for i, line in enumerate(lines) if line.startswith(" agent "))
+    shown = [*lines[:10], " …", lines[end], "", *lines[agents : agents + 4], " …", *lines[-2:]]
+    return "\n".join(["```", *shown, "```"])
+
+
+def text(data: dict[str, str]) -> str:
+    """Returns what a command printed."""
+    return data["text"].strip()
+
+
+def as_text(output: str) -> dict[str, str]:
+    """Reads what a command printed as it is."""
+    return {"text": output}
+
+
+def summary_and_text(output: str) -> dict[str, Any]:
+    """Reads a summary in JSON and what is printed of it, parted by a form feed."""
+    summary, text = output.split("\f")
+    return {"summary": json.loads(summary), "text": text}
