@@ -33,7 +33,7 @@ from recording.tables import FrameRow, LatencyRow
 from studies.bench import JsonRow, empty_table, print_whole
 from studies.in_process import run_in_process
 
-JUNCTIONS_PER_REGION = 8
+JUNCTIONS_PER_REGION = 25
 WARM_FRAMES = 10  # agents connect, compiled code is read, buffers grow
 CITY_CAVS = 1000
 _SAMPLE_S = 0.25

@@ -34,7 +34,7 @@ def run_once(run_dir: Path, policy: str, duration_s: float, channels: int) -> di
         },
     )
     run_in_process(scenario.model_dump(mode="json"), run_dir)
-    figures = measure(run_dir)
+    figures = measure(run_dir).row
     with Run(run_dir) as run:
         largest_bytes = max(upload.payload_bytes for upload in run.rows(UploadRow))
     return {

@@ -9,6 +9,9 @@ CpnetError
 └── BusError            the transport cannot be opened or was lost
 """
 
+import difflib
+from collections.abc import Collection
+
 
 class CpnetError(Exception):
     """Root of every error that cpnet raises on purpose."""
@@ -36,3 +39,12 @@ class CodecError(ProtocolError):
 
 class BusError(CpnetError):
     """A bus that cannot be opened or that lost its router."""
+
+
+_NEAR, _MAX_NEAR = 0.4, 3
+
+
+def did_you_mean(name: str, known: Collection[str]) -> str:
+    """Returns "; did you mean A or B?" with the known names that are like this one, else ""."""
+    near = difflib.get_close_matches(name, known, n=_MAX_NEAR, cutoff=_NEAR)
+    return f"; did you mean {' or '.join(near)}?" if near else ""

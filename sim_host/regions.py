@@ -5,7 +5,6 @@ The cut is METIS's (Karypis and Kumar 1998), on the graph of intersections that 
 
 from __future__ import annotations
 
-import difflib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from protocol.approaches import Approaches
-from protocol.errors import ConfigError
+from protocol.errors import ConfigError, did_you_mean
 from protocol.roadmap import RoadMap
 
 _SEED = 1
@@ -49,11 +48,9 @@ def _checked(wanted: Mapping[str, Sequence[str]], known: list[str]) -> dict[str,
             raise ConfigError(f"regions.{region} has no junction; each region needs one at least")
         for tls in junctions:
             if tls not in known:
-                near = difflib.get_close_matches(tls, known, n=3, cutoff=0.4)
-                hint = f"; did you mean {' or '.join(near)}?" if near else ""
                 raise ConfigError(
-                    f"regions.{region}: {tls!r} is none of the controlled junctions{hint} "
-                    f"They are: {', '.join(known[:20])}"
+                    f"regions.{region}: {tls!r} is none of the controlled junctions"
+                    f"{did_you_mean(tls, known)}; they are: {', '.join(known[:20])}"
                 )
     if twice := [tls for tls in known if times[tls] > 1]:
         where = [region for region, junctions in wanted.items() if twice[0] in junctions]

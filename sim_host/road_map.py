@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Literal
 
@@ -10,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from protocol.approaches import shortest, successors, through_junction
-from protocol.errors import ConfigError
+from protocol.errors import ConfigError, did_you_mean
 from protocol.roadmap import Intersection, Lane, Link, PlanPhase, RoadMap, Signal, distance_m
 from sim_host.netfile import Net, NetConnection, NetJunction, Point
 
@@ -76,8 +75,7 @@ def chosen(net: Net, junctions: Literal["all"] | Sequence[str] | None) -> list[s
         )
     for tls in junctions:
         if tls not in known:
-            near = difflib.get_close_matches(tls, known, n=3, cutoff=0.4)
-            hint = f", did you mean {' or '.join(near)}?" if near else ""
+            hint = did_you_mean(tls, known)
             raise ConfigError(f"there is no signal {tls!r}{hint}; {_listed(net, known)}")
     return sorted(set(junctions))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import logging
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping
@@ -12,7 +11,7 @@ import numpy as np
 
 from perception.arrays import Floats, Floats32
 from protocol.codec import claimed_points, decode
-from protocol.errors import CodecError, ConfigError
+from protocol.errors import CodecError, ConfigError, did_you_mean
 from protocol.geometry import SE3
 from protocol.messages import (
     Detections,
@@ -102,7 +101,7 @@ class Moment:
 
 MAX_POINTS = 50_000  # of a frame
 MAX_AGENTS = 64
-MAX_NEAR = 3  # names in an error
+MAX_LISTED = 20  # names in an error
 _log = logging.getLogger(__name__)
 
 
@@ -170,9 +169,9 @@ def junctions_to_show(road_map: RoadMap, tls: str | None) -> list[Intersection]:
         return road_map.intersections
     if tls not in road_map.by_tls:
         known = sorted(road_map.by_tls)
-        near = difflib.get_close_matches(tls, known, n=MAX_NEAR, cutoff=0.4) or known[:MAX_NEAR]
         raise ConfigError(
-            f"--tls {tls}: none of the run's {len(known)} signals; near it: {', '.join(near)}"
+            f"--tls {tls}: none of the run's {len(known)} signals{did_you_mean(tls, known)}; "
+            f"they are: {', '.join(known[:MAX_LISTED])}"
         )
     return [road_map.by_tls[tls]]
 

@@ -176,6 +176,83 @@ def city(rows: Rows) -> Table:
     return table
 
 
+def city_runs(runs: dict[str, dict[str, Any]]) -> Table:
+    """Returns a line for each whole run of a net."""
+    heads = ["junctions", "regions", "agents a frame", "real-time factor", "latency p50 / p95, ms"]
+    table = [["net", *heads, "E-CVPR, %", "delay, s", "Mbit/s in all"]]
+    for net, run in runs.items():
+        ms = run["latency_ms"]["end_to_end"]
+        table.append(
+            [
+                net, str(len(run["junctions"])), str(len(run["regions"])),
+                _fixed(sum(one["agents"] for one in run["regions"].values()), 1),
+                _fixed(run["real_time_factor"], 1),
+                f"{_fixed(ms['p50'], 0)} / {_fixed(ms['p95'], 0)}",
+                _fixed(run["e_cvpr"]["mean"], 1, 100), _fixed(run["delay_s"]["mean"], 1),
+                _fixed(sum(one["mbps"] for one in run["regions"].values()), 1),
+            ]
+        )  # fmt: skip
+    return table
+
+
+def city_junctions(runs: dict[str, dict[str, Any]]) -> Table:
+    """Returns a line for each signal of those runs."""
+    table = [["net", "signal", "delay, s", "E-CVPR, %", "switches", "count error"]]
+    for net, run in runs.items():
+        for tls, one in run["junctions"].items():
+            table.append(
+                [
+                    net, f"`{tls}`", _fixed(one["delay_s"], 1), _fixed(one["e_cvpr"], 1, 100),
+                    str(one["switches"]), _fixed(one["count_error"], 2),
+                ]
+            )  # fmt: skip
+    return table
+
+
+_ROLES = ("vehicle", "infra", "edge", "sim", "record")
+
+
+def scale(rows: Rows) -> Table:
+    """Returns what a frame of an agent costs, a line for each size of a city."""
+    heads = [
+        "junctions",
+        "regions",
+        "agents",
+        "CAVs",
+        "real-time factor",
+        "core-ms",
+        "to the first",
+    ]
+    table = [[*heads, *(f"`{role}`" for role in _ROLES), "others", "MB a CAV"]]
+    for row in rows:
+        by = row["core_ms_by_role"]
+        others = sum(value for role, value in by.items() if role not in _ROLES)
+        table.append(
+            [
+                str(row["junctions"]), str(row["regions"]), _fixed(row["agents"], 1),
+                _fixed(row["cavs"], 1), _fixed(row["real_time_factor"], 2),
+                _fixed(row["core_ms"], 1), _fixed(row["core_ms"] / rows[0]["core_ms"], 2),
+                *(_fixed(by[role], 2) for role in _ROLES), _fixed(others, 2),
+                _fixed(row["agent_mb"], 1),
+            ]
+        )  # fmt: skip
+    return table
+
+
+def scale_parts(rows: Rows) -> Table:
+    """Returns what casting, encoding and the edge's stages alone take at one junction."""
+    row = rows[0]
+    parts = row["parts_ms"]
+    total = sum(parts.values())
+    return [
+        [*parts, "together", "of all processes", "ratio"],
+        [
+            *(_fixed(value, 2) for value in [*parts.values(), total, row["core_ms"]]),
+            _fixed(row["core_ms"] / total, 2),
+        ],
+    ]
+
+
 def _interval(values: list[float], digits: int) -> str:
     """Returns the mean with half the width of its 95 % interval, Student's t."""
     if len(values) < 2:

@@ -67,6 +67,7 @@ _RESCO = (
     "missing: a folder of RESCO's nets\" >&2; exit 1; }; done; "
 )
 _RUN = "cpnet up t_junction --cav-rate 0.05 --duration 120 --seed 1"
+_CITY_UP = "cpnet up --tls all --cav-rate 0.05 --duration 3600 --seed 1 --set frame_period_s=1"
 _SOAK = " ".join(
     f"--set lidar.{kind}.{key}"
     for key in ("channels=16", "points_per_second=288000")
@@ -201,6 +202,30 @@ _LIST = (
         STUDY,
         60,
         (Part("control", "docs/city.md", layouts.city),),
+    ),
+    Figure(
+        "city-run",
+        f"{_RESCO}rm -rf city-3 city-7; "
+        f"{_CITY_UP} --sumocfg resco/cologne3/cologne3.sumocfg --out city-3 >&2; "
+        f"{_CITY_UP} --sumocfg resco/ingolstadt7/ingolstadt7.sumocfg --regions 2 --out city-7 >&2; "
+        "printf '{\"cologne3\": '; cpnet report city-3 --json; "
+        "printf ', \"ingolstadt7\": '; cpnet report city-7 --json; echo '}'",
+        SYSTEM,
+        15,
+        (
+            Part("runs", "docs/city.md", layouts.city_runs),
+            Part("junctions", "docs/city.md", layouts.city_junctions),
+        ),
+    ),
+    Figure(
+        "scale",
+        "cpnet bench scale --junctions 1,4,16,64,100 --json",
+        (*SYSTEM, "cpnet/bench_scale.py"),
+        8,
+        (
+            Part("cost", "docs/city.md", layouts.scale),
+            Part("parts", "docs/city.md", layouts.scale_parts),
+        ),
     ),
     # By hand: from the pages of the studies, from a browser.
     Figure("paper-readme", "", STUDY, 0, (Part("table", "README.md"),)),

@@ -233,7 +233,7 @@ def test_the_only_junction_needs_no_name() -> None:
 
 
 def test_an_unknown_signal_is_refused_with_those_near_it() -> None:
-    with pytest.raises(ConfigError, match="none of the run's 3 signals; near it: J, K, L"):
+    with pytest.raises(ConfigError, match="none of the run's 3 signals; they are: J, K, L"):
         Board(CITY_SETUP, "j")
 
 
