@@ -6,7 +6,7 @@ import copy
 import difflib
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import yaml
 from pydantic import AfterValidator, BaseModel, Field, PositiveInt, ValidationError
@@ -50,6 +50,10 @@ RENAMED_KEYS: dict[str, str] = {
 
 
 Regions = dict[Annotated[str, Field(pattern=rf"^{REGION_ID}$", max_length=64)], list[str]]
+
+
+Realism = Literal["paper", "clear", "hard"]
+"""Presets of how much of the world's difficulty is there, see `cpnet/realism`."""
 
 
 class LidarPair(Section):
@@ -106,6 +110,12 @@ class Scenario(Section):
         None,
         description="junctions, regions and roadside_mounts as they were asked for; `cpnet up` "
         "fills it in, for there they stand as they were resolved",
+    )
+    realism: Realism = Field(
+        "paper",
+        description="what sensors, vehicles and maps are like, where the keys below say nothing "
+        "else. paper: as in Chen et al. 2022, cars alone; clear: mixed traffic and real sensors in "
+        "good weather; hard: with weather, and errors of poses, clocks and maps",
     )
     recording: str | None = Field(
         None,
@@ -172,7 +182,7 @@ def validate(data: dict[str, Any], source: str) -> Scenario:
     """
     _check_renamed(data, source)
     try:
-        scenario = Scenario.model_validate(data)
+        scenario = Scenario.model_validate(_over_realism(data))
     except ValidationError as error:
         lines = [_explain(dict(item)) for item in error.errors()[:8]]
         raise ConfigError(f"{source}: " + "\n".join(lines)) from None
@@ -181,6 +191,27 @@ def validate(data: dict[str, Any], source: str) -> Scenario:
     _check_recording(scenario, source)
     _check_link(scenario, source)
     return scenario
+
+
+def _over_realism(data: dict[str, Any]) -> dict[str, Any]:
+    """Returns a scenario's data laid over what its realism sets."""
+    name = data.get("realism", Scenario.model_fields["realism"].default)
+    if name not in get_args(Realism):
+        return data  # which is refused
+    preset = resources.files("cpnet").joinpath(f"realism/{name}.yaml").read_text("utf-8")
+    return _laid_over(yaml.safe_load(preset) or {}, data)
+
+
+def _laid_over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Returns both mappings as one; where both have a value that is no mapping, that above."""
+    both = dict(below)
+    for key, value in above.items():
+        under = both.get(key)
+        if isinstance(under, dict) and isinstance(value, dict):
+            both[key] = _laid_over(under, value)
+        else:
+            both[key] = value
+    return both
 
 
 def parse_assignment(text: str) -> tuple[str, Any]:

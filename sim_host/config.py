@@ -8,13 +8,23 @@ from pydantic import Field, model_validator
 
 from protocol.config import Section
 
-MeshName = Literal["car", "microcargo", "minibus", "box"]
+MeshName = Literal[
+    "car", "microcargo", "minibus", "lorry", "articulated", "bus", "motorcycle", "bicycle", "box"
+]
+VehicleClassName = Literal[
+    "passenger", "delivery", "truck", "trailer", "bus", "motorcycle", "bicycle"
+]
 
 
 class VehicleSpec(Section):
     """One kind of vehicle of the generated demand."""
 
     name: str = Field("car", description="name of the SUMO vType", pattern=r"^[A-Za-z0-9_\-]+$")
+    v_class: VehicleClassName = Field(
+        "passenger",
+        description="SUMO's vClass: how it drives, which lanes it may use, and what detectors call "
+        "it: a truck (truck, trailer, bus), a two-wheeler (motorcycle, bicycle), else a car",
+    )
     mesh: MeshName = Field("car", description="shape that sensors see, scaled to the sizes below")
     length_m: float = Field(4.5, description="bumper to bumper", gt=0.5, le=30)
     width_m: float = Field(1.8, description="without mirrors", gt=0.3, le=3)

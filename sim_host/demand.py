@@ -11,11 +11,12 @@ from xml.sax.saxutils import quoteattr
 
 from protocol.config import is_file
 from protocol.errors import ConfigError
-from protocol.messages import VehicleType
+from protocol.messages import ObjectClass, VehicleType
 from protocol.roadmap import Signal
 from sim_host.config import TrafficConfig, VehicleSpec
 from sim_host.limits import MAX_NAME_CHARS
 from sim_host.netfile import UNREADABLE, Net, open_file
+from sim_host.vehicle_meshes import BOX
 
 # SUMO's default length, width and height in m by vClass (page "Vehicle Type Parameter Defaults").
 _SIZES: dict[str, tuple[float, float, float]] = {
@@ -34,8 +35,24 @@ _SIZES: dict[str, tuple[float, float, float]] = {
     "rail_urban": (109.5, 3.0, 3.6),
     "rail": (135.0, 2.84, 3.75),
 }
-_LARGE = {"delivery", "emergency", "truck", "trailer", "bus", "coach"}
-_SMALL = set(_SIZES) - _LARGE - {"passenger"}
+_MESHES = {
+    "delivery": "minibus",
+    "emergency": "minibus",
+    "truck": "lorry",
+    "trailer": "articulated",
+    "bus": "bus",
+    "coach": "bus",
+    "motorcycle": "motorcycle",
+    "moped": "motorcycle",
+    "bicycle": "bicycle",
+    "pedestrian": "pedestrian",
+}
+_OBJECT_CLASSES = {
+    **dict.fromkeys(("truck", "trailer", "bus", "coach", "tram"), ObjectClass.TRUCK),
+    **dict.fromkeys(("motorcycle", "moped", "bicycle"), ObjectClass.TWO_WHEELER),
+    "pedestrian": ObjectClass.PEDESTRIAN,
+}
+_ON_RAILS = ("tram", "rail", "ship", "subway", "cable")
 _DEFAULTS = {
     "DEFAULT_VEHTYPE": "passenger",
     "DEFAULT_TAXITYPE": "passenger",
@@ -55,6 +72,7 @@ def types_of_demand(specs: list[VehicleSpec]) -> list[VehicleType]:
             length_m=spec.length_m,
             width_m=spec.width_m,
             height_m=spec.height_m,
+            object_class=object_class_of(spec.v_class),
         )
         for spec in specs
     ]
@@ -88,16 +106,21 @@ def sized(name: str, v_class: str, given: dict[str, str] | None = None) -> Vehic
         length_m=float(given.get("length", length)),
         width_m=float(given.get("width", width)),
         height_m=height,
+        object_class=object_class_of(v_class),
     )
 
 
 def mesh_for(v_class: str, height_m: float) -> str:
     """Returns the shape that comes nearest to a class of vehicles."""
-    if v_class in _SMALL or v_class.startswith(("rail", "ship", "subway", "cable")):
-        return "box"
-    if v_class in _LARGE:
-        return "minibus"
-    return "microcargo" if height_m > 1.8 else "car"
+    if v_class.startswith(_ON_RAILS):
+        return BOX
+    return _MESHES.get(v_class, "microcargo" if height_m > 1.8 else "car")
+
+
+def object_class_of(v_class: str) -> ObjectClass:
+    """Returns what detectors are to call a class of vehicles; trains and ships are trucks."""
+    other = ObjectClass.TRUCK if v_class.startswith(_ON_RAILS) else ObjectClass.CAR
+    return _OBJECT_CLASSES.get(v_class, other)
 
 
 def _v_types(path: Path) -> Iterator[dict[str, str]]:
@@ -211,7 +234,7 @@ def _targets(net: Net, signal: Signal) -> dict[str, list[str]]:
 def vehicle_type_lines(specs: list[VehicleSpec]) -> list[str]:
     """Returns the lines of a route file that hold the vehicle types and their mix."""
     rows = [
-        f'    <vType id="{spec.name}" vClass="passenger" length="{spec.length_m}" '
+        f'    <vType id="{spec.name}" vClass="{spec.v_class}" length="{spec.length_m}" '
         f'width="{spec.width_m}" height="{spec.height_m}" probability="{spec.share}"/>'
         for spec in specs
     ]

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from protocol.messages import Equipment, Setup, Trip, VehicleType
+from protocol.messages import Equipment, ObjectClass, Setup, Trip, VehicleType
 from sim_host.demand import sized
 from sim_host.setup import traffic_config
+from sim_host.vehicle_meshes import BOX
 
 
 def draw_equipment(seed: int, vehicle: str, cav_rate: float, cv_rate: float) -> Equipment:
@@ -26,6 +27,7 @@ def draw_equipment(seed: int, vehicle: str, cav_rate: float, cv_rate: float) -> 
     return Equipment.CV if uniform < cav_rate + cv_rate else Equipment.NONE
 
 
+_EQUIPPED = (ObjectClass.CAR, ObjectClass.TRUCK)
 _UNSAFE = re.compile(r"[/*$?#\s]")
 
 
@@ -115,11 +117,11 @@ class Journeys:
         kind = self._type(api.getTypeID(vehicle))
         drawn = draw_equipment(self._seed, vehicle, traffic.cav_rate, traffic.cv_rate)
         lost_s = api.getTimeLoss(vehicle)
-        motor = kind.mesh != "box"  # trams and bicycles carry nothing
+        carries = kind.object_class in _EQUIPPED and kind.mesh != BOX  # trams carry nothing
         return Journey(
             name=_safe(vehicle),
             type=kind,
-            equipment=drawn if motor else Equipment.NONE,
+            equipment=drawn if carries else Equipment.NONE,
             depart_s=api.getDeparture(vehicle),
             over_signal=not self._approaches.isdisjoint(api.getRoute(vehicle)),
             lost_before_s=lost_s,

@@ -10,7 +10,7 @@ at `NEVER_NS` was taken off the link before it left.
 """
 
 from protocol.limits import MAX_DELAY_NS, MAX_ITEMS
-from protocol.messages.fields import NEVER_NS, Equipment, Message, Part
+from protocol.messages.fields import NEVER_NS, Equipment, Material, Message, ObjectClass, Part
 from protocol.messages.metrics import (
     AgentScore,
     Arrival,
@@ -65,9 +65,11 @@ __all__ = [
     "Equipment",
     "JunctionProgress",
     "LaneCounts",
+    "Material",
     "MeshPart",
     "Message",
     "Metrics",
+    "ObjectClass",
     "Objects",
     "Part",
     "Plan",

@@ -179,6 +179,29 @@ NEVER_NS = MAX_TIME_NS - 1  # the arrival of what a virtual link was not given a
 DelayNs = Annotated[int, Field(ge=0, le=MAX_DELAY_NS)]
 
 
+class ObjectClass(IntEnum):
+    """What detectors tell apart: lorries and buses are trucks, two-wheelers have a motor or none.
+
+    Pedestrians are no vehicles: they are not counted in lanes.
+    """
+
+    CAR = 0
+    TRUCK = 1
+    TWO_WHEELER = 2
+    PEDESTRIAN = 3
+
+
+class Material(IntEnum):
+    """What a surface is made of, for how much of a laser's light comes back."""
+
+    PAINT = 0
+    GLASS = 1
+    RUBBER = 2
+    METAL = 3
+    RETROREFLECTOR = 4
+    CLOTH = 5
+
+
 class Equipment(IntEnum):
     """What a vehicle carries: nothing, a LiDAR and a radio, or a radio alone."""
 

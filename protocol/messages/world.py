@@ -24,6 +24,7 @@ from protocol.messages.fields import (
     Ids,
     Indices,
     Message,
+    ObjectClass,
     Part,
     Poses,
     Sites,
@@ -47,6 +48,7 @@ class VehicleType(Part):
     length_m: float
     width_m: float
     height_m: float
+    object_class: ObjectClass = ObjectClass.CAR
 
 
 class MeshPart(Part):
@@ -61,7 +63,8 @@ class Setup(Message):
     """What every process is given before the first frame.
 
     Meshes are unit sized: the footprint's centre at the origin on the ground, x forward, extent 1
-    along each axis. Triangles index into their own mesh. `version` is that of the cpnet that made
+    along each axis. Triangles index into their own mesh; each has its `Material` in
+    `mesh_materials` (T,), which is empty if all are paint. `version` is that of the cpnet that made
     the setup, empty if it did not say.
     """
 
@@ -73,6 +76,7 @@ class Setup(Message):
     meshes: Annotated[list[MeshPart], FailFast()]
     mesh_vertices: Vertices
     mesh_triangles: Triangles
+    mesh_materials: Bytes = Field(np.zeros(0, np.uint8))
     polygons: Annotated[list[Ring], FailFast()] = Field([])
     polygon_heights_m: Annotated[list[float], FailFast()] = Field([])
     version: Text = ""
