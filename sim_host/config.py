@@ -44,6 +44,26 @@ def _default_vehicles() -> list[VehicleSpec]:
     ]
 
 
+class LateralConfig(Section):
+    """Where in their lanes vehicles drive: by default in the middle, and lane changes at once."""
+
+    lane_change_s: float = Field(
+        0, description="time that a lane change takes; 0: as the sumocfg says, or none", ge=0, le=20
+    )
+    offset_std_m: float = Field(
+        0, description="standard deviation, between vehicles, of how far off the middle", ge=0, le=1
+    )
+    wander_std_m: float = Field(
+        0, description="the same of one vehicle along its way, in waves of 80 to 320 m", ge=0, le=1
+    )
+    bicycle_edge_m: float | None = Field(
+        None,
+        description="bicycles' middle from the right edge of their lane; null: as all others",
+        gt=0,
+        le=3,
+    )
+
+
 class TrafficConfig(Section):
     """Roads and demand: of a built-in network, or of the user's `net` or `sumocfg`."""
 
@@ -77,6 +97,7 @@ class TrafficConfig(Section):
     vehicles: list[VehicleSpec] = Field(
         default_factory=_default_vehicles, description="vehicle mix of the demand", min_length=1
     )
+    lateral: LateralConfig = LateralConfig()
     cav_rate: float = Field(0.05, description="share of vehicles with LiDAR and radio", ge=0, le=1)
     cv_rate: float = Field(0.0, description="share of vehicles with a radio alone", ge=0, le=1)
     radius_m: float = Field(

@@ -139,7 +139,10 @@ def _unit(solid: Solid) -> Mesh:
 
 
 def prism(profile: Sequence[Point], y_m: Point, material: Material = Material.PAINT) -> Solid:
-    """Returns a convex outline in x and z (K, 2), drawn out across y."""
+    """Returns a convex outline in x and z (K, 2), drawn out across y.
+
+    It runs counter-clockwise, x to the right and z up: then all faces look outwards.
+    """
     count = len(profile)
     outline = np.array(profile, np.float64)
     sides = [np.column_stack([outline[:, 0], np.full(count, y), outline[:, 1]]) for y in y_m]
@@ -149,8 +152,8 @@ def prism(profile: Sequence[Point], y_m: Point, material: Material = Material.PA
         [
             caps,
             caps[:, ::-1] + count,
-            np.stack([here, after, after + count], -1),
-            np.stack([here, after + count, here + count], -1),
+            np.stack([here, after + count, after], -1),
+            np.stack([here, here + count, after + count], -1),
         ]
     ).astype(np.int32)
     materials = np.full(len(triangles), material, np.uint8)

@@ -19,7 +19,8 @@ from protocol.geometry import Floats
 from protocol.messages import Setup, Trip, Truth
 from sensing.recorded_scans import Recording
 from sim_host.cabinet import Interval
-from sim_host.journeys import Journeys
+from sim_host.journeys import Journey, Journeys
+from sim_host.lateral import LateralPositions
 from sim_host.setup import config_file, traffic_config
 from sim_host.sumo import load_libsumo
 
@@ -79,6 +80,7 @@ class World:
         self._centres = np.array([one.centre[:2] for one in setup.road_map.intersections])
         self._setup = setup
         self._shown: dict[str, str] = {}
+        self._widths_m: dict[str, float] = {}
         self._sumo: Any = None
         self.counts = TrafficCounts()
         self.time_ns = 0
@@ -96,6 +98,7 @@ class World:
             )
         self._sumo = load_libsumo()
         self._journeys = Journeys(self._setup, seed, self._sumo)
+        self._lateral = LateralPositions(self._traffic.lateral, seed)
         options = {
             "configuration-file": str(self._config),
             "step-length": f"{self._traffic.step_s:g}",
@@ -105,6 +108,9 @@ class World:
             "duration-log.disable": "true",
             "xml-validation": "never",
         }
+        lane_change_s = self._traffic.lateral.lane_change_s
+        if lane_change_s:
+            options["lanechange.duration"] = f"{lane_change_s:g}"
         command = ["sumo"] + [word for k, v in options.items() for word in (f"--{k}", v)]
         try:
             self._sumo.start(command)
@@ -148,13 +154,16 @@ class World:
         near = _nearest_m(fronts, self._centres) <= self._traffic.radius_m
         names = [name for name, is_near in zip(names, near, strict=True) if is_near]
         journeys = self._journeys.within_radius(names)
+        lanes = [vehicle.getLaneID(name) for name in names]
         yaw = np.radians(90.0 - np.array([vehicle.getAngle(name) for name in names]))
         half = np.array([journey.type.length_m / 2 for journey in journeys])
         x, y = fronts[near].T - half * np.array([np.cos(yaw), np.sin(yaw)])
+        if not self._lateral.are_off:
+            x, y, yaw = self._beside_the_middle(names, journeys, lanes, (x, y, yaw))
         return TrafficState(
             ids=[journey.name for journey in journeys],
             types=[journey.type.name for journey in journeys],
-            lanes=[vehicle.getLaneID(name) for name in names],
+            lanes=lanes,
             poses=self._ground.body_poses(x, y, yaw),
             speeds_mps=np.array([vehicle.getSpeed(name) for name in names], np.float32),
             lane_positions_m=np.array(
@@ -162,6 +171,26 @@ class World:
             ),
             equipment=np.array([journey.equipment for journey in journeys], np.uint8),
         )
+
+    def _beside_the_middle(
+        self,
+        names: list[str],
+        journeys: list[Journey],
+        lanes: list[str],
+        plane: tuple[Floats, Floats, Floats],
+    ) -> tuple[Floats, Floats, Floats]:
+        """Returns x, y in m and yaw in rad of vehicles (N,), which SUMO has in the middle."""
+        x, y, yaw = plane
+        vehicle, lane = self._sumo.vehicle, self._sumo.lane
+        for one in {*lanes} - self._widths_m.keys():
+            self._widths_m[one] = lane.getWidth(one)
+        offset_m, slope_rad = self._lateral.offsets_m(
+            names,
+            [journey.type for journey in journeys],
+            np.array([vehicle.getDistance(name) for name in names]),
+            np.array([self._widths_m[one] for one in lanes]),
+        )
+        return x - offset_m * np.sin(yaw), y + offset_m * np.cos(yaw), yaw + slope_rad
 
     def run_actuated(self, tls: str, intervals: Sequence[Interval]) -> None:
         """Leaves a signal to SUMO from now on: its own detectors choose how long greens last."""

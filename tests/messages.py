@@ -28,6 +28,7 @@ EXAMPLES: list[m.Message] = [
         meshes=[m.MeshPart(name="car", vertices=3, triangles=1)],
         mesh_vertices=np.eye(3, dtype=np.float32),
         mesh_triangles=np.array([[0, 1, 2]], np.int32),
+        mesh_materials=np.array([m.Material.PAINT], np.uint8),
         version="0.1.0",
     ),
     m.Tick(

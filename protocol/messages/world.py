@@ -76,7 +76,7 @@ class Setup(Message):
     meshes: Annotated[list[MeshPart], FailFast()]
     mesh_vertices: Vertices
     mesh_triangles: Triangles
-    mesh_materials: Bytes = Field(np.zeros(0, np.uint8))
+    mesh_materials: Bytes = Field(default_factory=lambda: np.zeros(0, np.uint8))
     polygons: Annotated[list[Ring], FailFast()] = Field([])
     polygon_heights_m: Annotated[list[float], FailFast()] = Field([])
     version: Text = ""

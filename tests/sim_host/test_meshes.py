@@ -6,19 +6,22 @@ import numpy as np
 import pytest
 
 from protocol.errors import ConfigError
-from sim_host.setup import BOX, FILES, load_meshes, pack
+from protocol.messages import Material
 from sim_host.sumo import sumo_home
+from sim_host.vehicle_meshes import BOX, PackedMeshes, load_meshes
 
 FOLDER = sumo_home() / "data" / "3D"
 
 
-@pytest.mark.parametrize("name", [*FILES, BOX])
+@pytest.mark.parametrize("name", sorted(load_meshes(FOLDER)))
 def test_a_mesh_fills_the_unit_footprint_and_stands_on_the_ground(name: str) -> None:
     mesh = load_meshes(FOLDER)[name]
     np.testing.assert_allclose(mesh.vertices.min(axis=0), [-0.5, -0.5, 0], atol=1e-6)
     np.testing.assert_allclose(mesh.vertices.max(axis=0), [0.5, 0.5, 1], atol=1e-6)
     assert mesh.triangles.min() == 0
     assert mesh.triangles.max() < len(mesh.vertices)
+    assert len(mesh.materials) == len(mesh.triangles)
+    assert set(mesh.materials.tolist()) <= set(Material)
 
 
 def test_a_car_looks_forward_with_its_cabin_behind_the_bonnet() -> None:
@@ -30,15 +33,17 @@ def test_a_car_looks_forward_with_its_cabin_behind_the_bonnet() -> None:
 
 def test_packed_meshes_unpack_to_the_same() -> None:
     meshes = load_meshes(FOLDER)
-    parts, vertices, triangles = pack(meshes)
+    packed = PackedMeshes.of(meshes)
+    vertices, triangles = packed.vertices, packed.triangles
     at_vertex = at_triangle = 0
-    for part in parts:
+    for part in packed.parts:
         own = vertices[at_vertex : at_vertex + part.vertices]
         np.testing.assert_array_equal(own, meshes[part.name].vertices)
         sides = triangles[at_triangle : at_triangle + part.triangles]
         np.testing.assert_array_equal(sides, meshes[part.name].triangles)
         at_vertex, at_triangle = at_vertex + part.vertices, at_triangle + part.triangles
     assert (at_vertex, at_triangle) == (len(vertices), len(triangles))
+    assert len(packed.materials) == len(triangles)
 
 
 def test_a_box_is_closed_and_faces_outward() -> None:

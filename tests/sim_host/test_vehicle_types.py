@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import ConfigError
-from sim_host.demand import mesh_for, types_of_files
+from protocol.messages import ObjectClass
+from sim_host.demand import mesh_for, object_class_of, types_of_files
 from sim_host.setup import read_polygons
 
 
@@ -22,13 +23,31 @@ def test_types_are_read_with_sumos_defaults_for_what_is_not_said(tmp_path: Path)
         1.8,
         "microcargo",
     )
-    assert (types["line5"].length_m, types["line5"].mesh) == (12.0, "minibus")
+    assert (types["line5"].length_m, types["line5"].mesh) == (12.0, "bus")
     assert types["DEFAULT_VEHTYPE"].mesh == "car"
 
 
-@pytest.mark.parametrize("v_class", ["tram", "bicycle", "rail_fast", "pedestrian", "ship"])
-def test_what_is_no_car_is_a_box(v_class: str) -> None:
+@pytest.mark.parametrize("v_class", ["tram", "rail_fast", "ship"])
+def test_what_runs_on_rails_or_floats_is_a_box_and_a_truck(v_class: str) -> None:
     assert mesh_for(v_class, 1.5) == "box"
+    assert object_class_of(v_class) == ObjectClass.TRUCK
+
+
+@pytest.mark.parametrize(
+    ("v_class", "mesh", "object_class"),
+    [
+        ("passenger", "car", ObjectClass.CAR),
+        ("delivery", "minibus", ObjectClass.CAR),
+        ("trailer", "articulated", ObjectClass.TRUCK),
+        ("bus", "bus", ObjectClass.TRUCK),
+        ("bicycle", "bicycle", ObjectClass.TWO_WHEELER),
+        ("pedestrian", "pedestrian", ObjectClass.PEDESTRIAN),
+    ],
+)
+def test_a_class_of_vehicles_has_its_shape_and_name(
+    v_class: str, mesh: str, object_class: ObjectClass
+) -> None:
+    assert (mesh_for(v_class, 1.5), object_class_of(v_class)) == (mesh, object_class)
 
 
 @pytest.mark.parametrize("text", ["<routes>", '<routes><vType id="a" length="x"/></routes>'])
