@@ -40,6 +40,8 @@ from protocol.messages import (
 )
 from protocol.process import Context
 from protocol.regions import regions_of
+from sensing.config import SceneConfig
+from sensing.terrain import believed_map
 
 _TIMES_MAX_BYTES = 200 << 10  # of a frame's times in one message
 _TIMES_BYTES = 200  # of one part, besides its agent's id, which stands there three times
@@ -56,7 +58,9 @@ class EdgeRole:
         config = EdgeConfig.model_validate(scenario["edge"])
         self._context = context
         self._region = region_of(context.id)
-        regions = regions_of(context.setup.road_map, scenario)
+        scene = SceneConfig.model_validate(scenario.get("scene", {}))
+        road_map = believed_map(context.setup.road_map, scene, scenario["seed"])
+        regions = regions_of(road_map, scenario)
         own = regions[self._region]
         strips = BorderStrips(own, regions) if len(regions) > 1 else None
         mounts = mounts_in(scenario, self._region)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from protocol.bus import Bus
@@ -9,11 +11,21 @@ from protocol.geometry import SE3
 from protocol.inbox import Envelope, Presence
 from protocol.instances import mounts_in, region_of
 from protocol.process import Context
-from sensing.config import Mount
+from sensing.config import Mount, PoseErrorConfig
 from sensing.lidar_uplink import LidarUplink, LidarUplinks
-from sensing.pose import mount_pose
+from sensing.pose import clock_error_s, installed_pose, mount_pose
 from sensing.station import Station
 from sensing.world_view import WorldView
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Unit:
+    """A roadside unit: where its sensor is, where it was surveyed, and how late its clock is."""
+
+    uplink: LidarUplink
+    map_SE3_sensor: SE3
+    surveyed_SE3_sensor: SE3
+    clock_error_s: float
 
 
 class InfraRole:
@@ -24,10 +36,13 @@ class InfraRole:
         self._station = Station(context, "roadside", region)
         self._sensors = LidarUplinks(context, "roadside")
         self._buses: list[Bus] = []
-        self._units: list[tuple[LidarUplink, SE3]] = []
+        self._pose_error = PoseErrorConfig.model_validate(context.setup.scenario["pose"])
+        self._units: list[_Unit] = []
         for given in mounts_in(context.setup.scenario, region):
             self._add(context, Mount.model_validate(given), region)
-        self._station.stand_at(np.array([pose.translation[:2] for _, pose in self._units]))
+        self._station.stand_at(
+            np.array([unit.map_SE3_sensor.translation[:2] for unit in self._units])
+        )
         self._station.open("infra")
 
     def _add(self, context: Context, mount: Mount, region: str) -> None:
@@ -35,9 +50,11 @@ class InfraRole:
         radio = self._station.radio(mount.id, bus)
         uplink = self._station.add(self._sensors.uplink(mount.id, bus, radio))
         uplink.enter([region])
-        pose = mount_pose(mount, context.setup.road_map, self._sensors.terrain)
+        surveyed = mount_pose(mount, context.setup.road_map, self._sensors.terrain)
+        config, seed = self._pose_error, self._station.seed
+        true = installed_pose(surveyed, config, seed, mount.id)
         self._buses.append(bus)
-        self._units.append((uplink, pose))
+        self._units.append(_Unit(uplink, true, surveyed, clock_error_s(config, seed, mount.id)))
 
     def on(self, item: Envelope | Presence) -> None:
         """Takes a tick or the end."""
@@ -51,8 +68,8 @@ class InfraRole:
 
     def close(self) -> None:
         """Reports on the last frame and closes the connections."""
-        for uplink, _ in self._units:
-            self._station.close_uplink(uplink.agent)
+        for unit in self._units:
+            self._station.close_uplink(unit.uplink.agent)
         self._station.report()
         self._sensors.close()
         for bus in self._buses:
@@ -61,12 +78,16 @@ class InfraRole:
     def _run_frame(self, view: WorldView) -> None:
         self._station.begin(view)
         uploads, admits = self._station.uploads, self._station.admits
-        scanning = {one.agent for one, _ in self._units if uploads and admits(one.radio, view)}
-        members = {uplink.agent: self._station.regions for uplink, _ in self._units}
+        uplinks = [unit.uplink for unit in self._units]
+        scanning = {one.agent for one in uplinks if uploads and admits(one.radio, view)}
+        members = {uplink.agent: self._station.regions for uplink in uplinks}
         self._station.publish_rosters(view, members, scanning)
-        for uplink, pose in self._units:
-            if uplink.agent in scanning:
-                sensed = uplink.sense_and_send(
-                    view, map_SE3_sensor=pose, estimated_SE3_sensor=pose, own=None
+        for unit in self._units:
+            if unit.uplink.agent in scanning:
+                sensed = unit.uplink.sense_and_send(
+                    view.later(unit.clock_error_s),
+                    map_SE3_sensor=unit.map_SE3_sensor,
+                    estimated_SE3_sensor=unit.surveyed_SE3_sensor,
+                    own=None,
                 )
-                self._station.publish_points_on(view, uplink.agent, sensed)
+                self._station.publish_points_on(view, unit.uplink.agent, sensed)

@@ -23,7 +23,7 @@ from sensing.config import LidarConfig, Mount, PoseErrorConfig, SceneConfig
 from sensing.lidar import Lidar
 from sensing.mesh import VehicleShapes
 from sensing.noise import stream
-from sensing.pose import estimated_pose, mount_pose, pose_above
+from sensing.pose import PoseEstimator, installed_pose, mount_pose, pose_above
 from sensing.scene import scene_of
 from sim_host.config import TrafficConfig
 from sim_host.junctions import write_junction
@@ -33,6 +33,7 @@ from sim_host.world import TrafficState, sample_traffic
 _CAVS = (1, 5)
 _CAVS_NEAR_M = 100.0  # from the junction's centre
 _PAUSE_S = (4.0, 14.0)  # between samples
+_PAUSE_NS = 9_000_000_000  # their mean, for errors that change with time
 _OVER_ROOF_M = 0.1
 
 
@@ -86,7 +87,8 @@ class JunctionScanner:
             sizes_m = self._shapes.bodies(bodies.types).size_m
             for mount in self.mounts:
                 pose = mount_pose(mount, self.road_map, self._terrain)
-                yield self._scan((frame, mount.id, "roadside"), (pose, pose), bodies, sizes_m)
+                true = installed_pose(pose, self._sensors.pose, self.site.seed, mount.id)
+                yield self._scan((frame, mount.id, "roadside"), (true, pose), bodies, sizes_m)
             for own in self._cavs(frame, bodies):
                 name = bodies.ids[own]
                 poses = self._on_roof(frame, name, bodies.poses[own], float(sizes_m[own, 2]))
@@ -118,8 +120,8 @@ class JunctionScanner:
         """Returns where the sensor of a CAV is and where it is believed to be."""
         height_m = stream(self.site.seed, "roof", name).uniform(*self._sensors.roof_m)
         height_m = max(height_m, roof_m + _OVER_ROOF_M)
-        rng = stream(self.site.seed, "pose", name, frame)
-        believed = estimated_pose(pose, self._sensors.pose, Equipment.CAV, rng)
+        estimator = PoseEstimator(self._sensors.pose, self.site.seed, name, Equipment.CAV)
+        believed = estimator.estimate(pose, frame, frame * _PAUSE_NS)
         return pose_above(pose, height_m), pose_above(believed, height_m)
 
     def _scan(

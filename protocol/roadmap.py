@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,14 @@ from pydantic import BaseModel, ConfigDict, FailFast, Field
 
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+_P = TypeVar("_P", bound=_Part)
+
+
+def _changed(part: _P, **values: object) -> _P:
+    """Returns a part with other values, and nothing that was computed from the old ones."""
+    return type(part)(**{name: getattr(part, name) for name in type(part).model_fields} | values)
 
 
 class Lane(_Part):
@@ -162,6 +170,24 @@ class RoadMap(_Part):
                 if successor in result:
                     result[successor].append(lane.id)
         return result
+
+    def raised(self, by_m: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]]) -> RoadMap:
+        """Returns the map with other heights.
+
+        Args:
+            by_m: how much higher it is at places x, y (N, 2), as (N,) in m.
+        """
+        lanes = []
+        for lane in self.lanes:
+            points = lane.points.copy()
+            points[:, 2] += by_m(points[:, :2])
+            lanes.append(_changed(lane, centreline=[(x, y, z) for x, y, z in points.tolist()]))
+        junctions = []
+        for one in self.intersections:
+            x, y, z = one.centre
+            z += float(by_m(np.array([[x, y]]))[0])
+            junctions.append(_changed(one, centre=(x, y, z)))
+        return RoadMap(name=self.name, lanes=lanes, intersections=junctions)
 
     def part(self, lanes: Collection[str], junctions: Collection[str]) -> RoadMap:
         """Returns the map with these lanes and the intersections with these signals alone."""

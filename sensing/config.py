@@ -133,6 +133,12 @@ class SceneConfig(Section):
     )
     pole_spacing_m: float = Field(30.0, ge=5, le=1000, description="Between street lights, m.")
     trees_per_100m: float = Field(4.0, ge=0, le=20, description="Trees per 100 m of road's edge.")
+    map_height_std_m: float = Field(
+        0.0,
+        ge=0,
+        le=5,
+        description="How far the heights of the map that agents and edges have are off, m.",
+    )
     polygons: Path | None = Field(
         None, description="SUMO .poly.xml file whose buildings replace those drawn by seed."
     )
@@ -165,6 +171,38 @@ class PoseErrorConfig(Section):
     cv_height_std_m: float = Field(3.0, ge=0, le=50, description="CV: the same for z, m.")
     cv_heading_std_deg: float = Field(
         2.0, ge=0, le=90, description="CV: standard deviation of yaw, deg."
+    )
+    bias_position_std_m: float = Field(
+        0.0, ge=0, le=10, description="CAV: of an error that stays, along x and y each, m."
+    )
+    bias_height_std_m: float = Field(0.0, ge=0, le=10, description="CAV: the same along z, m.")
+    bias_heading_std_deg: float = Field(
+        0.0, ge=0, le=45, description="CAV: of an error of yaw that stays, deg."
+    )
+    drift_position_std_m: float = Field(
+        0.0, ge=0, le=10, description="CAV: of an error that changes slowly, along x and y, m."
+    )
+    drift_height_std_m: float = Field(0.0, ge=0, le=10, description="CAV: the same along z, m.")
+    drift_heading_std_deg: float = Field(
+        0.0, ge=0, le=45, description="CAV: of an error of yaw that changes slowly, deg."
+    )
+    drift_time_s: float = Field(
+        30.0, gt=0, le=3600, description="Correlation time of the errors that change slowly, s."
+    )
+    mount_position_std_m: float = Field(
+        0.0, ge=0, le=1, description="Roadside unit: how far its survey is off, along each axis, m."
+    )
+    mount_heading_std_deg: float = Field(
+        0.0, ge=0, le=5, description="Roadside unit: how far its surveyed yaw is off, deg."
+    )
+    mount_tilt_std_deg: float = Field(
+        0.0, ge=0, le=5, description="Roadside unit: the same for roll and for pitch, deg."
+    )
+    clock_std_s: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="CAVs and roadside units: of how much later than it says an agent scans, s.",
     )
 
 

@@ -26,7 +26,7 @@ from sensing.lidar import Sensed
 from sensing.noise import stream
 from sensing.radio import AgentKind, Radio
 from sensing.source import ScanSource, source_of
-from sensing.terrain import Terrain
+from sensing.terrain import Terrain, believed_map
 from sensing.uplink import FrameUpload, Uplink, UplinkContext
 from sensing.upload_policies import Filter, policy_of
 from sensing.upload_selection import Selection, Selector, chooser_of
@@ -228,7 +228,7 @@ class LidarUplinks:
         self._policy = policy_of(self._chosen.policy)
         self._edge = scenario["edge"]
         self._upload = upload
-        self.regions = regions_of(road_map, scenario)
+        self.regions = regions_of(believed_map(road_map, scene, scenario["seed"]), scenario)
         self._roadways: dict[str, Roadway] = {}
         self._detectors: dict[str, OnboardDetector] = {}
         detects = self._policy.sends == "objects"

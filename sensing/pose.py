@@ -1,6 +1,14 @@
-"""Poses of sensors on masts and roofs, and the pose that an agent believes to have."""
+"""Poses of sensors on masts and roofs, and the pose that an agent believes to have.
+
+A CAV's error is the sum of a bias that stays, a drift and the noise of each frame. The drift is a
+first-order Gauss-Markov process: its correlation falls as exp(-t / drift_time_s). It is drawn as a
+sum of waves whose frequencies have that process's spectrum, so that its value at a time follows
+from seed and agent alone, whichever process computes it, and from which frame on.
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import numpy.typing as npt
@@ -9,7 +17,10 @@ from protocol.geometry import SE3, Floats, wrap_angle
 from protocol.messages import Equipment
 from protocol.roadmap import RoadMap
 from sensing.config import Mount, PoseErrorConfig
+from sensing.noise import stream
 from sensing.terrain import Terrain
+
+_WAVES = 64
 
 
 def mount_place(mount: Mount, road_map: RoadMap) -> tuple[float, float]:
@@ -62,6 +73,80 @@ def estimated_pose(
     return pose
 
 
+class PoseEstimator:
+    """The poses that one CAV or CV believes to have."""
+
+    def __init__(
+        self, config: PoseErrorConfig, seed: int, agent: str, equipment: Equipment
+    ) -> None:
+        self._config = config
+        self._seed = seed
+        self._agent = agent
+        self._equipment = equipment
+        self._bias, self._waves = np.zeros(6), np.zeros((0, 3, 6))
+        if equipment == Equipment.CAV:
+            self._draw_slow_errors(config)
+
+    def _draw_slow_errors(self, config: PoseErrorConfig) -> None:
+        """Draws the bias, and the drift's waves: rates in rad/s, phases and amplitudes (6,)."""
+        yaw_rad = math.radians(config.bias_heading_std_deg)
+        xy_m, z_m = config.bias_position_std_m, config.bias_height_std_m
+        bias = stream(self._seed, "pose bias", self._agent).standard_normal(6)
+        self._bias = bias * np.array([xy_m, xy_m, z_m, 0.0, 0.0, yaw_rad])
+        yaw_rad = math.radians(config.drift_heading_std_deg)
+        xy_m, z_m = config.drift_position_std_m, config.drift_height_std_m
+        std = np.array([xy_m, xy_m, z_m, 0.0, 0.0, yaw_rad])
+        if not std.any():
+            return
+        rng = stream(self._seed, "pose drift", self._agent)
+        # The process's spectrum is a Cauchy distribution of rates; each wave has an equal share.
+        share = (np.arange(_WAVES)[:, None] + rng.random((_WAVES, 6))) / _WAVES
+        rates = np.tan(np.pi * (share - 0.5)) / config.drift_time_s
+        phases = rng.uniform(0.0, 2 * np.pi, (_WAVES, 6))
+        amplitudes = np.broadcast_to(std * math.sqrt(2 / _WAVES), (_WAVES, 6))
+        self._waves = np.stack([rates, phases, amplitudes], axis=1)
+
+    def slow_error(self, sim_time_ns: int) -> Floats:
+        """Returns bias and drift (6,) at a time, in m and rad."""
+        rates, phases, amplitudes = self._waves.transpose(1, 0, 2)
+        drift = (amplitudes * np.cos(rates * (sim_time_ns / 1e9) + phases)).sum(axis=0)
+        return np.asarray(self._bias + drift)
+
+    def estimate(self, true_pose: npt.ArrayLike, frame: int, sim_time_ns: int) -> Floats:
+        """Returns the pose (6,) that the agent believes to have in a frame.
+
+        Raises:
+            ValueError: as `estimated_pose`.
+        """
+        rng = stream(self._seed, "pose", self._agent, frame)
+        pose = estimated_pose(true_pose, self._config, self._equipment, rng)
+        slow = self.slow_error(sim_time_ns)
+        if slow.any():
+            pose += slow
+            pose[5] = wrap_angle(pose[5])
+        return pose
+
+
 def position_std_m(config: PoseErrorConfig, equipment: Equipment) -> float:
     """Returns the standard deviation along x and y that an agent reports with its pose."""
-    return config.cv_position_std_m if equipment == Equipment.CV else config.position_std_m
+    if equipment == Equipment.CV:
+        return config.cv_position_std_m
+    return math.hypot(
+        config.position_std_m, config.bias_position_std_m, config.drift_position_std_m
+    )
+
+
+def installed_pose(surveyed: SE3, config: PoseErrorConfig, seed: int, agent: str) -> SE3:
+    """Returns `map_SE3_sensor` of a roadside unit as it is, off from where it was surveyed."""
+    tilt_rad, yaw_rad = np.radians([config.mount_tilt_std_deg, config.mount_heading_std_deg])
+    std = np.array([*(config.mount_position_std_m,) * 3, tilt_rad, tilt_rad, yaw_rad])
+    if not std.any():
+        return surveyed
+    return SE3.from_pose(surveyed.as_pose() + std * stream(seed, "mount", agent).standard_normal(6))
+
+
+def clock_error_s(config: PoseErrorConfig, seed: int, agent: str) -> float:
+    """Returns how much later than it says an agent scans, for good."""
+    if not config.clock_std_s:
+        return 0.0
+    return config.clock_std_s * float(stream(seed, "clock", agent).standard_normal())

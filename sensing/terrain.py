@@ -61,6 +61,30 @@ def undulation(
     return result
 
 
+_MAP_WAVES = 16
+_MAP_WAVES_M = (40.0, 150.0)  # lengths of the waves of a map's height error
+
+
+def believed_map(road_map: RoadMap, config: SceneConfig, seed: int) -> RoadMap:
+    """Returns the road map that agents and edges have: its heights are off by what maps are off.
+
+    Half of the error's variance is an offset of the whole map, half waves of 40 to 150 m.
+    """
+    if not config.map_height_std_m:
+        return road_map
+    rng = stream(seed, "map height")
+    offset_m = float(rng.standard_normal()) * config.map_height_std_m / math.sqrt(2)
+    heading, phase = rng.uniform(0.0, 2 * np.pi, (2, _MAP_WAVES))
+    per_m = 2 * np.pi / rng.uniform(*_MAP_WAVES_M, _MAP_WAVES)
+    along = np.stack([np.cos(heading), np.sin(heading)]) * per_m
+    amplitude_m = config.map_height_std_m / math.sqrt(_MAP_WAVES)
+
+    def error_m(places: Floats) -> Floats:
+        return np.asarray(offset_m + amplitude_m * np.cos(places @ along + phase).sum(axis=1))
+
+    return road_map.raised(error_m)
+
+
 def _height_along(flat: Floats, line: Floats) -> Floats:
     """Returns the heights at points (N, 2) that were resampled from a polyline (K, 3)."""
     along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line[:, :2], axis=0).T))])

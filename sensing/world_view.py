@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +39,22 @@ class WorldView:
     poses: Floats
     speeds_mps: npt.NDArray[np.float32]
     hosted: dict[int, Equipment]
+
+    def later(self, by_s: float) -> WorldView:
+        """Returns the view with all bodies a little later, or earlier, each straight ahead.
+
+        To first order: nothing turns or changes its speed within the few ms of a clock's error.
+        Frame and time stay what an agent takes them for.
+        """
+        if by_s == 0.0:
+            return self
+        ahead_m = self.speeds_mps.astype(np.float64) * by_s
+        pitch, yaw = self.poses[:, 4], self.poses[:, 5]
+        poses = self.poses.copy()
+        poses[:, 0] += ahead_m * np.cos(yaw) * np.cos(pitch)
+        poses[:, 1] += ahead_m * np.sin(yaw) * np.cos(pitch)
+        poses[:, 2] -= ahead_m * np.sin(pitch)
+        return replace(self, poses=poses)
 
     @classmethod
     def without_bodies(cls, tick: Tick) -> WorldView:

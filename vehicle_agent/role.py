@@ -13,8 +13,7 @@ from protocol.messages import AgentPose, Equipment, TileBodies
 from protocol.process import Context
 from sensing.config import PoseErrorConfig, UploadConfig
 from sensing.lidar_uplink import LidarUplink, LidarUplinks
-from sensing.noise import stream
-from sensing.pose import estimated_pose, position_std_m
+from sensing.pose import PoseEstimator, clock_error_s, position_std_m
 from sensing.radio import ENVELOPE_BYTES, Radio
 from sensing.regions import RegionTracker
 from sensing.station import Station
@@ -78,6 +77,8 @@ class VehicleRole:
         self._buses: dict[str, Bus] = {}
         self._radios: dict[str, Radio] = {}
         self._uplinks: dict[str, LidarUplink] = {}
+        self._estimators: dict[str, PoseEstimator] = {}
+        self._clock_errors_s: dict[str, float] = {}
         upload = UploadConfig.model_validate(scenario["upload"])
         regions = self._sensors.regions
         self._reach = {
@@ -129,9 +130,9 @@ class VehicleRole:
 
     def _estimated(self, view: WorldView, index: int) -> Floats:
         """Returns the pose (6,) that a vehicle believes to have."""
-        agent, equipment = view.ids[index], view.hosted[index]
-        rng = stream(self._station.seed, "pose", agent, view.frame)
-        return estimated_pose(view.poses[index], self._pose_error, equipment, rng)
+        agent = view.ids[index]
+        pose = view.later(self._clock_errors_s[agent]).poses[index]
+        return self._estimators[agent].estimate(pose, view.frame, view.sim_time_ns)
 
     def _regions(self, view: WorldView, index: int, pose: Floats) -> tuple[str, ...]:
         return self._reach[view.hosted[index]].update(view.ids[index], pose[:2])
@@ -179,12 +180,16 @@ class VehicleRole:
             return False
         self._buses[agent] = bus
         self._radios[agent] = radio = self._station.radio(agent, bus)
+        config, seed = self._pose_error, self._station.seed
+        self._estimators[agent] = PoseEstimator(config, seed, agent, view.hosted[index])
+        self._clock_errors_s[agent] = clock_error_s(config, seed, agent)
         if is_cav:
             self._uplinks[agent] = self._station.add(self._sensors.uplink(agent, bus, radio))
         return True
 
     def _publish_scan(self, view: WorldView, index: int, estimated: Floats) -> None:
         agent = view.ids[index]
+        view = view.later(self._clock_errors_s[agent])
         sensed = self._uplinks[agent].sense_and_send(
             view,
             map_SE3_sensor=SE3.from_pose(view.poses[index]) @ self._body_SE3_sensor,
@@ -197,7 +202,7 @@ class VehicleRole:
         for agent in sorted(self._uplinks.keys() - present):
             del self._uplinks[agent]
             self._station.close_uplink(agent)
-        for known in (self._buses, self._radios):
+        for known in (self._buses, self._radios, self._estimators, self._clock_errors_s):
             for agent in sorted(known.keys() - present):
                 del known[agent]
         for tracker in self._reach.values():

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.geometry import SE3
 from sensing.config import SceneConfig
-from sensing.terrain import Terrain
+from sensing.terrain import Terrain, believed_map
 from tests.roads import lane, street
 from tests.sensing.solids import SEED
 
@@ -83,3 +84,18 @@ def test_a_citys_ground_is_as_fine_as_a_junctions() -> None:
     ]
     city = Terrain(street().model_copy(update={"lanes": lanes}), FLAT, SEED)
     assert city.cell_m == CLIMB.cell_m
+
+
+def test_a_map_with_errors_of_height_is_off_smoothly_and_as_much_as_configured() -> None:
+    road = street(climb_m=8.0)
+    assert believed_map(road, SceneConfig(), SEED) is road
+    config = SceneConfig(map_height_std_m=0.5)
+    off_m = []
+    for seed in range(200):
+        believed = believed_map(road, config, seed)
+        points = believed.lanes[0].points
+        assert points[:, :2].tolist() == road.lanes[0].points[:, :2].tolist()
+        off_m.append(points[0, 2] - road.lanes[0].points[0, 2])
+    assert np.std(off_m) == pytest.approx(0.5, rel=0.15)
+    assert believed.lanes[0].successors == road.lanes[0].successors
+    assert believed.intersections[0].centre[2] != road.intersections[0].centre[2]
