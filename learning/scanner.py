@@ -17,7 +17,7 @@ from learning.sites import Sensors, Site, draw_mounts, draw_site
 from perception.arrays import Floats, Floats32
 from protocol.errors import ConfigError
 from protocol.geometry import SE3
-from protocol.messages import Equipment
+from protocol.messages import Equipment, is_bystander
 from protocol.roadmap import RoadMap
 from sensing.config import LidarConfig, Mount, PoseErrorConfig, SceneConfig
 from sensing.lidar import Lidar
@@ -65,11 +65,10 @@ class JunctionScanner:
                 "scene": site.scene.model_dump(),
                 "junctions": None if tls is None else [tls],
             }
-            setup = build_setup(scenario, folder)
+            setup = build_setup(scenario | {"seed": site.seed}, folder)
             scene = scene_of(setup, site.scene, site.seed)
-            self._states = sample_traffic(
-                setup, folder, scene.terrain, site.seed, self._steps(samples)
-            )
+            states = sample_traffic(setup, folder, scene.terrain, site.seed, self._steps(samples))
+            self._states = [state.with_parked(setup) for state in states]
         self.road_map: RoadMap = setup.road_map
         self._sensors = sensors or Sensors.drawn(site)
         given = self._sensors.mounts
@@ -112,7 +111,8 @@ class JunctionScanner:
         rng = stream(self.site.seed, "cavs", frame)
         centre = np.array(self.road_map.centre[:2])
         away_m = np.linalg.norm(bodies.poses[:, :2] - centre, axis=1)
-        near = np.flatnonzero(away_m < _CAVS_NEAR_M)
+        drives = np.array([not is_bystander(name) for name in bodies.ids], np.bool_)
+        near = np.flatnonzero((away_m < _CAVS_NEAR_M) & drives)
         count = min(len(near), int(rng.integers(_CAVS[0], _CAVS[1] + 1)))
         return sorted(int(index) for index in rng.choice(near, count, replace=False))
 

@@ -342,6 +342,10 @@ class RecordRole:
             "end_waiting": str(end.waiting),
         }
         self._database.add(tables.MetaRow, facts.items())
+        if self._config.truth:
+            setup = self._context.setup
+            self._database.add(tables.VehicleTypeRow, rows.vehicle_type_rows(setup))
+            self._database.add(tables.ParkedRow, rows.parked_rows(setup))
 
     def _on_state(self, state: m.SignalState, _: Envelope) -> None:
         self._aggregator.check(state.frame)

@@ -13,6 +13,7 @@ from protocol.messages import (
     LaneCounts,
     Metrics,
     Scan,
+    Setup,
     Sighting,
     SignalRequest,
     SignalState,
@@ -25,12 +26,14 @@ from recording.tables import (
     CloudRow,
     CountRow,
     DetectionRow,
+    ParkedRow,
     PhaseRow,
     RequestRow,
     SightingRow,
     StageRow,
     TripRow,
     TruthRow,
+    VehicleTypeRow,
 )
 
 R = TypeVar("R", bound=tuple[Any, ...])
@@ -122,6 +125,36 @@ def truth_rows(message: Truth) -> Iterator[TruthRow]:
         speed_mps=message.speeds_mps.tolist(),
         lane=message.lanes,
         lane_position_m=message.lane_positions_m.tolist(),
+    )
+
+
+def vehicle_type_rows(setup: Setup) -> Iterator[VehicleTypeRow]:
+    """Returns a row per type."""
+    return (
+        VehicleTypeRow(
+            type=kind.name,
+            object_class=kind.object_class.name.lower(),
+            length_m=kind.length_m,
+            width_m=kind.width_m,
+            height_m=kind.height_m,
+        )
+        for kind in setup.vehicle_types
+    )
+
+
+def parked_rows(setup: Setup) -> Iterator[ParkedRow]:
+    """Returns a row per parked car."""
+    x, y, z, roll, pitch, yaw = setup.parked_poses.T.tolist()
+    return _rows(
+        ParkedRow,
+        vehicle=setup.parked_ids,
+        type=setup.parked_types,
+        x_m=x,
+        y_m=y,
+        z_m=z,
+        roll_rad=roll,
+        pitch_rad=pitch,
+        yaw_rad=yaw,
     )
 
 

@@ -18,6 +18,7 @@ SCHEMA_DIGESTS = {
     9: "242bbfd6b8778425",
     10: "9578cb7e82fa5f20",
     11: "20b6e0ea3ab58717",
+    12: "754ca4c0ef3d0560",
 }
 """`schema_digest()` by schema version. Never change an entry: add one with the next number."""
 SCHEMA_VERSION = max(SCHEMA_DIGESTS)
@@ -189,7 +190,10 @@ class RequestRow(NamedTuple):
 
 
 class TruthRow(NamedTuple):
-    """Where a vehicle truly was: footprint centre on the ground, in the map frame."""
+    """Where a vehicle or pedestrian truly was: footprint centre on the ground, in the map frame.
+
+    `lane` is empty for those off the road; `type` is one of `vehicle_types`.
+    """
 
     frame: int
     vehicle: str
@@ -204,6 +208,32 @@ class TruthRow(NamedTuple):
     speed_mps: float
     lane: str
     lane_position_m: float
+
+
+class VehicleTypeRow(NamedTuple):
+    """A type of bodies in `truth` and `parked`, and what detectors are to call it.
+
+    `object_class` is car, truck, two_wheeler or pedestrian.
+    """
+
+    type: str
+    object_class: str
+    length_m: float
+    width_m: float
+    height_m: float
+
+
+class ParkedRow(NamedTuple):
+    """A parked car: footprint centre on the ground, in the map frame. `truth` has no row of it."""
+
+    vehicle: str
+    type: str
+    x_m: float
+    y_m: float
+    z_m: float
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
 
 
 class SightingRow(NamedTuple):
@@ -354,6 +384,8 @@ TABLES: dict[type, Table] = {
         Table("phases", PhaseRow, 2, is_result=True),
         Table("requests", RequestRow, 2, is_result=True),
         Table("truth", TruthRow, 2, is_result=True),
+        Table("vehicle_types", VehicleTypeRow, 1, is_result=True),
+        Table("parked", ParkedRow, 1, is_result=True),
         Table("sightings", SightingRow, 2, is_result=True),
         Table("agent_scores", AgentScoreRow, 3, is_result=True),
         Table("trips", TripRow, 1, is_result=True),

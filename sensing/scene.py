@@ -201,15 +201,18 @@ def street_lights(
     edges: Sequence[Edge], terrain: Terrain, road: RoadArea, config: SceneConfig
 ) -> TriangleMesh:
     """Returns tapered poles behind the kerb, evenly spaced along each edge."""
+    feet = street_light_feet(edges, road, config)
+    return merge(_pole(foot, terrain, _LIGHT_RADIUS_M, _LIGHT_HEIGHT_M) for foot in feet)
+
+
+def street_light_feet(edges: Sequence[Edge], road: RoadArea, config: SceneConfig) -> Floats:
+    """Returns where street lights stand (N, 2)."""
     feet = [
         foot
         for edge in edges
         for foot in _feet(edge, config.pole_spacing_m, config.pole_spacing_m / 2, _POLE_OFFSET_M)
     ]
-    return merge(
-        _pole(foot, terrain, _LIGHT_RADIUS_M, _LIGHT_HEIGHT_M)
-        for foot in _off_road(feet, road, _LIGHT_RADIUS_M)
-    )
+    return np.array(_off_road(feet, road, _LIGHT_RADIUS_M)).reshape(-1, 2)
 
 
 def signal_posts(road_map: RoadMap, terrain: Terrain, road: RoadArea) -> TriangleMesh:

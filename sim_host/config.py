@@ -98,6 +98,12 @@ class TrafficConfig(Section):
         default_factory=_default_vehicles, description="vehicle mix of the demand", min_length=1
     )
     lateral: LateralConfig = LateralConfig()
+    parked_per_100m: float = Field(
+        0,
+        description="parked cars per 100 m of kerb, away from junctions; a space takes 6.5 m",
+        ge=0,
+        le=15,
+    )
     cav_rate: float = Field(0.05, description="share of vehicles with LiDAR and radio", ge=0, le=1)
     cv_rate: float = Field(0.0, description="share of vehicles with a radio alone", ge=0, le=1)
     radius_m: float = Field(

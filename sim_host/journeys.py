@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from protocol.messages import Equipment, ObjectClass, Setup, Trip, VehicleType
+from protocol.messages import PARKED, PEDESTRIAN, Equipment, ObjectClass, Setup, Trip, VehicleType
 from sim_host.demand import sized
 from sim_host.setup import traffic_config
 from sim_host.vehicle_meshes import BOX
@@ -28,7 +28,7 @@ def draw_equipment(seed: int, vehicle: str, cav_rate: float, cv_rate: float) -> 
 
 
 _EQUIPPED = (ObjectClass.CAR, ObjectClass.TRUCK)
-_UNSAFE = re.compile(r"[/*$?#\s]")
+_UNSAFE = re.compile(rf"[/*$?#\s]|^(?={PARKED}|{PEDESTRIAN})")  # the latter would be taken for one
 
 
 @dataclass(slots=True)

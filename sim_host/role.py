@@ -94,7 +94,7 @@ class SimRole:
         self._traffic = traffic_config(scenario)
         self._cabinet_config = CabinetConfig.model_validate(scenario["cabinet"])
         self._fleet = Fleet()
-        self._ticking = TickPublisher(context.world)
+        self._ticking = TickPublisher(context.world, context.setup)
         others = [one.id for one in instances_of(scenario) if one.role != WORLD_HOST]
         self._readiness = Readiness(others, self._traffic.start_timeout_s)
         self._lockstep = scenario["mode"] == "lockstep"

@@ -18,6 +18,7 @@ from protocol.errors import ConfigError
 from protocol.messages import Setup, VehicleType
 from protocol.roadmap import RoadMap
 from protocol.version import own_version
+from sensing.config import SceneConfig
 from sim_host.city_demand import write_city_demand
 from sim_host.config import TrafficConfig
 from sim_host.demand import types_of_demand, types_of_files, write_demand
@@ -25,6 +26,7 @@ from sim_host.junctions import DEMAND_VPH_PER_LANE, write_net
 from sim_host.limits import MAX_HEIGHT_M
 from sim_host.netfile import UNREADABLE, Net, open_file, read_net
 from sim_host.networks import NETWORKS, write_grid
+from sim_host.parked import draw_parked
 from sim_host.regions import resolve_regions
 from sim_host.road_map import road_map
 from sim_host.sumo import sumo_home
@@ -116,6 +118,8 @@ def build_setup(scenario: dict[str, Any], run_dir: Path) -> Setup:
     outlines = scenario.get("scene", {}).get("polygons")
     centres = [one.centre for one in roads.intersections]
     rings, heights = read_polygons(Path(outlines), centres) if outlines else ([], [])
+    scene = SceneConfig.model_validate(scenario.get("scene", {}))
+    parked = draw_parked(roads, types, traffic.parked_per_100m, scene, scenario.get("seed", 0))
     return Setup(
         scenario=scenario,
         road_map=roads,
@@ -126,6 +130,8 @@ def build_setup(scenario: dict[str, Any], run_dir: Path) -> Setup:
         mesh_materials=meshes.materials,
         polygons=rings,
         polygon_heights_m=heights,
+        parked_types=parked.types,
+        parked_poses=parked.poses,
         version=own_version(),
     )
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from protocol.bus import Bus
-from protocol.messages import Equipment, Tick, TileBodies, TileRequest
+from protocol.messages import Equipment, Setup, Tick, TileBodies, TileRequest, is_bystander
 from protocol.tiles import Tile, tile_name, tiles_of
 from sim_host.presence import Fleet
 from sim_host.world import TrafficState
@@ -17,12 +17,16 @@ from sim_host.world import TrafficState
 class TickPublisher:
     """Publishes the tiles in which something changed, then the tick, on the world bus."""
 
-    def __init__(self, bus: Bus) -> None:
+    def __init__(self, bus: Bus, setup: Setup | None = None) -> None:
+        """Publishes on the world bus; a setup's parked cars stand in every tick."""
         self._bus = bus
+        self._setup = setup
         self._published: dict[Tile, TileBodies] = {}
 
     def publish(self, frame: int, sim_time_ns: int, bodies: TrafficState, fleet: Fleet) -> None:
         """Publishes a frame's bodies; vehicles without radio are nobody's to play."""
+        if self._setup is not None:
+            bodies = bodies.with_parked(self._setup)
         before, self._published = self._published, {}
         for tile, members in _by_tile(bodies).items():
             now = _tile_bodies(frame, tile, bodies, members)
@@ -50,7 +54,7 @@ class TickPublisher:
             frame=frame,
             sim_time_ns=sim_time_ns,
             processes=fleet.processes,
-            bodies=len(bodies.ids),
+            bodies=sum(not is_bystander(name) for name in bodies.ids),
             agents=agents,
             equipment=bodies.equipment[radios],
             hosts=np.array([number[hosts[n]] if n in hosts else -1 for n in agents], np.int32),

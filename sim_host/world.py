@@ -37,7 +37,7 @@ class Ground(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrafficState:
-    """The vehicles around the signals, sorted by id. Poses are of footprint centres."""
+    """The bodies around the signals, sorted by id. Poses are of footprint centres."""
 
     ids: list[str]
     types: list[str]
@@ -58,6 +58,21 @@ class TrafficState:
             speeds_mps=truth.speeds_mps,
             lane_positions_m=truth.lane_positions_m,
             equipment=truth.equipment,
+        )
+
+    def with_parked(self, setup: Setup) -> TrafficState:
+        """Returns the vehicles and the parked cars of a setup."""
+        parked = len(setup.parked_types)
+        if not parked:
+            return self
+        return TrafficState(
+            ids=self.ids + setup.parked_ids,
+            types=self.types + setup.parked_types,
+            lanes=self.lanes + [""] * parked,
+            poses=np.concatenate([self.poses, setup.parked_poses]),
+            speeds_mps=np.append(self.speeds_mps, np.zeros(parked, np.float32)),
+            lane_positions_m=np.append(self.lane_positions_m, np.zeros(parked, np.float32)),
+            equipment=np.append(self.equipment, np.zeros(parked, np.uint8)),
         )
 
 

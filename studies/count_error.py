@@ -13,7 +13,14 @@ from protocol.messages import Setup
 from protocol.roadmap import RoadMap
 from recording.run import Run
 from recording.tables import CountRow, DetectionRow, TruthRow
-from studies.ecvpr import DOWNSTREAM_M, UPSTREAM_M, EvaluationArea, by_frame, matched_vehicles
+from studies.ecvpr import (
+    DOWNSTREAM_M,
+    UPSTREAM_M,
+    EvaluationArea,
+    by_frame,
+    matched_vehicles,
+    parked_bodies,
+)
 
 
 def count_errors(run: Run) -> dict[str, list[int]]:
@@ -77,6 +84,7 @@ class PerceptionTally:
         self._area = EvaluationArea(setup.road_map)
         self._counter = TrueCounts(setup.road_map, UPSTREAM_M, DOWNSTREAM_M)
         self._types = {kind.name: kind for kind in setup.vehicle_types}
+        self._parked = parked_bodies(setup)
         self._seen = self._found = self._false = self._frames = 0
         self._errors: list[int] = []
 
@@ -89,7 +97,7 @@ class PerceptionTally:
     ) -> None:
         """Adds a frame: the visible vehicles, detections, counts, and the truth."""
         here = {v.vehicle for v in vehicles if self._area.contains(v.lane, v.lane_position_m)}
-        matched, wrong = matched_vehicles(detections, vehicles, self._types)
+        matched, wrong = matched_vehicles(detections, vehicles + self._parked, self._types)
         self._seen += len(visible & here)
         self._found += len(visible & here & matched)
         self._false += wrong

@@ -20,8 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from perception.arrays import Floats
-from protocol.messages import Equipment, VehicleType
+from protocol.messages import Equipment, Setup, VehicleType, is_bystander
 from protocol.roadmap import RoadMap
+from recording.rows import parked_rows
 from recording.run import Run
 from recording.tables import CountRow, DetectionRow, SightingRow, TruthRow
 from sensing.config import Mount
@@ -254,6 +255,7 @@ def score(
     """
     area = area or EvaluationArea(run.setup.road_map)
     types = {kind.name: kind for kind in run.setup.vehicle_types}
+    parked = parked_bodies(run.setup)
     perceived = {n for (n,) in run.query("SELECT frame FROM frames WHERE detections IS NOT NULL")}
     detections, bounds = by_frame(run.rows(DetectionRow)), PerceptionBounds(run)
     waiting = next(detections, None)
@@ -263,12 +265,23 @@ def score(
             waiting = next(detections, None)
         found = waiting[1] if waiting is not None and waiting[0] == frame else []
         if frame in perceived:
-            one = score_frame(frame, found, vehicles, types, area, margin_m)
+            one = score_frame(frame, found, vehicles + parked, types, area, margin_m)
             present = {v.vehicle for v in vehicles if area.contains(v.lane, v.lane_position_m)}
             visible = len(present & bounds.visible(frame, vehicles))
             in_range = len(present & bounds.in_range(vehicles))
             scores.append(replace(one, visible=visible, in_range=in_range))
     return scores
+
+
+def parked_bodies(setup: Setup) -> list[TruthRow]:
+    """Returns a setup's parked cars as if they were in the truth of a frame.
+
+    What is detected there is no false detection, nor is it a vehicle in traffic.
+    """
+    return [
+        TruthRow(-1, car.vehicle, car.type, Equipment.NONE, *car[2:], 0.0, "", 0.0)
+        for car in parked_rows(setup)
+    ]
 
 
 def score_frame(
@@ -279,23 +292,22 @@ def score_frame(
     area: EvaluationArea,
     margin_m: float = MARGIN_M,
 ) -> FrameScore:
-    """Returns the score of one frame. A vehicle outside the area is neither true nor false.
+    """Returns the score of one frame.
 
-    A vehicle that reports itself counts as detected, whatever its positioning error.
+    A vehicle outside the area is neither true nor false, and so are bystanders: parked cars and
+    pedestrians, whom only those detections can match that match no vehicle. A vehicle that reports
+    itself counts as detected, whatever its positioning error.
     """
-    index = {vehicle.vehicle: i for i, vehicle in enumerate(vehicles)}
-    selves = {index[d.source] for d in detections if d.source in index}
-    others = [i for i in range(len(vehicles)) if i not in selves]
-    seen = [d for d in detections if d.source not in index]
-    pairs = _pairs(seen, [vehicles[i] for i in others], types, margin_m)
-    found = selves | {others[vehicle] for _, vehicle in pairs}
-    present_at = area.present_at(vehicles)
-    true_at = area.present_at(vehicles[i] for i in found)
+    found, false = _matched(detections, vehicles, types, margin_m)
+    present = [one for one in vehicles if not is_bystander(one.vehicle)]
+    reporting = {detection.source for detection in detections}
+    present_at = area.present_at(present)
+    true_at = area.present_at(v for v in present if v.vehicle in found | reporting)
     return FrameScore(
         frame,
         present_at.total(),
         true_at.total(),
-        len(seen) - len(pairs),
+        len(false),
         present_at=present_at,
         true_at=true_at,
     )
@@ -330,14 +342,28 @@ def matches(
     detections: list[DetectionRow], vehicles: list[TruthRow], types: dict[str, VehicleType]
 ) -> tuple[set[str], list[DetectionRow]]:
     """Returns which vehicles that do not report themselves were detected, and false detections."""
+    return _matched(detections, vehicles, types, MARGIN_M)
+
+
+def _matched(
+    detections: list[DetectionRow],
+    vehicles: list[TruthRow],
+    types: dict[str, VehicleType],
+    margin_m: float,
+) -> tuple[set[str], list[DetectionRow]]:
     reporting = {detection.source for detection in detections}
     others = [vehicle for vehicle in vehicles if vehicle.vehicle not in reporting]
     names = {vehicle.vehicle for vehicle in vehicles}
-    seen = [detection for detection in detections if detection.source not in names]
-    pairs = _pairs(seen, others, types, MARGIN_M)
-    true = {detection for detection, _ in pairs}
-    false = [detection for i, detection in enumerate(seen) if i not in true]
-    return {others[vehicle].vehicle for _, vehicle in pairs}, false
+    left = [detection for detection in detections if detection.source not in names]
+    found: set[str] = set()
+    for bystanders in (False, True):
+        here = [one for one in others if is_bystander(one.vehicle) == bystanders]
+        pairs = _pairs(left, here, types, margin_m)
+        true = {detection for detection, _ in pairs}
+        left = [detection for i, detection in enumerate(left) if i not in true]
+        if not bystanders:
+            found = {here[vehicle].vehicle for _, vehicle in pairs}
+    return found, left
 
 
 def by_frame(rows: Iterator[R]) -> Iterator[tuple[int, list[R]]]:

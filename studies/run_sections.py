@@ -19,7 +19,7 @@ from sensing.config import Mount
 from sensing.pose import mount_place
 from studies import palette
 from studies.count_error import counts_with_truth
-from studies.ecvpr import EvaluationArea, FrameScore, matches
+from studies.ecvpr import EvaluationArea, FrameScore, matches, parked_bodies
 from studies.outlines import road_rings
 from studies.over_time import TIME, FrameClock, over_time, thinned_series
 from studies.page.model import (
@@ -290,9 +290,10 @@ def _vehicle_points(
 ) -> list[Points]:
     """Returns where vehicles were detected, reported themselves or were missed, by class."""
     classes: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    parked = parked_bodies(run.setup)
     for frame in frames:
         detections, vehicles = run.of_frame(DetectionRow, frame), run.of_frame(TruthRow, frame)
-        found, false = matches(detections, vehicles, types)
+        found, false = matches(detections, vehicles + parked, types)
         reporting = {one.source for one in detections}
         for one in vehicles:
             if area.contains(one.lane, one.lane_position_m):

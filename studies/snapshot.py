@@ -17,7 +17,7 @@ from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 from recording.run import Run
 from recording.tables import CloudRow, CountRow, DetectionRow, FrameRow, PhaseRow, TruthRow
-from studies.ecvpr import EvaluationArea, FrameScore, score_frame
+from studies.ecvpr import EvaluationArea, FrameScore, parked_bodies, score_frame
 
 _LISTED = 20
 _log = logging.getLogger(__name__)
@@ -66,6 +66,7 @@ def load_snapshot(run: Run, frame: int | None) -> Snapshot:
     detections, truth = run.of_frame(DetectionRow, frame), run.of_frame(TruthRow, frame)
     rows = run.of_frame(FrameRow, frame)
     types = {kind.name: kind for kind in run.setup.vehicle_types}
+    parked, area = parked_bodies(run.setup), EvaluationArea(run.setup.road_map)
     phases = run.of_frame(PhaseRow, frame)
     sized = [(t, types[t.type]) for t in truth if t.type in types]
     return Snapshot(
@@ -89,7 +90,7 @@ def load_snapshot(run: Run, frame: int | None) -> Snapshot:
         ),
         counts={(c.lane, c.side): c.vehicles for c in run.of_frame(CountRow, frame)},
         shown={phase.tls: phase.state for phase in phases},
-        score=score_frame(frame, detections, truth, types, EvaluationArea(run.setup.road_map)),
+        score=score_frame(frame, detections, truth + parked, types, area),
     )
 
 

@@ -29,6 +29,8 @@ EXAMPLES: list[m.Message] = [
         mesh_vertices=np.eye(3, dtype=np.float32),
         mesh_triangles=np.array([[0, 1, 2]], np.int32),
         mesh_materials=np.array([m.Material.PAINT], np.uint8),
+        parked_types=["car"],
+        parked_poses=np.arange(6.0).reshape(1, 6),
         version="0.1.0",
     ),
     m.Tick(

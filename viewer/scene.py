@@ -30,7 +30,8 @@ from protocol.observer import BufferedFrame
 from protocol.roadmap import Intersection, RoadMap, Signal
 from recording.observation import ObservedJunction, joined_detections
 from recording.rows import detection_rows, truth_rows
-from studies.ecvpr import EvaluationArea, FrameScore, score_frame
+from recording.tables import TruthRow
+from studies.ecvpr import EvaluationArea, FrameScore, parked_bodies, score_frame
 from viewer import layers
 from viewer.layers import Boxes, CellArea, Colours, Lines, Rgb, Texts
 from viewer.road import Heads, approaches, count_places, heads
@@ -147,16 +148,23 @@ def _placed(scan: Scan, step: int) -> Floats32 | None:
 class TruthScorer:
     """Compares what was detected with the truth."""
 
-    def __init__(self, road_map: RoadMap, types: Mapping[str, VehicleType]) -> None:
+    def __init__(
+        self,
+        road_map: RoadMap,
+        types: Mapping[str, VehicleType],
+        parked: Iterable[TruthRow] = (),
+    ) -> None:
         self._reach = EvaluationArea(road_map)
         self._types = dict(types)
+        self._parked = list(parked)
 
     def score(self, moment: Moment) -> FrameScore | None:
         """Returns a frame's score; None without truth or detections."""
         if moment.detections is None or moment.truth is None:
             return None
         found, vehicles = detection_rows(moment.detections, ""), truth_rows(moment.truth)
-        return score_frame(moment.frame, [*found], [*vehicles], self._types, self._reach)
+        bodies = [*vehicles, *self._parked]
+        return score_frame(moment.frame, [*found], bodies, self._types, self._reach)
 
 
 def junctions_to_show(road_map: RoadMap, tls: str | None) -> list[Intersection]:
@@ -244,7 +252,7 @@ class Scene:
             for region, own in self.regions.items()
         }
         self._types = {kind.name: kind for kind in setup.vehicle_types}
-        self._judge = TruthScorer(self.road_map, self._types)
+        self._judge = TruthScorer(self.road_map, self._types, parked_bodies(setup))
         self._colours = Colours()
         self._rates = Rates(round(float(setup.scenario["frame_period_s"]) * 1e9))
 

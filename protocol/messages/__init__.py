@@ -35,6 +35,8 @@ from protocol.messages.v2x import (
     SignalState,
 )
 from protocol.messages.world import (
+    PARKED,
+    PEDESTRIAN,
     ClockReading,
     End,
     MeshPart,
@@ -48,6 +50,7 @@ from protocol.messages.world import (
     Trips,
     Truth,
     VehicleType,
+    is_bystander,
 )
 
 __all__ = [
@@ -55,6 +58,8 @@ __all__ = [
     "MAX_ITEMS",
     "MESSAGES",
     "NEVER_NS",
+    "PARKED",
+    "PEDESTRIAN",
     "AgentPose",
     "AgentScore",
     "Arrival",
@@ -92,6 +97,7 @@ __all__ = [
     "Upload",
     "VehicleType",
     "WireCount",
+    "is_bystander",
 ]
 
 MESSAGES: dict[int, type[Message]] = {

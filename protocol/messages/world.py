@@ -37,6 +37,15 @@ from protocol.messages.fields import (
 )
 from protocol.roadmap import RoadMap
 
+PARKED, PEDESTRIAN = "parked~", "pedestrian~"
+"""What ids of bodies begin with that are no vehicles in traffic; no vehicle's id does."""
+
+
+def is_bystander(body: str) -> bool:
+    """Whether a body is a parked car or a pedestrian, by its id: it is never counted in lanes."""
+    return body.startswith((PARKED, PEDESTRIAN))
+
+
 Ring = Annotated[list[tuple[float, float]], FailFast()]
 
 
@@ -64,7 +73,9 @@ class Setup(Message):
 
     Meshes are unit sized: the footprint's centre at the origin on the ground, x forward, extent 1
     along each axis. Triangles index into their own mesh; each has its `Material` in
-    `mesh_materials` (T,), which is empty if all are paint. `version` is that of the cpnet that made
+    `mesh_materials` (T,), which is empty if all are paint. Parked cars, of these types and with
+    these poses (P, 6) of their footprints' centres, are bodies of all ticks, but not in the truth:
+    it holds traffic. `version` is that of the cpnet that made
     the setup, empty if it did not say.
     """
 
@@ -79,7 +90,19 @@ class Setup(Message):
     mesh_materials: Bytes = Field(default_factory=lambda: np.zeros(0, np.uint8))
     polygons: Annotated[list[Ring], FailFast()] = Field([])
     polygon_heights_m: Annotated[list[float], FailFast()] = Field([])
+    parked_types: BodyTexts = Field([])
+    parked_poses: Poses = Field(default_factory=lambda: np.zeros((0, 6)))
     version: Text = ""
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        check_lengths(self, "parked_types", "parked_poses")
+        return self
+
+    @property
+    def parked_ids(self) -> list[str]:
+        """What the parked cars are called in ticks and sightings (P,)."""
+        return [f"{PARKED}{n}" for n in range(len(self.parked_types))]
 
 
 class Tick(Message):
@@ -90,7 +113,7 @@ class Tick(Message):
     sent again while nothing in the tile moves.
 
     Attributes:
-        bodies: how many there are in all tiles.
+        bodies: how many vehicles there are in all tiles; not those parked, and no pedestrians.
         agents: ids of the CAVs and CVs (N,), with `equipment` (N,) and `hosts` (N,).
         places: (N, 2) x, y of their footprints' centres, map frame, m.
         tiles: (T, 2) column and row, see `protocol.tiles`.

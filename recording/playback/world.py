@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from protocol.errors import ConfigError
-from protocol.messages import Equipment, SignalState, Tick, TileBodies, Trip, Trips, Truth
+from protocol.messages import PARKED, Equipment, SignalState, Tick, TileBodies, Trip, Trips, Truth
 from protocol.process import Context
 from protocol.tiles import Tile, joined
 from recording.config import ReplayConfig
@@ -111,17 +111,22 @@ class RecordedWorld:
 
 
 def _bodies_of_tiles(tick: Tick, tiles: list[TileBodies]) -> TrafficState:
-    """Returns the bodies of a recording without truth; their lanes are unknown."""
+    """Returns the bodies of a recording without truth; their lanes are unknown.
+
+    Parked cars are left out: they come with the setup.
+    """
     found = joined(tiles)
+    moving = [n for n, name in enumerate(found.ids) if not name.startswith(PARKED)]
+    ids = [found.ids[n] for n in moving]
     carried = dict(zip(tick.agents, tick.equipment.tolist(), strict=True))
     return TrafficState(
-        ids=found.ids,
-        types=found.types,
-        lanes=[""] * len(found.ids),
-        poses=found.poses,
-        speeds_mps=found.speeds_mps,
-        lane_positions_m=np.zeros(len(found.ids), np.float32),
-        equipment=np.array([carried.get(name, Equipment.NONE) for name in found.ids], np.uint8),
+        ids=ids,
+        types=[found.types[n] for n in moving],
+        lanes=[""] * len(ids),
+        poses=found.poses[moving],
+        speeds_mps=found.speeds_mps[moving],
+        lane_positions_m=np.zeros(len(ids), np.float32),
+        equipment=np.array([carried.get(name, Equipment.NONE) for name in ids], np.uint8),
     )
 
 

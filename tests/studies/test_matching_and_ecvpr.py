@@ -7,10 +7,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from protocol.messages import VehicleType
 from recording.database import Database
 from recording.run import Run
 from recording.tables import DetectionRow, FrameRow, TruthRow
-from studies.ecvpr import EvaluationArea, FrameScore, match, score
+from studies.ecvpr import (
+    EvaluationArea,
+    FrameScore,
+    match,
+    matched_vehicles,
+    score,
+    score_frame,
+)
 from tests.roads import straight_road
 from tests.studies.straight_runs import write_setup
 
@@ -80,6 +88,23 @@ def detection(frame: int, number: int, x_m: float) -> DetectionRow:
 
 def frame_row(frame: int, detections: int | None) -> FrameRow:
     return FrameRow(frame, frame * 10**8, 1, 0, 0, 0, 0, detections, 1, frame, None, None)
+
+
+def test_what_is_found_at_a_bystander_is_neither_true_nor_false() -> None:
+    vehicles = [
+        truth(0, "v", 100.0, "in", 100.0),
+        truth(0, "parked~0", 102.0, "", 0.0),
+        truth(0, "pedestrian~7", 140.0, "", 0.0),
+    ]
+    kinds = {
+        name: VehicleType(name=name, mesh="car", length_m=4, width_m=2, height_m=1)
+        for name in {one.type for one in vehicles}
+    }
+    found = [detection(0, n, x_m) for n, x_m in enumerate((101.1, 102.0, 140.0, 170.0))]
+    one = score_frame(0, found, vehicles, kinds, EvaluationArea(straight_road()))
+    # The first lies nearer to the parked car, but vehicles are matched before bystanders are.
+    assert (one.present, one.true, one.false) == (1, 1, 1)
+    assert matched_vehicles(found, vehicles, kinds) == ({"v"}, 1)
 
 
 def test_e_cvpr_is_true_detections_over_vehicles_present(tmp_path: Path) -> None:
