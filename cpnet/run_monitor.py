@@ -285,9 +285,10 @@ class RunMonitor:
             return next((failure for failure in lost if failure.id != MCAP.role), None)
         if watch.progress is not None:
             recordings += self._dismiss_recording(at_end=at_end)
-        if self.supervisor.failure(at_end=at_end) is not None:
+        failure = self.supervisor.failure(at_end=at_end)
+        if failure is not None:
             self._await_late_end(watch)  # it may have left only just now
-        failure = self.supervisor.failure(at_end=watch.end is not None)
+            failure = self.supervisor.failure(at_end=watch.end is not None)
         is_recording = (
             failure is not None and failure.id == MCAP.role and watch.progress is not None
         )
