@@ -57,6 +57,7 @@ class BorderStrips:
             sim_time_ns=state.frame.sim_time_ns,
             boxes=found.boxes.astype(np.float32),
             scores=found.scores.astype(np.float32),
+            classes=found.classes,
             sources=found.sources,
             position_std_m=found.position_std_m.astype(np.float32),
             sensors=state.sensors[self._is_near(state.sensors)],
@@ -159,6 +160,7 @@ def _as_received(vehicles: Vehicles) -> Vehicles:
         vehicles.scores.astype(np.float32).astype(np.float64),
         vehicles.sources,
         vehicles.position_std_m.astype(np.float32).astype(np.float64),
+        vehicles.classes,
     )
 
 
@@ -168,4 +170,5 @@ def _vehicles(message: BorderObjects) -> Vehicles:
         message.scores.astype(np.float64),
         message.sources,
         message.position_std_m.astype(np.float64),
+        message.classes,
     )

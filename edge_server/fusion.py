@@ -13,9 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from edge_server.config import FusionConfig
-from perception.arrays import Bools, Floats, Ints
+from perception.arrays import Bools, Bytes, Floats, Ints
 from perception.detector import LIDAR, Vehicles
-from protocol.messages import AgentPose, Equipment
+from perception.object_classes import classes_by_size
+from protocol.messages import AgentPose, Equipment, ObjectClass
 
 CERTAIN_STD_M = 0.5  # poses better than this say by themselves which box is the agent's
 
@@ -47,7 +48,7 @@ def join(parts: Sequence[Vehicles], *, centres: Floats, config: FusionConfig) ->
         left += found.take(~_claimed(claiming, found, config))
     both = own + left.take(_ranked(left, centres))
     gone = np.zeros(len(both), np.bool_)
-    same = _same(both.boxes, both.boxes, config)
+    same = _same(both.boxes, both.boxes, config) & _alike(both.classes)
     for index in range(len(both)):
         if not gone[index] and both.position_std_m[index] <= CERTAIN_STD_M:
             later = max(len(own), index + 1)
@@ -78,11 +79,13 @@ def from_poses(poses: list[AgentPose]) -> Vehicles:
         )
         for p in vehicles
     ]
+    rows = np.array(boxes, np.float64).reshape(-1, 7)
     return Vehicles(
-        np.array(boxes, np.float64).reshape(-1, 7),
+        rows,
         np.ones(len(vehicles)),
         [p.agent for p in vehicles],
         np.array([p.position_std_m for p in vehicles], np.float64),
+        classes_by_size(rows[:, 3:6]),
     )
 
 
@@ -122,4 +125,12 @@ def _same(boxes: Floats, others: Floats, config: FusionConfig, *, slack_m: float
         return np.asarray(np.hypot(x, y) < config.duplicate_m + slack_m)
     cos, sin = np.cos(boxes[:, 6:7]), np.sin(boxes[:, 6:7])
     along, across = np.abs(cos * x + sin * y), np.abs(cos * y - sin * x)
-    return np.asarray((along < config.duplicate_m + slack_m) & (across < config.across_m + slack_m))
+    half_m = np.maximum(boxes[:, 3:4], others[:, 3]) / 2  # a part of a lorry lies anywhere in it
+    along_m = np.maximum(config.duplicate_m, half_m) + slack_m
+    return np.asarray((along < along_m) & (across < config.across_m + slack_m))
+
+
+def _alike(classes: Bytes) -> Bools:
+    """Whether each of some objects (N,) may be the same as each other: people are no vehicles."""
+    is_person = classes == ObjectClass.PEDESTRIAN
+    return np.asarray(~is_person[:, None] & ~is_person)

@@ -40,9 +40,10 @@ from edge_server.placing import Decode, Place, PlaceByReference
 from edge_server.stationary import StationaryVehicles
 from perception.arrays import Bools, Floats
 from perception.detector import Cloud, Detector, DetectorMaker, Vehicles
+from perception.map_height import on_the_ground
 from perception.registry import detector_of
 from perception.roadway import Roadway
-from protocol.messages import Detections, LaneCounts, Scan, Span
+from protocol.messages import Detections, LaneCounts, ObjectClass, Scan, Span
 from protocol.regions import RegionMap
 
 
@@ -176,11 +177,15 @@ class Merge(FrameStage):
 
     def run(self, state: FrameState) -> None:
         """See `FrameStage.run`."""
-        near, bare = (
-            [c.placed for c in state.frame.chunks if c.placed and c.ground_free is is_bare]
-            for is_bare in (False, True)
+        placed = [(c, c.placed) for c in state.frame.chunks if c.placed is not None]
+        near = [(c, part) for c, part in placed if not c.ground_free]
+        bare = [(c, part) for c, part in placed if c.ground_free]
+        cloud = Cloud(
+            [part for _, part in near],
+            [part for _, part in bare],
+            sensor_places([chunk for chunk, _ in near + bare]),
         )
-        state.cloud = Cloud(near, bare, sensor_places(state.frame.chunks))
+        state.cloud = on_the_ground(cloud)
 
 
 class Detect(FrameStage):
@@ -213,7 +218,9 @@ class Fuse(FrameStage):
         found = state.found
         for objects in (one.objects for one in state.frame.found):
             found += Vehicles.from_lidar(
-                objects.boxes.astype(np.float64), objects.scores.astype(np.float64)
+                objects.boxes.astype(np.float64),
+                objects.scores.astype(np.float64),
+                objects.classes,
             )
         poses = state.frame.poses
         state.fused = fuse(found, poses, centres=self._centres, config=self._config)
@@ -269,6 +276,8 @@ class Count(FrameStage):
         on_road = positions.lane >= 0
         state.vehicles, state.positions = state.fused.take(on_road), positions.take(on_road)
         state.detections = self._detections(state)
+        counts = state.vehicles.classes != ObjectClass.PEDESTRIAN
+        state.vehicles, state.positions = state.vehicles.take(counts), state.positions.take(counts)
         stationary = self._stationary.mark(state.frame.sim_time_ns, state.vehicles.boxes[:, :2])
         state.counts = {tls: self._counts(state, tls, stationary) for tls in self._coverage}
 
@@ -287,6 +296,7 @@ class Count(FrameStage):
             agents=frame.agents,
             boxes=vehicles.boxes.astype(np.float32),
             scores=vehicles.scores.astype(np.float32),
+            classes=vehicles.classes,
             lanes=self._lanes.names(positions),
             distances_m=self._lanes.distances_m(positions).astype(np.float32),
             sources=vehicles.sources,

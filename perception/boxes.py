@@ -1,4 +1,4 @@
-"""Oriented boxes: one per cluster, completed to a vehicle's size, then the size filter; overlap.
+"""Oriented boxes: one per cluster, completed to the usual size of its class; overlap.
 
 The direction is searched by the closeness criterion of Zhang et al. 2017 ("Efficient L-shape
 fitting for vehicle detection using laser scanners"), with the road's direction as a prior; where
@@ -11,8 +11,8 @@ import numpy as np
 from numba import njit
 
 from perception.arrays import Bools, Floats, Floats32, Ints, Ints32
-from perception.config import BoxConfig
 from perception.detector import Vehicles
+from perception.object_classes import MAX_WIDTH_M, PERSON_TOP_M, TALL_M, Shapes, classes_of, usual_m
 from perception.roadway import Roadway
 
 FIT_POINTS = 160  # of a cluster at most: more do not change the direction
@@ -20,8 +20,10 @@ FEW_POINTS = 12  # fewer tell none
 STEPS = 15  # of 3 degrees, to either side
 PRIOR = 0.35  # how much less a direction counts that is 45 degrees off the road's
 EDGE_M = 0.08  # points this close to an edge lie on it
-WIDE_M = 2.6  # no vehicle that fits a lane is wider: its length and width are taken for each other
-HANGING_M = 0.3  # what tops the highest vehicle by more, seen from the ground, is a tree's crown
+WIDE_M = 2.6  # no car is wider: its length and width are taken for each other
+LEAST_M, LEAST_HEIGHT_M = 0.5, 0.1  # what is smaller is no vehicle
+PERSON_M = 0.2  # but may be a person, if it is so high
+LINE_M, LINE_TOP_M = 1.0, 0.4  # of a side that one ring has hit: length, least height over ground
 CERTAIN_POINTS = 25.0  # about two thirds of full score
 
 
@@ -32,28 +34,64 @@ def fit_boxes(
     *,
     roadway: Roadway,
     sensors: Floats,
-    config: BoxConfig,
 ) -> Vehicles:
     """Boxes clusters of points (N, 3), map frame, over ground at the heights (N,).
 
-    A box stands on the ground and reaches up to its highest point. `sensors` (S, 3) are the places
-    the points were seen from.
+    A box stands on the ground and reaches up to its highest point. `sensors` (C, 2) are the places
+    that most of each cluster's points were seen from.
     """
     if len(labels) == 0 or labels.max() < 0:
         return Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
     members, starts, middles, floor_m = _middles(points, ground_m, labels, int(labels.max()) + 1)
     yaws = roadway.yaw_at(middles)
-    extents = _fit(points, labels, starts, middles, yaws)
-    sizes_m = extents[:, 1] - extents[:, 0]
-    if config.complete:
-        sizes_m[_lines(sizes_m, extents[:, 1, 2] - floor_m, config), 2] = config.min_height_m
-    kept = fits(sizes_m, config)
-    if config.complete:
-        _complete(extents, middles, yaws, sensors, config)
-        kept &= extents[:, 1, 2] - floor_m <= config.max_height_m + HANGING_M
-        extents[:, 0, 2] = floor_m
-        extents[:, 1, 2] = np.maximum(extents[:, 1, 2], floor_m + config.usual_height_m)
-    return Vehicles.from_lidar(_boxes(extents, middles, yaws), certainty(members)).take(kept)
+    extents = _fit(points, labels, starts, middles, yaws, floor_m)
+    along_m, across_m, height_m = (extents[:, 1] - extents[:, 0]).T
+    shapes = Shapes(along_m, across_m, extents[:, 0, 2] - floor_m, extents[:, 1, 2] - floor_m)
+    kinds = shapes.kinds()
+    kept = shapes.is_vehicle_or_person & (_stands(shapes, height_m) | _is_line(shapes, height_m))
+    size_m = usual_m(kinds)
+    _complete(extents, middles, yaws, sensors, size_m)
+    extents[:, 0, 2] = floor_m
+    extents[:, 1, 2] = np.maximum(extents[:, 1, 2], floor_m + size_m[:, 2])
+    boxes = _boxes(extents, middles, yaws)
+    return Vehicles.from_lidar(boxes, certainty(members), classes_of(kinds)).take(kept)
+
+
+def main_sensors(labels: Ints32, sizes: Ints, sensors: Floats) -> Floats:
+    """Returns the place (C, 2) that most points of each cluster were seen from.
+
+    Args:
+        labels: the cluster of each point (N,), -1 for none; points come part by part.
+        sizes: how many points each part has (P,).
+        sensors: the place that each part was seen from (P, 3).
+    """
+    count = int(labels.max(initial=-1)) + 1
+    points = np.zeros((count, len(sizes)), np.int64)
+    _count_by_part(labels, sizes, points)
+    return np.ascontiguousarray(sensors[points.argmax(axis=1), :2]) if count else np.zeros((0, 2))
+
+
+@njit("void(int32[::1], int64[::1], int64[:,::1])", cache=True, nogil=True)
+def _count_by_part(labels: Ints32, sizes: Ints, points: Ints) -> None:
+    index = 0
+    for part in range(sizes.size):
+        for _ in range(sizes[part]):
+            if labels[index] >= 0:
+                points[labels[index], part] += 1
+            index += 1
+
+
+def _stands(shapes: Shapes, height_m: Floats) -> Bools:
+    """Marks what is large enough (C,); people are as narrow as they like."""
+    long_m = np.maximum(shapes.along_m, shapes.across_m)
+    least_m = np.where(shapes.top_m > PERSON_TOP_M, PERSON_M, LEAST_M)
+    return np.asarray((long_m >= least_m) & (height_m >= LEAST_HEIGHT_M))
+
+
+def _is_line(shapes: Shapes, height_m: Floats) -> Bools:
+    """Marks what one ring alone has hit, far away, as it would hit a vehicle's side (C,)."""
+    line = (height_m < LEAST_HEIGHT_M) & (np.maximum(shapes.along_m, shapes.across_m) >= LINE_M)
+    return np.asarray(line & (shapes.top_m >= LINE_TOP_M))
 
 
 def certainty(members: Ints) -> Floats:
@@ -61,43 +99,16 @@ def certainty(members: Ints) -> Floats:
     return np.asarray(1.0 - np.exp(-members / CERTAIN_POINTS))
 
 
-def fits(sizes_m: Floats, config: BoxConfig) -> Bools:
-    """The size filter, on what was measured (C, 3): the longer side of a box is its length.
-
-    A box that will be completed may be as narrow as it likes: it is a vehicle's side.
-    """
-    length_m, width_m = sizes_m[:, :2].max(axis=1), sizes_m[:, :2].min(axis=1)
-    min_width_m = 0.0 if config.complete else config.min_width_m
-    result: Bools = (length_m >= config.min_length_m) & (length_m <= config.max_length_m)
-    result &= (width_m >= min_width_m) & (width_m <= config.max_width_m)
-    result &= (sizes_m[:, 2] >= config.min_height_m) & (sizes_m[:, 2] <= config.max_height_m)
-    return result
-
-
-def _lines(sizes_m: Floats, top_m: Floats, config: BoxConfig) -> Bools:
-    """Marks clusters (C,) that one ring alone has hit, far away, as it would hit a vehicle.
-
-    Such a cluster has no height of its own; that of its points over the ground is `top_m` (C,).
-    """
-    line = (sizes_m[:, 2] < config.min_height_m) & (sizes_m[:, :2].max(axis=1) >= config.line_m)
-    return np.asarray(line & (top_m >= config.line_top_m) & (top_m <= config.max_height_m))
-
-
 def _complete(
-    extents: Floats, middles: Floats, yaws: Floats, sensors: Floats, config: BoxConfig
+    extents: Floats, middles: Floats, yaws: Floats, sensors: Floats, usual_m: Floats
 ) -> None:
-    """Widens boxes to the usual footprint: the side turned to the nearest sensor stays in place."""
-    if len(sensors) == 0:
-        sensors = np.full((1, 3), np.inf)
-    off = sensors[None, :, :2] - middles[:, None, :2]
-    nearest = off[np.arange(len(off)), np.argmin((off**2).sum(axis=2), axis=1)]
+    """Widens boxes to usual sizes (C, 3): the side turned to the sensor (C, 2) stays in place."""
+    off = sensors - middles[:, :2]
     cos, sin = np.cos(yaws), np.sin(yaws)
-    seen_from = np.stack(
-        [cos * nearest[:, 0] + sin * nearest[:, 1], cos * nearest[:, 1] - sin * nearest[:, 0]], -1
-    )
-    for axis, usual_m in enumerate((config.usual_length_m, config.usual_width_m)):
+    seen_from = np.stack([cos * off[:, 0] + sin * off[:, 1], cos * off[:, 1] - sin * off[:, 0]], -1)
+    for axis in range(2):
         low, high = extents[:, 0, axis], extents[:, 1, axis]
-        missing_m = np.maximum(usual_m - (high - low), 0.0)
+        missing_m = np.maximum(usual_m[:, axis] - (high - low), 0.0)
         ahead = np.where(seen_from[:, axis] > high, 0.0, 0.5)
         ahead = np.where(seen_from[:, axis] < low, 1.0, ahead)
         extents[:, 1, axis] = high + ahead * missing_m
@@ -191,11 +202,14 @@ def _direction(local: Floats32, road_yaw: float) -> float:
 
 
 @njit(
-    "float64[:,:,::1](float32[:,::1], int32[::1], int64[::1], float64[:,::1], float64[::1])",
+    "float64[:,:,::1](float32[:,::1], int32[::1], int64[::1], float64[:,::1], float64[::1], "
+    "float64[::1])",
     cache=True,
     nogil=True,
 )
-def _fit(points: Floats32, labels: Ints32, starts: Ints, middles: Floats, yaws: Floats) -> Floats:
+def _fit(
+    points: Floats32, labels: Ints32, starts: Ints, middles: Floats, yaws: Floats, floor_m: Floats
+) -> Floats:
     """Turns each cluster's yaw to the best one; returns extents (C, 2, 3) along the box's axes."""
     local, extents = np.empty((starts[-1], 2)), np.empty((middles.shape[0], 2, 3))
     extents[:, 0, 2], extents[:, 1, 2] = np.inf, -np.inf
@@ -217,7 +231,8 @@ def _fit(points: Floats32, labels: Ints32, starts: Ints, middles: Floats, yaws: 
             yaws[index] = _direction(np.ascontiguousarray(sample), yaws[index])
         _measure(local[first:end], yaws[index], extents[index])
         sizes = extents[index, 1] - extents[index, 0]
-        if sizes[1] > WIDE_M and sizes[1] > sizes[0]:
+        is_tall = extents[index, 1, 2] - floor_m[index] > TALL_M
+        if sizes[1] > (MAX_WIDTH_M if is_tall else WIDE_M) and sizes[1] > sizes[0]:
             yaws[index] += np.pi / 2
             _measure(local[first:end], yaws[index], extents[index])
     return extents

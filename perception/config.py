@@ -73,7 +73,7 @@ class ClusterConfig(Section):
 
 
 class BoxConfig(Section):
-    """Oriented boxes and the size filter."""
+    """The paper's size filter, which `reference` applies."""
 
     min_length_m: float = Field(0.5, ge=0, description="shorter boxes are no vehicles")
     max_length_m: float = Field(6.0, gt=0, description="longer boxes are no vehicles")
@@ -81,21 +81,6 @@ class BoxConfig(Section):
     max_width_m: float = Field(3.0, gt=0, description="wider boxes are no vehicles")
     min_height_m: float = Field(0.1, ge=0, description="lower boxes are no vehicles")
     max_height_m: float = Field(2.0, gt=0, description="higher boxes are no vehicles")
-    complete: bool = Field(
-        True,
-        description="ours: a vehicle seen from one side is completed to the usual size, away from "
-        "the sensor, before the filter; false for the bare box, as in the paper",
-    )
-    line_m: float = Field(
-        1.0,
-        ge=0,
-        description="ours: a box without height, which one ring alone has hit, is a vehicle's "
-        "side if it is at least so long",
-    )
-    line_top_m: float = Field(0.4, ge=0, description="ours: and at least so high above the ground")
-    usual_length_m: float = Field(4.5, gt=0, description="ours: length to complete to")
-    usual_width_m: float = Field(1.8, gt=0, description="ours: width to complete to")
-    usual_height_m: float = Field(1.5, gt=0, description="ours: height to complete to")
 
     @model_validator(mode="after")
     def _ordered(self) -> BoxConfig:
@@ -131,5 +116,5 @@ class DetectionConfig(Section):
     geofence: GeofenceConfig = Field(GeofenceConfig(), description="what belongs to the road")
     ground: GroundConfig = Field(GroundConfig(), description="ground removal, RANSAC")
     cluster: ClusterConfig = Field(ClusterConfig(), description="clustering, DBSCAN")
-    boxes: BoxConfig = Field(BoxConfig(), description="boxes and the size filter")
+    boxes: BoxConfig = Field(BoxConfig(), description="size filter of `reference`")
     pillars: PillarsDetection = Field(PillarsDetection(), description="PointPillars")

@@ -12,8 +12,9 @@ from typing import Protocol
 
 import numpy as np
 
-from perception.arrays import Bools, Floats, Ints
+from perception.arrays import Bools, Bytes, Floats, Ints
 from perception.config import DetectionConfig
+from perception.object_classes import classes_by_size
 from perception.roadway import Placed, Roadway
 from protocol.plugins import Plugin
 
@@ -24,19 +25,21 @@ LIDAR = "lidar"
 class Vehicles:
     """Boxes (N, 7) in the map frame: x, y, z of the centre, length, width, height, yaw.
 
-    `scores` is (N,), from 0 to 1. A source is "lidar" or the agent whose own pose it is; then
-    `position_std_m` (N,) is how far that may be off.
+    `classes` (N,) are of `ObjectClass`; `scores` is (N,), from 0 to 1. A source is "lidar" or the
+    agent whose own pose it is; then `position_std_m` (N,) is how far that may be off.
     """
 
     boxes: Floats
     scores: Floats
     sources: list[str]
     position_std_m: Floats
+    classes: Bytes
 
     @classmethod
-    def from_lidar(cls, boxes: Floats, scores: Floats) -> Vehicles:
-        """Returns vehicles that points gave away."""
-        return cls(boxes, scores, [LIDAR] * len(boxes), np.zeros(len(boxes)))
+    def from_lidar(cls, boxes: Floats, scores: Floats, classes: Bytes | None = None) -> Vehicles:
+        """Returns vehicles that points gave away; without classes, those that fit their sizes."""
+        classes = classes_by_size(boxes[:, 3:6]) if classes is None else classes
+        return cls(boxes, scores, [LIDAR] * len(boxes), np.zeros(len(boxes)), classes)
 
     def __len__(self) -> int:
         return len(self.boxes)
@@ -49,6 +52,7 @@ class Vehicles:
             self.scores[indices],
             [self.sources[i] for i in indices],
             self.position_std_m[indices],
+            self.classes[indices],
         )
 
     def __add__(self, other: Vehicles) -> Vehicles:
@@ -57,6 +61,7 @@ class Vehicles:
             np.concatenate([self.scores, other.scores]),
             self.sources + other.sources,
             np.concatenate([self.position_std_m, other.position_std_m]),
+            np.concatenate([self.classes, other.classes]),
         )
 
 
@@ -65,7 +70,7 @@ class Cloud:
     """Points in the map frame, with the road's height below each, in the parts they came in.
 
     `near` still have the ground in them, `bare` were freed of it by those who sent them. `sensors`
-    (S, 3) are the places the points were seen from.
+    (P, 3) are the places that each part was seen from, `near` first.
     """
 
     near: Sequence[Placed]
@@ -121,11 +126,13 @@ class PluginDetector:
         if not isinstance(found, Vehicles):
             raise self.plugin.wrong(f"found a {type(found).__name__}, must find Vehicles")
         count = len(found.boxes)
-        shapes = [found.boxes.shape, found.scores.shape, found.position_std_m.shape]
-        if shapes != [(count, 7), (count,), (count,)] or len(found.sources) != count:
+        numbers = found.scores, found.position_std_m, found.classes
+        shapes = [found.boxes.shape, *(one.shape for one in numbers)]
+        if shapes != [(count, 7), *[(count,)] * 3] or len(found.sources) != count:
             raise self.plugin.wrong(
-                f"found boxes {shapes[0]}, scores {shapes[1]}, position_std_m {shapes[2]} and "
-                f"{len(found.sources)} sources; must be (N, 7), (N,), (N,) and N"
+                f"found boxes {shapes[0]}, scores {shapes[1]}, position_std_m {shapes[2]}, classes "
+                f"{shapes[3]} and {len(found.sources)} sources; must be (N, 7), (N,), (N,), (N,) "
+                "and N"
             )
         if not (np.isfinite(found.boxes).all() and np.isfinite(found.scores).all()):
             raise self.plugin.wrong("found a box or a score that is no finite number")

@@ -1,6 +1,7 @@
 """The detector `fast` (Chen et al. 2022): ground removal, DBSCAN, a box per cluster.
 
-Clusters too long for one vehicle are split: in a dense cloud, a queue is one cluster.
+Clusters too long for a car are split: in a dense cloud, a queue is one cluster. Parts of lorries
+and buses are joined again.
 """
 
 from __future__ import annotations
@@ -11,18 +12,19 @@ import numpy as np
 from numba import njit
 
 from perception.arrays import Bools, Floats32, Ints, Ints32
-from perception.boxes import fit_boxes
+from perception.boxes import fit_boxes, main_sensors
 from perception.cluster import NOISE, cluster, renumber
 from perception.config import ClusterConfig, DetectionConfig
 from perception.detector import Cloud, Stage, Vehicles, untimed
 from perception.ground import remove_ground
+from perception.large_vehicles import join_parts
 from perception.roadway import Roadway, merge
 
-TALL_M = 3.5  # a cluster that is this high is a building or a tree, not several vehicles
+LONGEST_M = float(np.hypot(6.0, 3.0))  # of a car or van: what is longer may be several vehicles
 
 
-def split(points: Floats32, labels: Ints32, *, config: ClusterConfig, longest_m: float) -> Ints32:
-    """Clusters anew, with `split_eps_m`, what is longer than a vehicle.
+def split(points: Floats32, labels: Ints32, *, config: ClusterConfig) -> Ints32:
+    """Clusters anew, with `split_eps_m`, what is longer than a car.
 
     Takes and returns the clusters of points (N, 3) as labels (N,), numbered by their first points;
     -1 is noise.
@@ -30,7 +32,7 @@ def split(points: Floats32, labels: Ints32, *, config: ClusterConfig, longest_m:
     if config.split_eps_m is None or len(labels) == 0 or labels.max() < 0:
         return labels
     too_long = np.zeros(int(labels.max()) + 1, np.bool_)
-    again = _to_part(points, labels, longest_m, too_long)
+    again = _to_part(points, labels, LONGEST_M, too_long)
     if len(again) == 0:
         return labels
     closer = config.model_copy(update={"eps_m": config.split_eps_m})
@@ -64,8 +66,7 @@ def _to_part(points: Floats32, labels: Ints32, longest_m: float, too_long: Bools
         first = end
     for label in range(too_long.size):
         sides_m = high[label] - low[label]
-        is_long = sides_m[0] ** 2 + sides_m[1] ** 2 > longest_m**2
-        too_long[label] = is_long and sides_m[2] < TALL_M
+        too_long[label] = sides_m[0] ** 2 + sides_m[1] ** 2 > longest_m**2
     again = np.empty(labels.size, np.int64)
     count = 0
     for index in range(labels.size):
@@ -85,22 +86,15 @@ class FastDetector:
     def detect(self, cloud: Cloud, rng: np.random.Generator, stage: Stage = untimed) -> Vehicles:
         """See `perception.detector.Detector.detect`."""
         with stage("ground"):
-            above, ground_m = remove_ground(cloud.near, config=self.config.ground, rng=rng)
+            above, ground_m, sizes = remove_ground(cloud.near, config=self.config.ground, rng=rng)
             if cloud.bare:
                 bare, road_m = merge(cloud.bare)
                 above = np.concatenate([above, bare])
                 ground_m = np.concatenate([ground_m, road_m])
+                sizes = np.append(sizes, [len(part.points) for part in cloud.bare])
         with stage("detect"):
             labels = cluster(above, config=self.config.cluster)
-            longest_m = float(
-                np.hypot(self.config.boxes.max_length_m, self.config.boxes.max_width_m)
-            )
-            labels = split(above, labels, config=self.config.cluster, longest_m=longest_m)
-            return fit_boxes(
-                above,
-                ground_m,
-                labels,
-                roadway=self.roadway,
-                sensors=cloud.sensors,
-                config=self.config.boxes,
-            )
+            labels = split(above, labels, config=self.config.cluster)
+            labels = join_parts(above, ground_m, labels, roadway=self.roadway)
+            sensors = main_sensors(labels, sizes, cloud.sensors)
+            return fit_boxes(above, ground_m, labels, roadway=self.roadway, sensors=sensors)

@@ -36,12 +36,13 @@ Part = tuple[Floats32, Floats32, Floats32]  # points (N, 3), heights (N,) of roa
 
 def remove_ground(
     parts: Sequence[Placed], *, config: GroundConfig, rng: np.random.Generator
-) -> tuple[Floats32, Floats32]:
+) -> tuple[Floats32, Floats32, Ints]:
     """Takes points on the ground away, of all parts of a cloud together.
 
     Returns:
-        The points above the ground (M, 3), map frame, in the order of the parts, and the height of
-        the ground below each (M,): the plane's where one was found, else the road map's.
+        The points above the ground (M, 3), map frame, in the order of the parts; the height of
+        the ground below each (M,): the plane's where one was found, else the road map's; and how
+        many are of each part (P,).
     """
     by_tiles = config.tile_m is not None
     slope_deg, offset_m = config.max_slope_deg, config.max_offset_m
@@ -59,7 +60,8 @@ def remove_ground(
         layers = _layers(planes, config.distance_m, bottomless=by_tiles)
         left = each(partial(_without, tiles=tiles, layers=layers, over_road=by_tiles), left)
     points = np.concatenate([np.zeros((0, 3), np.float32), *(part.points for part in left)])
-    return points, np.concatenate([np.zeros(0, np.float32), *(part.floor_m() for part in left)])
+    ground_m = np.concatenate([np.zeros(0, np.float32), *(part.floor_m() for part in left)])
+    return points, ground_m, np.array([len(part.points) for part in left], np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

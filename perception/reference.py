@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from perception.arrays import Floats, Floats32, Ints32
-from perception.boxes import certainty, fits
+from perception.arrays import Bools, Floats, Floats32, Ints32
+from perception.boxes import certainty
 from perception.cells import Cells
 from perception.cluster import cluster
-from perception.config import DetectionConfig, GroundConfig
+from perception.config import BoxConfig, DetectionConfig, GroundConfig
 from perception.detector import Cloud, Stage, Vehicles, untimed
 from perception.roadway import merge
 from protocol.errors import ConfigError
@@ -118,8 +118,17 @@ class ReferenceDetector:
         boxes = np.array([smallest_box(members) for members in clusters]).reshape(-1, 7)
         scores = certainty(np.array([len(members) for members in clusters]))
         found = Vehicles.from_lidar(boxes, scores)
-        config = self.config.boxes.model_copy(update={"complete": False})
-        return found.take(fits(boxes[:, 3:6], config))
+        return found.take(_fits(boxes[:, 3:6], self.config.boxes))
+
+
+def _fits(sizes_m: Floats, config: BoxConfig) -> Bools:
+    """The size filter, on what was measured (C, 3): length, width and height."""
+    sides = zip(("length", "width", "height"), sizes_m.T, strict=True)
+    fits = [
+        (size_m >= getattr(config, f"min_{side}_m")) & (size_m <= getattr(config, f"max_{side}_m"))
+        for side, size_m in sides
+    ]
+    return np.asarray(np.logical_and.reduce(fits))
 
 
 def _pairs(points: Floats32, eps_m: float) -> float:

@@ -129,6 +129,7 @@ def joined_detections(one: Detections, other: Detections) -> Detections:
         agents=sorted({*one.agents, *other.agents}),
         boxes=np.concatenate([one.boxes, other.boxes]),
         scores=np.concatenate([one.scores, other.scores]),
+        classes=np.concatenate([one.classes, other.classes]),
         lanes=one.lanes + other.lanes,
         distances_m=np.concatenate([one.distances_m, other.distances_m]),
         sources=one.sources + other.sources,

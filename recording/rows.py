@@ -61,6 +61,7 @@ def detection_rows(message: Detections, region: str) -> Iterator[DetectionRow]:
         height_m=height,
         yaw_rad=yaw,
         score=message.scores.tolist(),
+        object_class=message.classes.tolist(),
         lane=message.lanes,
         distance_m=message.distances_m.tolist(),
         source=message.sources,

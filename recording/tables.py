@@ -19,6 +19,7 @@ SCHEMA_DIGESTS = {
     10: "9578cb7e82fa5f20",
     11: "20b6e0ea3ab58717",
     12: "754ca4c0ef3d0560",
+    13: "485343937043f86c",
 }
 """`schema_digest()` by schema version. Never change an entry: add one with the next number."""
 SCHEMA_VERSION = max(SCHEMA_DIGESTS)
@@ -129,7 +130,10 @@ class LatencyRow(NamedTuple):
 
 
 class DetectionRow(NamedTuple):
-    """One vehicle detected by a region's edge: its box's centre, size, heading in the map frame."""
+    """One vehicle detected by a region's edge: its box's centre, size, heading in the map frame.
+
+    `object_class` is of `protocol.messages.ObjectClass`.
+    """
 
     frame: int
     region: str
@@ -142,6 +146,7 @@ class DetectionRow(NamedTuple):
     height_m: float
     yaw_rad: float
     score: float
+    object_class: int
     lane: str
     distance_m: float
     source: str

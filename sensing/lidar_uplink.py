@@ -11,6 +11,7 @@ import numpy as np
 
 from perception.config import DetectionConfig, GeofenceConfig
 from perception.detector import Cloud, Detector, Vehicles
+from perception.map_height import on_the_ground
 from perception.registry import detector_of
 from perception.roadway import Roadway
 from protocol.bus import Bus
@@ -60,7 +61,8 @@ class OnboardDetector:
             above_m=self.geofence.above_m,
         )
         near, bare = ([], [placed]) if ground_free else ([placed], [])
-        return self.detector.detect(Cloud(near, bare, map_SE3_sensor.translation[None]), rng)
+        cloud = on_the_ground(Cloud(near, bare, map_SE3_sensor.translation[None]))
+        return self.detector.detect(cloud, rng)
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +205,7 @@ class LidarUplink(Uplink):
             agent=self.agent,
             boxes=found.boxes.astype(np.float32),
             scores=found.scores.astype(np.float32),
+            classes=found.classes,
             sense_start_ns=upload.sense_start_ns,
             sense_end_ns=upload.sense_end_ns,
             detect_end_ns=time.monotonic_ns(),

@@ -280,7 +280,8 @@ class _City:
         rows = [n for tls in signals for n in self._near(tls)]
         return m.Detections(
             **when, agents=agents, boxes=np.c_[self._poses[rows], np.ones(len(rows))],
-            scores=self._random.random(len(rows)), lanes=[self._lanes[n] for n in rows],
+            scores=self._random.random(len(rows)), classes=np.zeros(len(rows), np.uint8),
+            lanes=[self._lanes[n] for n in rows],
             distances_m=self._poses[rows, 0], sources=["lidar"] * len(rows),
         )  # fmt: skip
 

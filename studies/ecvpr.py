@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from perception.arrays import Floats
-from protocol.messages import Equipment, Setup, VehicleType, is_bystander
+from protocol.messages import Equipment, ObjectClass, Setup, VehicleType, is_bystander
 from protocol.roadmap import RoadMap
 from recording.rows import parked_rows
 from recording.run import Run
@@ -263,7 +263,7 @@ def score(
     for frame, vehicles in by_frame(run.rows(TruthRow)):
         while waiting is not None and waiting[0] < frame:
             waiting = next(detections, None)
-        found = waiting[1] if waiting is not None and waiting[0] == frame else []
+        found = vehicles_of(waiting[1]) if waiting is not None and waiting[0] == frame else []
         if frame in perceived:
             one = score_frame(frame, found, vehicles + parked, types, area, margin_m)
             present = {v.vehicle for v in vehicles if area.contains(v.lane, v.lane_position_m)}
@@ -282,6 +282,11 @@ def parked_bodies(setup: Setup) -> list[TruthRow]:
         TruthRow(-1, car.vehicle, car.type, Equipment.NONE, *car[2:], 0.0, "", 0.0)
         for car in parked_rows(setup)
     ]
+
+
+def vehicles_of(detections: list[DetectionRow]) -> list[DetectionRow]:
+    """Returns those that are vehicles: people are neither true nor false among them."""
+    return [one for one in detections if one.object_class != ObjectClass.PEDESTRIAN]
 
 
 def score_frame(

@@ -24,6 +24,7 @@ from learning.dataset import SceneSample
 from perception.arrays import Bools, Floats, Ints
 from perception.config import LEARNED, DetectorName
 from perception.detector import Cloud, Detector, Vehicles
+from perception.map_height import on_the_ground
 from perception.registry import detector_of
 from perception.roadway import Placed, Roadway
 from protocol.geometry import SE3
@@ -223,7 +224,7 @@ def find(
     def timed(near: Sequence[Placed], seen_from: Floats, number: int) -> Timed:
         rng = np.random.default_rng([sample.frame, number])
         start = time.perf_counter()
-        found = detector.detect(Cloud(near, [], seen_from), rng)
+        found = detector.detect(on_the_ground(Cloud(near, [], seen_from)), rng)
         return found, 1e3 * (time.perf_counter() - start)
 
     singles = [timed([one], sensors[n : n + 1], n) for n, one in enumerate(placed)]

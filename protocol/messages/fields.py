@@ -114,6 +114,12 @@ def check_lengths(message: Message, *columns: str) -> None:
 _POSE_LIMITS = np.array([MAX_POSITION_M] * 3 + [MAX_ANGLE_RAD] * 3)
 
 
+def _known_classes(classes: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    if (classes > max(ObjectClass)).any():
+        raise ValueError(f"class {classes.max()} is none of {[*map(int, ObjectClass)]}")
+    return classes
+
+
 def _within_reach(poses: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     if not (np.abs(poses) <= _POSE_LIMITS).all():
         raise ValueError("a pose lies beyond 1e7 m or 1e3 rad")
@@ -166,6 +172,7 @@ TimeNs = Annotated[int, Field(gt=-MAX_TIME_NS, lt=MAX_TIME_NS)]
 Sites = Annotated[SiteRows, AfterValidator(_on_the_map)]
 Weights = Annotated[WeightRows, AfterValidator(_moderate)]
 Boxes = Annotated[BoxRows, AfterValidator(_plausible)]
+ObjectClasses = Annotated[Bytes, AfterValidator(_known_classes)]
 Pose = Annotated[PoseRow, AfterValidator(_within_reach)]
 Poses = Annotated[PoseRows, AfterValidator(_within_reach)]
 BOUNDED = (FailFast(), Field(max_length=MAX_ITEMS))  # one error will do, a million cost memory

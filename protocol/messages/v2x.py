@@ -32,6 +32,7 @@ from protocol.messages.fields import (
     Lights,
     Message,
     NetId,
+    ObjectClasses,
     Pose,
     Sites,
     Text,
@@ -111,6 +112,7 @@ class Objects(Message):
     agent: AgentId
     boxes: Boxes
     scores: Floats32
+    classes: ObjectClasses
     sense_start_ns: TimeNs
     sense_end_ns: TimeNs
     detect_end_ns: TimeNs
@@ -118,12 +120,12 @@ class Objects(Message):
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
-        check_lengths(self, "boxes", "scores")
+        check_lengths(self, "boxes", "scores", "classes")
         return self
 
 
 class Detections(Message):
-    """Vehicles of a frame.
+    """Vehicles and people of a frame; `classes` are of `ObjectClass`.
 
     Boxes are x, y, z of the centre, length, width, height in m and yaw in rad. `distances_m` is
     the way to the stop bar, negative behind it. `sources` is "lidar" or the agent whose own pose
@@ -136,13 +138,14 @@ class Detections(Message):
     agents: Ids
     boxes: BoxRows
     scores: Floats32
+    classes: ObjectClasses
     lanes: Texts
     distances_m: Floats32
     sources: Texts
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
-        check_lengths(self, "boxes", "scores", "lanes", "distances_m", "sources")
+        check_lengths(self, "boxes", "scores", "classes", "lanes", "distances_m", "sources")
         return self
 
 
@@ -186,13 +189,14 @@ class BorderObjects(Message):
     sim_time_ns: TimeNs
     boxes: Boxes
     scores: Floats32
+    classes: ObjectClasses
     sources: Texts
     position_std_m: Floats32
     sensors: Sites
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
-        check_lengths(self, "boxes", "scores", "sources", "position_std_m")
+        check_lengths(self, "boxes", "scores", "classes", "sources", "position_std_m")
         if len(self.sensors) > MAX_ITEMS:
             raise ValueError(f"{len(self.sensors)} sensors, limit {MAX_ITEMS}")
         if not ((self.position_std_m >= 0) & (self.position_std_m <= MAX_POSITION_STD_M)).all():

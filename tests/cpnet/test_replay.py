@@ -135,7 +135,7 @@ def test_another_detector_finds_others_in_the_same_scans(tmp_path, recorded):
     other = solo(
         recorded,
         tmp_path / "other",
-        "edge.boxes.complete=false",
+        "edge.cluster.min_points=9",
         "signal.policy=fixed",
         "duration_s=2",
     )

@@ -311,6 +311,7 @@ def test_boxes_that_an_agent_found_stand_for_its_scan() -> None:
         agent="rsu-0",
         boxes=np.zeros((2, 7), np.float32),
         scores=np.zeros(2, np.float32),
+        classes=np.zeros(2, np.uint8),
         sense_start_ns=0,
         sense_end_ns=0,
         detect_end_ns=0,

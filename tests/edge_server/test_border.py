@@ -121,6 +121,7 @@ def test_what_a_neighbour_covers_is_covered_and_without_it_unknown():
     middle = maps["west"].area.by_id[shared].points.mean(axis=0)[:2]
     told = BorderObjects(
         frame=0, sim_time_ns=0, boxes=np.zeros((0, 7), np.float32), scores=np.zeros(0, np.float32),
+        classes=np.zeros(0, np.uint8),
         sources=[], position_std_m=np.zeros(0, np.float32), sensors=middle[None],
     )  # fmt: skip
     for received, is_covered in (({"east": told}, True), ({}, False)):
@@ -142,6 +143,7 @@ def told_of(frame: int) -> BorderObjects:
     empty = np.zeros(0, np.float32)
     return BorderObjects(
         frame=frame, sim_time_ns=frame, boxes=np.zeros((0, 7), np.float32), scores=empty,
+        classes=np.zeros(0, np.uint8),
         sources=[], position_std_m=empty, sensors=NOWHERE,
     )  # fmt: skip
 
@@ -198,6 +200,7 @@ def test_what_a_neighbour_publishes_is_bounded(wrong, says):
 def test_a_neighbours_poses_have_an_error_that_can_be(std_m):
     one = {
         "boxes": np.zeros((1, 7)), "scores": np.ones(1), "sources": ["a"],
+        "classes": np.zeros(1, np.uint8),
         "position_std_m": np.array([std_m]),
     }  # fmt: skip
     with pytest.raises(ValueError, match="not within 0 to 1000 m"):

@@ -96,7 +96,8 @@ def test_where_there_are_no_lidars_nothing_is_said_of_sight(road_map: RoadMap) -
 def test_who_sends_boxes_sees_what_is_around_it_and_nothing_else(road_map, agent, is_known):
     found = Objects(
         frame=0, sim_time_ns=0, agent=agent, boxes=np.zeros((0, 7), np.float32),
-        scores=np.zeros(0, np.float32), sense_start_ns=0, sense_end_ns=0, detect_end_ns=0,
+        scores=np.zeros(0, np.float32), classes=np.zeros(0, np.uint8),
+        sense_start_ns=0, sense_end_ns=0, detect_end_ns=0,
     )  # fmt: skip
     frame = Frame(0, 0, [agent], [], [], True, 0, 0, found=[AgentDetections(found, 0)])
     far, near = np.array([1000.0, 0, 0]), ROADSIDE[:3]
@@ -122,7 +123,6 @@ def test_the_papers_settings_work_on_a_level_road(
         {
             "merge": "euler",
             "ground": GroundConfig(tile_m=None),
-            "boxes": {"complete": False},
             "fusion": {"rule": "radius"},
         }
     )
@@ -266,6 +266,7 @@ def objects_of(agent: str, *x_m: float) -> AgentDetections:
     boxes = np.array(rows, np.float32).reshape(-1, 7)
     objects = Objects(
         frame=0, sim_time_ns=0, agent=agent, boxes=boxes, scores=np.full(len(x_m), 0.5, np.float32),
+        classes=np.zeros(len(x_m), np.uint8),
         sense_start_ns=0, sense_end_ns=0, detect_end_ns=0,
     )  # fmt: skip
     return AgentDetections(objects, 0)
@@ -344,7 +345,7 @@ def test_chunks_with_ground_and_without_are_merged_apart() -> None:
     state = FrameState(Frame(0, 0, ["a"], [], chunks, True, 0, 0))
     Merge().run(state)
     assert (state.cloud.near, state.cloud.bare) == ([placed[0]], [placed[1]])
-    assert state.cloud.sensors.tolist() == [[0, 0, 0], [0, 1, 2], [0, 0, 0]]
+    assert state.cloud.sensors.tolist() == [[0, 1, 2], [0, 0, 0]]
 
 
 def test_a_scan_that_arrives_is_decoded_and_placed(road_map: RoadMap) -> None:

@@ -129,6 +129,7 @@ class Rig:
             agent=agent,
             boxes=np.tile(np.array([-30, -1.75, 0.8, 4.5, 1.8, 1.5, 0], np.float32), (boxes, 1)),
             scores=np.ones(boxes, np.float32),
+            classes=np.zeros(boxes, np.uint8),
             sense_start_ns=1,
             sense_end_ns=2,
             detect_end_ns=3,

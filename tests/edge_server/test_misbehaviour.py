@@ -250,6 +250,7 @@ def test_boxes_of_an_excluded_agent_do_not_count(road_map: RoadMap):
             agent="a",
             boxes=boxes,
             scores=np.ones(1, np.float32),
+            classes=np.zeros(1, np.uint8),
             sense_start_ns=0,
             sense_end_ns=0,
             detect_end_ns=0,

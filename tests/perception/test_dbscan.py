@@ -70,10 +70,8 @@ def test_a_queue_that_is_one_cluster_is_parted_and_a_car_is_left_alone():
     config = ClusterConfig()
     together = cluster(points, config=config)
     assert together.max() == 1
-    parted = split(points, together, config=config, longest_m=6.7)
+    parted = split(points, together, config=config)
     assert [len(set(part)) for part in np.split(parted, 3)] == [1, 1, 1]
     assert sorted(set(parted)) == [0, 1, 2]
-    left = split(
-        points, together, config=config.model_copy(update={"split_eps_m": None}), longest_m=6.7
-    )
+    left = split(points, together, config=config.model_copy(update={"split_eps_m": None}))
     np.testing.assert_array_equal(left, together)

@@ -18,7 +18,7 @@ from protocol.errors import ConfigError
 from protocol.roadmap import RoadMap
 
 CARS = [(-60.0, -1.75, 0.0), (-35.0, 1.75, 0.0), (-14.0, 1.75, 4.0), (28.0, 1.75, 0.0)]
-WHOLE = {"ground": {"tile_m": None}, "boxes": {"complete": False}}
+WHOLE = {"ground": {"tile_m": None}}
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def need_open3d() -> None:
 
 
 def test_both_find_the_same_cars_within_20_cm_and_5_degrees(cloud: Cloud, roadway: Roadway) -> None:
-    """Planes are drawn by chance and cut boxes below, or at the roofs, by up to 40 cm."""
+    """From above; `fast` completes their heights, the reference's planes cut them."""
     need_open3d()
     boxes = []
     for name in ("fast", "reference"):
@@ -55,7 +55,6 @@ def test_both_find_the_same_cars_within_20_cm_and_5_degrees(cloud: Cloud, roadwa
     fast, reference = boxes
     assert len(fast) == len(reference) == len(CARS)
     np.testing.assert_allclose(fast[:, [0, 1, 3, 4]], reference[:, [0, 1, 3, 4]], atol=0.2)
-    np.testing.assert_allclose(fast[:, [2, 5]], reference[:, [2, 5]], atol=0.4)
     turn = (fast[:, 6] - reference[:, 6] + np.pi / 2) % np.pi - np.pi / 2
     np.testing.assert_allclose(turn, 0, atol=np.radians(5))
     np.testing.assert_allclose(reference[:, :2], np.array(CARS)[:, :2], atol=0.4)

@@ -55,6 +55,7 @@ def test_boxes_and_what_a_sensor_saw_belong_to_their_agent():
         agent="a",
         boxes=np.zeros((2, 7), np.float32),
         scores=np.zeros(2, np.float32),
+        classes=np.zeros(2, np.uint8),
         sense_start_ns=1,
         sense_end_ns=2,
         detect_end_ns=3,

@@ -87,6 +87,7 @@ def messages_of(frame: int) -> dict[str, m.Message]:
         agents=["a"],
         boxes=BOXES,
         scores=np.ones(2, np.float32),
+        classes=np.zeros(2, np.uint8),
         lanes=["in_0", ""],
         distances_m=np.ones(2, np.float32),
         sources=["lidar", "b"],

@@ -114,6 +114,7 @@ class Rig:
         act = m.Span(stage="actuate", agent="t", start_ns=start + 80 * MS, end_ns=start + 81 * MS)
         detections = m.Detections(
             **common, agents=list(agents), boxes=np.ones((2, 7)), scores=np.ones(2),
+            classes=np.zeros(2, np.uint8),
             lanes=["a_0", ""], distances_m=np.zeros(2), sources=["lidar", "lidar"],
         )  # fmt: skip
         self.v2x.publish("detections", detections, region="r0")
@@ -214,7 +215,8 @@ def test_truth_and_snapshots_can_be_left_out(tmp_path: Path) -> None:
 def test_contradictory_messages_are_counted_and_dropped(rig: Rig, tmp_path: Path) -> None:
     crooked = m.Detections.model_construct(
         frame=0, sim_time_ns=0, agents=[], boxes=np.ones((2, 7), np.float32),
-        scores=np.ones(1, np.float32), lanes=[], distances_m=np.zeros(0, np.float32), sources=[],
+        scores=np.ones(1, np.float32), classes=np.zeros(1, np.uint8),
+        lanes=[], distances_m=np.zeros(0, np.float32), sources=[],
     )  # fmt: skip
     rig.v2x.publish("detections", crooked, region="r0")
     rig.metrics("edge-r0", 1 << 35)

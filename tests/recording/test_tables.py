@@ -81,6 +81,7 @@ def test_every_value_of_a_detection_stands_in_its_own_column() -> None:
         sim_time_ns=1,
         boxes=np.array([[1, 2, 3, 4.5, 1.75, 1.5, 0.25]], np.float32),
         scores=np.array([0.5], np.float32),
+        classes=np.zeros(1, np.uint8),
         lanes=["in_0"],
         distances_m=np.array([12.5], np.float32),
         sources=["lidar"],
@@ -89,8 +90,8 @@ def test_every_value_of_a_detection_stands_in_its_own_column() -> None:
     (row,) = detection_rows(message, "r3")
     assert row._asdict() == {
         "frame": 7, "region": "r3", "detection": 0, "x_m": 1, "y_m": 2, "z_m": 3, "length_m": 4.5,
-        "width_m": 1.75, "height_m": 1.5, "yaw_rad": 0.25, "score": 0.5, "lane": "in_0",
-        "distance_m": 12.5, "source": "lidar",
+        "width_m": 1.75, "height_m": 1.5, "yaw_rad": 0.25, "score": 0.5, "object_class": 0,
+        "lane": "in_0", "distance_m": 12.5, "source": "lidar",
     }  # fmt: skip
     assert row == DetectionRow(*row)
 
@@ -132,7 +133,7 @@ def test_stationary_vehicles_are_no_count_of_all() -> None:
 
 def test_regions_and_signals_do_not_replace_each_others_rows(tmp_path) -> None:
     database = Database(tmp_path, "{}")
-    box = (1, 2, 0.7, 4.4, 1.8, 1.5, 0, 1.0, "in_0", 20, "lidar")
+    box = (1, 2, 0.7, 4.4, 1.8, 1.5, 0, 1.0, 0, "in_0", 20, "lidar")
     found = [DetectionRow(7, region, 0, *box) for region in ("r0", "r1")]
     counts = [CountRow(7, tls, "in_0", "upstream", 1, 0) for tls in ("A", "B")]
     database.add(DetectionRow, found)

@@ -43,7 +43,11 @@ def run_dir(tmp_path: Path) -> Path:
     database.add(TruthRow, [TruthRow(FRAME, "car-1", "car", 1, -30, 0, 0, 0, 0, 0, 9, "west", 70)])
     database.add(
         DetectionRow,
-        [DetectionRow(FRAME, "r0", 0, -30, 0, 0.7, 4.4, 1.8, 1.5, 0.01, 1.0, "west", 20, "car-1")],
+        [
+            DetectionRow(
+                FRAME, "r0", 0, -30, 0, 0.7, 4.4, 1.8, 1.5, 0.01, 1.0, 0, "west", 20, "car-1"
+            )
+        ],
     )
     database.add(
         CountRow, [(FRAME, "t", "west", "upstream", 1, 0), (FRAME, "t", "east", "downstream", 0, 0)]

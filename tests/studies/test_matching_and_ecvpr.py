@@ -83,7 +83,7 @@ def truth(frame: int, vehicle: str, x_m: float, name: str, position_m: float) ->
 
 
 def detection(frame: int, number: int, x_m: float) -> DetectionRow:
-    return DetectionRow(frame, "r0", number, x_m, 0, 0.7, 4, 2, 1.5, 0, 1.0, "in", 5.0, "lidar")
+    return DetectionRow(frame, "r0", number, x_m, 0, 0.7, 4, 2, 1.5, 0, 1.0, 0, "in", 5.0, "lidar")
 
 
 def frame_row(frame: int, detections: int | None) -> FrameRow:

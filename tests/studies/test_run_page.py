@@ -69,7 +69,7 @@ def make_run(
             [TruthRow(n, v, "car", 0, x, 0, 0, 0, 0, 0, 9, "west", x + 100) for v, x in cars],
         )
         if seen:
-            box = (at, 0, 0.7, 4.4, 1.8, 1.5, 0, 1.0, "west", 20, "rsu")
+            box = (at, 0, 0.7, 4.4, 1.8, 1.5, 0, 1.0, 0, "west", 20, "rsu")
             database.add(DetectionRow, [DetectionRow(n, "r0", 0, *box)])
         database.add(
             CountRow, [(n, "t", "west", "upstream", seen, 0), (n, "t", "east", "downstream", 0, 0)]

@@ -158,7 +158,7 @@ def test_each_region_and_each_junction_has_its_figures(tmp_path: Path) -> None:
     database.add(CountRow, [CountRow(n, "j", "in", "upstream", 2, 0) for n in range(3)])
     database.add(
         DetectionRow,
-        [DetectionRow(1, "r0", 0, -60, 0, 0.75, 4.5, 1.8, 1.5, 0, 1, "in", 55, "a")],
+        [DetectionRow(1, "r0", 0, -60, 0, 0.75, 4.5, 1.8, 1.5, 0, 1, 0, "in", 55, "a")],
     )
     database.commit()
     database.close()

@@ -13,7 +13,8 @@ def detections(**changes: object) -> m.Detections:
     plain = {
         "frame": 1, "sim_time_ns": 1, "agents": ["a"],
         "boxes": np.array([[0, -20, 1, 4, 2, 1.5, 0], [0, -60, 1, 4, 2, 1.5, 0]], np.float32),
-        "scores": np.ones(2, np.float32), "lanes": ["south_0", ""],
+        "scores": np.ones(2, np.float32), "classes": np.zeros(2, np.uint8),
+        "lanes": ["south_0", ""],
         "distances_m": np.ones(2, np.float32), "sources": ["lidar", "a"],
     }  # fmt: skip
     return m.Detections(**(plain | changes))

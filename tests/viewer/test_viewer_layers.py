@@ -26,6 +26,7 @@ def test_boxes_are_labelled_with_who_and_where() -> None:
 def test_the_first_of_each_lane_bears_its_label() -> None:
     message = detections(
         boxes=np.zeros((5, 7), np.float32), scores=np.ones(5, np.float32),
+        classes=np.zeros(5, np.uint8),
         lanes=["a", "a", "b", "c", "d"], sources=["lidar", "lidar", "lidar", "self", "lidar"],
         distances_m=np.array([9, 4, 7, 1, -2], np.float32),
     )  # fmt: skip

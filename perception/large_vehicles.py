@@ -1,0 +1,135 @@
+"""Joins clusters that are parts of one large vehicle: a tractor and its trailer, a bus's sides.
+
+What is higher than a car may be up to 18 m long, and sensors see it in parts: the cab stands apart
+from the trailer, rings lie far apart on a high side, windows have no returns. Parts in one line
+along the road, closer together than vehicles queue, are one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from perception.arrays import Floats, Floats32, Ints, Ints32
+from perception.cluster import renumber
+from perception.object_classes import HIGH_M, MAX_LENGTH_M, MAX_WIDTH_M, TALL_M
+from perception.roadway import Roadway
+
+GAP_M = 1.3  # between parts, along the road; vehicles that queue keep 2 m and more
+HIGH_GAP_M = 3.0  # between a cab and a trailer of which little is seen; two lorries are too long
+
+
+def join_parts(points: Floats32, ground_m: Floats32, labels: Ints32, *, roadway: Roadway) -> Ints32:
+    """Returns the clusters (N,) of points (N, 3) with parts of large vehicles joined.
+
+    Clusters are numbered by their first points; -1 is noise. `ground_m` (N,) is the height of the
+    ground below each point.
+    """
+    count = int(labels.max(initial=-1)) + 1
+    if count < 2:
+        return labels
+    middles, top_m = _outline(points, ground_m, labels, count)
+    if not (top_m > TALL_M).any():
+        return labels
+    yaws = roadway.yaw_at(middles)
+    extents = _extents(points, labels, middles, yaws)
+    owner = _join(middles, yaws, extents, top_m)
+    joined = np.where(labels >= 0, owner[labels], labels).astype(np.int32)
+    renumber(joined)
+    return joined
+
+
+@njit(
+    "Tuple((float64[:,::1], float64[::1]))(float32[:,::1], float32[::1], int32[::1], int64)",
+    cache=True,
+    nogil=True,
+)
+def _outline(
+    points: Floats32, ground_m: Floats32, labels: Ints32, count: int
+) -> tuple[Floats, Floats]:
+    """Returns the clusters' means (C, 3) and how high they reach over the ground (C,)."""
+    sums, members, top_m = np.zeros((count, 3)), np.zeros(count), np.zeros(count)
+    for index in range(labels.size):
+        label = labels[index]
+        if label >= 0:
+            members[label] += 1
+            top_m[label] = max(top_m[label], points[index, 2] - ground_m[index])
+            for axis in range(3):
+                sums[label, axis] += points[index, axis]
+    for label in range(count):
+        sums[label] /= max(members[label], 1)
+    return sums, top_m
+
+
+@njit(
+    "float64[:,::1](float32[:,::1], int32[::1], float64[:,::1], float64[::1])",
+    cache=True,
+    nogil=True,
+)
+def _extents(points: Floats32, labels: Ints32, middles: Floats, yaws: Floats) -> Floats:
+    """Returns how far clusters reach about their means, along and across the road (C, 4), m.
+
+    Backward and forward, then to the right and to the left.
+    """
+    extents = np.zeros((middles.shape[0], 4))
+    cos, sin = np.cos(yaws), np.sin(yaws)
+    for index in range(labels.size):
+        label = labels[index]
+        if label >= 0:
+            x = points[index, 0] - middles[label, 0]
+            y = points[index, 1] - middles[label, 1]
+            along, across = cos[label] * x + sin[label] * y, cos[label] * y - sin[label] * x
+            extents[label, 0] = min(extents[label, 0], along)
+            extents[label, 1] = max(extents[label, 1], along)
+            extents[label, 2] = min(extents[label, 2], across)
+            extents[label, 3] = max(extents[label, 3], across)
+    return extents
+
+
+@njit("float64[::1](float64[:,::1], float64[:,::1], int64, int64, float64)", cache=True, nogil=True)
+def _seen_from(middles: Floats, extents: Floats, one: int, other: int, yaw: float) -> Floats:
+    """Returns how far a cluster reaches about the mean of another, along and across a yaw (4,)."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    x, y = middles[other, 0] - middles[one, 0], middles[other, 1] - middles[one, 1]
+    along, across = cos * x + sin * y, cos * y - sin * x
+    result: Floats = extents[other] + np.array([along, along, across, across])
+    return result
+
+
+@njit("boolean(float64[::1], float64[::1], float64)", cache=True, nogil=True)
+def _are_one(whole: Floats, part: Floats, most_gap_m: float) -> bool:
+    """Whether two extents (4,) are in line, near each other, and together a vehicle's size."""
+    gap_m = max(part[0] - whole[1], whole[0] - part[1])
+    aside_m = max(part[2] - whole[3], whole[2] - part[3])
+    length_m = max(part[1], whole[1]) - min(part[0], whole[0])
+    width_m = max(part[3], whole[3]) - min(part[2], whole[2])
+    fits = length_m <= MAX_LENGTH_M and width_m <= MAX_WIDTH_M
+    return bool(fits and gap_m <= most_gap_m and aside_m <= 0)
+
+
+@njit(
+    "int64[::1](float64[:,::1], float64[::1], float64[:,::1], float64[::1])",
+    cache=True,
+    nogil=True,
+)
+def _join(middles: Floats, yaws: Floats, extents: Floats, top_m: Floats) -> Ints:
+    """Returns by cluster the one that it is part of (C,); tall ones take parts, highest first."""
+    owner = np.arange(middles.shape[0])
+    for one in np.argsort(-top_m):
+        if top_m[one] <= TALL_M:
+            break
+        if owner[one] != one:
+            continue
+        whole, before = extents[one].copy(), np.zeros(4)
+        while (whole != before).any():  # what was joined brings others near
+            before = whole.copy()
+            for other in range(owner.size):
+                if other == one or owner[other] != other:
+                    continue
+                part = _seen_from(middles, extents, one, other, yaws[one])
+                are_high = min(top_m[one], top_m[other]) > HIGH_M
+                if _are_one(whole, part, HIGH_GAP_M if are_high else GAP_M):
+                    owner[other] = one
+                    whole[0::2] = np.minimum(whole[0::2], part[0::2])
+                    whole[1::2] = np.maximum(whole[1::2], part[1::2])
+    return owner

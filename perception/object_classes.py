@@ -1,0 +1,90 @@
+"""Classes of objects by their shape, and the sizes that objects of a class usually have."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from perception.arrays import Bools, Bytes, Floats, Ints
+from protocol.messages import ObjectClass
+
+MAX_LENGTH_M = 18.75  # of a road train (Directive 96/53/EC); an articulated bus has 18 m
+MAX_WIDTH_M = 3.2  # 2.55 m of a lorry, and its mirrors
+MAX_TOP_M = 4.6
+TALL_M = 2.2  # what is higher is a van, a lorry or a bus
+HIGH_M = 2.9  # what is higher is a lorry or a bus, however short
+LONG_M = 7.2  # what is longer is, however low
+RIDER_TOP_M, PERSON_TOP_M = 1.35, 1.5  # what is lower is a part of a car
+THIN_M = 0.5  # what is thinner and tall is a pole, what is thinner, low and long a wall
+
+# Usual length, width and height in m, by what is to be completed to them.
+_USUAL_M = np.array(
+    [
+        [4.5, 1.8, 1.5],  # car
+        [5.6, 2.1, 2.4],  # van, which is a car, too
+        [9.0, 2.5, 3.2],  # truck
+        [1.9, 0.7, 1.65],  # two-wheeler
+        [0.5, 0.6, 1.7],  # pedestrian
+    ]
+)
+_CAR, _VAN, _TRUCK, _TWO_WHEELER, _PEDESTRIAN = range(5)
+_CLASSES = np.array(
+    [
+        ObjectClass.CAR,
+        ObjectClass.CAR,
+        ObjectClass.TRUCK,
+        ObjectClass.TWO_WHEELER,
+        ObjectClass.PEDESTRIAN,
+    ],
+    np.uint8,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shapes:
+    """What was measured of objects: lengths along and across the road, over the ground (C,), m."""
+
+    along_m: Floats
+    across_m: Floats
+    bottom_m: Floats
+    top_m: Floats
+
+    @property
+    def is_vehicle_or_person(self) -> Bools:
+        """Whether an object may be one, (C,)."""
+        long_m = np.maximum(self.along_m, self.across_m)
+        wide_m = np.minimum(self.along_m, self.across_m)
+        fits = (long_m <= MAX_LENGTH_M) & (wide_m <= MAX_WIDTH_M) & (self.top_m <= MAX_TOP_M)
+        is_pole = (long_m < THIN_M) & (self.top_m > TALL_M)
+        is_crown = self.bottom_m > TALL_M
+        is_wall = (long_m > LONG_M) & (self.top_m < TALL_M) & (wide_m < THIN_M)
+        return np.asarray(fits & ~is_pole & ~is_crown & ~is_wall)
+
+    def kinds(self) -> Ints:
+        """Returns what each is, an index into the usual sizes (C,)."""
+        long_m = np.maximum(self.along_m, self.across_m)
+        kinds = np.full(len(self.top_m), _CAR, np.int64)
+        kinds[self.top_m > TALL_M] = _VAN
+        kinds[(self.top_m > HIGH_M) | (long_m > LONG_M)] = _TRUCK
+        is_upright = (self.top_m > RIDER_TOP_M) & (self.top_m < TALL_M) & (self.bottom_m < 0.8)
+        is_narrow = (self.across_m < 1.0) & (self.along_m < 2.5)
+        kinds[is_upright & is_narrow] = _TWO_WHEELER
+        kinds[is_upright & (long_m <= 0.9) & (self.top_m > PERSON_TOP_M)] = _PEDESTRIAN
+        return kinds
+
+
+def classes_of(kinds: Ints) -> Bytes:
+    """Returns the `ObjectClass` (C,) of what `Shapes.kinds` returned."""
+    return np.asarray(_CLASSES[kinds])
+
+
+def usual_m(kinds: Ints) -> Floats:
+    """Returns the usual length, width and height in m (C, 3)."""
+    return np.asarray(_USUAL_M[kinds])
+
+
+def classes_by_size(sizes_m: Floats) -> Bytes:
+    """Returns the `ObjectClass` (N,) that fits boxes of length, width and height in m (N, 3)."""
+    along_m, across_m, top_m = np.asarray(sizes_m, np.float64).reshape(-1, 3).T
+    return classes_of(Shapes(along_m, across_m, np.zeros(len(top_m)), top_m).kinds())
