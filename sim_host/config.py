@@ -104,6 +104,9 @@ class TrafficConfig(Section):
         ge=0,
         le=15,
     )
+    pedestrians_per_hour: float = Field(
+        0, description="people who cross each arm of each junction, per hour", ge=0, le=1000
+    )
     cav_rate: float = Field(0.05, description="share of vehicles with LiDAR and radio", ge=0, le=1)
     cv_rate: float = Field(0.0, description="share of vehicles with a radio alone", ge=0, le=1)
     radius_m: float = Field(

@@ -114,12 +114,12 @@ class Journeys:
 
     def _begin(self, vehicle: str) -> Journey:
         api, traffic = self._sumo.vehicle, self._traffic
-        kind = self._type(api.getTypeID(vehicle))
+        kind = self.type_of(api.getTypeID(vehicle))
         drawn = draw_equipment(self._seed, vehicle, traffic.cav_rate, traffic.cv_rate)
         lost_s = api.getTimeLoss(vehicle)
         carries = kind.object_class in _EQUIPPED and kind.mesh != BOX  # trams carry nothing
         return Journey(
-            name=_safe(vehicle),
+            name=safe_id(vehicle),
             type=kind,
             equipment=drawn if carries else Equipment.NONE,
             depart_s=api.getDeparture(vehicle),
@@ -128,7 +128,7 @@ class Journeys:
             lost_s=lost_s,
         )
 
-    def _type(self, name: str) -> VehicleType:
+    def type_of(self, name: str) -> VehicleType:
         """Returns a type of the setup: the one of this name, or the nearest in shape and size."""
         base = name.split("@")[0]  # SUMO's copy of a type that was changed for one vehicle
         known = self._types.get(name) or self._types.get(base) or self._fallbacks.get(name)
@@ -153,7 +153,7 @@ class Journeys:
         )
 
 
-def _safe(vehicle: str) -> str:
+def safe_id(vehicle: str) -> str:
     """Returns the id, or a replacement that is allowed in a topic's key."""
     clean = _UNSAFE.sub("_", vehicle)
     return vehicle if clean == vehicle else f"{clean}~{zlib.crc32(vehicle.encode()):08x}"

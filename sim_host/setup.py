@@ -21,12 +21,13 @@ from protocol.version import own_version
 from sensing.config import SceneConfig
 from sim_host.city_demand import write_city_demand
 from sim_host.config import TrafficConfig
-from sim_host.demand import types_of_demand, types_of_files, write_demand
+from sim_host.demand import sized, types_of_demand, types_of_files, write_demand
 from sim_host.junctions import DEMAND_VPH_PER_LANE, write_net
 from sim_host.limits import MAX_HEIGHT_M
 from sim_host.netfile import UNREADABLE, Net, open_file, read_net
 from sim_host.networks import NETWORKS, write_grid
 from sim_host.parked import draw_parked
+from sim_host.pedestrians import PEDESTRIAN_TYPE
 from sim_host.regions import resolve_regions
 from sim_host.road_map import road_map
 from sim_host.sumo import sumo_home
@@ -212,7 +213,10 @@ def _own_world(
     roads = road_map(net, junctions)
     _write_demand(folder / "demand.rou.xml", net, roads, traffic)
     _write_config(folder / OWN_CONFIG, net)
-    return roads, types_of_demand(traffic.vehicles)
+    types = types_of_demand(traffic.vehicles)
+    if traffic.pedestrians_per_hour:
+        types.append(sized(PEDESTRIAN_TYPE, "pedestrian"))
+    return roads, types
 
 
 def _write_network(traffic: TrafficConfig, folder: Path) -> Path:

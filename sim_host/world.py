@@ -16,11 +16,12 @@ import numpy.typing as npt
 
 from protocol.errors import ConfigError
 from protocol.geometry import Floats
-from protocol.messages import Setup, Trip, Truth
+from protocol.messages import PEDESTRIAN, Setup, Trip, Truth
 from sensing.recorded_scans import Recording
 from sim_host.cabinet import Interval
-from sim_host.journeys import Journey, Journeys
+from sim_host.journeys import Journey, Journeys, safe_id
 from sim_host.lateral import LateralPositions
+from sim_host.pedestrians import PEDESTRIAN_TYPE, Pedestrians
 from sim_host.setup import config_file, traffic_config
 from sim_host.sumo import load_libsumo
 
@@ -37,7 +38,7 @@ class Ground(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrafficState:
-    """The bodies around the signals, sorted by id. Poses are of footprint centres."""
+    """The bodies around the signals, vehicles first. Poses are of footprint centres."""
 
     ids: list[str]
     types: list[str]
@@ -62,17 +63,40 @@ class TrafficState:
 
     def with_parked(self, setup: Setup) -> TrafficState:
         """Returns the vehicles and the parked cars of a setup."""
-        parked = len(setup.parked_types)
-        if not parked:
+        speeds_mps = np.zeros(len(setup.parked_types))
+        return self.and_also(
+            TrafficState.off_the_lanes(
+                setup.parked_ids, setup.parked_types, setup.parked_poses, speeds_mps
+            )
+        )
+
+    @classmethod
+    def off_the_lanes(
+        cls, ids: list[str], types: list[str], poses: Floats, speeds_mps: Floats
+    ) -> TrafficState:
+        """Returns bodies (N,) that are on no lane and carry nothing."""
+        return cls(
+            ids=ids,
+            types=types,
+            lanes=[""] * len(ids),
+            poses=poses,
+            speeds_mps=np.asarray(speeds_mps, np.float32),
+            lane_positions_m=np.zeros(len(ids), np.float32),
+            equipment=np.zeros(len(ids), np.uint8),
+        )
+
+    def and_also(self, others: TrafficState) -> TrafficState:
+        """Returns these bodies and, after them, others."""
+        if not others.ids:
             return self
         return TrafficState(
-            ids=self.ids + setup.parked_ids,
-            types=self.types + setup.parked_types,
-            lanes=self.lanes + [""] * parked,
-            poses=np.concatenate([self.poses, setup.parked_poses]),
-            speeds_mps=np.append(self.speeds_mps, np.zeros(parked, np.float32)),
-            lane_positions_m=np.append(self.lane_positions_m, np.zeros(parked, np.float32)),
-            equipment=np.append(self.equipment, np.zeros(parked, np.uint8)),
+            ids=self.ids + others.ids,
+            types=self.types + others.types,
+            lanes=self.lanes + others.lanes,
+            poses=np.concatenate([self.poses, others.poses]),
+            speeds_mps=np.append(self.speeds_mps, others.speeds_mps),
+            lane_positions_m=np.append(self.lane_positions_m, others.lane_positions_m),
+            equipment=np.append(self.equipment, others.equipment),
         )
 
 
@@ -114,6 +138,7 @@ class World:
         self._sumo = load_libsumo()
         self._journeys = Journeys(self._setup, seed, self._sumo)
         self._lateral = LateralPositions(self._traffic.lateral, seed)
+        self._pedestrians = Pedestrians(self._setup, self._traffic, seed, self._sumo)
         options = {
             "configuration-file": str(self._config),
             "step-length": f"{self._traffic.step_s:g}",
@@ -160,9 +185,13 @@ class World:
         for name in sorted(arrived):
             self._journeys.end(name, self.time_ns / 1e9)
         self._journeys.note_losses()
+        self._pedestrians.step(self.time_ns / 1e9)
 
     def bodies(self) -> TrafficState:
-        """Returns where every vehicle within the radius is now."""
+        """Returns where every vehicle within the radius is now, and all people after them."""
+        return self._vehicles().and_also(self._people())
+
+    def _vehicles(self) -> TrafficState:
         vehicle = self._sumo.vehicle
         names = sorted(vehicle.getIDList())
         fronts = np.array([vehicle.getPosition(name) for name in names]).reshape(-1, 2)
@@ -185,6 +214,27 @@ class World:
                 [vehicle.getLanePosition(name) for name in names], np.float32
             ),
             equipment=np.array([journey.equipment for journey in journeys], np.uint8),
+        )
+
+    def _people(self) -> TrafficState:
+        """Returns those of our own, and of SUMO's whoever walks within the radius."""
+        own, person = self._pedestrians.people(), self._sumo.person
+        names = [name for name in sorted(person.getIDList()) if not person.getVehicle(name)]
+        places = np.array([person.getPosition(name) for name in names]).reshape(-1, 2)
+        near = _nearest_m(places, self._centres) <= self._traffic.radius_m
+        names = [name for name, is_near in zip(names, near, strict=True) if is_near]
+        yaw = np.radians(90.0 - np.array([person.getAngle(name) for name in names]))
+        plane = np.concatenate([own.plane, np.column_stack([places[near], yaw])])
+        poses = self._ground.body_poses(*plane.T)
+        poses[:, 3:5] = 0.0  # people stand upright
+        poses[: len(own.ids), 2] += own.above_m
+        walking_mps = [person.getSpeed(name) for name in names]
+        types = [self._journeys.type_of(person.getTypeID(name)).name for name in names]
+        return TrafficState.off_the_lanes(
+            own.ids + [f"{PEDESTRIAN}sumo.{safe_id(name)}" for name in names],
+            [PEDESTRIAN_TYPE] * len(own.ids) + types,
+            poses,
+            np.append(own.speeds_mps, walking_mps),
         )
 
     def _beside_the_middle(

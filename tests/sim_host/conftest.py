@@ -27,6 +27,6 @@ def setup(run_dir: Path) -> Setup:
     return build_setup({"traffic": {"cav_rate": 0.3, "cv_rate": 0.3}}, run_dir)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def flat() -> FlatGround:
     return FlatGround()

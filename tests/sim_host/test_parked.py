@@ -10,7 +10,7 @@ from protocol.messages import Setup, is_bystander
 from sensing.config import SceneConfig
 from sensing.road import RoadArea
 from sensing.terrain import Terrain
-from sim_host.journeys import _safe
+from sim_host.journeys import safe_id
 from sim_host.presence import Fleet
 from sim_host.setup import build_setup
 from sim_host.ticks import TickPublisher
@@ -127,5 +127,5 @@ def test_they_are_in_the_ticks_but_are_no_traffic(parked: Setup) -> None:
 
 
 def test_a_vehicle_whose_id_says_that_it_is_parked_is_called_otherwise() -> None:
-    assert not is_bystander(_safe("parked~3"))
-    assert _safe("parked") == "parked"
+    assert not is_bystander(safe_id("parked~3"))
+    assert safe_id("parked") == "parked"
