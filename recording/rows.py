@@ -134,7 +134,7 @@ def vehicle_type_rows(setup: Setup) -> Iterator[VehicleTypeRow]:
     return (
         VehicleTypeRow(
             type=kind.name,
-            object_class=kind.object_class.name.lower(),
+            object_class=int(kind.object_class),
             length_m=kind.length_m,
             width_m=kind.width_m,
             height_m=kind.height_m,

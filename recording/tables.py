@@ -20,6 +20,7 @@ SCHEMA_DIGESTS = {
     11: "20b6e0ea3ab58717",
     12: "754ca4c0ef3d0560",
     13: "485343937043f86c",
+    14: "204697a34aa7044b",
 }
 """`schema_digest()` by schema version. Never change an entry: add one with the next number."""
 SCHEMA_VERSION = max(SCHEMA_DIGESTS)
@@ -218,11 +219,11 @@ class TruthRow(NamedTuple):
 class VehicleTypeRow(NamedTuple):
     """A type of bodies in `truth` and `parked`, and what detectors are to call it.
 
-    `object_class` is car, truck, two_wheeler or pedestrian.
+    `object_class` is of `protocol.messages.ObjectClass`, as that of detections.
     """
 
     type: str
-    object_class: str
+    object_class: int
     length_m: float
     width_m: float
     height_m: float

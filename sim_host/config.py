@@ -97,7 +97,7 @@ class TrafficConfig(Section):
     vehicles: list[VehicleSpec] = Field(
         default_factory=_default_vehicles, description="vehicle mix of the demand", min_length=1
     )
-    lateral: LateralConfig = LateralConfig()
+    lateral: LateralConfig = Field(LateralConfig(), description="where in their lanes vehicles are")
     parked_per_100m: float = Field(
         0,
         description="parked cars per 100 m of kerb, away from junctions; a space takes 6.5 m",

@@ -7,9 +7,9 @@ can stop. Then drivers let them pass: who can stop does so before the crossing, 
 light turns green meanwhile and those who turn (as the law has it, StVO, section 9). Between the
 carriageways people wait as at a kerb.
 
-Speeds: 15 % of people up to 60 years walk slower than 1.15 m/s (Fitzpatrick, Brewer and Turner, 2006,
-Another Look at Pedestrian Walking Speed, Transportation Research Record 1982), which is a deviation
-of 0.25 m/s below a mean of 1.4 m/s.
+Speeds: 15 % of people up to 60 years walk slower than 1.15 m/s (Fitzpatrick, Brewer and Turner
+2006, Another Look at Pedestrian Walking Speed, Transportation Research Record 1982), which is a
+deviation of 0.25 m/s below a mean of 1.4 m/s.
 """
 
 from __future__ import annotations

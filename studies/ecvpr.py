@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from perception.arrays import Floats
-from protocol.messages import Equipment, ObjectClass, Setup, VehicleType, is_bystander
+from protocol.messages import PARKED, Equipment, ObjectClass, Setup, VehicleType, is_bystander
 from protocol.roadmap import RoadMap
 from recording.rows import parked_rows
 from recording.run import Run
@@ -263,7 +263,7 @@ def score(
     for frame, vehicles in by_frame(run.rows(TruthRow)):
         while waiting is not None and waiting[0] < frame:
             waiting = next(detections, None)
-        found = vehicles_of(waiting[1]) if waiting is not None and waiting[0] == frame else []
+        found = waiting[1] if waiting is not None and waiting[0] == frame else []
         if frame in perceived:
             one = score_frame(frame, found, vehicles + parked, types, area, margin_m)
             present = {v.vehicle for v in vehicles if area.contains(v.lane, v.lane_position_m)}
@@ -299,11 +299,11 @@ def score_frame(
 ) -> FrameScore:
     """Returns the score of one frame.
 
-    A vehicle outside the area is neither true nor false, and so are bystanders: parked cars and
-    pedestrians, whom only those detections can match that match no vehicle. A vehicle that reports
-    itself counts as detected, whatever its positioning error.
+    A vehicle outside the area is neither true nor false, nor is a parked car, which only those
+    detections can match that match no vehicle. One of a vehicle where a pedestrian is, is false.
+    A vehicle that reports itself counts as detected, whatever its positioning error.
     """
-    found, false = _matched(detections, vehicles, types, margin_m)
+    found, false = _found_and_false(detections, vehicles, types, margin_m)
     present = [one for one in vehicles if not is_bystander(one.vehicle)]
     reporting = {detection.source for detection in detections}
     present_at = area.present_at(present)
@@ -347,7 +347,25 @@ def matches(
     detections: list[DetectionRow], vehicles: list[TruthRow], types: dict[str, VehicleType]
 ) -> tuple[set[str], list[DetectionRow]]:
     """Returns which vehicles that do not report themselves were detected, and false detections."""
-    return _matched(detections, vehicles, types, MARGIN_M)
+    return _found_and_false(detections, vehicles, types, MARGIN_M)
+
+
+def _found_and_false(
+    detections: list[DetectionRow],
+    vehicles: list[TruthRow],
+    types: dict[str, VehicleType],
+    margin_m: float,
+) -> tuple[set[str], list[DetectionRow]]:
+    """Matches vehicles in traffic first; what is left may be a parked car, never a pedestrian."""
+    reporting = {detection.source for detection in detections}
+    others = [vehicle for vehicle in vehicles if vehicle.vehicle not in reporting]
+    names = {vehicle.vehicle for vehicle in vehicles}
+    left = [detection for detection in vehicles_of(detections) if detection.source not in names]
+    traffic = [one for one in others if not is_bystander(one.vehicle)]
+    parked = [one for one in others if one.vehicle.startswith(PARKED)]
+    pairs, left = _matched(left, traffic, types, margin_m)
+    _, left = _matched(left, parked, types, margin_m)
+    return {traffic[vehicle].vehicle for _, vehicle in pairs}, left
 
 
 def _matched(
@@ -355,20 +373,11 @@ def _matched(
     vehicles: list[TruthRow],
     types: dict[str, VehicleType],
     margin_m: float,
-) -> tuple[set[str], list[DetectionRow]]:
-    reporting = {detection.source for detection in detections}
-    others = [vehicle for vehicle in vehicles if vehicle.vehicle not in reporting]
-    names = {vehicle.vehicle for vehicle in vehicles}
-    left = [detection for detection in detections if detection.source not in names]
-    found: set[str] = set()
-    for bystanders in (False, True):
-        here = [one for one in others if is_bystander(one.vehicle) == bystanders]
-        pairs = _pairs(left, here, types, margin_m)
-        true = {detection for detection, _ in pairs}
-        left = [detection for i, detection in enumerate(left) if i not in true]
-        if not bystanders:
-            found = {here[vehicle].vehicle for _, vehicle in pairs}
-    return found, left
+) -> tuple[list[tuple[int, int]], list[DetectionRow]]:
+    """Returns pairs as `match` does, and the detections without a vehicle."""
+    pairs = _pairs(detections, vehicles, types, margin_m)
+    true = {detection for detection, _ in pairs}
+    return pairs, [detection for i, detection in enumerate(detections) if i not in true]
 
 
 def by_frame(rows: Iterator[R]) -> Iterator[tuple[int, list[R]]]:

@@ -18,6 +18,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from protocol.errors import ConfigError
+from protocol.messages import PEDESTRIAN
 from recording.run import Run
 from recording.tables import DropRow
 from studies.by_region import Figures, junctions_of_run, regions_of_run
@@ -28,9 +29,11 @@ from studies.uplink import by_agent, total_mbps
 
 Summary = dict[str, Any]
 
-_VEHICLES = """
-    SELECT (SELECT count(DISTINCT vehicle) FROM truth WHERE frame = (SELECT min(frame) FROM truth)),
-           (SELECT count(*) FROM (SELECT vehicle FROM trips UNION SELECT vehicle FROM truth)),
+_VEHICLES = f"""
+    SELECT (SELECT count(DISTINCT vehicle) FROM truth
+            WHERE frame = (SELECT min(frame) FROM truth) AND vehicle NOT GLOB '{PEDESTRIAN}*'),
+           (SELECT count(*) FROM (SELECT vehicle FROM trips UNION SELECT vehicle FROM truth)
+            WHERE vehicle NOT GLOB '{PEDESTRIAN}*'),
            count(arrive_s), total(teleported) FROM trips
 """
 _AGENT_SCORES = """

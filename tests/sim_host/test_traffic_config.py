@@ -6,7 +6,7 @@ import sys
 import pytest
 from pydantic import ValidationError
 
-from sim_host.config import CabinetConfig, TrafficConfig
+from sim_host.config import CabinetConfig, LateralConfig, TrafficConfig
 from tests.waiting import PATIENCE_S
 
 
@@ -27,7 +27,7 @@ def test_traffic_that_cannot_be_is_refused(fields: dict[str, object], text: str)
 
 
 def test_every_field_has_a_default_and_a_description() -> None:
-    for section in (TrafficConfig, CabinetConfig):
+    for section in (TrafficConfig, LateralConfig, CabinetConfig):
         section()
         assert all(field.description for field in section.model_fields.values())
 

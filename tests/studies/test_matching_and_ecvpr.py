@@ -90,7 +90,7 @@ def frame_row(frame: int, detections: int | None) -> FrameRow:
     return FrameRow(frame, frame * 10**8, 1, 0, 0, 0, 0, detections, 1, frame, None, None)
 
 
-def test_what_is_found_at_a_bystander_is_neither_true_nor_false() -> None:
+def test_a_parked_car_is_neither_true_nor_false_and_a_pedestrian_no_car() -> None:
     vehicles = [
         truth(0, "v", 100.0, "in", 100.0),
         truth(0, "parked~0", 102.0, "", 0.0),
@@ -103,8 +103,8 @@ def test_what_is_found_at_a_bystander_is_neither_true_nor_false() -> None:
     found = [detection(0, n, x_m) for n, x_m in enumerate((101.1, 102.0, 140.0, 170.0))]
     one = score_frame(0, found, vehicles, kinds, EvaluationArea(straight_road()))
     # The first lies nearer to the parked car, but vehicles are matched before bystanders are.
-    assert (one.present, one.true, one.false) == (1, 1, 1)
-    assert matched_vehicles(found, vehicles, kinds) == ({"v"}, 1)
+    assert (one.present, one.true, one.false) == (1, 1, 2)
+    assert matched_vehicles(found, vehicles, kinds) == ({"v"}, 2)
 
 
 def test_e_cvpr_is_true_detections_over_vehicles_present(tmp_path: Path) -> None:
