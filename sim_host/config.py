@@ -72,6 +72,13 @@ class TrafficConfig(Section):
     )
 
     grid_size: int = Field(4, description="crossings a side of the network grid", ge=1, le=26)
+    grade: float = Field(
+        0,
+        description="corridor, grid, town: how steep the steepest street is, climb over length; "
+        "0: level",
+        ge=0,
+        le=0.12,
+    )
     net: str | None = Field(None, description="a SUMO .net.xml; demand is generated for it")
     sumocfg: str | None = Field(None, description="a .sumocfg with a net and a demand of its own")
     step_s: float = Field(0.1, description="SUMO step; milliseconds count", ge=0.01, le=1)

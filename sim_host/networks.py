@@ -8,14 +8,16 @@ Manual, 2nd edition, chapter 4: split phasing).
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Protocol
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from sensing.road import resample
 from sim_host.junctions import LANE_WIDTH_M, SPEED_MPS, Row, write_plain_net, xml
 from sim_host.netfile import Net, NetConnection, read_net
 
@@ -34,6 +36,11 @@ _TOWN_DROPPED = 9  # streets of the full grid that the town lacks
 _TOWN_ARMS = 0.6  # share of the border's places that have one, main streets aside
 _TOWN_MAIN = ("C", "2")  # the column and the row whose streets have two lanes each way
 
+_HILLS_SEED, _HILLS = 51, 4
+_HILL_M = (500.0, 1100.0)  # from hill to hill
+_STEEPER = 1.5  # the middle of a street that is level at its ends than the whole of it
+_CLIMB_STEP_M = 10.0
+
 Place = tuple[float, float]
 
 
@@ -47,8 +54,12 @@ class _Street:
     bend_m: float = 0.0
 
 
-def write_corridor(folder: Path) -> Path:
+def write_corridor(folder: Path, grade: float = 0.0) -> Path:
     """Writes `corridor.net.xml`: an arterial road, west to east, that crosses five side streets.
+
+    Args:
+        folder: gets the file.
+        grade: of the steepest street, see `_heights_m`.
 
     Raises:
         ConfigError: netconvert is missing or fails.
@@ -61,14 +72,15 @@ def write_corridor(folder: Path) -> Path:
         for side, y in (("north", _ARM_M), ("south", -_ARM_M)):
             places[f"{side}{name}"] = (places[name][0], y)
             streets.append(_Street(name, f"{side}{name}", lanes=1))
-    return _write(folder, "corridor", places, streets)
+    return _write(folder, "corridor", places, streets, grade)
 
 
-def write_grid(folder: Path, size: int = 4) -> Path:
+def write_grid(folder: Path, grade: float = 0.0, size: int = 4) -> Path:
     """Writes `grid.net.xml`: crossings with two lanes each way, an arm at every border.
 
     Args:
         folder: gets the file.
+        grade: of the steepest street, see `_heights_m`.
         size: crossings a side, 26 at most.
 
     Raises:
@@ -84,11 +96,15 @@ def write_grid(folder: Path, size: int = 4) -> Path:
         arm = f"{side}{name}"
         places[arm] = _outwards(places[name], side)
         streets.append(_Street(name, arm, lanes=2))
-    return _write(folder, "grid", places, streets)
+    return _write(folder, "grid", places, streets, grade)
 
 
-def write_town(folder: Path) -> Path:
+def write_town(folder: Path, grade: float = 0.0) -> Path:
     """Writes `town.net.xml`: bent streets between shifted places, a few of them missing.
+
+    Args:
+        folder: gets the file.
+        grade: of the steepest street, see `_heights_m`.
 
     Raises:
         ConfigError: netconvert is missing or fails.
@@ -107,15 +123,22 @@ def write_town(folder: Path) -> Path:
         _Street(a, b, lanes=2 if _is_main(a, b) else 1, bend_m=bend_m)
         for (a, b), bend_m in zip(pairs, bends_m, strict=True)
     ]
-    return _write(folder, "town", places, streets)
+    return _write(folder, "town", places, streets, grade)
 
 
-NETWORKS: dict[str, Callable[[Path], Path]] = {
+class NetworkWriter(Protocol):
+    """Writes a built-in net."""
+
+    def __call__(self, folder: Path, grade: float = 0.0) -> Path:
+        """Writes the net into a folder, with hills of this grade."""
+
+
+NETWORKS: dict[str, NetworkWriter] = {
     "corridor": write_corridor,
     "grid": write_grid,
     "town": write_town,
 }
-"""What writes a built-in net into a folder, by the net's name."""
+"""What writes a built-in net, by the net's name."""
 
 
 def _cell(column: int, row: int) -> str:
@@ -187,12 +210,21 @@ def _is_connected(rest: list[tuple[str, str]], before: list[tuple[str, str]]) ->
 
 
 def _write(
-    folder: Path, name: str, places: Mapping[str, Place], streets: Sequence[_Street]
+    folder: Path,
+    name: str,
+    places: Mapping[str, Place],
+    streets: Sequence[_Street],
+    grade: float,
 ) -> Path:
     """Writes the net twice: netconvert chooses and numbers the links, then takes their plans."""
     arms = Counter(place for street in streets for place in (street.start, street.end))
-    nodes = [_node(place, at, arms[place]) for place, at in places.items()]
-    edges = [_edge(street, places, backwards) for street in streets for backwards in (False, True)]
+    heights_m = _heights_m(places, streets, grade)
+    nodes = [_node(place, at, heights_m, arms[place]) for place, at in places.items()]
+    edges = [
+        _edge(street, places, heights_m, backwards)
+        for street in streets
+        for backwards in (False, True)
+    ]
     parts = {"node": nodes, "edge": edges}
     net = read_net(write_plain_net(folder, name, parts))
     outside = [c for c in net.connections if not net.lanes[c.from_lane].internal]
@@ -200,14 +232,52 @@ def _write(
     return write_plain_net(folder, name, parts, _plans(net))
 
 
-def _node(name: str, at: Place, arms: int) -> Row:
+def _heights_m(
+    places: Mapping[str, Place], streets: Sequence[_Street], grade: float
+) -> dict[str, float]:
+    """Returns the height of each place on hills, of which the steepest street has this grade.
+
+    The hills are waves in several directions. Without a grade there is no height, and nets are
+    flat.
+    """
+    if not grade:
+        return {}
+    rng = np.random.default_rng(_HILLS_SEED)
+    bearing, phase = rng.uniform(0, 2 * np.pi, (2, _HILLS))
+    waves_per_m = 2 * np.pi / rng.uniform(*_HILL_M, _HILLS)
+    at = np.array([*places.values()])
+    along_m = at @ np.array([np.cos(bearing), np.sin(bearing)])
+    heights = dict(
+        zip(places, np.sin(along_m * waves_per_m + phase).sum(axis=1).tolist(), strict=True)
+    )
+    steepest = max(
+        _STEEPER
+        * abs(heights[one.end] - heights[one.start])
+        / float(np.hypot(*np.subtract(places[one.end], places[one.start])))
+        for one in streets
+    )
+    return {name: round(height * grade / steepest, 3) for name, height in heights.items()}
+
+
+def _node(name: str, at: Place, heights_m: Mapping[str, float], arms: int) -> Row:
     row: Row = {"id": name, "x": round(at[0], 2), "y": round(at[1], 2), "radius": _CORNER_RADIUS_M}
+    if heights_m:
+        row["z"] = heights_m[name]
     return {**row, "type": "traffic_light", "tl": name} if arms > 2 else row
 
 
-def _edge(street: _Street, places: Mapping[str, Place], backwards: bool) -> Row:
+def _edge(
+    street: _Street,
+    places: Mapping[str, Place],
+    heights_m: Mapping[str, float],
+    backwards: bool,
+) -> Row:
     start, end = (street.end, street.start) if backwards else (street.start, street.end)
-    line = _line(places[street.start], places[street.end], street.bend_m)
+    line: Sequence[tuple[float, ...]] = _line(
+        places[street.start], places[street.end], street.bend_m
+    )
+    if heights_m:
+        line = _climbing(line, heights_m[street.start], heights_m[street.end])
     return {
         "id": f"{start}{end}",
         "from": start,
@@ -215,8 +285,22 @@ def _edge(street: _Street, places: Mapping[str, Place], backwards: bool) -> Row:
         "numLanes": street.lanes,
         "speed": SPEED_MPS,
         "width": LANE_WIDTH_M,
-        "shape": " ".join(f"{x:.2f},{y:.2f}" for x, y in (line[::-1] if backwards else line)),
+        "shape": " ".join(
+            ",".join(f"{value:.2f}" for value in point)
+            for point in (line[::-1] if backwards else line)
+        ),
     }
+
+
+def _climbing(
+    line: Sequence[tuple[float, ...]], start_m: float, end_m: float
+) -> list[tuple[float, float, float]]:
+    """Returns a street's middle with heights: level at both ends, as junctions are."""
+    flat = resample(np.array(line), _CLIMB_STEP_M)
+    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(flat, axis=0).T))])
+    share = along_m / along_m[-1]
+    height_m = start_m + (end_m - start_m) * share**2 * (3 - 2 * share)
+    return [(x, y, z) for (x, y), z in zip(flat.tolist(), height_m.tolist(), strict=True)]
 
 
 def _line(start: Place, end: Place, bend_m: float) -> list[Place]:

@@ -221,8 +221,8 @@ def _own_world(
 
 def _write_network(traffic: TrafficConfig, folder: Path) -> Path:
     if traffic.network == "grid":
-        return write_grid(folder, traffic.grid_size)
-    return NETWORKS[traffic.network](folder)
+        return write_grid(folder, traffic.grade, traffic.grid_size)
+    return NETWORKS[traffic.network](folder, traffic.grade)
 
 
 def _write_demand(path: Path, net: Net, roads: RoadMap, traffic: TrafficConfig) -> None:

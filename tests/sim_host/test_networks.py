@@ -3,9 +3,12 @@
 from itertools import combinations
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from protocol.roadmap import Signal
+from sensing.config import SceneConfig
+from sensing.terrain import Terrain
 from sim_host.cabinet import SignalCabinet
 from sim_host.config import CabinetConfig
 from sim_host.netfile import Net, read_net
@@ -138,3 +141,51 @@ def test_the_same_call_gives_the_same_bytes(nets, tmp_path: Path):
         text = NETWORKS[name](tmp_path).read_text()
         assert text == nets[name].path.read_text()
         assert "generated on" not in text
+
+
+def grades(net: Net) -> dict[str, float]:
+    """Returns the steepest piece of each lane outside junctions, climb over length."""
+    found = {}
+    for lane in net.lanes.values():
+        if not lane.internal:
+            points = np.array(lane.shape)
+            flat_m = np.hypot(*np.diff(points[:, :2], axis=0).T)
+            climb_m = np.abs(np.diff(points[:, 2]))
+            found[lane.id] = float((climb_m / flat_m)[flat_m > 1.0].max(initial=0.0))
+    return found
+
+
+def test_nets_are_level_unless_a_grade_is_asked_for(net):
+    assert all(z == 0 for lane in net.lanes.values() for _, _, z in lane.shape)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_lanes_follow_the_hills_and_none_is_steeper_than_asked_for(name, tmp_path):
+    net = read_net(NETWORKS[name](tmp_path, grade=0.05))
+    steepest = max(grades(net).values())
+    assert 0.04 < steepest < 0.055
+    heights_m = [z for lane in net.lanes.values() for _, _, z in lane.shape]
+    assert max(heights_m) - min(heights_m) > 5
+    for connection in net.connections:  # no steps where lanes join
+        before = net.lanes[connection.from_lane].shape[-1]
+        after = net.lanes[connection.via or connection.to_lane].shape[0]
+        assert abs(before[2] - after[2]) < 0.05
+
+
+def test_the_ground_follows_the_lanes_of_hills(tmp_path):
+    roads = road_map(read_net(NETWORKS["town"](tmp_path, grade=0.05)), "all")
+    terrain = Terrain(roads, SceneConfig(terrain_amplitude_m=0), 1)
+    points = np.concatenate([lane.points for lane in roads.lanes])
+    off_m = np.abs(terrain.height_m(points[:, :2]) - points[:, 2])
+    assert off_m.max() < 0.4
+    assert np.median(off_m) < 0.05
+
+
+def test_town_bends(nets):
+    turns = []
+    for lane in nets["town"].lanes.values():
+        if not lane.internal:
+            step = np.diff(np.array(lane.shape)[:, :2], axis=0)
+            bearing = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+            turns.append(np.degrees(np.ptp(bearing)))
+    assert np.median(turns) > 10

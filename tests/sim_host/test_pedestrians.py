@@ -66,7 +66,7 @@ def test_each_arm_has_a_crossing_from_kerb_to_kerb(crowd: Setup, tmp_path: Path)
     assert len(found) == 3
     check(found, RoadArea(crowd.road_map))
     assert sorted(len(one.zones) for one in found)[-1] == 2
-    net = write_grid(tmp_path, 2)
+    net = write_grid(tmp_path, size=2)
     grid = build_setup({"traffic": {"net": str(net)}, "junctions": "all"}, tmp_path)
     found = crossings_of(grid.road_map)
     assert len(found) == 16
