@@ -9,6 +9,11 @@ arXiv:2405.17080. A vehicle that stands keeps its place.
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from itertools import pairwise
+from math import atan2, hypot
+from typing import Any
+
 import numpy as np
 
 from protocol.geometry import Floats
@@ -92,3 +97,91 @@ class LateralPositions:
         # What `tanh` will turn into the distance that was asked for.
         share = np.clip((lane_widths_m / 2 - edge_m) / room, 0, 0.98)
         return np.where(rides_right, -room * np.arctanh(share), 0.0)
+
+
+_JOINT_M = 1.0  # between lanes that follow each other, at most
+_SLOWEST_MPS = 5.0  # bounds how far a vehicle turns to change lanes: by 8 degrees in 5 s
+
+
+class LaneHeadings:
+    """Headings along lanes, of vehicles that change lanes in time.
+
+    SUMO turns such a vehicle by where it goes, which is sideways for one that hardly moves: it may
+    stand across two lanes for a whole red.
+    """
+
+    def __init__(self, sumo: Any) -> None:  # noqa: ANN401 - libsumo is untyped
+        self._sumo = sumo
+        self._lines: dict[str, tuple[list[float], list[tuple[float, float]], float]] = {}
+        self._trails: dict[str, tuple[str, str]] = {}  # the lane of each vehicle, and that before
+
+    def yaws_rad(
+        self, vehicles: list[str], lanes: list[str], lengths_m: Floats, yaws_rad: Floats
+    ) -> Floats:
+        """Returns headings (N,) in rad, along the lanes from the vehicles' rears to their fronts.
+
+        Args:
+            vehicles: SUMO's ids (N,).
+            lanes: on which they are (N,).
+            lengths_m: of the vehicles (N,).
+            yaws_rad: headings that SUMO has (N,), for those of whose rear the lane is not known.
+        """
+        api = self._sumo.vehicle
+        self._follow(vehicles, lanes)
+        found = yaws_rad.copy()
+        for n, (name, lane) in enumerate(zip(vehicles, lanes, strict=True)):
+            front_m = api.getLanePosition(name)
+            aside_mps = api.getLateralSpeed(name)
+            rear_m = front_m - float(lengths_m[n])
+            if rear_m >= 0:
+                x, y = self._place(lane, rear_m)
+            elif self._leads_to(before := self._trails[name][1], lane):
+                x, y = self._place(before, self._length_m(before) + rear_m)
+            elif aside_mps or api.getLateralLanePosition(name):
+                x, y = self._place(lane, 0.0)
+            else:
+                continue
+            to_x, to_y = self._place(lane, max(front_m, 0.1))
+            turn = atan2(aside_mps, max(api.getSpeed(name), _SLOWEST_MPS))
+            found[n] = atan2(to_y - y, to_x - x) + turn
+        return found
+
+    def _follow(self, vehicles: list[str], lanes: list[str]) -> None:
+        """Notes the lanes, and those before where they have changed."""
+        known = self._trails
+        self._trails = {}
+        for name, lane in zip(vehicles, lanes, strict=True):
+            now, before = known.get(name, (lane, ""))
+            self._trails[name] = (lane, before if now == lane else now)
+
+    def _leads_to(self, before: str, lane: str) -> bool:
+        """Whether a lane ends where another begins."""
+        if not before:
+            return False
+        x, y = self._place(before, self._length_m(before))
+        to_x, to_y = self._place(lane, 0.0)
+        return hypot(to_x - x, to_y - y) < _JOINT_M
+
+    def _length_m(self, lane: str) -> float:
+        along_m, _, scale = self._line(lane)
+        return along_m[-1] / scale
+
+    def _place(self, lane: str, position_m: float) -> tuple[float, float]:
+        """Returns x, y at SUMO's position on a lane."""
+        along_m, shape, scale = self._line(lane)
+        at_m = max(position_m, 0.0) * scale
+        k = min(max(bisect_right(along_m, at_m) - 1, 0), len(shape) - 2)
+        share = (at_m - along_m[k]) / max(along_m[k + 1] - along_m[k], 1e-9)
+        (x, y), (to_x, to_y) = shape[k], shape[k + 1]
+        return x + share * (to_x - x), y + share * (to_y - y)
+
+    def _line(self, lane: str) -> tuple[list[float], list[tuple[float, float]], float]:
+        """Returns a lane's corners with how far along it each lies, m, and m per m of SUMO's."""
+        if lane not in self._lines:
+            shape = self._sumo.lane.getShape(lane)
+            along_m = [0.0]
+            for (x, y), (to_x, to_y) in pairwise(shape):
+                along_m.append(along_m[-1] + hypot(to_x - x, to_y - y))
+            scale = along_m[-1] / self._sumo.lane.getLength(lane)
+            self._lines[lane] = along_m, list(shape), scale
+        return self._lines[lane]

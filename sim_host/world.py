@@ -20,7 +20,7 @@ from protocol.messages import PEDESTRIAN, Setup, Trip, Truth
 from sensing.recorded_scans import Recording
 from sim_host.cabinet import Interval
 from sim_host.journeys import Journey, Journeys, safe_id
-from sim_host.lateral import LateralPositions
+from sim_host.lateral import LaneHeadings, LateralPositions
 from sim_host.pedestrians import PEDESTRIAN_TYPE, Pedestrians
 from sim_host.setup import config_file, traffic_config
 from sim_host.sumo import load_libsumo
@@ -138,6 +138,7 @@ class World:
         self._sumo = load_libsumo()
         self._journeys = Journeys(self._setup, seed, self._sumo)
         self._lateral = LateralPositions(self._traffic.lateral, seed)
+        self._headings = LaneHeadings(self._sumo)
         self._pedestrians = Pedestrians(self._setup, self._traffic, seed, self._sumo)
         options = {
             "configuration-file": str(self._config),
@@ -201,6 +202,8 @@ class World:
         lanes = [vehicle.getLaneID(name) for name in names]
         yaw = np.radians(90.0 - np.array([vehicle.getAngle(name) for name in names]))
         half = np.array([journey.type.length_m / 2 for journey in journeys])
+        if self._traffic.lateral.lane_change_s:
+            yaw = self._headings.yaws_rad(names, lanes, 2 * half, yaw)
         x, y = fronts[near].T - half * np.array([np.cos(yaw), np.sin(yaw)])
         if not self._lateral.are_off:
             x, y, yaw = self._beside_the_middle(names, journeys, lanes, (x, y, yaw))

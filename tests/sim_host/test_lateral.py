@@ -97,6 +97,23 @@ def test_a_lane_change_takes_time(tmp_path_factory: pytest.TempPathFactory, flat
     assert most_aside_m(slowly) < 0.7  # what SUMO's bends at the stop bars leave
 
 
+def test_who_changes_lanes_slowly_or_stands_does_not_turn_across_them(
+    tmp_path_factory: pytest.TempPathFactory, flat: Ground
+) -> None:
+    states = play(tmp_path_factory.mktemp("run"), flat, {"lane_change_s": 5})
+    off_rad, turned = [], 0
+    for state in states:
+        for lane, pose, along_m in zip(
+            state.lanes, state.poses, state.lane_positions_m, strict=True
+        ):
+            if lane.startswith(("west_in", "east_out")):  # both head east
+                off_rad.append(pose[5])
+                turned += along_m < 4 and abs(pose[5]) > 0.1
+    assert np.abs(off_rad).max() < np.radians(20)  # whose rear still turns out of the side road
+    assert np.quantile(np.abs(off_rad), 0.999) < np.radians(9)
+    assert turned
+
+
 def test_drift_is_in_the_poses_and_the_same_again(
     tmp_path_factory: pytest.TempPathFactory, flat: Ground
 ) -> None:
