@@ -20,7 +20,7 @@ from sensing.road import RoadArea, resample
 INSIDE_M = 2.0  # from the stop bars to a crossing's middle
 HALF_WIDTH_M = 0.8
 _HALF_VEHICLE_M = 1.4  # half a lorry, and a little
-_LEAST_STAND_M = 0.2  # between two zones, for someone to stand there
+_LEAST_STAND_M = 0.6  # between two carriageways, for someone to stand there
 _SAMPLE_M = 0.1
 _FARTHEST_M = 60.0  # before the stop bar, from where vehicles are looked out for
 _BEYOND_M = 15.0  # of the lane behind the junction

@@ -96,8 +96,10 @@ class Pedestrians:
 
     def step(self, time_s: float) -> None:
         """Moves everybody on to a time of SUMO's."""
-        passed_s = 0.0 if self._since_s is None else time_s - self._since_s
-        self._since_s = time_s
+        if self._since_s is None:  # SUMO's clock may begin at any time of the day
+            self._since_s = time_s
+            self._next_s = [time_s + next_s for next_s in self._next_s]
+        passed_s, self._since_s = time_s - self._since_s, time_s
         for n, crossing in enumerate(self._crossings):
             while self._next_s[n] <= time_s:
                 self._next_s[n] += self._headway_s(self._arrivals[n])

@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,8 @@ from protocol.messages import PEDESTRIAN, ObjectClass, Setup, is_bystander
 from sensing.road import RoadArea
 from sim_host.crossings import Crossing, crossings_of
 from sim_host.networks import write_grid
-from sim_host.setup import build_setup
+from sim_host.pedestrians import Pedestrians
+from sim_host.setup import build_setup, traffic_config
 from sim_host.world import Ground, TrafficState, World
 
 STEPS = 1500
@@ -150,3 +152,9 @@ def test_persons_of_a_users_own_demand_are_bodies(
     assert states[-1].types == ["DEFAULT_PEDTYPE"]
     assert states[-1].poses[0, 1] < states[20].poses[0, 1]  # towards the junction
     assert states[-1].speeds_mps[0] == pytest.approx(1.0, abs=0.3)
+
+
+def test_people_do_not_all_come_at_once_where_the_clock_begins_late(crowd: Setup) -> None:
+    people = Pedestrians(crowd, traffic_config(crowd.scenario), 1, SimpleNamespace(vehicle=None))
+    people.step(8 * 3600.0)
+    assert people.people().ids == []
