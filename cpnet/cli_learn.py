@@ -32,12 +32,15 @@ def dataset_command(
     networks: Annotated[int, typer.Option(help="generated junctions")] = 60,
     samples: Annotated[int, typer.Option(help="of each network, some seconds apart")] = 12,
     seed: Annotated[int, typer.Option(help="the same bytes for the same seed")] = 1,
+    realism: Annotated[str, typer.Option(help="of the world: paper, clear or hard")] = "paper",
     jobs: Annotated[int | None, typer.Option(help="processes; default one a core")] = None,
 ) -> None:
     """Write labelled scans of many generated junctions, for training."""
     from learning.generate import DatasetSpec, generate
 
-    spec = DatasetSpec(networks=networks, samples=samples, seed=seed)
+    scenario = scenarios.load("t_junction", {"realism": realism})
+    world = None if realism == "paper" else scenario.model_dump(mode="json")
+    spec = DatasetSpec(networks, samples, seed, realism, world)
     columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()]
     with Progress(*columns, TimeElapsedColumn(), console=errors, transient=True) as progress:
         task = progress.add_task("networks", total=networks)

@@ -59,7 +59,7 @@ def figures_of(
     _, listed = Source(dataset, None, None, split, 0).open(config)
     rows = evaluate(listed, (network,))
     return {
-        f"{row.cloud} {row.fusion} {row.view} {row.iou:g}": round(row.ap40, 4)
+        f"{row.cloud} {row.fusion} {row.view} {row.iou:g} {row.objects}": round(row.ap40, 4)
         for row in rows
         if row.geofence and row.truth == "visible" and row.part == EVERYTHING and row.ap40
     }

@@ -82,16 +82,31 @@ class LaneIndex:
         are several, for the one with the shortest way, so that no vehicle counts twice. One inside
         the junction counts for the lane it is about to leave by.
         """
+        reach = {"upstream_m": upstream_m, "downstream_m": downstream_m}
+        before, behind = self.weigh(place, np.ones(len(place.lane)), tls, **reach)
+        return {k: round(v) for k, v in before.items()}, {k: round(v) for k, v in behind.items()}
+
+    def weigh(
+        self,
+        place: LanePositions,
+        weights: Floats,
+        tls: str,
+        *,
+        upstream_m: float,
+        downstream_m: float,
+    ) -> tuple[dict[str, float], dict[str, float]]:
+        """Adds up weights (N,) of vehicles as `count` does vehicles."""
         around = self.approaches[tls]
-        before = dict.fromkeys(around.intersection.incoming, 0)
-        behind = dict.fromkeys(around.intersection.outgoing, 0)
-        for name, along_m in zip(self.names(place), place.along_m, strict=True):
+        before = dict.fromkeys(around.intersection.incoming, 0.0)
+        behind = dict.fromkeys(around.intersection.outgoing, 0.0)
+        vehicles = zip(self.names(place), place.along_m, weights.tolist(), strict=True)
+        for name, along_m, weight in vehicles:
             reach = around.upstream.get(name)
             if reach and reach.start_m - along_m <= upstream_m:
-                before[reach.counts_for] += 1
+                before[reach.counts_for] += weight
             reach = around.downstream.get(name)
             if reach and along_m - reach.start_m <= downstream_m:
-                behind[reach.counts_for] += 1
+                behind[reach.counts_for] += weight
         return before, behind
 
     def _starts(self) -> dict[str, float]:

@@ -2,7 +2,6 @@
 
     decode, place      each chunk by itself, in any thread, as soon as it has arrived
     check              excludes agents whose data cannot be so; remembers scores
-    align              where asked for: corrects agents' poses; remembers the scene and offsets
     merge              one cloud of all that are left
     detect             a detector's vehicles; it names parts of its own, such as ground
     fuse               with agents' poses and detections; no duplicates
@@ -42,6 +41,7 @@ from edge_server.stationary import StationaryVehicles
 from perception.arrays import Bools, Floats
 from perception.detector import Cloud, Detector, DetectorMaker, Vehicles
 from perception.map_height import on_the_ground
+from perception.object_classes import passenger_car_units
 from perception.registry import detector_of
 from perception.roadway import Roadway
 from protocol.messages import Detections, LaneCounts, ObjectClass, Scan, Span
@@ -158,31 +158,17 @@ def stages_of(
     roadway = Roadway.of(region.area, margin_m=config.geofence.margin_m)
     lanes = LaneIndex(region.surroundings)
     place = Place(roadway, config.geofence)
-    sample, align = _alignment(roadway, config, mounts)
     check = [Check(region.surroundings, roadway, config.misbehaviour, mounts)]
     return [
         Decode(),
-        *sample,
         place if config.merge == "se3" else PlaceByReference(place),
         *(check if config.misbehaviour.enabled else []),
-        *align,
         Merge(),
         Detect(detector(config, roadway), seed),
         Fuse(region.centres, config.fusion, mounts),
         *([Border(strips, config.fusion)] if strips is not None else []),
         Count(region, lanes, config, has_lidars=has_lidars),
     ]
-
-
-def _alignment(
-    roadway: Roadway, config: EdgeConfig, mounts: Mapping[str, Floats]
-) -> tuple[list[ChunkStage], list[FrameStage]]:
-    """Returns the stages that align agents; the registration is loaded where they are wanted."""
-    if config.alignment == "none":
-        return [], []
-    from edge_server.alignment import Align, Sample
-
-    return [Sample(roadway)], [Align(mounts)]
 
 
 class Merge(FrameStage):
@@ -325,6 +311,14 @@ class Count(FrameStage):
             )
             for part in (state.positions, state.positions.take(stationary))
         )
+        units = passenger_car_units(state.vehicles.classes)
+        pcu_upstream, pcu_downstream = self._lanes.weigh(
+            state.positions,
+            units,
+            tls,
+            upstream_m=config.upstream_m,
+            downstream_m=config.downstream_m,
+        )
         coverage_upstream, coverage_downstream = self._covered(state, tls)
         return LaneCounts(
             frame=frame.frame,
@@ -336,6 +330,8 @@ class Count(FrameStage):
             downstream=downstream,
             stationary_upstream=stationary_upstream,
             stationary_downstream=stationary_downstream,
+            pcu_upstream={lane: round(value, 1) for lane, value in pcu_upstream.items()},
+            pcu_downstream={lane: round(value, 1) for lane, value in pcu_downstream.items()},
             coverage_upstream=coverage_upstream,
             coverage_downstream=coverage_downstream,
             delay_sim_ns=frame.delay_sim_ns,

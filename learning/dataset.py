@@ -24,7 +24,7 @@ import numpy as np
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError
 
 from learning.kitti import Label, into_map
-from perception.arrays import Floats, Floats32, Ints
+from perception.arrays import Bytes, Floats, Floats32, Ints
 from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
@@ -49,14 +49,15 @@ class SensorScan:
 class SceneSample:
     """All scans taken at one time at one junction, and all vehicles there.
 
-    `boxes` (M, 7) are as in `perception.detector.Vehicles`, in the map frame; `points_on` (S, M)
-    counts the returns of each scan that came from each vehicle.
+    `boxes` (M, 7) and `classes` (M,) are as in `perception.detector.Vehicles`, in the map frame;
+    `points_on` (S, M) counts the returns of each scan that came from each vehicle.
     """
 
     network: str
     frame: int
     scans: list[SensorScan]
     boxes: Floats
+    classes: Bytes
     points_on: Ints
 
 
@@ -83,6 +84,7 @@ class Info(BaseModel):
     networks: int
     samples: int = Field(validation_alias=AliasChoices("samples", "moments"))  # its former name
     seed: int
+    realism: str = "paper"
 
 
 class SensorPoses(BaseModel):
@@ -202,11 +204,13 @@ def sample_of(
 ) -> SceneSample:
     """Puts a sample's scans together; their vehicles, sorted by id, are in the map frame."""
     boxes: dict[str, Floats] = {}
+    classes: dict[str, int] = {}
     for row, of_scan in zip(rows, labels, strict=True):
         placed = np.array([label.box for label in of_scan]).reshape(-1, 7)
         placed = into_map(placed, SE3.from_pose(row.map_SE3_sensor.true))
         for label, box in zip(of_scan, placed, strict=True):
             boxes.setdefault(label.vehicle, box)
+            classes[label.vehicle] = label.object_class
     order = {vehicle: index for index, vehicle in enumerate(sorted(boxes))}
     points_on = np.zeros((len(rows), len(order)), np.int64)
     for scan, of_scan in enumerate(labels):
@@ -225,6 +229,7 @@ def sample_of(
             for row, points in zip(rows, clouds, strict=True)
         ],
         boxes=np.array([boxes[vehicle] for vehicle in order]).reshape(-1, 7),
+        classes=np.array([classes[vehicle] for vehicle in order], np.uint8),
         points_on=points_on,
     )
 

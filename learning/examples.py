@@ -12,21 +12,20 @@ import numpy as np
 from numba import njit
 
 from learning.dataset import SceneSample
-from perception.arrays import Bools, Floats, Floats32, Ints, Ints32
+from perception.arrays import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from perception.pillars.config import ANCHOR_YAWS, STRIDE, PillarsConfig
 from perception.pillars.network import middle_of, terms_of
 from perception.pillars.windows import Pillars, Window, pillars_of
 from perception.roadway import Roadway
 from protocol.roadmap import RoadMap
 
-VEHICLE_IOU, NOTHING_IOU = 0.6, 0.45  # of Lang et al. 2019; in between an anchor does not count
 FAINT_IOU = 0.1  # of a vehicle with too few points to be required
 NO_OWNER = -1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Targets:
-    """By anchor, directions first: `owner` (A,) is -1 for none; `counts` (A,) if it is judged.
+    """By anchor, kinds first: `owner` (A,) is -1 for none; `counts` (A,) if it is judged.
 
     `place` (V,) are the anchors that are vehicles, and `terms` (V, 7) theirs.
     """
@@ -37,21 +36,36 @@ class Targets:
     terms: Floats32
 
 
-def targets_of(boxes: Floats, sure: Bools, window: Window, config: PillarsConfig) -> Targets:
-    """Assigns anchors to boxes (K, 7), z over the road; those not `sure` (K,) are not judged."""
+def targets_of(
+    boxes: Floats, classes: Bytes, sure: Bools, window: Window, config: PillarsConfig
+) -> Targets:
+    """Assigns anchors to boxes (N, 7) of their class, z over the road.
+
+    Those not `sure` (N,) are not judged.
+    """
     rows, columns = (side // STRIDE for side in window.size)
-    overlap = np.zeros(ANCHOR_YAWS * rows * columns, np.float32)
+    places = rows * columns
+    overlap = np.zeros(config.kinds * places, np.float32)
     owner = np.full(len(overlap), NO_OWNER, np.int32)
     step_m = STRIDE * config.cell_m
-    grid = np.array([*window.low, step_m, *config.anchor_m[:2]], np.float64)
-    _assign(np.ascontiguousarray(boxes, np.float64), grid, rows, columns, overlap, owner)
+    for number, anchor in enumerate(config.anchors):
+        own = slice(number * ANCHOR_YAWS * places, (number + 1) * ANCHOR_YAWS * places)
+        grid = np.array([*window.low, step_m, *anchor.size_m[:2]], np.float64)
+        members = np.flatnonzero(classes == anchor.object_class)
+        if len(members):
+            chosen = np.ascontiguousarray(boxes[members], np.float64)
+            _assign(chosen, grid, rows, columns, overlap[own], owner[own])
+            owner[own] = np.where(owner[own] >= 0, members[owner[own]], NO_OWNER)
+    by_anchor = ANCHOR_YAWS * places
+    object_iou = np.repeat([one.object_iou for one in config.anchors], by_anchor)
+    nothing_iou = np.repeat([one.nothing_iou for one in config.anchors], by_anchor)
     sure_owner = (owner >= 0) & np.append(sure, False)[owner]
-    is_vehicle = sure_owner & (overlap >= VEHICLE_IOU)
+    is_vehicle = sure_owner & (overlap >= object_iou)
     _claim_best(overlap, owner, len(boxes), is_vehicle, sure)
     faint = (owner >= 0) & ~sure_owner & (overlap >= FAINT_IOU)
-    counts = is_vehicle | ~((overlap >= NOTHING_IOU) | faint)
+    counts = is_vehicle | ~((overlap >= nothing_iou) | faint)
     place = np.flatnonzero(is_vehicle).astype(np.int32)
-    kind, cell = np.divmod(place, rows * columns)
+    kind, cell = np.divmod(place, places)
     middle = middle_of(cell, window, config)
     terms = terms_of(boxes[owner[place]], middle, kind, config)
     return Targets(is_vehicle, counts, place, terms)
@@ -126,13 +140,15 @@ _BELOW_M, _ABOVE_M = 2.0, 5.0
 class PlacedSample:
     """A sample made ready, by scan: points (N, 3), map frame, on the road and around it.
 
-    `height_m` (N,) is over the road. The boxes (M, 7) have z over the road; `points_on` (S, M).
+    `height_m` (N,) is over the road. The boxes (M, 7) have z over the road; `classes` (M,) are of
+    `ObjectClass`; `points_on` (S, M).
     """
 
     points: list[Floats32]
     height_m: list[Floats32]
     on_road: list[Bools]
     boxes: Floats
+    classes: Bytes
     points_on: Ints
 
 
@@ -164,6 +180,7 @@ class RoadRasters:
             [part.points[:, 2] - part.road_m for part in placed],
             [self._fence.contains(part.points) for part in placed],
             boxes,
+            sample.classes,
             sample.points_on,
         )
 
@@ -184,7 +201,8 @@ def example_of(
     boxes = turn.boxes(sample.boxes - np.array([*middle, 0, 0, 0, 0, 0]))
     boxes[:, 2] += lift_m
     inside = (np.abs(boxes[:, :2]) < half_m).all(axis=1) & (seen > 0)
-    targets = targets_of(boxes[inside], seen[inside] >= SURE_POINTS, window, config)
+    sure = seen[inside] >= SURE_POINTS
+    targets = targets_of(boxes[inside], sample.classes[inside], sure, window, config)
     return Example(pillars, targets)
 
 

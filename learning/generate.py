@@ -32,7 +32,7 @@ from learning.dataset import (
 )
 from learning.kitti import CALIB
 from learning.scanner import JunctionScanner
-from learning.sites import draw_site
+from learning.sites import World, draw_site
 from protocol.errors import ConfigError
 
 MAX_NETWORKS, MAX_SAMPLES = 1000, 500
@@ -41,11 +41,16 @@ _PARTS = ".parts"
 
 @dataclass(frozen=True, slots=True)
 class DatasetSpec:
-    """The arguments of a dataset; equal ones give equal bytes."""
+    """The arguments of a dataset; equal ones give equal bytes.
+
+    `world` are the sections of a scenario with the realism of this name; None for `paper`.
+    """
 
     networks: int
     samples: int
     seed: int
+    realism: str = "paper"
+    world: World | None = None
 
 
 def generate(
@@ -85,7 +90,13 @@ def _write(folder: Path, spec: DatasetSpec, jobs: int, report: Callable[[int, in
         text = "".join(f"{index:06d}\n" for index in indices)
         split_path(folder, split).write_text(text, "utf-8")
     (folder / _PARTS).rmdir()
-    info = Info(version=VERSION, networks=spec.networks, samples=spec.samples, seed=spec.seed)
+    info = Info(
+        version=VERSION,
+        networks=spec.networks,
+        samples=spec.samples,
+        seed=spec.seed,
+        realism=spec.realism,
+    )
     (folder / INFO).write_text(info.model_dump_json(indent=2) + "\n", "utf-8")
 
 
@@ -143,10 +154,7 @@ def _generated(parts: Path, spec: DatasetSpec, jobs: int) -> Iterator[tuple[Path
     workers = min(jobs, spec.networks)
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_ignore_interrupt)
     try:
-        futures = [
-            pool.submit(_make, parts, spec.seed, number, spec.samples)
-            for number in range(spec.networks)
-        ]
+        futures = [pool.submit(_make, parts, spec, number) for number in range(spec.networks)]
         for future in futures:
             yield future.result()
     except BrokenProcessPool:
@@ -163,10 +171,10 @@ def _ignore_interrupt() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _make(parts: Path, seed: int, number: int, samples: int) -> tuple[Path, list[ScanRow]]:
-    site = draw_site(seed, number)
+def _make(parts: Path, spec: DatasetSpec, number: int) -> tuple[Path, list[ScanRow]]:
+    site = draw_site(spec.seed, number, spec.world)
     try:
-        scanner = JunctionScanner(site, samples)
+        scanner = JunctionScanner(site, spec.samples)
     except ConfigError as error:
         raise ConfigError(f"{site.name}: {error}") from None
     part = parts / site.name

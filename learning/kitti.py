@@ -13,8 +13,15 @@ import numpy as np
 
 from perception.arrays import Floats
 from protocol.geometry import SE3, wrap_angle
+from protocol.messages import ObjectClass
 
-CLASS = "Car"
+CLASSES = {
+    ObjectClass.CAR: "Car",
+    ObjectClass.TRUCK: "Truck",
+    ObjectClass.TWO_WHEELER: "Cyclist",
+    ObjectClass.PEDESTRIAN: "Pedestrian",
+}
+_BY_NAME = {name: found for found, name in CLASSES.items()}
 FIELDS = 17
 _SEEN, _UNKNOWN = 0, 3  # KITTI's occlusion
 
@@ -28,11 +35,12 @@ CALIB = (
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A vehicle: box (7,) of centre, length, width, height and yaw, in the sensor frame."""
+    """An object: box (7,) of centre, length, width, height and yaw, in the sensor frame."""
 
     vehicle: str
     box: tuple[float, ...]
     points: int
+    object_class: ObjectClass = ObjectClass.CAR
 
     @property
     def line(self) -> str:
@@ -42,7 +50,7 @@ class Label:
         size = f"{height:.3f} {width:.3f} {length:.3f}"
         place = f"{-y:.3f} {height / 2 - z:.3f} {x:.3f}"
         seen = _SEEN if self.points else _UNKNOWN
-        unseen = f"{CLASS} -1 {seen} -10 -1 -1 -1 -1"
+        unseen = f"{CLASSES[self.object_class]} -1 {seen} -10 -1 -1 -1 -1"
         return f"{unseen} {size} {place} {around:.4f} {self.points} {self.vehicle}"
 
     @classmethod
@@ -53,14 +61,15 @@ class Label:
             ValueError: it is no label of a vehicle.
         """
         words = line.split()
-        if len(words) != FIELDS or words[0] != CLASS:
-            raise ValueError(f"needs {FIELDS} fields, the first {CLASS!r}: {line!r:.80}")
+        if len(words) != FIELDS or words[0] not in _BY_NAME:
+            known = ", ".join(_BY_NAME)
+            raise ValueError(f"needs {FIELDS} fields, the first one of {known}: {line!r:.80}")
         height, width, length, right, down, ahead, around = (float(w) for w in words[8:15])
         yaw = float(wrap_angle(-around - np.pi / 2))
         box = (ahead, -right, height / 2 - down, length, width, height, yaw)
         if not np.isfinite(box).all() or min(length, width, height) <= 0:
             raise ValueError(f"a size or position is not a finite, positive number: {line!r:.80}")
-        return cls(words[16], box, int(words[15]))
+        return cls(words[16], box, int(words[15]), _BY_NAME[words[0]])
 
 
 def into_sensor(boxes: Floats, map_SE3_sensor: SE3) -> Floats:

@@ -75,6 +75,7 @@ class JunctionScanner:
         self.mounts: list[Mount] = draw_mounts(site, setup.road_map) if given is None else [*given]
         self._terrain = scene.terrain
         self._shapes = VehicleShapes.from_setup(setup)
+        self._classes = {kind.name: kind.object_class for kind in setup.vehicle_types}
         self._lidars = {
             config: Lidar(config, scene, self._shapes)
             for config in {self._sensors.roadside, self._sensors.vehicle}
@@ -147,7 +148,12 @@ class JunctionScanner:
         return LabelledScan(
             points=np.column_stack([points, intensity[hit]]).astype(np.float32),
             labels=[
-                Label(bodies.ids[n], tuple(boxes[n].tolist()), int(seen.points_on[n]))
+                Label(
+                    bodies.ids[n],
+                    tuple(boxes[n].tolist()),
+                    int(seen.points_on[n]),
+                    self._classes[bodies.types[n]],
+                )
                 for n in np.flatnonzero(near)
             ],
             row=ScanRow(

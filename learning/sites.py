@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from pydantic import Field
@@ -36,6 +36,7 @@ class Site(Section):
     junction: Junction | None = Field(description="none: that of the traffic")
     traffic: TrafficConfig
     scene: SceneConfig
+    pose: PoseErrorConfig = PoseErrorConfig()
     lidar: LidarConfig = Field(description="of all sensors at this junction")
     warm_up_s: float
     roof_m: tuple[float, float] = Field(description="range of the CAVs' sensor heights")
@@ -46,12 +47,20 @@ class Site(Section):
         return f"network-{self.number:03d}"
 
 
-def draw_site(seed: int, number: int) -> Site:
-    """Draws a network by its number; it does not depend on how many there are."""
+World = dict[str, Any]
+"""Sections of a scenario that say what the world is like: traffic, lidar, pose, scene."""
+
+
+def draw_site(seed: int, number: int, world: World | None = None) -> Site:
+    """Draws a network by its number; it does not depend on how many there are.
+
+    Where a `world` is given, kinds of vehicles and errors are its own; sizes, shares and sensors
+    are drawn about them.
+    """
     rng = stream(seed, "site", number)
     junction = draw_junction(stream(seed, "junction", number))
     approaches = [f"{arm.name}_in" for arm in junction.arms if arm.lanes_in]
-    return Site(
+    site = Site(
         number=number,
         seed=int(rng.integers(2**31)),
         junction=junction,
@@ -69,6 +78,54 @@ def draw_site(seed: int, number: int) -> Site:
         warm_up_s=float(rng.integers(60, 151)),
         roof_m=(1.6, 2.6),
     )
+    return site if world is None else _in_world(site, world, stream(seed, "world", number))
+
+
+def _in_world(site: Site, world: World, rng: np.random.Generator) -> Site:
+    """Returns a site whose traffic, sensors, poses and map are as in a scenario's world."""
+    traffic, scene = world["traffic"], world["scene"]
+    kept = site.traffic.model_dump(include=_DRAWN)
+    vehicles = [_varied(VehicleSpec.model_validate(one), rng) for one in traffic["vehicles"]]
+    return site.model_copy(
+        update={
+            "traffic": TrafficConfig.model_validate(traffic | kept | {"vehicles": vehicles}),
+            "scene": site.scene.model_copy(update={"map_height_std_m": scene["map_height_std_m"]}),
+            "pose": PoseErrorConfig.model_validate(world["pose"]),
+            "lidar": _sensor(site.lidar, world["lidar"]["vehicle"], rng),
+        }
+    )
+
+
+_DRAWN = {"step_s", "demand_vph_per_lane", "cav_rate", "radius_m"}
+_VARIED_SHARE = (0.3, 3.0)
+_RARE_SHARE = (1.0, 6.0)  # of what is neither car nor van, so that there is enough to learn from
+_VARIED_SIZE = (0.93, 1.07)
+
+
+def _varied(spec: VehicleSpec, rng: np.random.Generator) -> VehicleSpec:
+    """Returns a kind of vehicle with its sizes and its share drawn about those given."""
+    length, width, height = rng.uniform(*_VARIED_SIZE, 3)
+    is_rare = spec.v_class not in ("passenger", "delivery")
+    share = np.exp(rng.uniform(*np.log(_RARE_SHARE if is_rare else _VARIED_SHARE)))
+    return spec.model_copy(
+        update={
+            "length_m": round(spec.length_m * length, 2),
+            "width_m": round(min(spec.width_m * width, 2.6), 2),
+            "height_m": round(spec.height_m * height, 2),
+            "share": round(spec.share * float(share), 4),
+        }
+    )
+
+
+def _sensor(drawn: LidarConfig, given: dict[str, Any], rng: np.random.Generator) -> LidarConfig:
+    """Returns a world's sensor with the rings that were drawn, or its own, one time in two."""
+    if rng.random() < 0.5:
+        return LidarConfig.model_validate(given)
+    rings = drawn.model_dump(include=_RINGS)
+    return LidarConfig.model_validate(given | rings)
+
+
+_RINGS = {"model", "channels", "points_per_second", "upper_fov", "lower_fov"}
 
 
 def draw_mounts(site: Site, road_map: RoadMap) -> list[Mount]:
@@ -164,7 +221,7 @@ class Sensors:
     @classmethod
     def drawn(cls, site: Site) -> Sensors:
         """Returns those of a generated network."""
-        return cls(site.lidar, site.lidar, None, site.roof_m, PoseErrorConfig())
+        return cls(site.lidar, site.lidar, None, site.roof_m, site.pose)
 
     def lidar(self, kind: Kind) -> LidarConfig:
         """Returns the LiDAR of roadside units or of CAVs."""

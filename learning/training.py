@@ -25,7 +25,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 
 from learning.dataset import Dataset, Split
 from learning.examples import Example, PlacedSample, RoadRasters, Targets, example_of
-from perception.pillars.config import ANCHOR_YAWS, NETWORKS, PillarsConfig
+from perception.pillars.config import NETWORKS, PillarsConfig
 from perception.pillars.network import BOX_TERMS, Batch, PointPillars, lay_channels_last
 from perception.pillars.weights import save
 from protocol.config import is_file
@@ -83,9 +83,10 @@ class Losses:
 
 
 def losses_of(head: Tensor, targets: list[Targets], device: torch.device) -> Losses:
-    """Compares the head's output (B, 16, H, W) with the targets of each window."""
+    """Compares the head's output (B, 8 K, H, W) with the targets of each window."""
     windows = len(head)
-    logits = head[:, :ANCHOR_YAWS].reshape(windows, -1).float()
+    kinds = head.shape[1] // (1 + BOX_TERMS)
+    logits = head[:, :kinds].reshape(windows, -1).float()
     wanted = torch.from_numpy(np.stack([t.is_vehicle for t in targets])).to(device).float()
     counts = torch.from_numpy(np.stack([t.counts for t in targets])).to(device).float()
     vehicles = max(float(sum(len(t.place) for t in targets)), 1.0)
@@ -98,9 +99,10 @@ def losses_of(head: Tensor, targets: list[Targets], device: torch.device) -> Los
 
 def _box_loss(head: Tensor, targets: list[Targets], device: torch.device) -> Tensor:
     windows, cells = len(head), head.shape[2] * head.shape[3]
-    terms = head[:, ANCHOR_YAWS:].reshape(windows, ANCHOR_YAWS, BOX_TERMS, cells)
+    kinds = head.shape[1] // (1 + BOX_TERMS)
+    terms = head[:, kinds:].reshape(windows, kinds, BOX_TERMS, cells)
     by_anchor = terms.permute(0, 1, 3, 2).reshape(-1, BOX_TERMS)
-    anchors = ANCHOR_YAWS * cells
+    anchors = kinds * cells
     places = [number * anchors + t.place.astype(np.int64) for number, t in enumerate(targets)]
     said = by_anchor[torch.from_numpy(np.concatenate(places)).to(device)].float()
     wanted = torch.from_numpy(np.concatenate([t.terms for t in targets])).to(device)

@@ -24,6 +24,7 @@ WIDE_M = 2.6  # no car is wider: its length and width are taken for each other
 LEAST_M, LEAST_HEIGHT_M = 0.5, 0.1  # what is smaller is no vehicle
 PERSON_M = 0.2  # but may be a person, if it is so high
 LINE_M, LINE_TOP_M = 1.0, 0.4  # of a side that one ring has hit: length, least height over ground
+PART = 0.5  # of the smaller box
 CERTAIN_POINTS = 25.0  # about two thirds of full score
 
 
@@ -246,7 +247,10 @@ def overlaps(a: Floats, b: Floats) -> tuple[Floats, Floats]:
 
 
 def suppress(boxes: Floats, scores: Floats, *, iou: float) -> Ints:
-    """Returns which boxes (N, 7) stay when, of two that overlap more, the better one does."""
+    """Returns which boxes (N, 7) stay when, of two that overlap more, the better one does.
+
+    A box most of which lies in a better one goes, too: a part of a lorry is no vehicle of its own.
+    """
     order = np.lexsort((*boxes.T[::-1], -scores))
     kept = np.ones(len(boxes), np.bool_)
     _suppress(np.ascontiguousarray(boxes[order], np.float64), iou, kept)
@@ -321,5 +325,6 @@ def _suppress(boxes: Floats, iou: float, kept: Bools) -> None:
         for j in range(i + 1, boxes.shape[0]):
             if kept[j] and _near(boxes[i], boxes[j]):
                 area = _common_m2(boxes[i], boxes[j])
-                areas = boxes[i, 3] * boxes[i, 4] + boxes[j, 3] * boxes[j, 4]
-                kept[j] = area <= iou * (areas - area)
+                one, other = boxes[i, 3] * boxes[i, 4], boxes[j, 3] * boxes[j, 4]
+                is_part = area > PART * min(one, other)
+                kept[j] = area <= iou * (one + other - area) and not is_part

@@ -18,34 +18,50 @@ from perception.config import ClusterConfig, DetectionConfig
 from perception.detector import Cloud, Stage, Vehicles, untimed
 from perception.ground import remove_ground
 from perception.large_vehicles import join_parts
+from perception.object_classes import MAX_LENGTH_M, MAX_WIDTH_M
 from perception.roadway import Roadway, merge
 
 LONGEST_M = float(np.hypot(6.0, 3.0))  # of a car or van: what is longer may be several vehicles
+WIDEST_M = 2.9  # the same of the shorter side, along the axes: two cars abreast
+CLOSEST = 0.6  # of `split_eps_m`: a lorry beside parked cars keeps half a metre
 
 
 def split(points: Floats32, labels: Ints32, *, config: ClusterConfig) -> Ints32:
-    """Clusters anew, with `split_eps_m`, what is longer than a car.
+    """Clusters anew, with `split_eps_m`, what is larger than a car, and closer what no vehicle is.
 
     Takes and returns the clusters of points (N, 3) as labels (N,), numbered by their first points;
     -1 is noise.
     """
-    if config.split_eps_m is None or len(labels) == 0 or labels.max() < 0:
-        return labels
-    too_long = np.zeros(int(labels.max()) + 1, np.bool_)
-    again = _to_part(points, labels, LONGEST_M, too_long)
-    if len(again) == 0:
+    if config.split_eps_m is None:
         return labels
     closer = config.model_copy(update={"eps_m": config.split_eps_m})
-    parts = cluster(points[again], config=closer)
+    labels = _parted(points, labels, (LONGEST_M, WIDEST_M), config=closer)
+    closest = config.model_copy(update={"eps_m": config.split_eps_m * CLOSEST})
+    return _parted(points, labels, (MAX_LENGTH_M, MAX_WIDTH_M), config=closest)
+
+
+def _parted(
+    points: Floats32, labels: Ints32, most_m: tuple[float, float], *, config: ClusterConfig
+) -> Ints32:
+    """Clusters anew what is longer, or to both sides wider, than so many metres."""
+    if len(labels) == 0 or labels.max() < 0:
+        return labels
+    too_large = np.zeros(int(labels.max()) + 1, np.bool_)
+    again = _to_part(points, labels, *most_m, too_large)
+    if len(again) == 0:
+        return labels
+    parts = cluster(points[again], config=config)
     result = labels.copy()
-    result[again] = np.where(parts >= 0, parts + len(too_long), NOISE)
+    result[again] = np.where(parts >= 0, parts + len(too_large), NOISE)
     renumber(result)
     return result
 
 
-@njit("int64[::1](float32[:,::1], int32[::1], float64, boolean[::1])", cache=True)
-def _to_part(points: Floats32, labels: Ints32, longest_m: float, too_long: Bools) -> Ints:
-    """Marks the clusters (C,) that are too long, and returns the indices of their points."""
+@njit("int64[::1](float32[:,::1], int32[::1], float64, float64, boolean[::1])", cache=True)
+def _to_part(
+    points: Floats32, labels: Ints32, longest_m: float, widest_m: float, too_long: Bools
+) -> Ints:
+    """Marks the clusters (C,) that are too large, and returns the indices of their points."""
     low = np.full((too_long.size, 3), np.float32(np.inf))
     high = np.full((too_long.size, 3), np.float32(-np.inf))
     first = 0
@@ -66,7 +82,8 @@ def _to_part(points: Floats32, labels: Ints32, longest_m: float, too_long: Bools
         first = end
     for label in range(too_long.size):
         sides_m = high[label] - low[label]
-        too_long[label] = sides_m[0] ** 2 + sides_m[1] ** 2 > longest_m**2
+        is_long = sides_m[0] ** 2 + sides_m[1] ** 2 > longest_m**2
+        too_long[label] = is_long or min(sides_m[0], sides_m[1]) > widest_m
     again = np.empty(labels.size, np.int64)
     count = 0
     for index in range(labels.size):

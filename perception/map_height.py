@@ -10,12 +10,14 @@ map is right to `TRUSTED_M`, nothing is changed.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numba import njit
 
 from perception.arrays import Floats, Floats32
 from perception.detector import Cloud
+from perception.parallel import each
 from perception.roadway import Placed, span
 
 TILE_M = 20.0
@@ -45,11 +47,8 @@ def on_the_ground(cloud: Cloud) -> Cloud:
     error_m = _smoothed(_ground_of_tiles(every, grid, int(rows), int(columns)))
     if not (np.abs(error_m) > TRUSTED_M).any():
         return cloud
-    return replace(
-        cloud,
-        near=[_moved(part, error_m, grid) for part in cloud.near],
-        bare=[_moved(part, error_m, grid) for part in cloud.bare],
-    )
+    move = partial(_moved, error_m=_with_rim(error_m), grid=grid)
+    return replace(cloud, near=each(move, cloud.near), bare=each(move, cloud.bare))
 
 
 _MOST_TILES = 1 << 16
@@ -57,11 +56,16 @@ _MOST_TILES = 1 << 16
 
 def _moved(part: Placed, error_m: Floats32, grid: Floats) -> Placed:
     road_m, lowest = part.road_m.copy(), part.lowest.copy()
-    _add(part.points, error_m, grid, road_m)
+    _add(part.points, error_m, grid.astype(np.float32), road_m)
     shift_m = np.zeros(len(lowest), np.float32)
-    _add(lowest, error_m, grid, shift_m)
+    _add(lowest, error_m, grid.astype(np.float32), shift_m)
     lowest[:, 2] -= shift_m
     return replace(part, road_m=road_m, lowest=lowest)
+
+
+def _with_rim(tiles: Floats32) -> Floats32:
+    """Returns the tiles with a copy of the outermost ones around them."""
+    return np.ascontiguousarray(np.pad(tiles, 1, mode="edge"))
 
 
 @njit("float32[:,::1](float32[:,::1], float64[::1], int64, int64)", cache=True, nogil=True)
@@ -111,17 +115,25 @@ def _smoothed(tiles: Floats32) -> Floats32:
     return result
 
 
-@njit("void(float32[:,::1], float32[:,::1], float64[::1], float32[::1])", cache=True, nogil=True)
-def _add(points: Floats32, error_m: Floats32, grid: Floats, height_m: Floats32) -> None:
-    """Adds to heights (N,) the error at points (N, 3), interpolated between the tiles' middles."""
-    rows, columns = error_m.shape
+@njit("void(float32[:,::1], float32[:,::1], float32[::1], float32[::1])", cache=True, nogil=True)
+def _add(points: Floats32, error_m: Floats32, grid: Floats32, height_m: Floats32) -> None:
+    """Adds to heights (N,) the error at points (N, 3), interpolated between the tiles' middles.
+
+    Around the tiles lies a rim of one more, see `_with_rim`.
+    """
+    last_u, last_v = np.float32(error_m.shape[1] - 1.001), np.float32(error_m.shape[0] - 1.001)
+    zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
+    low_x, low_y, per_m = grid[0], grid[1], one / grid[2]
     for index in range(points.shape[0]):
-        u = (points[index, 0] - grid[0]) / grid[2] - 0.5
-        v = (points[index, 1] - grid[1]) / grid[2] - 0.5
-        u, v = min(max(u, 0.0), columns - 1.0), min(max(v, 0.0), rows - 1.0)
-        j, i = min(int(u), columns - 1), min(int(v), rows - 1)
-        j1, i1 = min(j + 1, columns - 1), min(i + 1, rows - 1)
-        a, b = u - j, v - i
-        low = (1 - a) * error_m[i, j] + a * error_m[i, j1]
-        high = (1 - a) * error_m[i1, j] + a * error_m[i1, j1]
-        height_m[index] += np.float32((1 - b) * low + b * high)
+        u = (points[index, 0] - low_x) * per_m + half
+        v = (points[index, 1] - low_y) * per_m + half
+        u = u if u > zero else zero
+        u = u if u < last_u else last_u
+        v = v if v > zero else zero
+        v = v if v < last_v else last_v
+        column, row = np.uint64(u), np.uint64(v)
+        a, b = u - np.float32(column), v - np.float32(row)
+        low = (one - a) * error_m[row, column] + a * error_m[row, column + np.uint64(1)]
+        row += np.uint64(1)
+        high = (one - a) * error_m[row, column] + a * error_m[row, column + np.uint64(1)]
+        height_m[index] += (one - b) * low + b * high

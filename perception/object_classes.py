@@ -11,12 +11,13 @@ from protocol.messages import ObjectClass
 
 MAX_LENGTH_M = 18.75  # of a road train (Directive 96/53/EC); an articulated bus has 18 m
 MAX_WIDTH_M = 3.2  # 2.55 m of a lorry, and its mirrors
-MAX_TOP_M = 4.6
+MAX_TOP_M = 4.3  # 4 m are allowed (Directive 96/53/EC)
 TALL_M = 2.2  # what is higher is a van, a lorry or a bus
 HIGH_M = 2.9  # what is higher is a lorry or a bus, however short
 LONG_M = 7.2  # what is longer is, however low
 RIDER_TOP_M, PERSON_TOP_M = 1.35, 1.5  # what is lower is a part of a car
-THIN_M = 0.5  # what is thinner and tall is a pole, what is thinner, low and long a wall
+POLE_M = 0.9  # what is tall and has a smaller footprint is a pole
+THIN_M = 0.5  # what is long, low and thinner is a wall
 
 # Usual length, width and height in m, by what is to be completed to them.
 _USUAL_M = np.array(
@@ -41,6 +42,16 @@ _CLASSES = np.array(
 )
 
 
+PASSENGER_CAR_UNITS = {
+    ObjectClass.CAR: 1.0,
+    ObjectClass.TRUCK: 2.0,
+    ObjectClass.TWO_WHEELER: 0.4,
+    ObjectClass.PEDESTRIAN: 0.0,
+}
+"""Road space that a vehicle takes, as a car's: of buses and motorcycles those of Transport for
+London's Traffic Modelling Guidelines; a lorry's there are 1.5 to 2.3, a bicycle's 0.2."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Shapes:
     """What was measured of objects: lengths along and across the road, over the ground (C,), m."""
@@ -56,7 +67,7 @@ class Shapes:
         long_m = np.maximum(self.along_m, self.across_m)
         wide_m = np.minimum(self.along_m, self.across_m)
         fits = (long_m <= MAX_LENGTH_M) & (wide_m <= MAX_WIDTH_M) & (self.top_m <= MAX_TOP_M)
-        is_pole = (long_m < THIN_M) & (self.top_m > TALL_M)
+        is_pole = (long_m < POLE_M) & (self.top_m > TALL_M)
         is_crown = self.bottom_m > TALL_M
         is_wall = (long_m > LONG_M) & (self.top_m < TALL_M) & (wide_m < THIN_M)
         return np.asarray(fits & ~is_pole & ~is_crown & ~is_wall)
@@ -68,7 +79,7 @@ class Shapes:
         kinds[self.top_m > TALL_M] = _VAN
         kinds[(self.top_m > HIGH_M) | (long_m > LONG_M)] = _TRUCK
         is_upright = (self.top_m > RIDER_TOP_M) & (self.top_m < TALL_M) & (self.bottom_m < 0.8)
-        is_narrow = (self.across_m < 1.0) & (self.along_m < 2.5)
+        is_narrow = (self.across_m < 1.1) & (self.along_m < 2.8)
         kinds[is_upright & is_narrow] = _TWO_WHEELER
         kinds[is_upright & (long_m <= 0.9) & (self.top_m > PERSON_TOP_M)] = _PEDESTRIAN
         return kinds
@@ -88,3 +99,9 @@ def classes_by_size(sizes_m: Floats) -> Bytes:
     """Returns the `ObjectClass` (N,) that fits boxes of length, width and height in m (N, 3)."""
     along_m, across_m, top_m = np.asarray(sizes_m, np.float64).reshape(-1, 3).T
     return classes_of(Shapes(along_m, across_m, np.zeros(len(top_m)), top_m).kinds())
+
+
+def passenger_car_units(classes: Bytes) -> Floats:
+    """Returns the passenger-car units (N,) of vehicles of these classes (N,)."""
+    table = np.array([PASSENGER_CAR_UNITS[one] for one in sorted(ObjectClass)])
+    return np.asarray(table[classes])

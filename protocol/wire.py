@@ -62,6 +62,8 @@ def encode(message: Message) -> bytes:
 def decode(data: bytes, expected: type[M]) -> M:
     """Reads one message of the expected type; its arrays are read-only views of `data`.
 
+    Fields that have a default may be missing: who wrote the message may not have known them.
+
     Raises:
         VersionError: the sender speaks another version.
         MessageError: anything else that is wrong with the bytes.
@@ -71,6 +73,8 @@ def decode(data: bytes, expected: type[M]) -> M:
     body_start = PREFIX.size + header_len
     end = body_start
     for name, spec in array_fields(expected).items():
+        if name not in header and not expected.model_fields[name].is_required():
+            continue
         header[name], end = _read_array(data, end, header.get(name), spec, name)
     if end != body_start + body_len:
         raise MessageError(f"body has {body_len} bytes, its arrays take {end - body_start}")

@@ -45,9 +45,10 @@ class SignalConfig(Section):
         description="simulated time for which numbers are estimated without any lane before "
         "the stop bar being seen; then the fixed plan is requested, until one is",
     )
-    weight: Literal["vehicles", "queued"] = Field(
+    weight: Literal["vehicles", "pcu", "queued"] = Field(
         "vehicles",
-        description="what max_pressure counts: vehicles, as in Chen et al. 2022, or those that "
+        description="what max_pressure counts: vehicles, as in Chen et al. 2022; passenger-car "
+        "units, of which a lorry or bus has 2 and a two-wheeler 0.4; or vehicles that "
         "stand still (edge.stationary_mps); how far from the stop bar, edge.upstream_m and "
         "edge.downstream_m say",
     )

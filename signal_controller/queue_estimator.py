@@ -10,7 +10,7 @@ from protocol.messages import LaneCounts, SignalState
 from protocol.roadmap import Signal
 from signal_controller.config import SignalConfig
 
-Weight = Literal["vehicles", "queued"]
+Weight = Literal["vehicles", "pcu", "queued"]
 Lanes = Mapping[str, float]
 
 MIN_COVERAGE = 0.25  # of a lane's counted part: less says too little of the rest
@@ -21,6 +21,8 @@ def weighted_counts(counts: LaneCounts, weight: Weight) -> tuple[Lanes, Lanes]:
     """Returns the weight of each lane, before the stop bar and behind it."""
     if weight == "queued":
         return counts.stationary_upstream, counts.stationary_downstream
+    if weight == "pcu":
+        return counts.pcu_upstream, counts.pcu_downstream
     return counts.upstream, counts.downstream
 
 

@@ -8,7 +8,7 @@ around the junction's centre for merged clouds.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from scipy.stats import t as student_t
 
 from edge_server.config import EdgeConfig
 from edge_server.fusion import fuse
@@ -28,8 +29,16 @@ from perception.map_height import on_the_ground
 from perception.registry import detector_of
 from perception.roadway import Placed, Roadway
 from protocol.geometry import SE3
+from protocol.messages import ObjectClass
 from protocol.roadmap import RoadMap
-from studies.average_precision import Scene, View, average_precision, outcomes
+from studies.average_precision import (
+    Outcomes,
+    Scene,
+    Score,
+    View,
+    average_precision,
+    outcomes,
+)
 from studies.bench import JsonRow, empty_table
 from studies.ecvpr import VISIBLE_POINTS
 
@@ -48,12 +57,23 @@ LISTED_SCORE = 0.02  # of a learned detector, boxes down to this one are ranked 
 _WIDE_M = 150.0  # from the lanes: more than any point of a scene is away
 
 
+VEHICLE = "vehicle"
+OBJECTS = {
+    VEHICLE: (ObjectClass.CAR, ObjectClass.TRUCK, ObjectClass.TWO_WHEELER),
+    **{one.name.lower(): (one,) for one in ObjectClass},
+}
+"""What is asked for, and the classes that it comprises."""
+
+
 @dataclass(frozen=True, slots=True)
 class EvalRow(JsonRow):
     """AP40, recall and precision of a detector under one way of counting.
 
     `part` is `all`, a range of distances or one of points on the vehicle; of points there is
     recall only, because a false detection has none. `detect_ms` is the median time of a cloud.
+    `objects` are `vehicle`, whatever the detector calls them, or a class: then detections and truth
+    of that class alone count. `ap40_half` is half of AP40's 95 % interval over networks
+    (jackknife); None for parts, or with fewer than three networks.
     """
 
     detector: str
@@ -70,6 +90,8 @@ class EvalRow(JsonRow):
     recall: float | None
     precision: float | None
     detect_ms: float
+    objects: str = VEHICLE
+    ap40_half: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +126,7 @@ class ScoredScene:
     Distances are those from the scene's middle; infinite for what does not count.
     """
 
+    network: str
     scene: Scene
     found_m: Floats
     vehicles_m: Floats
@@ -201,14 +224,14 @@ def evaluate(
     Raises:
         ConfigError: a detector cannot be had here.
     """
-    judged: dict[tuple[str, bool, Kind], list[ScoredScene]] = {}
+    judged: dict[tuple[str, bool, Kind, str], list[ScoredScene]] = {}
     least: dict[str, float] = {}
     for site, sample in samples:
         for name in detectors:
             least[name] = site.least_score(name)
             for geofence in (True, False):
-                for kind, one in score_sample(site, sample, name, geofence=geofence):
-                    judged.setdefault((name, geofence, kind), []).append(one)
+                for kind, objects, one in score_sample(site, sample, name, geofence=geofence):
+                    judged.setdefault((name, geofence, kind, objects), []).append(one)
     return [row for key, scenes in judged.items() for row in rows_of(*key, scenes, least[key[0]])]
 
 
@@ -238,41 +261,53 @@ def find(
 
 def score_sample(
     site: Site, sample: SceneSample, name: DetectorName, *, geofence: bool
-) -> list[tuple[Kind, ScoredScene]]:
-    """Detects in a sample's scans, alone and together, and compares with the truth."""
+) -> Iterator[tuple[Kind, str, ScoredScene]]:
+    """Detects in a sample's scans, alone and together, and compares with the truth, by objects."""
     on_road = site.on_road(sample.boxes) if geofence else np.ones(len(sample.boxes), np.bool_)
-
-    def judged(result: Timed, map_SE3_scene: SE3, seen: tuple[Ints, Bools]) -> ScoredScene:
-        found, took_ms = result
-        if geofence:
-            found = found.take(site.on_road(found.boxes))
-        points, counts = seen
-        return ScoredScene(
-            Scene.of(found.boxes, found.scores, sample.boxes),
-            _away_m(found.boxes, map_SE3_scene),
-            np.where(counts, _away_m(sample.boxes, map_SE3_scene), np.inf),
-            points,
-            took_ms,
-        )
-
-    result: list[tuple[Kind, ScoredScene]] = []
     found = find(site, sample, name, geofence=geofence)
+    together = sample.points_on.sum(axis=0), on_road
+    clouds = [(KINDS[1], found.merged, site.centre, together)]
+    clouds += [(KINDS[2], found.late, site.centre, together)]
     for number, (scan, single) in enumerate(zip(sample.scans, found.singles, strict=True)):
         others = on_road & (np.arange(len(sample.boxes)) != (-1 if scan.own is None else scan.own))
         seen = sample.points_on[number], others
-        result.append((KINDS[0], judged(single, scan.map_SE3_sensor, seen)))
-    together = sample.points_on.sum(axis=0), on_road
-    result.append((KINDS[1], judged(found.merged, site.centre, together)))
-    result.append((KINDS[2], judged(found.late, site.centre, together)))
-    return result
+        clouds.append((KINDS[0], single, scan.map_SE3_sensor, seen))
+    for kind, (vehicles, took_ms), map_SE3_scene, seen in clouds:
+        inside = vehicles.take(site.on_road(vehicles.boxes)) if geofence else vehicles
+        for objects in OBJECTS:
+            yield kind, objects, _scored(sample, (inside, took_ms), map_SE3_scene, seen, objects)
+
+
+def _scored(
+    sample: SceneSample, found: Timed, map_SE3_scene: SE3, seen: tuple[Ints, Bools], objects: str
+) -> ScoredScene:
+    """Compares detections with the truth, of some classes; `seen` are points and what counts."""
+    vehicles, took_ms = found
+    detected = vehicles.take(np.isin(vehicles.classes, OBJECTS[objects]))
+    asked = np.isin(sample.classes, OBJECTS[objects])
+    boxes, (points, counts) = sample.boxes[asked], seen
+    return ScoredScene(
+        sample.network,
+        Scene.of(detected.boxes, detected.scores, boxes),
+        _away_m(detected.boxes, map_SE3_scene),
+        np.where(counts[asked], _away_m(boxes, map_SE3_scene), np.inf),
+        points[asked],
+        took_ms,
+    )
 
 
 def rows_of(
-    detector: str, geofence: bool, kind: Kind, scenes: list[ScoredScene], least_score: float
+    detector: str,
+    geofence: bool,
+    kind: Kind,
+    objects: str,
+    scenes: list[ScoredScene],
+    least_score: float,
 ) -> list[EvalRow]:
-    """Returns the rows of scenes of one kind: all counted both ways, and by parts."""
+    """Returns the rows of scenes of one kind: all counted both ways, vehicles by parts, too."""
     cells = [(truth, ALL) for truth in TRUTHS]
-    cells += [("visible", part) for part in BY_DISTANCE] + [("all", part) for part in BY_POINTS]
+    if objects == VEHICLE:
+        cells += [("visible", part) for part in BY_DISTANCE] + [("all", part) for part in BY_POINTS]
     median_ms = float(np.median([one.took_ms for one in scenes]))
     rows = []
     for truth, part in cells:
@@ -284,9 +319,8 @@ def rows_of(
                     outcomes(one.scene, view, iou, *masks)
                     for one, *masks in zip(scenes, due, fair, strict=True)
                 ]
-                scores = [one.scene.scores for one in scenes]
-                vehicles = sum(int(mask.sum()) for mask in due)
-                score = average_precision(found, scores, vehicles, least_score)
+                tally = _Tally(scenes, found, [int(mask.sum()) for mask in due], least_score)
+                score = tally.score()
                 of_points = part.of == "points"
                 rows.append(
                     EvalRow(
@@ -297,9 +331,47 @@ def rows_of(
                         recall=score.recall,
                         precision=None if of_points else score.precision,
                         detect_ms=median_ms,
+                        objects=objects,
+                        ap40_half=tally.ap40_half() if part is ALL else None,
                     )
                 )  # fmt: skip
     return rows
+
+
+@dataclass(frozen=True, slots=True)
+class _Tally:
+    """Scenes, what became of their detections, and how many objects each has to be found."""
+
+    scenes: list[ScoredScene]
+    found: list[Outcomes]
+    due: list[int]
+    least_score: float
+
+    def score(self, without: str | None = None) -> Score:
+        """Returns the score of all scenes, or of all but one network's."""
+        chosen = [n for n, one in enumerate(self.scenes) if one.network != without]
+        return average_precision(
+            [self.found[n] for n in chosen],
+            [self.scenes[n].scene.scores for n in chosen],
+            sum(self.due[n] for n in chosen),
+            self.least_score,
+        )
+
+    def ap40_half(self) -> float | None:
+        """Returns half of the 95 % interval of AP40 over networks: jackknife, Student's t."""
+        networks = sorted({one.network for one in self.scenes})
+        if len(networks) < LEAST_NETWORKS:
+            return None
+        left = [self.score(without=name).ap40 for name in networks]
+        known = np.array([one for one in left if one is not None])
+        if len(known) < len(networks):
+            return None
+        spread = (len(known) - 1) / len(known) * float(((known - known.mean()) ** 2).sum())
+        quantile = float(student_t.ppf(0.975, len(known) - 1))
+        return float(quantile * np.sqrt(spread))
+
+
+LEAST_NETWORKS = 3
 
 
 def _away_m(boxes: Floats, map_SE3_scene: SE3) -> Floats:
@@ -330,13 +402,15 @@ _CLOUD_NAMES = {"none": "single", "early": "merged", "late": "late"}
 
 
 def print_evaluation(rows: list[EvalRow], console: Console) -> None:
-    """Prints AP40 by view, then recall by distance and by points."""
-    whole = [row for row in rows if row.part == EVERYTHING]
+    """Prints AP40 by view and by class, then recall by distance and by points."""
+    vehicles = [row for row in rows if row.objects == VEHICLE]
+    whole = [row for row in vehicles if row.part == EVERYTHING]
     for view in VIEWS:
         for geofence in (True, False):
             here = [row for row in whole if row.view == view and row.geofence == geofence]
             console.print(_view_table(view, here, geofence=geofence))
-    console.print(_part_table(rows))
+    console.print(_class_table(rows))
+    console.print(_part_table(vehicles))
     console.print(
         "merged: detection in all points together (early fusion); late: in each scan alone, "
         "duplicates removed. Recall, precision and ms (the median of a cloud) "
@@ -366,6 +440,36 @@ def _view_table(view: View, rows: list[EvalRow], *, geofence: bool) -> Table:
             figures = [f"{values[iou]:.1f}" if iou in values else _BLANK for iou in IOUS]
             table.add_row(f"Chen {name}", "merged", "visible", *figures, *[_BLANK] * 3)
     return table
+
+
+def _class_table(rows: list[EvalRow]) -> Table:
+    """AP40 by class with geofence, seen from above, of what is visible."""
+    chosen = [
+        row
+        for row in rows
+        if row.geofence and row.view == "bev" and row.truth == "visible"
+        and row.part == EVERYTHING and row.vehicles and row.iou in _CLASS_IOUS
+    ]  # fmt: skip
+    lines: dict[tuple[str, str, str], dict[float, EvalRow]] = {}
+    for row in chosen:
+        key = row.detector, _CLOUD_NAMES[row.fusion], row.objects
+        lines.setdefault(key, {})[row.iou] = row
+    title = "AP40 by class, 95 % interval over networks; BEV, with geofence, visible"
+    heads = ["detector", "cloud", "objects", "number", *(f"{iou:g}" for iou in _CLASS_IOUS)]
+    table = empty_table([*heads, "recall", "prec"], title=title, left=3, padding=(0, 0))
+    for key, cells in lines.items():
+        at = cells[_PART_IOU]
+        figures = [_with_half(cells[iou]) for iou in _CLASS_IOUS]
+        table.add_row(*key, str(at.vehicles), *figures, _percent(at.recall), _percent(at.precision))
+    return table
+
+
+_CLASS_IOUS = (0.1, 0.5, 0.7)
+
+
+def _with_half(row: EvalRow) -> str:
+    half = "" if row.ap40_half is None else f"±{100 * row.ap40_half:.1f}"
+    return f"{_percent(row.ap40)}{half}"
 
 
 def _part_table(rows: list[EvalRow]) -> Table:

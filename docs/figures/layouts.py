@@ -133,7 +133,8 @@ def _visible(rows: Rows) -> dict[tuple[str, str, bool], dict[tuple[str, float], 
     """Returns rows of all visible vehicles by detector, cloud and geofence, then view and IoU."""
     found: dict[tuple[str, str, bool], dict[tuple[str, float], dict[str, Any]]] = {}
     for row in rows:
-        if row["part"] == "all" and row["truth"] == "visible":
+        is_vehicle = row.get("objects", "vehicle") == "vehicle"
+        if is_vehicle and row["part"] == "all" and row["truth"] == "visible":
             key = row["detector"], _CLOUDS[row["fusion"]], row["geofence"]
             found.setdefault(key, {})[row["view"], row["iou"]] = row
     return found
@@ -251,6 +252,24 @@ def scale_parts(rows: Rows) -> Table:
             _fixed(row["core_ms"] / total, 2),
         ],
     ]
+
+
+def realism(rows: Rows) -> Table:
+    """Returns a line for each part of realism: what each detector makes of it, means over seeds."""
+    detectors = list(dict.fromkeys(row["detector"] for row in rows))
+    heads = ["E-CVPR, %", "of the visible, %", "false boxes a frame"]
+    table = [["part", *(f"`{name}`: {head}" for name in detectors for head in heads)]]
+    for part in dict.fromkeys(row["part"] for row in rows):
+        cells = []
+        for name in detectors:
+            own = [row for row in rows if (row["part"], row["detector"]) == (part, name)]
+            cells += [
+                _interval([100 * row["e_cvpr"] for row in own], 1),
+                _interval([100 * row["e_cvpr"] / row["visible_share"] for row in own], 1),
+                _interval([row["false_detections"] for row in own], 2),
+            ]
+        table.append([part, *cells])
+    return table
 
 
 def _interval(values: list[float], digits: int) -> str:

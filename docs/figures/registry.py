@@ -204,6 +204,15 @@ _LIST = (
         (Part("control", "docs/city.md", layouts.city),),
     ),
     Figure(
+        "realism",
+        "cpnet study $ROOT/docs/figures/realism.yaml --out realism >&2; "
+        "python -c 'import json, pyarrow.parquet as p; "
+        'print(json.dumps(p.read_table("realism/results.parquet").to_pylist()))\'',
+        (*STUDY, "cpnet/realism"),
+        15,
+        (Part("parts", "docs/realism.md", layouts.realism),),
+    ),
+    Figure(
         "city-run",
         f"{_RESCO}rm -rf city-3 city-7; "
         f"{_CITY_UP} --sumocfg resco/cologne3/cologne3.sumocfg --out city-3 >&2; "

@@ -16,11 +16,11 @@ from torch import Tensor, nn
 from torch.nn.functional import conv2d
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from perception.arrays import Floats, Floats32, Ints
+from perception.arrays import Bytes, Floats, Floats32, Ints
 from perception.boxes import suppress
 from perception.config import PillarsDetection
 from perception.detector import Cloud, Stage, Vehicles, untimed
-from perception.pillars.config import ANCHOR_YAWS, FULL, STRIDE
+from perception.pillars.config import FULL, STRIDE
 from perception.pillars.network import BOX_TERMS, PointPillars, boxes_of, middle_of
 from perception.pillars.weights import network_of
 from perception.pillars.windows import Window, cover, known_of
@@ -67,8 +67,8 @@ class Engine:
     @torch.inference_mode()
     def ask(
         self, known: Tensor, windows: Sequence[Window], seen: Sequence[Seen], *, min_score: float
-    ) -> tuple[Floats, Floats, Ints]:
-        """Returns boxes (K, 7), z over the road, scores (K,) and the window (K,) of each.
+    ) -> tuple[Floats, Floats, Bytes, Ints]:
+        """Returns boxes (N, 7), z over the road, scores, classes and windows (N,).
 
         All windows are of one size; `seen` says which of the pillars known stand in each, and
         where.
@@ -79,9 +79,9 @@ class Engine:
             (*self._read(terms, window, min_score), number)
             for number, (terms, window) in enumerate(zip(head, windows, strict=True))
         ]
-        number = np.repeat([n for *_, n in found], [len(scores) for _, scores, _ in found])
-        boxes = np.concatenate([boxes for boxes, _, _ in found])
-        return boxes, np.concatenate([scores for _, scores, _ in found]), number
+        boxes, scores, classes, windows_of = zip(*found, strict=True)
+        number = np.repeat(windows_of, [len(one) for one in scores])
+        return np.concatenate(boxes), np.concatenate(scores), np.concatenate(classes), number
 
     @torch.inference_mode()
     def head(self, known: Tensor, seen: Sequence[Seen], size: tuple[int, int]) -> Tensor:
@@ -107,19 +107,23 @@ class Engine:
             self._canvas = self._canvas.new_zeros(places, self._canvas.shape[1])
         return self._canvas[:places]
 
-    def _read(self, terms: Tensor, window: Window, min_score: float) -> tuple[Floats, Floats]:
+    def _read(
+        self, terms: Tensor, window: Window, min_score: float
+    ) -> tuple[Floats, Floats, Bytes]:
         places = window.rows * window.columns // STRIDE**2
-        logits = terms[:ANCHOR_YAWS].reshape(-1).float()
+        kinds = self.config.kinds
+        logits = terms[:kinds].reshape(-1).float()
         least = float(np.log(min_score / (1 - min_score)))
         place = torch.nonzero(logits >= least).reshape(-1)
         if len(place) > _MOST:
             place = place[torch.topk(logits[place], _MOST).indices]
         kind, cell = place // places, place % places
-        said = terms.permute(1, 2, 0).reshape(places, -1)[cell, ANCHOR_YAWS:].float()
-        boxes = said.view(-1, ANCHOR_YAWS, BOX_TERMS)[torch.arange(len(cell)), kind]
+        said = terms.permute(1, 2, 0).reshape(places, -1)[cell, kinds:].float()
+        boxes = said.view(-1, kinds, BOX_TERMS)[torch.arange(len(cell)), kind]
         middle = middle_of(cell.numpy(), window, self.config)
         scores = torch.sigmoid(logits[place]).double().numpy()
-        return boxes_of(boxes.numpy(), middle, kind.numpy(), self.config), scores
+        found = boxes_of(boxes.numpy(), middle, kind.numpy(), self.config)
+        return found, scores, self.config.classes()[kind.numpy()]
 
 
 class _Relu:
@@ -217,17 +221,17 @@ class PillarsDetector:
                 np.concatenate([np.zeros((0, 3), np.float32), *(part.lowest for part in parts)]),
                 self._engine.config.cell_m,
             )
-            boxes, scores = self._ask(points, points[:, 2] - road_m, windows)
+            boxes, scores, classes = self._ask(points, points[:, 2] - road_m, windows)
             kept = suppress(boxes, scores, iou=self._config.same_iou)
-            boxes, scores = boxes[kept], scores[kept]
+            boxes, scores, classes = boxes[kept], scores[kept], classes[kept]
             boxes[:, 2] += self._roadway.height_at(boxes)
             boxes[:, 6] = _headed(boxes[:, 6], self._roadway.yaw_at(boxes))
-            return Vehicles.from_lidar(boxes, scores)
+            return Vehicles.from_lidar(boxes, scores, classes)
 
     def _ask(
         self, points: Floats32, height_m: Floats32, windows: list[Window]
-    ) -> tuple[Floats, Floats]:
-        boxes, scores = [np.zeros((0, 7))], [np.zeros(0)]
+    ) -> tuple[Floats, Floats, Bytes]:
+        boxes, scores, classes = [np.zeros((0, 7))], [np.zeros(0)], [np.zeros(0, np.uint8)]
         if windows:
             shape = self._engine.config
             around = _around(windows, shape.cell_m)
@@ -235,13 +239,14 @@ class PillarsDetector:
             standing = np.divmod(cells, around.columns)
             for part in _alike(windows):
                 seen = [_pillars_in(*standing, around, window, shape.cell_m) for window in part]
-                found, score, number = self._engine.ask(
+                found, score, kinds, number = self._engine.ask(
                     known, part, seen, min_score=self._config.min_score
                 )
                 well = _well_inside(found, [part[n] for n in number], shape.cell_m)
                 boxes.append(found[well])
                 scores.append(score[well])
-        return np.concatenate(boxes), np.concatenate(scores)
+                classes.append(kinds[well])
+        return np.concatenate(boxes), np.concatenate(scores), np.concatenate(classes)
 
 
 def pillars_detector(name: str, config: PillarsDetection, roadway: Roadway) -> PillarsDetector:

@@ -23,7 +23,7 @@ _PRIOR = 0.01  # score of an untrained anchor
 
 
 class PointPillars(nn.Module):
-    """Maps a batch of windows to scores (B, 2, H, W) and box terms (B, 2, 7, H, W)."""
+    """Maps windows to scores (B, K, H, W) and box terms (B, K, 7, H, W) of K kinds of anchors."""
 
     def __init__(self, config: PillarsConfig) -> None:
         super().__init__()
@@ -40,14 +40,14 @@ class PointPillars(nn.Module):
             before = channels
         self.blocks, self.ups = nn.ModuleList(blocks), nn.ModuleList(ups)
         wide = config.up_channels * len(blocks)
-        self.score = nn.Conv2d(wide, ANCHOR_YAWS, 1)
-        self.box = nn.Conv2d(wide, ANCHOR_YAWS * BOX_TERMS, 1)
+        self.score = nn.Conv2d(wide, config.kinds, 1)
+        self.box = nn.Conv2d(wide, config.kinds * BOX_TERMS, 1)
         nn.init.constant_(
             _bias(self.score), -float(torch.log(torch.tensor(1 / _PRIOR - 1, device="cpu")))
         )
 
     def forward(self, features: Tensor, pillar: Tensor, cell: Tensor, shape: Tensor) -> Tensor:
-        """Returns the head's output (B, 2 + 14, H / 2, W / 2).
+        """Returns the head's output (B, K + 7 K, H / 2, W / 2).
 
         Args:
             features: of the points (N, 6).
@@ -122,30 +122,30 @@ def middle_of(place: Ints, window: Window, config: PillarsConfig) -> Floats:
 
 
 def terms_of(boxes: Floats, middle: Floats, kind: Ints, config: PillarsConfig) -> Floats32:
-    """Writes boxes (K, 7), z over the road, as terms (K, 7) of anchors at middles (K, 2).
+    """Writes boxes (N, 7), z over the road, as terms (N, 7) of anchors at middles (N, 2).
 
-    `kind` (K,) is the anchor's direction: 0 along x, 1 along y. The yaw's term is the angle to the
-    anchor within a quarter turn either way: a box has no front.
+    `kind` (N,) is that of the anchor: its number in the configuration, once along x, once along y.
+    The yaw's term is the angle to the anchor within a quarter turn either way: a box has no front.
     """
-    length_m, width_m, height_m = config.anchor_m
-    diagonal_m = np.hypot(length_m, width_m)
-    off = (boxes[:, :2] - middle) / diagonal_m
-    rise = (boxes[:, 2] - config.middle_m) / height_m
-    sizes = np.log(boxes[:, 3:6] / [length_m, width_m, height_m])
-    turn = boxes[:, 6] - kind * (np.pi / ANCHOR_YAWS)
+    sizes_m = config.sizes_m()[kind]
+    diagonal_m = np.hypot(sizes_m[:, 0], sizes_m[:, 1])
+    off = (boxes[:, :2] - middle) / diagonal_m[:, None]
+    rise = (boxes[:, 2] - config.middles_m()[kind]) / sizes_m[:, 2]
+    sizes = np.log(boxes[:, 3:6] / sizes_m)
+    turn = boxes[:, 6] - kind % ANCHOR_YAWS * (np.pi / ANCHOR_YAWS)
     turn = (turn + np.pi / 2) % np.pi - np.pi / 2
     return np.column_stack([off, rise, sizes, turn]).astype(np.float32)
 
 
 def boxes_of(terms: Floats32, middle: Floats, kind: Ints, config: PillarsConfig) -> Floats:
-    """Reads boxes (K, 7), z over the road, from terms (K, 7); see `terms_of`."""
-    length_m, width_m, height_m = config.anchor_m
-    diagonal_m = np.hypot(length_m, width_m)
+    """Reads boxes (N, 7), z over the road, from terms (N, 7); see `terms_of`."""
+    sizes_m = config.sizes_m()[kind]
+    diagonal_m = np.hypot(sizes_m[:, 0], sizes_m[:, 1])
     terms = terms.astype(np.float64)
-    xy = middle + terms[:, :2] * diagonal_m
-    z = config.middle_m + terms[:, 2] * height_m
-    sizes = np.exp(np.clip(terms[:, 3:6], -2, 2)) * [length_m, width_m, height_m]
-    yaw = terms[:, 6] + kind * (np.pi / ANCHOR_YAWS)
+    xy = middle + terms[:, :2] * diagonal_m[:, None]
+    z = config.middles_m()[kind] + terms[:, 2] * sizes_m[:, 2]
+    sizes = np.exp(np.clip(terms[:, 3:6], -2, 2)) * sizes_m
+    yaw = terms[:, 6] + kind % ANCHOR_YAWS * (np.pi / ANCHOR_YAWS)
     return np.column_stack([xy, z, sizes, yaw])
 
 

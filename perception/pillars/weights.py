@@ -62,10 +62,16 @@ def network_of(name: str, config: PillarsDetection) -> PointPillars:
             f"edge.pillars.weights=FOLDER/{name}.safetensors"
         )
     network, _ = load(path)
-    others = [n for n, known in NETWORKS.items() if known == network.config and n != name]
+    widths = _widths(network.config)
+    others = [n for n, known in NETWORKS.items() if _widths(known) == widths and n != name]
     if others:
         raise ConfigError(f"weights {path}: they are of {others[0]}, not of {name}")
     return network
+
+
+def _widths(config: PillarsConfig) -> tuple[object, ...]:
+    """Returns what tells networks apart; anchors and heights are those of their training."""
+    return config.pillar_channels, config.channels, config.layers, config.up_channels
 
 
 def load(path: Path) -> tuple[PointPillars, dict[str, Any]]:

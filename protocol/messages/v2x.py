@@ -150,13 +150,15 @@ class Detections(Message):
 
 
 Counts = Annotated[dict[NetId, Count], *BOUNDED]
+PassengerCarUnits = Annotated[dict[NetId, Annotated[float, Field(ge=0, le=MAX_COUNT)]], *BOUNDED]
 CoverageShares = Annotated[dict[NetId, Annotated[float, Field(ge=0, le=1)]], *BOUNDED]
 
 
 class LaneCounts(Message):
     """Vehicles per lane: within the reach upstream of the stop bar and downstream behind it.
 
-    Stationary ones are counted once more, as `queued`. `coverage` is the share of a lane's reach
+    Stationary ones are counted once more, as `queued`, and all of them in passenger-car units (a
+    lorry is worth several cars), as `pcu`. `coverage` is the share of a lane's reach
     within the range of a LiDAR whose scan was used, so that 0 is "not observed"; empty where it is
     unknown: agents send boxes of their own, or none has a LiDAR.
     """
@@ -171,6 +173,8 @@ class LaneCounts(Message):
     downstream: Counts
     stationary_upstream: Counts = Field({})
     stationary_downstream: Counts = Field({})
+    pcu_upstream: PassengerCarUnits = Field({})
+    pcu_downstream: PassengerCarUnits = Field({})
     coverage_upstream: CoverageShares = Field({})
     coverage_downstream: CoverageShares = Field({})
     delay_sim_ns: DelayNs | None = None

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from edge_server.lanes import LaneIndex, LanePositions
+from perception.object_classes import passenger_car_units
 from protocol.roadmap import RoadMap
 from tests.roads import junction_road, lane, one_junction, signal
 
@@ -55,6 +56,15 @@ def test_counts_end_at_the_reach_and_nobody_counts_twice(road_map: RoadMap) -> N
     )
     assert before == {"in_0": 2, "in_1": 2, "side_0": 1}
     assert behind == {"out_0": 1, "out_1": 1}
+
+
+def test_weights_add_up_where_vehicles_count(road_map: RoadMap) -> None:
+    index = LaneIndex(road_map)
+    place = locate(index, (-30, -1.75, 0), (-40, -1.75, 0), (50, -1.75, 0), (-900, 0, 0))
+    units = passenger_car_units(np.array([1, 0, 2, 1], np.uint8))
+    before, behind = index.weigh(place, units, "j", upstream_m=200.0, downstream_m=100.0)
+    assert before == {"in_0": 3.0, "in_1": 0.0, "side_0": 0.0}
+    assert behind == {"out_0": 0.4, "out_1": 0.0}
 
 
 def test_no_vehicles_still_name_every_lane(road_map: RoadMap) -> None:

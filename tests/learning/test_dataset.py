@@ -170,7 +170,7 @@ def test_what_is_not_there_is_named(dataset):
 
 def test_the_arguments_stand_in_the_dataset(folder):
     info = json.loads((folder / "dataset.json").read_text())
-    assert info == {"version": 1, "networks": 3, "samples": 2, "seed": 7}
+    assert info == {"version": 1, "networks": 3, "samples": 2, "seed": 7, "realism": "paper"}
 
 
 def test_a_dataset_that_counts_moments_is_read():

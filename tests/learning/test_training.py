@@ -32,7 +32,9 @@ def sample(seed: int) -> PlacedSample:
     points = np.concatenate([ground, *on_cars]).astype(np.float32)
     everywhere = np.ones(len(points), np.bool_)
     hits = np.full((1, len(boxes)), 100)
-    return PlacedSample([points], [points[:, 2].copy()], [everywhere], boxes, hits)
+    return PlacedSample(
+        [points], [points[:, 2].copy()], [everywhere], boxes, np.zeros(len(boxes), np.uint8), hits
+    )
 
 
 SIGHTS = [sample(1), sample(2)]

@@ -75,3 +75,24 @@ def test_a_queue_that_is_one_cluster_is_parted_and_a_car_is_left_alone():
     assert sorted(set(parted)) == [0, 1, 2]
     left = split(points, together, config=config.model_copy(update={"split_eps_m": None}))
     np.testing.assert_array_equal(left, together)
+
+
+def test_two_cars_abreast_that_are_one_cluster_are_parted() -> None:
+    rng = np.random.default_rng(3)
+    cars = [rng.uniform((0, y, 0.3), (4.6, y + 1.9, 1.5), (800, 3)) for y in (0.0, 2.8)]
+    points = np.concatenate(cars).astype(np.float32)
+    together = cluster(points, config=ClusterConfig())
+    assert together.max() == 0
+    parted = split(points, together, config=ClusterConfig())
+    assert [len(set(part)) for part in np.split(parted, 2)] == [1, 1]
+    assert parted.max() == 1
+
+
+def test_a_lorry_is_parted_from_the_cars_parked_beside_it() -> None:
+    rng = np.random.default_rng(3)
+    lorry = rng.uniform((0, 0, 0.6), (8.5, 2.5, 3.4), (6000, 3))
+    parked = [rng.uniform((x, 2.95, 0.2), (x + 4.4, 4.7, 1.5), (1500, 3)) for x in (-3.0, 2.2)]
+    points = np.concatenate([lorry, *parked]).astype(np.float32)
+    labels = split(points, cluster(points, config=ClusterConfig()), config=ClusterConfig())
+    assert len(set(labels[:6000])) == 1
+    assert labels[0] not in labels[6000:]

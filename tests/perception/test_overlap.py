@@ -62,3 +62,10 @@ def test_of_two_that_overlap_the_better_stays_whatever_their_order() -> None:
     assert suppress(boxes, scores, iou=0.1).tolist() == [1, 2]
     assert sorted(suppress(boxes[::-1], scores[::-1], iou=0.1).tolist()) == [0, 1]
     assert suppress(np.zeros((0, 7)), np.zeros(0), iou=0.1).size == 0
+
+
+def test_a_part_of_a_better_box_goes_however_small_their_iou() -> None:
+    boxes = np.array([[0, 0, 1.7, 16, 2.5, 3.4, 0.0], [6.5, 0, 1, 2.0, 2.0, 2.0, 0.0]])
+    assert suppress(boxes, np.array([0.9, 0.5]), iou=0.5).tolist() == [0]
+    beside = boxes + np.array([[0.0] * 7, [0, 3.5, 0, 0, 0, 0, 0]])
+    assert suppress(beside, np.array([0.9, 0.5]), iou=0.5).tolist() == [0, 1]

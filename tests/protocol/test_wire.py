@@ -265,3 +265,21 @@ def test_a_text_comes_through_unless_a_terminal_would_obey_it(text: str):
 def test_a_setups_scenario_may_hold_several_lines():
     setup = EXAMPLES[0].model_copy(update={"scenario": {"note": "one\nanother\n"}})
     assert wire.decode(wire.encode(setup), m.Setup).scenario == {"note": "one\nanother\n"}
+
+
+def test_an_array_with_a_default_may_be_missing_and_no_other():
+    setup = next(example for example in EXAMPLES if isinstance(example, m.Setup))
+    data = wire.encode(setup.model_copy(update={"mesh_materials": np.zeros(0, np.uint8)}))
+    *_, length, _ = wire.PREFIX.unpack(data[: wire.PREFIX.size])
+    packed_header = data[wire.PREFIX.size : wire.PREFIX.size + length]
+    header = msgpack.unpackb(packed_header.rstrip(b"\xc0"))  # nil bytes follow the map
+    body = data[wire.PREFIX.size + length :]
+
+    def without(name: str) -> bytes:
+        left = msgpack.packb({key: value for key, value in header.items() if key != name})
+        prefix = wire.PREFIX.pack(wire.MAGIC, wire.VERSION, m.Setup.kind, len(left), len(body))
+        return prefix + left + body
+
+    assert wire.decode(without("mesh_materials"), m.Setup).mesh_materials.shape == (0,)
+    with pytest.raises(MessageError, match="mesh_vertices has no valid shape"):
+        wire.decode(without("mesh_vertices"), m.Setup)

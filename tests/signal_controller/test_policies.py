@@ -104,3 +104,10 @@ def test_queued_vehicles_press_alone_where_that_is_asked_for():
     given_counts = counts(9, 2).model_copy(update={"stationary_upstream": {"main": 1, "side": 2}})
     assert max_pressure(SIGNAL, given_counts, None).state == MAIN
     assert max_pressure(SIGNAL, given_counts, None, "queued").state == SIDE
+
+
+def test_a_lorry_presses_as_two_cars_where_that_is_asked_for():
+    units = {"pcu_upstream": {"main": 3.0, "side": 4.0}, "pcu_downstream": {}}
+    given_counts = counts(3, 2).model_copy(update=units)
+    assert max_pressure(SIGNAL, given_counts, None).state == MAIN
+    assert max_pressure(SIGNAL, given_counts, None, "pcu").state == SIDE

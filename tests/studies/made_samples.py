@@ -32,7 +32,8 @@ def scene_sample(
         points = np.concatenate([ground_points(rng, count=8000), *cars])
         local = sensor.inverse().apply(points).astype(np.float32)
         scans.append(SensorScan(agent, local, sensor, carrier))
-    return SceneSample("made-up", 0, scans, np.array(boxes), np.array(points_on))
+    classes = np.zeros(len(boxes), np.uint8)
+    return SceneSample("made-up", 0, scans, np.array(boxes), classes, np.array(points_on))
 
 
 class Told:

@@ -16,16 +16,17 @@ torch = pytest.importorskip("torch", reason="needs the extra `learn`")
 from safetensors.torch import load_file, save_file  # noqa: E402 - after the check for torch
 
 from perception.config import DetectionConfig  # noqa: E402
-from perception.pillars.config import FULL, SMALL  # noqa: E402
+from perception.pillars.config import FULL  # noqa: E402
 from perception.pillars.network import PointPillars  # noqa: E402
-from perception.pillars.weights import SHIPPED, save  # noqa: E402
+from perception.pillars.weights import SHIPPED, load, save  # noqa: E402
 from perception.registry import check, detector_of  # noqa: E402
 from perception.roadway import Roadway  # noqa: E402
 from protocol.errors import ConfigError  # noqa: E402
 from tests.roads import junction_road  # noqa: E402
 
 GOOD = SHIPPED / "pointpillars.safetensors"
-METADATA = {"format": "cpnet-pillars-1", "config": SMALL.model_dump_json(), "about": "{}"}
+SHAPE = load(GOOD)[0].config
+METADATA = {"format": "cpnet-pillars-1", "config": SHAPE.model_dump_json(), "about": "{}"}
 ENDLESS = "[" * 100_000
 Tensors = dict[str, Any]
 
@@ -57,7 +58,7 @@ def whole_numbers(given: Tensors) -> Tensors:
 
 
 def vast() -> str:
-    return json.dumps(SMALL.model_dump() | {"channels": [1024] * 3, "layers": [150] * 3})
+    return json.dumps(SHAPE.model_dump(mode="json") | {"channels": [1024] * 3, "layers": [150] * 3})
 
 
 SPOILT: dict[str, tuple[Callable[[Path], object], str]] = {
@@ -77,7 +78,7 @@ SPOILT: dict[str, tuple[Callable[[Path], object], str]] = {
     "about is endless": (tensors(about=ENDLESS), "description is not valid"),
     "about is a list": (tensors(about="[1]"), "about is a list, needs an object"),
     "another width": (
-        tensors(config=SMALL.model_copy(update={"up_channels": 64}).model_dump_json()),
+        tensors(config=SHAPE.model_copy(update={"up_channels": 64}).model_dump_json()),
         "is [32, 32, 1, 1], needs [64, 32, 1, 1]",
     ),
     "other layers": (tensors(config=FULL.model_dump_json()), "48 tensors are missing"),

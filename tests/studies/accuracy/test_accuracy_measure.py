@@ -29,7 +29,8 @@ def test_more_scans_together_find_no_less() -> None:
     of = {
         row.fusion: row.recall or 0.0
         for row in rows
-        if (row.view, row.iou, row.part, row.truth) == ("bev", 0.1, "all", "all") and row.geofence
+        if (row.view, row.iou, row.part, row.truth) == ("bev", 0.1, "all", "all")
+        and (row.geofence, row.objects) == (True, "vehicle")
     }
     assert of["early"] >= of["none"] > 0.3
 
