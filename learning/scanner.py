@@ -24,6 +24,7 @@ from sensing.lidar import Lidar
 from sensing.mesh import VehicleShapes
 from sensing.noise import stream
 from sensing.pose import PoseEstimator, installed_pose, mount_pose, pose_above
+from sensing.reflectivity import paints_of
 from sensing.scene import scene_of
 from sim_host.config import TrafficConfig
 from sim_host.junctions import write_junction
@@ -137,7 +138,8 @@ class JunctionScanner:
         own = bodies.ids.index(agent) if kind == "vehicle" else None
         rng = stream(self.site.seed, "scan", agent, frame)
         lidar = self._sensors.lidar(kind)
-        seen = self._lidars[lidar].scan(true, bodies.poses, bodies.types, own, rng)
+        paint = paints_of(self.site.seed, bodies.ids)
+        seen = self._lidars[lidar].scan(true, bodies.poses, bodies.types, own, rng, paint)
         range_m, intensity = seen.scan.range_m, seen.scan.intensity
         boxes = into_sensor(_boxes(bodies.poses, sizes_m), true)
         near = np.linalg.norm(boxes[:, :3], axis=1) <= REACH_M

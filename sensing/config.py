@@ -63,6 +63,15 @@ class LidarConfig(Section):
     dropoff_zero_intensity: float = Field(
         0.4, ge=0, le=1, description="Share of returns of intensity 0 that are lost. CARLA: 0.4."
     )
+    range_at_10_percent_m: float | None = Field(
+        None,
+        gt=1,
+        le=500,
+        description="How far a target of 10 % reflectivity is detected, m. Then how far others are "
+        "follows from their material and the angle, and intensity is their reflectivity; "
+        "atmosphere_attenuation_rate and dropoff_intensity_limit are not used. null: all surfaces "
+        "alike, as in CARLA.",
+    )
     noise_stddev: float = Field(
         0.02,
         ge=0,

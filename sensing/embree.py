@@ -43,7 +43,8 @@ def _call(_typing: Any, where: Any) -> Any:  # pragma: no cover - runs in Numba'
 
 
 @njit(
-    "void(int64[::1], int32[::1], float32[:,::1], float32[:,::1], float32[:,::1], float32[::1])",
+    "void(int64[::1], int32[::1], float32[:,::1], float32[:,::1], float32[:,::1], float32[::1], "
+    "int32[::1])",
     cache=True,
 )
 def cast_packets(
@@ -53,8 +54,9 @@ def cast_packets(
     origins: Floats32,
     directions: Floats32,
     limits: Floats32,
+    faces: Ints32,
 ) -> None:
-    """Lowers each limit to where its ray first hits.
+    """Lowers each limit to where its ray first hits, and writes which triangle is there.
 
     Args:
         where: (5,) addresses of `rtcIntersect16`, `active`, the scene, `packet`, the arguments.
@@ -63,6 +65,7 @@ def cast_packets(
         origins: (3, N or more), or (3, 1) for all.
         directions: (3, N or more).
         limits: (N,), overwritten.
+        faces: (N or more,), overwritten; means something where the limit was lowered.
     """
     count = len(limits)
     address = (where[0], where[1], where[2], where[3], where[4])
@@ -75,7 +78,7 @@ def cast_packets(
         bits[_MASK, lane] = -1
         bits[_ID, lane] = 0
         bits[_FLAGS, lane] = 0
-    bits[_HIT:] = -1  # Embree writes it, and nobody reads it
+    bits[_HIT:] = -1  # the triangle, and what nobody reads
     for first in range(0, count, PACKET):
         size = min(PACKET, count - first)
         for axis in range(3):
@@ -89,6 +92,7 @@ def cast_packets(
         _call(address)
         for lane in range(size):
             limits[first + lane] = packet[_FAR, lane]
+            faces[first + lane] = bits[_HIT, lane]
 
 
 _TRIANGLES, _INDICES, _VERTICES = 0, 0, 1
@@ -120,7 +124,9 @@ class Caster:
         cast_at = ctypes.cast(_library().rtcIntersect16, ctypes.c_void_p).value
         self._where = np.array([cast_at, self._active.ctypes.data, scene, *arrays], np.int64)
 
-    def cast(self, origins: Floats32, directions: Floats32, limits: Floats32) -> None:
+    def cast(
+        self, origins: Floats32, directions: Floats32, limits: Floats32, faces: Ints32
+    ) -> None:
         """Lowers each limit to where its ray first hits; a ray that misses keeps its own.
 
         Distances count in lengths of the direction, which need not be 1, so that they stay the
@@ -130,9 +136,11 @@ class Caster:
             origins: (3, N or more), or (3, 1) for rays that all start in one place; contiguous.
             directions: (3, N or more), contiguous.
             limits: (N,), contiguous; overwritten.
+            faces: (N or more,), contiguous; gets the triangle where the limit was lowered.
         """
         if self._where is not None and len(limits):
-            cast_packets(self._where, self._active, self._packet, origins, directions, limits)
+            packet = self._active, self._packet
+            cast_packets(self._where, *packet, origins, directions, limits, faces)
 
 
 @cache

@@ -18,44 +18,59 @@ from sensing.candidates import gather, keep_nearest, place, turn, windows
 from sensing.config import LidarConfig
 from sensing.embree import Caster
 from sensing.mesh import VehicleShapes
+from sensing.reflectivity import (
+    MEAN_PAINT,
+    MIN_RANGE_M,
+    apply_power,
+    keep_nearest_lit,
+    of_vehicle,
+    static_strength,
+    without_glass,
+)
 from sensing.scene import Scene
-
-MIN_RANGE_M = 0.5
 
 
 def returns(
-    distance_m: Floats32, config: LidarConfig, rng: np.random.Generator
+    view: RayHits, config: LidarConfig, rng: np.random.Generator
 ) -> tuple[Floats32, Floats32]:
-    """Returns range, 0 for none, and intensity, each of the distance's shape.
+    """Returns range, 0 for none, and intensity, both (channels, columns).
 
-    After CARLA 0.9's `ARayCastLidar` (`RayCastLidar.cpp`): intensity is exp(-attenuation * d).
-    `PreprocessRays` loses a ray with the general rate; `PostprocessDetection` moves the point
-    along its ray by normal noise, then keeps one of intensity I above the limit always, any other
-    with probability (1 - zero) + I * zero / limit. Here both losses are decided by one draw, with
-    the product of the probabilities. Numbers are drawn for every ray, so that a ray's noise does
-    not depend on what other rays hit.
+    Where surfaces differ, see `sensing.reflectivity`. Else after CARLA 0.9's `ARayCastLidar`
+    (`RayCastLidar.cpp`): intensity is exp(-attenuation * d). `PreprocessRays` loses a ray with the
+    general rate; `PostprocessDetection` moves the point along its ray by normal noise, then keeps
+    one of intensity I above the limit always, any other with probability
+    (1 - zero) + I * zero / limit. Here both losses are decided by one draw, with the product of the
+    probabilities. Numbers are drawn for every ray, so that a ray's noise does not depend on what
+    other rays hit.
 
     Args:
-        distance_m: to the first surface along each ray; the range's end or more for none.
+        view: what the rays hit.
         config: the sensor's parameters.
         rng: two draws per ray.
     """
+    distance_m = view.distance_m
     draw = rng.random(distance_m.shape, np.float32)
     noise = rng.standard_normal(distance_m.shape, np.float32)
-    intensity = distance_m * np.float32(-config.atmosphere_attenuation_rate)
+    range_m, intensity = np.empty_like(distance_m), np.empty_like(distance_m)
+    keep = 1.0 - config.dropoff_general_rate
+    if config.range_at_10_percent_m is not None:
+        flat = (distance_m, view.strength, draw, noise, range_m, intensity)
+        rates = np.array([config.range, keep, config.range_at_10_percent_m, config.noise_stddev])
+        apply_power(*(a.reshape(-1) for a in flat), rates)
+        return range_m, intensity
+    np.multiply(distance_m, np.float32(-config.atmosphere_attenuation_rate), out=intensity)
     np.exp(intensity, out=intensity)
-    range_m = np.empty_like(distance_m)
     rates = np.array(
         [
             np.float32(config.range),
-            1.0 - config.dropoff_general_rate,
+            keep,
             config.dropoff_intensity_limit,
             config.dropoff_zero_intensity,
             config.noise_stddev,
         ]
     )
-    flat = [a.reshape(-1) for a in (distance_m, draw, noise, range_m, intensity)]
-    _apply_losses(*flat, rates)
+    arrays = (distance_m, draw, noise, range_m, intensity)
+    _apply_losses(*(a.reshape(-1) for a in arrays), rates)
     return range_m, intensity
 
 
@@ -96,36 +111,61 @@ def _apply_losses(
 class StaticWorld:
     """Casts whole patterns into the scene."""
 
-    def __init__(self, scene: Scene, pattern: ScanPattern) -> None:
+    def __init__(self, scene: Scene, pattern: ScanPattern, *, lit: bool) -> None:
         self._shape = pattern.channels, pattern.columns
         self._caster = Caster(scene.mesh)
+        self._surfaces = scene.surfaces() if lit else None
         self._directions = np.ascontiguousarray(pattern.directions.reshape(-1, 3).T)
         self._turned = np.empty_like(self._directions)
+        self._faces = np.empty(self._directions.shape[1], np.int32)
 
-    def cast(self, map_SE3_sensor: SE3, range_m: float) -> Floats32:
-        """Returns clean distances (channels, columns); `range_m` where nothing is."""
+    def cast(self, map_SE3_sensor: SE3, range_m: float) -> StaticView:
+        """Returns what the rays hit; nothing lies at `range_m` or farther."""
         distance_m = np.full(self._shape, range_m, np.float32)
+        strength = np.zeros(self._shape if self._surfaces else (0, 0), np.float32)
         start = map_SE3_sensor.translation.astype(np.float32).reshape(3, 1)
         turn(self._directions, map_SE3_sensor.rotation.astype(np.float32), self._turned)
-        self._caster.cast(start, self._turned, distance_m.reshape(-1))
-        return distance_m
+        self._caster.cast(start, self._turned, distance_m.reshape(-1), self._faces)
+        if (surfaces := self._surfaces) is not None:
+            static_strength(
+                distance_m.reshape(-1),
+                self._faces,
+                self._turned,
+                surfaces.power,
+                np.float32(range_m),
+                strength.reshape(-1),
+            )
+        return StaticView(distance_m, strength)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StaticView:
+    """Clean distances, and reflectivity times cosine, both (channels, columns).
+
+    The latter is empty where all surfaces are alike.
+    """
+
+    distance_m: Floats32
+    strength: Floats32
 
 
 _KEPT_VIEWS = 32  # of sensors that stand still: 0.5 MB each
 
 
-_Buffers = tuple[Floats32, Floats32, Floats32, Ints32, Ints32]
+_Buffers = tuple[Floats32, Floats32, Floats32, Ints32, Ints32, Ints32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayHits:
     """Clean distances and what is hit, both (channels, columns).
 
-    The range's end where nothing is; the index of a body, -1 where none is.
+    The range's end where nothing is; the index of a body, -1 where none is. `strength` is as of
+    `StaticView`.
     """
 
     distance_m: Floats32
     body: Ints32
+    strength: Floats32
 
     def points_on(self, range_m: Floats32, bodies: int) -> Ints:
         """Counts by body (bodies,) the beams that end on it and return."""
@@ -141,7 +181,7 @@ class Sensed:
 
 
 class _Rays:
-    """Buffers of rays: origins, directions, limits, beams, bodies; used again from scan to scan."""
+    """Buffers of rays: origins, directions, limits, beams, bodies, faces; used again each scan."""
 
     def __init__(self) -> None:
         self._buffers = self._made(0)
@@ -160,6 +200,7 @@ class _Rays:
             np.empty(count, np.float32),
             np.empty(count, np.int32),
             np.empty(count, np.int32),
+            np.empty(count, np.int32),
         )
 
 
@@ -175,13 +216,16 @@ class Lidar:
         self._config = config
         self._pattern = config.pattern
         self._shapes = shapes
-        self._static = StaticWorld(scene, self._pattern)
-        self._casters = [Caster(mesh) for mesh in shapes.meshes]
+        lit = config.range_at_10_percent_m is not None
+        self._static = StaticWorld(scene, self._pattern, lit=lit)
+        meshes = [without_glass(mesh) for mesh in shapes.meshes] if lit else shapes.meshes
+        self._casters = [Caster(mesh) for mesh in meshes]
+        self._surfaces = [of_vehicle(mesh) for mesh in meshes] if lit else None
         self._bounds = np.array(
             [[*m.vertices.min(axis=0), *m.vertices.max(axis=0)] for m in shapes.meshes], np.float64
         ).reshape(-1, 6)
         self._rays = _Rays()
-        self._views: OrderedDict[bytes, Floats32] = OrderedDict()
+        self._views: OrderedDict[bytes, StaticView] = OrderedDict()
 
     def scan(
         self,
@@ -190,6 +234,7 @@ class Lidar:
         types: Sequence[str],
         own: int | None,
         rng: np.random.Generator,
+        paint: Floats32 | None = None,
     ) -> Sensed:
         """Returns one revolution, cast at one instant.
 
@@ -199,14 +244,18 @@ class Lidar:
             types: their types (N,).
             own: index of the body that carries the sensor and is not seen; None at the roadside.
             rng: for loss and noise; keyed by agent and frame.
+            paint: reflectivity of the bodies' paint (N,); a mean one without.
 
         Raises:
             MessageError: a type that the set-up did not announce.
         """
         near = self._within_range(map_SE3_sensor, poses)
         others = near if own is None else near[near != own]
-        view = self.view(map_SE3_sensor, poses[others], [types[n] for n in others], None)
-        range_m, intensity = returns(view.distance_m, self._config, rng)
+        paints = np.full(len(poses), MEAN_PAINT, np.float32) if paint is None else paint
+        view = self.view(
+            map_SE3_sensor, poses[others], [types[n] for n in others], None, paints[others]
+        )
+        range_m, intensity = returns(view, self._config, rng)
         points_on = np.zeros(len(poses), np.int64)
         points_on[others] = view.points_on(range_m, len(others))
         return Sensed(RangeScan(self._pattern, range_m, intensity), points_on)
@@ -222,15 +271,19 @@ class Lidar:
         poses: Floats,
         types: Sequence[str],
         own: int | None,
+        paint: Floats32 | None = None,
     ) -> RayHits:
         """Returns what the rays hit, before loss and noise; see `scan`."""
-        distance_m = self._static_view(map_SE3_sensor).copy()
-        view = RayHits(distance_m, np.full(distance_m.shape, -1, np.int32))
+        static = self._static_view(map_SE3_sensor)
+        distance_m = static.distance_m.copy()
+        nobody = np.full(distance_m.shape, -1, np.int32)
+        view = RayHits(distance_m, nobody, static.strength.copy())
         if len(poses):
-            self._add_bodies(view, map_SE3_sensor, poses, types, own)
+            paint = np.full(len(poses), MEAN_PAINT, np.float32) if paint is None else paint
+            self._add_bodies(view, map_SE3_sensor, poses, types, own, paint)
         return view
 
-    def _static_view(self, map_SE3_sensor: SE3) -> Floats32:
+    def _static_view(self, map_SE3_sensor: SE3) -> StaticView:
         key = map_SE3_sensor.translation.tobytes() + map_SE3_sensor.rotation.tobytes()
         view = self._views.get(key)
         if view is None:
@@ -248,6 +301,7 @@ class Lidar:
         poses: Floats,
         types: Sequence[str],
         own: int | None,
+        paint: Floats32,
     ) -> None:
         bodies = self._shapes.bodies(types)
         bounds = self._bounds[bodies.mesh]
@@ -268,9 +322,30 @@ class Lidar:
             if len(members):
                 buffers = self._rays.reserved(int(sizes[members].sum()))
                 count = gather(
-                    pattern.directions, view.distance_m, placed, bounds, parts, members, *buffers
+                    pattern.directions,
+                    view.distance_m,
+                    placed,
+                    bounds,
+                    parts,
+                    members,
+                    *buffers[:5],
                 )
-                origins, directions, limits, beams, owners = buffers
-                caster.cast(origins, directions, limits[:count])
+                origins, directions, limits, beams, owners, faces = buffers
+                caster.cast(origins, directions, limits[:count], faces)
                 flat = view.distance_m.reshape(-1), view.body.reshape(-1)
-                keep_nearest(*flat, beams[:count], owners[:count], limits[:count])
+                found = beams[:count], owners[:count], limits[:count]
+                if self._surfaces is None:
+                    keep_nearest(*flat, *found)
+                    continue
+                surfaces = self._surfaces[index]
+                keep_nearest_lit(
+                    *flat,
+                    view.strength.reshape(-1),
+                    *found,
+                    faces,
+                    directions,
+                    placed,
+                    surfaces.normals,
+                    surfaces.reflectivity,
+                    paint,
+                )

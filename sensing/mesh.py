@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -14,17 +14,20 @@ from protocol.messages import Setup, VehicleType
 
 Vertices = npt.NDArray[np.float32]
 Triangles = npt.NDArray[np.int32]
+Materials = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TriangleMesh:
     """Vertices (V, 3) in metres and triangles (T, 3) of indices into them.
 
-    Arrays that can still be changed from elsewhere are copied.
+    `materials` (T,) are of `Material`; empty means all paint. Arrays that can still be changed from
+    elsewhere are copied.
     """
 
     vertices: Vertices
     triangles: Triangles
+    materials: Materials = field(default_factory=lambda: np.zeros(0, np.uint8))
 
     def __post_init__(self) -> None:
         for name, dtype in (("vertices", np.float32), ("triangles", np.int32)):
@@ -34,6 +37,10 @@ class TriangleMesh:
             array = array.reshape(-1, 3)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
+        if len(self.materials) == 0:
+            object.__setattr__(self, "materials", np.zeros(len(self.triangles), np.uint8))
+        if len(self.materials) != len(self.triangles):
+            raise ValueError(f"{len(self.materials)} materials, {len(self.triangles)} triangles")
         if self.triangles.size and not (
             self.triangles.min() >= 0 and self.triangles.max() < len(self.vertices)
         ):
@@ -220,7 +227,9 @@ class VehicleShapes:
                 raise MessageError(f"mesh {part.name} ends beyond the set-up's arrays, at {ends}")
             try:
                 meshes[part.name] = TriangleMesh(
-                    setup.mesh_vertices[vertex : ends[0]], setup.mesh_triangles[triangle : ends[1]]
+                    setup.mesh_vertices[vertex : ends[0]],
+                    setup.mesh_triangles[triangle : ends[1]],
+                    setup.mesh_materials[triangle : ends[1]],
                 )
             except ValueError as error:
                 raise MessageError(f"mesh {part.name}: {error}") from None

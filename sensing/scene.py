@@ -24,6 +24,7 @@ from sensing.mesh import (
     triangulate,
 )
 from sensing.noise import stream
+from sensing.reflectivity import Surfaces
 from sensing.road import Edge, RoadArea
 from sensing.terrain import Terrain, ground
 
@@ -309,7 +310,21 @@ class Scene:
     @property
     def mesh(self) -> TriangleMesh:
         """All parts as one mesh."""
-        return merge([self.ground, self.kerbs, self.buildings, self.poles, self.trees])
+        return merge(self._parts())
+
+    def surfaces(self) -> Surfaces:
+        """Returns how the triangles of `mesh` reflect."""
+        lengths = [len(part.triangles) for part in self._parts()]
+        reflectivity, smooth = np.repeat(np.array(_OF_PARTS, np.float32), lengths, axis=0).T.copy()
+        return Surfaces(self.mesh, reflectivity, smooth)
+
+    def _parts(self) -> list[TriangleMesh]:
+        return [self.ground, self.kerbs, self.buildings, self.poles, self.trees]
+
+
+# Reflectivity at 905 nm and whether Lambert's law holds: asphalt, concrete, walls, painted metal,
+# leaves; ours, of what is usual.
+_OF_PARTS = ((0.15, 0), (0.25, 0), (0.4, 1), (0.4, 1), (0.5, 0))
 
 
 Outlines = list[list[tuple[float, float]]]

@@ -14,6 +14,7 @@ from sensing.lidar import Lidar, Sensed
 from sensing.mesh import VehicleShapes
 from sensing.noise import stream
 from sensing.recorded_scans import Recording, recording_of
+from sensing.reflectivity import paints_of
 from sensing.scene import scene_of
 from sensing.world_view import WorldView
 
@@ -43,7 +44,8 @@ class ModelSource:
     def scan(self, agent: str, view: WorldView, map_SE3_sensor: SE3, own: int | None) -> Sensed:
         """See `ScanSource.scan`; noise follows from seed, agent and frame."""
         rng = stream(self._seed, "scan", agent, view.frame)
-        return self._lidar.scan(map_SE3_sensor, view.poses, view.types, own, rng)
+        paint = paints_of(self._seed, view.ids)
+        return self._lidar.scan(map_SE3_sensor, view.poses, view.types, own, rng, paint)
 
     def close(self) -> None:
         """Holds nothing."""

@@ -29,11 +29,12 @@ from protocol.errors import CodecError, ConfigError
 from protocol.geometry import SE3
 from protocol.scans import Floats32, PointCloud, Profile, RangeScan
 from sensing.config import LidarConfig, SceneConfig
-from sensing.lidar import MIN_RANGE_M, Lidar, return_probability
+from sensing.lidar import Lidar, return_probability
 from sensing.mesh import VehicleShapes
 from sensing.noise import stream
 from sensing.point_files import read_points
 from sensing.pose import pose_above
+from sensing.reflectivity import MIN_RANGE_M
 from sensing.scene import scene_of
 from sim_host.setup import build_setup
 from sim_host.world import sample_traffic

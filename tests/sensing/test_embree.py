@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from perception.arrays import Floats32
+from perception.arrays import Floats32, Ints32
 from sensing.embree import Caster
 from sensing.mesh import TriangleMesh
 
@@ -39,6 +39,13 @@ def nearest(
     return hit.min(axis=1, initial=np.inf), (np.abs(margin) < 1e-3).any(axis=1)
 
 
+def cast(caster: Caster, starts: Floats32, rays: Floats32, limits: Floats32) -> Ints32:
+    """Lowers the limits, and returns the triangles that were hit, -1 for none."""
+    before, faces = limits.copy(), np.full(len(limits), -7, np.int32)
+    caster.cast(starts, rays, limits, faces)
+    return np.where(limits < before, faces, -1).astype(np.int32)
+
+
 def by_axis(vectors: NDArray[np.float64]) -> Floats32:
     return np.ascontiguousarray(vectors.T, np.float32)
 
@@ -51,7 +58,7 @@ def test_packets_find_what_each_ray_finds_alone(seed: int, triangles: int, count
     starts, rays = rng.uniform(-10, 10, (count, 3)), rng.normal(size=(count, 3))
     limits = np.full(count, 25, np.float32)
     mesh = TriangleMesh.of(corners.reshape(-1, 3), np.arange(3 * triangles).reshape(-1, 3))
-    Caster(mesh).cast(by_axis(starts), by_axis(rays), limits)
+    cast(Caster(mesh), by_axis(starts), by_axis(rays), limits)
     expected, unsure = nearest(corners, starts, rays)
     expected = np.minimum(expected, 25)
     assert limits[~unsure] == pytest.approx(expected[~unsure], rel=1e-4, abs=1e-4)
@@ -65,8 +72,8 @@ def test_one_origin_serves_all_rays(seed: int, count: int) -> None:
     rays = by_axis(rng.normal(size=(count, 3)))
     together, apart = np.full((2, count), 50, np.float32)
     caster = Caster(FLOOR)
-    caster.cast(by_axis(start[None]), rays, together)
-    caster.cast(by_axis(np.repeat(start[None], count, axis=0)), rays, apart)
+    cast(caster, by_axis(start[None]), rays, together)
+    cast(caster, by_axis(np.repeat(start[None], count, axis=0)), rays, apart)
     assert (together == apart).all()
 
 
@@ -75,26 +82,37 @@ def test_a_ray_s_neighbours_do_not_change_it() -> None:
     start = by_axis(np.array([[0.0, 0.0, 3.0]]))
     caster = Caster(FLOOR)
     whole = np.full(64, 50, np.float32)
-    caster.cast(start, rays, whole)
+    cast(caster, start, rays, whole)
     assert (whole < 50).any()
     for first in (1, 7, 40):
         part = np.full(64 - first, 50, np.float32)
-        caster.cast(start, np.ascontiguousarray(rays[:, first:]), part)
+        cast(caster, start, np.ascontiguousarray(rays[:, first:]), part)
         assert (part == whole[first:]).all()
 
 
 def test_a_nearer_limit_stays_and_buffers_may_be_longer_than_what_is_asked() -> None:
     down = np.repeat([[0.0], [0.0], [-1.0]], 40, axis=1).astype(np.float32)
     limits = np.array([1.0, 5.0], np.float32)
-    Caster(FLOOR).cast(np.array([[0], [0], [3]], np.float32), down, limits)
+    cast(Caster(FLOOR), np.array([[0], [0], [3]], np.float32), down, limits)
     assert limits.tolist() == [1.0, 3.0]
+
+
+def test_a_hit_names_its_triangle() -> None:
+    triangles = [[0, 1, 2], [3, 4, 5]]
+    low, high = [[-1, -1, 0], [1, -1, 0], [0, 1, 0]], [[9, -1, 1], [11, -1, 1], [10, 1, 1]]
+    caster = Caster(TriangleMesh.of(np.array([*low, *high], np.float64), triangles))
+    starts = np.array([[0, 0, 5], [10, 0, 5], [5, 0, 5]], np.float64)
+    down = np.repeat([[0.0, 0.0, -1.0]], 3, axis=0)
+    limits = np.full(3, 50, np.float32)
+    assert cast(caster, by_axis(starts), by_axis(down), limits).tolist() == [0, 1, -1]
+    assert limits.tolist() == [5, 4, 50]
 
 
 def test_no_triangles_and_no_rays() -> None:
     nothing = TriangleMesh.of(np.empty((0, 3)), np.empty((0, 3)))
     limits = np.array([7.0], np.float32)
-    Caster(nothing).cast(np.zeros((3, 1), np.float32), np.ones((3, 1), np.float32), limits)
-    Caster(FLOOR).cast(np.zeros((3, 1), np.float32), np.ones((3, 0), np.float32), limits[:0])
+    cast(Caster(nothing), np.zeros((3, 1), np.float32), np.ones((3, 1), np.float32), limits)
+    cast(Caster(FLOOR), np.zeros((3, 1), np.float32), np.ones((3, 0), np.float32), limits[:0])
     assert limits.tolist() == [7.0]
 
 
@@ -102,6 +120,6 @@ def test_casters_come_and_go() -> None:
     for _ in range(50):
         limits = np.array([9.0], np.float32)
         start, down = np.array([[0], [0], [1]], np.float32), np.array([[0], [0], [-1]], np.float32)
-        Caster(FLOOR).cast(start, down, limits)
+        cast(Caster(FLOOR), start, down, limits)
         gc.collect(0)  # what has just been let go; all else takes longer than the casting
         assert limits.tolist() == [1.0]

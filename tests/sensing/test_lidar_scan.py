@@ -52,7 +52,7 @@ def brute_force(
     rays = np.ascontiguousarray(directions.T, np.float32)
     origin = sensor.translation.astype(np.float32).reshape(3, 1)
     limits = np.full(rays.shape[1], CONFIG.range, np.float32)
-    Caster(merge(meshes)).cast(origin, rays, limits)
+    Caster(merge(meshes)).cast(origin, rays, limits, np.empty(len(limits), np.int32))
     return limits.reshape(CONFIG.channels, CONFIG.columns)
 
 

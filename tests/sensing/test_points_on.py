@@ -39,4 +39,9 @@ def test_beams_end_on_the_vehicle_without_which_they_go_farther(scene, shapes, t
 def test_only_beams_that_return_are_counted():
     body = np.array([[0, 0, -1], [2, 2, 2]], np.int32)
     range_m = np.array([[5.0, 0.0, 5.0], [5.0, 5.0, 0.0]], np.float32)
-    assert RayHits(range_m, body).points_on(range_m, 4).tolist() == [1, 0, 2, 0]
+    assert RayHits(range_m, body, np.zeros((0, 0), np.float32)).points_on(range_m, 4).tolist() == [
+        1,
+        0,
+        2,
+        0,
+    ]
