@@ -101,7 +101,8 @@ def eval_command(
 ) -> None:
     """Measure detectors beside the truth: AP40, recall, precision, beside the paper's."""
     from cpnet.evaluation import Source, detectors_of
-    from studies.evaluate import evaluate, print_evaluation
+    from studies.evaluate import evaluate
+    from studies.evaluation_tables import print_evaluation
 
     names = detectors_of(detectors)
     config = scenarios.load("t_junction", assigned(set_)).edge

@@ -16,7 +16,8 @@ from perception.config import DetectorName
 from protocol.errors import ConfigError
 from studies.average_precision import View
 from studies.ecvpr import VISIBLE_POINTS
-from studies.evaluate import EVERYTHING, PAPER, VEHICLE, VIEWS, EvalRow, Site, Truth, evaluate
+from studies.evaluate import EVERYTHING, VEHICLE, VIEWS, EvalRow, Site, Truth, evaluate
+from studies.evaluation_tables import PAPER
 from studies.page.model import Cell, Column, Section, Table, Text
 from studies.sweep.cells import ResultStore, identify, write_atomically
 

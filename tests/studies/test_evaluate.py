@@ -14,7 +14,8 @@ from edge_server.config import EdgeConfig
 from learning.dataset import SceneSample
 from protocol.errors import ConfigError
 from studies import evaluate as study
-from studies.evaluate import Site, evaluate, print_evaluation
+from studies.evaluate import Site, evaluate
+from studies.evaluation_tables import print_evaluation
 from tests.roads import junction_road
 from tests.studies.made_samples import Told, car, scene_sample
 
