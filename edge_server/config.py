@@ -81,6 +81,11 @@ class EdgeConfig(DetectionConfig):
         "se3",
         description="se3: exact transforms; euler: differences of Euler angles, as in the paper",
     )
+    alignment: Literal["none", "map"] = Field(
+        "none",
+        description="ours. map: scans are registered to a static map of the scene that the edge "
+        "learns; agents' poses are corrected by what they are off",
+    )
     upstream_m: float = Field(200.0, gt=0, description="vehicles so far before the stop bar count")
     downstream_m: float = Field(100.0, gt=0, description="vehicles so far behind it count")
     coverage_range_m: float = Field(

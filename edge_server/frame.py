@@ -21,6 +21,7 @@ from perception.arrays import Bytes, Floats, Floats32
 from perception.detector import Cloud, Vehicles
 from perception.roadway import Placed
 from protocol.messages import (
+    AgentAlignment,
     AgentPose,
     AgentScore,
     BorderObjects,
@@ -40,8 +41,9 @@ class Chunk:
     `placed` in the map frame.
     `sensor_pose` (6,) is `map_SE3_sensor` as the agent estimates it. For `plan_frame` and
     `ground_free` see `protocol.messages.Scan`. `size_bytes` is that of the payload, `returns` the
-    number of points it held. `spans` are those of the stages that it has passed, in their order. A
-    chunk that `is_undecodable` did arrive, but it shows nothing.
+    number of points it held. `structure` (M, 3) is what stands beside the road, in frames in which
+    that is taken (`edge_server.static_map.structure`). `spans` are those of the stages that it has
+    passed, in their order. A chunk that `is_undecodable` did arrive, but it shows nothing.
     """
 
     frame: int
@@ -57,6 +59,7 @@ class Chunk:
     ground_free: bool = False
     arrival_sim_ns: int | None = None
     size_bytes: int = 0
+    structure: Floats32 | None = None
     placed: Placed | None = None
     returns: int = 0
     is_undecodable: bool = False
@@ -152,12 +155,13 @@ class FrameState:
     arrived; `received` is what came from neighbouring regions, by region. `fused` are vehicles
     wherever they are, `vehicles` those on the road, `sensors` (S, 2) the places of the sensors that
     were used, `counts` are by signal. `excluded` counts the agents that were excluded from it, by
-    reason, and `scores` are those to be published.
+    reason, and `scores` and `alignments` are those to be published.
     """
 
     frame: Frame
     excluded: Counter[str] = field(default_factory=Counter)
     scores: list[AgentScore] = field(default_factory=list)
+    alignments: list[AgentAlignment] = field(default_factory=list)
     spans: list[Span] = field(default_factory=list)
     cloud: Cloud = field(init=False)
     found: Vehicles = field(init=False)

@@ -2,6 +2,7 @@
 
     decode, place      each chunk by itself, in any thread, as soon as it has arrived
     check              excludes agents whose data cannot be so; remembers scores
+    align              where asked for: corrects agents' poses; remembers the scene and offsets
     merge              one cloud of all that are left
     detect             a detector's vehicles; it names parts of its own, such as ground
     fuse               with agents' poses and detections; no duplicates
@@ -158,17 +159,31 @@ def stages_of(
     roadway = Roadway.of(region.area, margin_m=config.geofence.margin_m)
     lanes = LaneIndex(region.surroundings)
     place = Place(roadway, config.geofence)
+    sample, align = _alignment(roadway, config, mounts)
     check = [Check(region.surroundings, roadway, config.misbehaviour, mounts)]
     return [
         Decode(),
+        *sample,
         place if config.merge == "se3" else PlaceByReference(place),
         *(check if config.misbehaviour.enabled else []),
+        *align,
         Merge(),
         Detect(detector(config, roadway), seed),
         Fuse(region.centres, config.fusion, mounts),
         *([Border(strips, config.fusion)] if strips is not None else []),
         Count(region, lanes, config, has_lidars=has_lidars),
     ]
+
+
+def _alignment(
+    roadway: Roadway, config: EdgeConfig, mounts: Mapping[str, Floats]
+) -> tuple[list[ChunkStage], list[FrameStage]]:
+    """Returns the stages that align agents; the registration is loaded where they are wanted."""
+    if config.alignment == "none":
+        return [], []
+    from edge_server.alignment import Align, Sample
+
+    return [Sample(roadway)], [Align(mounts)]
 
 
 class Merge(FrameStage):

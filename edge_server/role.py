@@ -267,6 +267,7 @@ class EdgeRole:
             arrivals=_arrivals(published),
             points=state.points,
             scores=state.scores,
+            alignments=state.alignments,
             border_bytes=self._border_bytes,
             drops=dict(+(Counter(self._context.inbox.drops) + self._assembler.drops)),
         )

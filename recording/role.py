@@ -326,6 +326,7 @@ class RecordRole:
             self._acted_frame = max(self._acted_frame, metrics.frame)
         self._database.add(tables.StageRow, rows.stage_rows(metrics))
         self._database.add(tables.AgentScoreRow, rows.agent_score_rows(metrics))
+        self._database.add(tables.AlignmentRow, rows.alignment_rows(metrics))
 
     def _on_clock(self, reading: m.ClockReading, _: Envelope) -> None:
         if reading.process not in self._clocks and len(self._clocks) >= MAX_PROCESSES:

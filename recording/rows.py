@@ -23,6 +23,7 @@ from protocol.messages import (
 from recording.tables import (
     TABLES,
     AgentScoreRow,
+    AlignmentRow,
     CloudRow,
     CountRow,
     DetectionRow,
@@ -209,6 +210,27 @@ def agent_score_rows(message: Metrics) -> Iterator[AgentScoreRow]:
             ground=one.ground,
         )
         for one in message.scores
+    )
+
+
+def alignment_rows(message: Metrics) -> Iterator[AlignmentRow]:
+    """Returns a row per agent whose scan an edge registered."""
+    region = region_of(message.process)
+    return (
+        AlignmentRow(
+            frame=message.frame,
+            region=region,
+            agent=one.agent,
+            x_m=one.x_m,
+            y_m=one.y_m,
+            z_m=one.z_m,
+            yaw_rad=one.yaw_rad,
+            std_m=one.std_m,
+            points=one.points,
+            inliers=one.inliers,
+            excluded=int(one.excluded),
+        )
+        for one in message.alignments
     )
 
 

@@ -21,6 +21,7 @@ SCHEMA_DIGESTS = {
     12: "754ca4c0ef3d0560",
     13: "485343937043f86c",
     14: "204697a34aa7044b",
+    15: "ddca9e6a84b5fb82",
 }
 """`schema_digest()` by schema version. Never change an entry: add one with the next number."""
 SCHEMA_VERSION = max(SCHEMA_DIGESTS)
@@ -266,6 +267,26 @@ class AgentScoreRow(NamedTuple):
     ground: float | None
 
 
+class AlignmentRow(NamedTuple):
+    """By how much an edge takes an agent's poses to be off, in frames in which its scan was used.
+
+    The offset is the claimed pose minus the found one; `std_m` is of x and of y, the larger. Of the
+    scan's `points` where the edge's static map knows what is there, the share `inliers` fits it.
+    """
+
+    frame: int
+    region: str
+    agent: str
+    x_m: float
+    y_m: float
+    z_m: float
+    yaw_rad: float
+    std_m: float
+    points: int
+    inliers: float
+    excluded: int
+
+
 class TripRow(NamedTuple):
     """One vehicle's journey; `arrive_s` is NULL if the run ended before it did."""
 
@@ -394,6 +415,7 @@ TABLES: dict[type, Table] = {
         Table("parked", ParkedRow, 1, is_result=True),
         Table("sightings", SightingRow, 2, is_result=True),
         Table("agent_scores", AgentScoreRow, 3, is_result=True),
+        Table("alignments", AlignmentRow, 3, is_result=True),
         Table("trips", TripRow, 1, is_result=True),
         Table("clocks", ClockRow, 1),
         Table("drops", DropRow, 2),

@@ -6,6 +6,7 @@ The keys are stable; a figure that the run does not yield is None.
 from __future__ import annotations
 
 import json
+import math
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,14 @@ _AGENT_SCORES = """
     SELECT agent, min(score), total(trusted = 0) FROM agent_scores GROUP BY agent
     ORDER BY total(trusted = 0) DESC, min(score), agent
 """
+_ALIGNMENTS = """
+    SELECT agent, x_m, y_m, yaw_rad, std_m, max(frame) FROM alignments
+    WHERE std_m < ? GROUP BY agent ORDER BY agent
+"""
+_CONTRADICTING = """
+    SELECT agent, total(excluded) FROM alignments GROUP BY agent HAVING total(excluded) > 0
+"""
+_ALIGNED_STD_M = 0.5
 _GREENS = "SELECT tls, state FROM phases WHERE stage = 'green' ORDER BY tls, frame"
 
 
@@ -78,6 +87,7 @@ def summary_of(run: Run, scores: list[FrameScore]) -> Summary:
         **pace,
         "agents": by_agent(run, period_s),
         "scores": agent_scores(run),
+        "alignments": alignments(run),
         "uplink_mbps": total_mbps(run, period_s),
         "latency_ms": latencies(run),
         "clock_error_ms": clock_error_ms(run),
@@ -244,8 +254,9 @@ def _latency_table(summary: Summary) -> Table:
 
 
 def _agent_table(summary: Summary) -> Table:
-    table = _numeric("agent", "frames", "points", "kB/frame", "Mbit/s", "by TCP", "score")
-    scores = summary["scores"]
+    scores, aligned = summary["scores"], summary["alignments"]
+    off = ["off m"] if aligned else []
+    table = _numeric("agent", "frames", "points", "kB/frame", "Mbit/s", "by TCP", "score", *off)
     agents = sorted(summary["agents"].items(), key=lambda item: (-item[1]["frames"], item[0]))
     for agent, figures in agents[:_MAX_AGENTS]:
         table.add_row(
@@ -256,6 +267,7 @@ def _agent_table(summary: Summary) -> Table:
             _number(figures["mbps"], 2),
             _number(figures["wire_mbps"], 2),
             _score_text(scores.get(agent)),
+            *[_off_text(aligned.get(agent)) for _ in off],
         )
     if len(agents) > _MAX_AGENTS:
         rest = agents[_MAX_AGENTS:]
@@ -277,6 +289,33 @@ def agent_scores(run: Run) -> dict[str, dict[str, float]]:
         agent: {"least_score": score, "frames_excluded": int(frames)}
         for agent, score, frames in run.query(_AGENT_SCORES)
     }
+
+
+def alignments(run: Run) -> dict[str, dict[str, float]]:
+    """Returns by agent by how much its poses were off when it was last aligned, in m and degrees.
+
+    `contradicting` are the registered scans after which it was excluded. An agent whose offset was
+    never found and that was never excluded is not among them.
+    """
+    found: dict[str, dict[str, float]] = {
+        agent: {
+            "x_m": x_m,
+            "y_m": y_m,
+            "yaw_deg": round(math.degrees(yaw_rad), 3),
+            "std_m": std_m,
+            "contradicting": 0,
+        }
+        for agent, x_m, y_m, yaw_rad, std_m, _ in run.query(_ALIGNMENTS, _ALIGNED_STD_M)
+    }
+    for agent, scans in run.query(_CONTRADICTING):
+        found.setdefault(agent, {})["contradicting"] = int(scans)
+    return found
+
+
+def _off_text(found: dict[str, float] | None) -> str:
+    if found is None or "x_m" not in found:
+        return "-"
+    return f"{math.hypot(found['x_m'], found['y_m']):.2f}"
 
 
 def _score_text(found: dict[str, float] | None) -> str:

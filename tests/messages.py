@@ -128,6 +128,19 @@ EXAMPLES: list[m.Message] = [
         spans=[m.Span(stage="merge", start_ns=1, end_ns=2)],
         arrivals=[m.Arrival(agent="a", chunk=0, received_ns=1, decoded_ns=2)],
         scores=[m.AgentScore(agent="a", score=0.35, trusted=False, motion=0, place=1, ground=None)],
+        alignments=[
+            m.AgentAlignment(
+                agent="a",
+                x_m=0.5,
+                y_m=-0.25,
+                z_m=0.125,
+                yaw_rad=0.0625,
+                std_m=0.03125,
+                points=600,
+                inliers=0.875,
+                excluded=False,
+            )
+        ],
     ),
     m.Progress(
         frame=1,

@@ -12,6 +12,7 @@ at `NEVER_NS` was taken off the link before it left.
 from protocol.limits import MAX_DELAY_NS, MAX_ITEMS
 from protocol.messages.fields import NEVER_NS, Equipment, Material, Message, ObjectClass, Part
 from protocol.messages.metrics import (
+    AgentAlignment,
     AgentScore,
     Arrival,
     JunctionProgress,
@@ -60,6 +61,7 @@ __all__ = [
     "NEVER_NS",
     "PARKED",
     "PEDESTRIAN",
+    "AgentAlignment",
     "AgentPose",
     "AgentScore",
     "Arrival",

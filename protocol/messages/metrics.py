@@ -94,10 +94,29 @@ class AgentScore(Part):
     ground: Score | None = None
 
 
+class AgentAlignment(Part):
+    """By how much the edge takes an agent's poses to be off: claimed minus found, map frame.
+
+    `std_m` is the standard deviation of x and of y, the larger. Of the scan's `points` where the
+    edge's static map knows what is there, the share `inliers` fits it.
+    """
+
+    agent: Id
+    x_m: float
+    y_m: float
+    z_m: float
+    yaw_rad: float
+    std_m: float = Field(ge=0)
+    points: Count
+    inliers: Score
+    excluded: bool
+
+
 class Metrics(Message):
     """What one process did in one frame. `drops` counts since its start, by reason.
 
-    `scores` are of agents that are excluded, and of those whose score has changed.
+    `scores` are of agents that are excluded, and of those whose score has changed; `alignments` are
+    of those whose scan of this frame was registered.
 
     `wire` settles earlier frames: only when the next upload begins has TCP sent all of the last.
     `border_bytes` are those that an edge sent to its neighbours, once for each.
@@ -112,6 +131,7 @@ class Metrics(Message):
     wire: Annotated[list[WireCount], *BOUNDED] = Field([])
     arrivals: Annotated[list[Arrival], *BOUNDED] = Field([])
     scores: Annotated[list[AgentScore], *BOUNDED] = Field([])
+    alignments: Annotated[list[AgentAlignment], *BOUNDED] = Field([])
     points: Count = 0
     border_bytes: Count = 0
     drops: Annotated[dict[Id, Total], *BOUNDED] = Field({})

@@ -2,6 +2,8 @@
 
 import io
 import json
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,8 @@ from rich.console import Console
 from protocol.errors import ConfigError
 from recording.database import Database
 from recording.tables import (
+    TABLES,
+    AlignmentRow,
     CountRow,
     DetectionRow,
     DropRow,
@@ -176,3 +180,25 @@ def test_each_region_and_each_junction_has_its_figures(tmp_path: Path) -> None:
             "mbps": pytest.approx(4 / 3),  # of both regions
         }
     }
+
+
+def test_a_report_tells_by_how_much_agents_were_off_when_last_aligned(tmp_path: Path) -> None:
+    whole_run(tmp_path)
+    off = [
+        AlignmentRow(1, "r0", "rsu-0", 9.0, 0, 0, 0, 0.1, 500, 0.9, 0),
+        AlignmentRow(6, "r0", "rsu-0", 0.3, -0.4, 0, 0.01, 0.05, 500, 0.9, 0),
+        AlignmentRow(6, "r0", "liar", 0, 0, 0, 0, 1.0, 500, 0.1, 1),
+        AlignmentRow(6, "r0", "far", 0, 0, 0, 0, 1.0, 0, 0.0, 0),
+    ]
+    with closing(sqlite3.connect(tmp_path / "run.sqlite")) as database:
+        database.executemany(TABLES[AlignmentRow].insert, off)
+        database.commit()
+    summary = summarise(tmp_path)
+    assert summary["alignments"] == {
+        "rsu-0": {"x_m": 0.3, "y_m": -0.4, "yaw_deg": 0.573, "std_m": 0.05, "contradicting": 0},
+        "liar": {"contradicting": 1},
+    }
+    out = io.StringIO()
+    print_report(summary, Console(file=out, width=120))
+    assert "off m" in out.getvalue()
+    assert "0.50" in out.getvalue()
