@@ -27,7 +27,7 @@ EVERY = 5  # frames: an agent's scan is registered
 ADD_FIRST, ADD_EVERY = 5, 4  # of an agent's scans that are in place: go into the map
 COARSE_M, FINE_M = 3.0, 0.4  # from the map: what is drawn to it, at first and later
 LEAST_KNOWN = 100  # points: fewer tell nothing
-GOOD, CONTRADICTS = 0.6, 0.5  # share of inliers of a fit that counts, of one that is none at all
+GOOD, CONTRADICTS = 0.6, 0.4  # share of inliers of a fit that counts, of one that is none at all
 # x, y, z in m, yaw in rad: what an agent's pose may be off when nothing is known, the noise of a
 # frame's pose, how much the offset changes in the root of a second, and when it is known well.
 PRIOR_STD = np.array([0.3, 0.3, 0.2, np.radians(1.0)])
@@ -127,20 +127,21 @@ class Align(FrameStage):
     """Remembers the static map and agents' offsets; corrects scans and poses by them.
 
     Roadside units were surveyed: they are never moved, and the map begins with what they see.
-    Without any it begins with what the first agent sees.
+    Without any in a frame it begins with what the first agent sees.
     """
 
     name = "align"
 
     def __init__(self, mounts: Collection[str]) -> None:
         self._fixed = set(mounts)
-        self._begins = None if mounts else ""
+        self._first: str | None = None
         self._map = StaticMap()
         self._known: dict[str, _Known] = {}
 
     def run(self, state: FrameState) -> None:
         """See `FrameStage.run`."""
         frame, excluded = state.frame, set[str]()
+        self._choose_first(frame)
         for agent in frame.agents:
             known = self._remember(agent, frame.sim_time_ns)
             chunks = [c for c in frame.chunks if c.agent == agent and c.structure is not None]
@@ -150,6 +151,14 @@ class Align(FrameStage):
             excluded |= {agent} if known.is_excluded else set()
         state.excluded.update("misaligned" for _ in excluded)
         state.frame = self._corrected(frame.without(excluded))
+
+    def _choose_first(self, frame: Frame) -> None:
+        """Chooses whose scans begin the map while there is none and no roadside unit."""
+        scanning = dict.fromkeys(chunk.agent for chunk in frame.chunks)
+        if self._map.is_ready or not self._fixed.isdisjoint(frame.agents):
+            self._first = None
+        elif self._first not in scanning:
+            self._first = next(iter(scanning), None)
 
     def _remember(self, agent: str, now_ns: int) -> _Known:
         known = self._known.pop(agent, None)
@@ -166,7 +175,7 @@ class Align(FrameStage):
         """Registers a scan, and adds it to the map if it is in place."""
         points: Floats32 = np.concatenate([c.structure for c in chunks if c.structure is not None])
         sensor_m = chunks[0].sensor_pose[:3]
-        if agent in self._fixed or self._is_first(agent):
+        if agent in self._fixed or agent == self._first:
             if known.adds():
                 self._map.add(points + sensor_m)
             return None
@@ -182,14 +191,6 @@ class Align(FrameStage):
                 turn = euler_rotation(0.0, 0.0, -known.filter.offset[3])
                 self._map.add(points @ turn.T + sensor_m - known.filter.offset[:3])
         return fit
-
-    def _is_first(self, agent: str) -> bool:
-        """Whether the map is being begun with this agent's scans."""
-        if self._begins is None or self._map.is_ready:
-            return False
-        if self._begins not in self._known:
-            self._begins = agent
-        return self._begins == agent
 
     def _fit(self, known: _Known, points: Floats32, sensor_m: Floats) -> Fit:
         """Registers a scan from what is known; from farther away where that is not enough."""
