@@ -255,16 +255,22 @@ def scale_parts(rows: Rows) -> Table:
 
 
 def realism(rows: Rows) -> Table:
-    """Returns a line for each part of realism: what each detector makes of it, means over seeds."""
+    """Returns a line for each part of realism; what it costs is paired by seed with the first."""
     detectors = list(dict.fromkeys(row["detector"] for row in rows))
-    heads = ["E-CVPR, %", "of the visible, %", "false boxes a frame"]
+    first, *_ = parts = list(dict.fromkeys(row["part"] for row in rows))
+    heads = ["E-CVPR, %", "lost, points", "of the visible, %", "false boxes a frame"]
     table = [["part", *(f"`{name}`: {head}" for name in detectors for head in heads)]]
-    for part in dict.fromkeys(row["part"] for row in rows):
+    by = {(row["part"], row["detector"], row["seed"]): row for row in rows}
+    seeds = sorted({row["seed"] for row in rows})
+    for part in parts:
         cells = []
         for name in detectors:
-            own = [row for row in rows if (row["part"], row["detector"]) == (part, name)]
+            own = [by[part, name, seed] for seed in seeds]
+            plain = [by[first, name, seed] for seed in seeds]
+            lost = [100 * (a["e_cvpr"] - b["e_cvpr"]) for a, b in zip(plain, own, strict=True)]
             cells += [
-                _interval([100 * row["e_cvpr"] for row in own], 1),
+                _fixed(mean(row["e_cvpr"] for row in own), 1, 100),
+                "" if part == first else _interval(lost, 1),
                 _interval([100 * row["e_cvpr"] / row["visible_share"] for row in own], 1),
                 _interval([row["false_detections"] for row in own], 2),
             ]
