@@ -278,6 +278,25 @@ def realism(rows: Rows) -> Table:
     return table
 
 
+def alignment(rows: Rows) -> Table:
+    """Returns a line for each case of poses: means over seeds, differences paired by seed."""
+    first, *_ = names = list(dict.fromkeys(row["poses"] for row in rows))
+    table = [["poses", "E-CVPR, %", "points lost", "false boxes a frame"]]
+    for name in names:
+        own = {row["seed"]: row for row in rows if row["poses"] == name}
+        base = {row["seed"]: row for row in rows if row["poses"] == first}
+        lost = [100 * (base[seed]["e_cvpr"] - own[seed]["e_cvpr"]) for seed in own]
+        table.append(
+            [
+                name,
+                _interval([100 * row["e_cvpr"] for row in own.values()], 1),
+                "" if name == first else _interval(lost, 1),
+                _interval([row["false_detections"] for row in own.values()], 2),
+            ]
+        )
+    return table
+
+
 def _interval(values: list[float], digits: int) -> str:
     """Returns the mean with half the width of its 95 % interval, Student's t."""
     if len(values) < 2:

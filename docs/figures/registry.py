@@ -213,6 +213,15 @@ _LIST = (
         (Part("parts", "docs/realism.md", layouts.realism),),
     ),
     Figure(
+        "alignment",
+        "cpnet study $ROOT/docs/figures/alignment.yaml --out alignment >&2; "
+        "python -c 'import json, pyarrow.parquet as p; "
+        'print(json.dumps(p.read_table("alignment/results.parquet").to_pylist()))\'',
+        STUDY,
+        15,
+        (Part("poses", "docs/realism.md", layouts.alignment),),
+    ),
+    Figure(
         "city-run",
         f"{_RESCO}rm -rf city-3 city-7; "
         f"{_CITY_UP} --sumocfg resco/cologne3/cologne3.sumocfg --out city-3 >&2; "
