@@ -152,6 +152,8 @@ def keep_nearest_lit(  # noqa: PLR0913, PLR0917 - compiled code takes its arrays
             square += part * part
         cosine = abs(along) / np.sqrt(max(square, 1e-12))
         value = reflectivity[face] if reflectivity[face] >= 0 else paint[body]
+        if along > 0:  # from within: seats and dark trim behind tinted glass take the light
+            value = np.float32(0)
         strength[beam] = np.float32(value * min(cosine, 1.0))
 
 

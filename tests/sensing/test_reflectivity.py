@@ -99,3 +99,18 @@ def test_rays_pass_through_windows(scene: Scene) -> None:
     assert on_it(glass, CONFIG) == 0
     alike = CONFIG.model_copy(update={"range_at_10_percent_m": None})
     assert on_it(glass, alike) == on_it(box, alike) > 100
+
+
+def test_nothing_comes_back_from_behind_a_window(scene: Scene) -> None:
+    box = unit_box()
+    rear = box.corners[:, :, 0].max(axis=1) < 0  # the side turned to the sensor
+    materials = np.where(rear, Material.GLASS, Material.PAINT).astype(np.uint8)
+    mesh = TriangleMesh(box.vertices, box.triangles, materials)
+    kind = VehicleType(name="car", mesh="box", length_m=4.6, width_m=1.8, height_m=1.5)
+    pose = np.array([[8.0, -1.75, float(scene.terrain.height_m([[8, -1.75]])[0]), 0, 0, 0]])
+    sensor = SE3(np.eye(3), pose[0, :3] + [-8, 0, 1.0])
+    lidar = Lidar(CONFIG, scene, VehicleShapes([kind], {"box": mesh}))
+    view = lidar.view(sensor, pose, ["car"], None, np.array([0.8], np.float32))
+    inside = (view.body == 0) & (view.distance_m > 9.0)
+    assert np.count_nonzero(inside) > 50
+    assert not view.strength[inside].any()
