@@ -21,6 +21,7 @@ STEPS = 15  # of 3 degrees, to either side
 PRIOR = 0.35  # how much less a direction counts that is 45 degrees off the road's
 EDGE_M = 0.08  # points this close to an edge lie on it
 WIDE_M = 2.6  # no car is wider: its length and width are taken for each other
+LEAST_POINTS, NEAR_M = 8, 50.0  # so near a sensor, fewer are a sliver of what stands elsewhere
 LEAST_M, LEAST_HEIGHT_M = 0.5, 0.1  # what is smaller is no vehicle
 PERSON_M = 0.2  # but may be a person, if it is so high
 LINE_M, LINE_TOP_M = 1.0, 0.4  # of a side that one ring has hit: length, least height over ground
@@ -49,7 +50,9 @@ def fit_boxes(
     along_m, across_m, height_m = (extents[:, 1] - extents[:, 0]).T
     shapes = Shapes(along_m, across_m, extents[:, 0, 2] - floor_m, extents[:, 1, 2] - floor_m)
     kinds = shapes.kinds()
-    kept = shapes.is_vehicle_or_person & (_stands(shapes, height_m) | _is_line(shapes, height_m))
+    kept = (members >= LEAST_POINTS) | (_away_m(sensors, middles) > NEAR_M)
+    kept &= shapes.is_vehicle_or_person
+    kept &= _stands(shapes, height_m) | _is_line(shapes, height_m)
     size_m = usual_m(kinds)
     _complete(extents, middles, yaws, sensors, size_m)
     extents[:, 0, 2] = floor_m
@@ -80,6 +83,11 @@ def _count_by_part(labels: Ints32, sizes: Ints, points: Ints) -> None:
             if labels[index] >= 0:
                 points[labels[index], part] += 1
             index += 1
+
+
+def _away_m(sensors: Floats, middles: Floats) -> Floats:
+    """Returns how far clusters (C, 3) are from the sensors that saw them (C, 2)."""
+    return np.asarray(np.linalg.norm(sensors - middles[:, :2], axis=1))
 
 
 def _stands(shapes: Shapes, height_m: Floats) -> Bools:
