@@ -278,8 +278,8 @@ class CarlaSource:
         self._server = CarlaServer(config, 1 / lidar.rotation_frequency)
         with self._server.turn():
             blueprint = self._server.blueprint(SENSOR)
-            # The attributes have the names of the scenario's keys; `model` is a set of some.
-            attributes = lidar.model_dump(exclude={"model"}) | {
+            # The attributes have the names of the scenario's keys; two of these are ours alone.
+            attributes = lidar.model_dump(exclude={"model", "range_at_10_percent_m"}) | {
                 "horizontal_fov": 360.0,
                 "noise_seed": setup.scenario["seed"],
             }
