@@ -139,7 +139,9 @@ class JunctionScanner:
         rng = stream(self.site.seed, "scan", agent, frame)
         lidar = self._sensors.lidar(kind)
         paint = paints_of(self.site.seed, bodies.ids)
-        seen = self._lidars[lidar].scan(true, bodies.poses, bodies.types, own, rng, paint)
+        seen = self._lidars[lidar].scan(
+            true, bodies.poses, bodies.types, own, rng, paint, bodies.speeds_mps
+        )
         range_m, intensity = seen.scan.range_m, seen.scan.intensity
         boxes = into_sensor(_boxes(bodies.poses, sizes_m), true)
         near = np.linalg.norm(boxes[:, :3], axis=1) <= REACH_M

@@ -14,6 +14,7 @@ from protocol.roadmap import RoadMap
 from sensing.config import LidarConfig, Mount, PoseErrorConfig, SceneConfig
 from sensing.noise import stream
 from sensing.road import RoadArea
+from sensing.sensor_models import SENSOR_MODELS
 from sim_host.config import MeshName, TrafficConfig, VehicleSpec
 from sim_host.junctions import Junction, draw_junction
 
@@ -118,11 +119,13 @@ def _varied(spec: VehicleSpec, rng: np.random.Generator) -> VehicleSpec:
 
 
 def _sensor(drawn: LidarConfig, given: dict[str, Any], rng: np.random.Generator) -> LidarConfig:
-    """Returns a world's sensor with the rings that were drawn, or its own, one time in two."""
-    if rng.random() < 0.5:
+    """Returns a world's sensor; one time in two with other rings: drawn, or those of a real one."""
+    which = rng.random()
+    if which < 0.5:
         return LidarConfig.model_validate(given)
-    rings = drawn.model_dump(include=_RINGS)
-    return LidarConfig.model_validate(given | rings)
+    if which < 0.75:
+        drawn = LidarConfig(model=rng.choice(sorted(SENSOR_MODELS)))
+    return LidarConfig.model_validate(given | drawn.model_dump(include=_RINGS))
 
 
 _RINGS = {"model", "channels", "points_per_second", "upper_fov", "lower_fov"}

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -43,12 +45,16 @@ Floats32 = npt.NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class ScanPattern:
-    """A LiDAR's firing pattern: rings of equal spacing, columns of equal azimuth."""
+    """A LiDAR's firing pattern: rings from top to bottom, columns of equal azimuth.
+
+    `elevations_deg` are those of the rings, to 0.01 deg; without, the spacing is equal.
+    """
 
     channels: int
     columns: int
     upper_fov_deg: float
     lower_fov_deg: float
+    elevations_deg: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         check_beams(self.channels, self.columns)
@@ -57,6 +63,40 @@ class ScanPattern:
                 f"field of view {self.lower_fov_deg} to {self.upper_fov_deg} deg: "
                 "needs -90 <= lower <= upper <= 90"
             )
+        if self.elevations_deg:
+            self._check_elevations()
+
+    @classmethod
+    def of_rings(cls, elevations_deg: Sequence[float], columns: int) -> ScanPattern:
+        """Returns the pattern of rings of these elevations, from top to bottom.
+
+        Raises:
+            CodecError: they do not go down by 0.01 deg at least, or are no elevations.
+        """
+        rings = tuple(round(float(one), 2) for one in elevations_deg)
+        if not rings:
+            raise CodecError("elevations of rings: there are none")
+        return cls(len(rings), columns, rings[0], rings[-1], rings)
+
+    def _check_elevations(self) -> None:
+        rings = self.elevations_deg
+        if len(rings) != self.channels or (rings[0], rings[-1]) != (
+            self.upper_fov_deg,
+            self.lower_fov_deg,
+        ):
+            raise CodecError(
+                f"elevations of {len(rings)} rings from {rings[0]} to {rings[-1]} deg: the pattern "
+                f"has {self.channels} from {self.upper_fov_deg} to {self.lower_fov_deg} deg"
+            )
+        if any(upper <= lower for upper, lower in pairwise(rings)):
+            raise CodecError(f"elevations of rings {rings}: each must lie below the one before")
+
+    @property
+    def elevations_rad(self) -> Floats:
+        """Elevations of the rings (channels,), from top to bottom."""
+        if self.elevations_deg:
+            return np.radians(np.array(self.elevations_deg, np.float64))
+        return np.radians(np.linspace(self.upper_fov_deg, self.lower_fov_deg, self.channels))
 
     @property
     def directions(self) -> Floats32:
@@ -124,9 +164,7 @@ def check_beams(channels: int, columns: int) -> None:
 
 @lru_cache(maxsize=MAX_KEPT_PATTERNS)
 def _spin(pattern: ScanPattern) -> tuple[Floats, Floats]:
-    elevation = np.radians(
-        np.linspace(pattern.upper_fov_deg, pattern.lower_fov_deg, pattern.channels)
-    )
+    elevation = pattern.elevations_rad
     azimuth = np.arange(pattern.columns) * (2 * np.pi / pattern.columns)
     turns = np.stack([np.cos(elevation), np.zeros(pattern.channels), np.sin(elevation)], -1)
     azimuths = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)

@@ -95,16 +95,19 @@ def _plan_distance(corners: Floats) -> float:
     return math.sqrt(nearest)
 
 
-@njit("void(float64[:,:,::1], float64[::1], int64, int64, float64, int64[:,::1])", cache=True)
+@njit("void(float64[:,:,::1], float64[::1], int64, float64, int64[:,::1])", cache=True)
 def windows(
-    placed: Floats, fov_rad: Floats, channels: int, columns: int, range_m: float, result: Ints
+    placed: Floats, elevations_rad: Floats, columns: int, range_m: float, result: Ints
 ) -> None:
     """Writes the part of the pattern (N, 4) that holds each body's box.
+
+    The rings' elevations go down.
 
     First row, end row, first column (may be negative: columns wrap), number of columns. The number
     is 0 for a body out of range.
     """
     azimuth = np.empty(8)
+    channels, below_rad = len(elevations_rad), -elevations_rad
     for n in range(len(placed)):
         result[n] = 0
         low_z, high_z, far = 1e9, -1e9, 0.0
@@ -126,11 +129,8 @@ def windows(
             continue
         top = math.atan2(high_z, near if high_z > 0 else far)
         bottom = math.atan2(low_z, near if low_z < 0 else far)
-        first, end = 0, channels
-        if channels > 1:
-            per_rad = (channels - 1) / (fov_rad[0] - fov_rad[1])
-            first = max(0, math.floor((fov_rad[0] - top) * per_rad))
-            end = min(channels, math.ceil((fov_rad[0] - bottom) * per_rad) + 1)
+        first = max(0, int(np.searchsorted(below_rad, -top)) - 1)  # a ring more for rounding
+        end = min(channels, int(np.searchsorted(below_rad, -bottom)) + 1)
         if first >= end:
             continue
         per_rad = columns / (2 * math.pi)

@@ -12,22 +12,42 @@ from protocol.config import Section
 from protocol.plugins import Catalogue, PluginSettings
 from protocol.scans import Profile, ScanPattern
 from sensing.limits import MAX_COLUMNS
+from sensing.sensor_models import SENSOR_MODELS
 from sensing.upload_policies import POLICIES, Filter, PolicyName, policy_of
 
 LIDAR_SOURCES = Catalogue("cpnet.lidar_sources", "LiDAR source", ("cast",))
 """Every source of scans by its name; `sensing.source` defines what a plug-in must be."""
 
 
+LidarModel = Literal["full", "sparse", "hdl-64e", "vlp-32c", "pandar64", "os1-128"]
 _SPARSE = {"channels": 16, "points_per_second": 288_000}  # 16 x 1800 x 10
+_RINGS_OF_MODEL = "channels", "upper_fov", "lower_fov"
+_OF_POWER = "rain_mm_h", "fog_visibility_m", "beam_divergence_mrad", "noise_filter"
+
+
+def _model_defaults(name: object) -> dict[str, object]:
+    if name == "sparse":
+        return {**_SPARSE}
+    if not isinstance(name, str) or (model := SENSOR_MODELS.get(name)) is None:
+        return {}
+    rings = model.elevations_deg
+    return {
+        "channels": len(rings),
+        "points_per_second": len(rings) * model.columns * 10,
+        "upper_fov": round(rings[0], 2),
+        "lower_fov": round(rings[-1], 2),
+        "range": model.range_m,
+    }
 
 
 class LidarConfig(Section):
     """A spinning LiDAR, with the attributes of CARLA's `sensor.lidar.ray_cast` by their names."""
 
-    model: Literal["full", "sparse"] = Field(
+    model: LidarModel = Field(
         "full",
         description="Defaults of channels and points_per_second: those below, or with sparse a "
-        "quarter of both, as a 16-ring LiDAR has.",
+        "quarter of both, as a 16-ring LiDAR has; rings lie at equal steps. Or a real LiDAR, with "
+        "its own rings and range.",
     )
     channels: int = Field(64, ge=1, le=256, description="Number of lasers. CARLA: 32.")
     range: float = Field(
@@ -72,6 +92,29 @@ class LidarConfig(Section):
         "atmosphere_attenuation_rate and dropoff_intensity_limit are not used. null: all surfaces "
         "alike, as in CARLA.",
     )
+    beam_divergence_mrad: float = Field(
+        0.0,
+        ge=0,
+        le=20,
+        description="Full angle of a beam along its ring, across it half of that, mrad. At an edge "
+        "a beam meets both surfaces. 0: beams are lines.",
+    )
+    rain_mm_h: float = Field(
+        0.0, ge=0, le=200, description="Rain that weakens returns and returns beams itself, mm/h."
+    )
+    fog_visibility_m: float | None = Field(
+        None, ge=20, le=100_000, description="Meteorological optical range, m. null: no fog."
+    )
+    noise_filter: bool = Field(
+        False,
+        description="Whether the sensor drops returns within 20 m of less than 1 % reflectivity, "
+        "as those of drops and fog are.",
+    )
+    rolling_shutter: bool = Field(
+        False,
+        description="Whether others drive on during the revolution; a scan's time is its middle, "
+        "when the sensor looks ahead. Agents undo their own motion.",
+    )
     noise_stddev: float = Field(
         0.02,
         ge=0,
@@ -83,9 +126,7 @@ class LidarConfig(Section):
     @model_validator(mode="before")
     @classmethod
     def _fill_in_model(cls, given: object) -> object:
-        if isinstance(given, dict) and given.get("model") == "sparse":
-            return _SPARSE | given
-        return given
+        return _model_defaults(given.get("model")) | given if isinstance(given, dict) else given
 
     @property
     def columns(self) -> int:
@@ -95,6 +136,8 @@ class LidarConfig(Section):
     @property
     def pattern(self) -> ScanPattern:
         """The firing pattern as the scan codec knows it."""
+        if (model := SENSOR_MODELS.get(self.model)) is not None:
+            return ScanPattern.of_rings(model.elevations_deg, self.columns)
         return ScanPattern(self.channels, self.columns, self.upper_fov, self.lower_fov)
 
     @model_validator(mode="after")
@@ -107,6 +150,27 @@ class LidarConfig(Section):
         if self.lower_fov > self.upper_fov:
             raise ValueError(
                 f"lower_fov {self.lower_fov} deg lies above upper_fov {self.upper_fov} deg"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_model(self) -> Self:
+        if self.model in SENSOR_MODELS:
+            own = _model_defaults(self.model)
+            for name in _RINGS_OF_MODEL:
+                if getattr(self, name) != own[name]:
+                    raise ValueError(
+                        f"{name} is {getattr(self, name)}, a {self.model} has {own[name]}: leave "
+                        "it out, or choose model full"
+                    )
+        return self
+
+    @model_validator(mode="after")
+    def _check_power(self) -> Self:
+        given = [name for name in _OF_POWER if getattr(self, name)]
+        if given and self.range_at_10_percent_m is None:
+            raise ValueError(
+                f"{given[0]} says how much light comes back: needs range_at_10_percent_m"
             )
         return self
 

@@ -14,10 +14,12 @@ from perception.arrays import Floats32, Ints, Ints32
 from protocol.geometry import SE3, Floats
 from protocol.limits import MAX_LENGTH_M
 from protocol.scans import RangeScan, ScanPattern
+from sensing.beam_divergence import BeamWidths, mix_at_edges
 from sensing.candidates import gather, keep_nearest, place, turn, windows
 from sensing.config import LidarConfig
 from sensing.embree import Caster
 from sensing.mesh import VehicleShapes
+from sensing.pose import driven
 from sensing.reflectivity import (
     MEAN_PAINT,
     MIN_RANGE_M,
@@ -28,6 +30,7 @@ from sensing.reflectivity import (
     without_glass,
 )
 from sensing.scene import Scene
+from sensing.weather import add_backscatter, attenuation_per_m, backscatter, drop_weak
 
 
 def returns(
@@ -51,13 +54,10 @@ def returns(
     distance_m = view.distance_m
     draw = rng.random(distance_m.shape, np.float32)
     noise = rng.standard_normal(distance_m.shape, np.float32)
+    if config.range_at_10_percent_m is not None:
+        return _returns_by_power(view, config, draw, noise)
     range_m, intensity = np.empty_like(distance_m), np.empty_like(distance_m)
     keep = 1.0 - config.dropoff_general_rate
-    if config.range_at_10_percent_m is not None:
-        flat = (distance_m, view.strength, draw, noise, range_m, intensity)
-        rates = np.array([config.range, keep, config.range_at_10_percent_m, config.noise_stddev])
-        apply_power(*(a.reshape(-1) for a in flat), rates)
-        return range_m, intensity
     np.multiply(distance_m, np.float32(-config.atmosphere_attenuation_rate), out=intensity)
     np.exp(intensity, out=intensity)
     rates = np.array(
@@ -71,6 +71,29 @@ def returns(
     )
     arrays = (distance_m, draw, noise, range_m, intensity)
     _apply_losses(*(a.reshape(-1) for a in arrays), rates)
+    return range_m, intensity
+
+
+def _returns_by_power(
+    view: RayHits, config: LidarConfig, draw: Floats32, noise: Floats32
+) -> tuple[Floats32, Floats32]:
+    distance_m, strength = view.distance_m, view.strength
+    if config.beam_divergence_mrad:
+        widths = BeamWidths.of(config.pattern, config.beam_divergence_mrad)
+        mixed_m, mixed = np.empty_like(distance_m), np.empty_like(strength)
+        mix_at_edges(distance_m, strength, draw, widths.along, widths.across, mixed_m, mixed)
+        distance_m, strength = mixed_m, mixed
+    range_m, intensity = np.empty_like(distance_m), np.empty_like(distance_m)
+    keep, dark_m = 1.0 - config.dropoff_general_rate, config.range_at_10_percent_m
+    rates = [config.range, keep, dark_m, config.noise_stddev, attenuation_per_m(config)]
+    flat = (distance_m, strength, draw, noise, range_m, intensity)
+    apply_power(*(a.reshape(-1) for a in flat), np.array(rates, np.float64))
+    if (air := backscatter(config)) is not None:
+        arrays = (distance_m, draw, noise, range_m, intensity)
+        chance, fog = np.float32(air.chance), np.float32(air.fog)
+        add_backscatter(*(a.reshape(-1) for a in arrays), air.table, chance, fog)
+    if config.noise_filter:
+        drop_weak(range_m, intensity)
     return range_m, intensity
 
 
@@ -149,6 +172,7 @@ class StaticView:
     strength: Floats32
 
 
+_ON_BODY_M = 0.5  # farther off a return is another thing's: a drop's, or that of what is behind
 _KEPT_VIEWS = 32  # of sensors that stand still: 0.5 MB each
 
 
@@ -169,7 +193,9 @@ class RayHits:
 
     def points_on(self, range_m: Floats32, bodies: int) -> Ints:
         """Counts by body (bodies,) the beams that end on it and return."""
-        return np.bincount(self.body[(self.body >= 0) & (range_m > 0)], minlength=bodies)
+        on_body = (self.body >= 0) & (range_m > 0)
+        on_body &= np.abs(range_m - self.distance_m) < _ON_BODY_M
+        return np.bincount(self.body[on_body], minlength=bodies)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -235,8 +261,13 @@ class Lidar:
         own: int | None,
         rng: np.random.Generator,
         paint: Floats32 | None = None,
+        speeds_mps: Floats32 | None = None,
     ) -> Sensed:
-        """Returns one revolution, cast at one instant.
+        """Returns one revolution.
+
+        With a rolling shutter, each body is where it is when the beam passes its middle. What the
+        sensor's own motion does to a scan, an agent undoes: with odometry that is 0.1 m/s off,
+        half a revolution leaves 5 mm.
 
         Args:
             map_SE3_sensor: where the sensor truly is.
@@ -245,10 +276,13 @@ class Lidar:
             own: index of the body that carries the sensor and is not seen; None at the roadside.
             rng: for loss and noise; keyed by agent and frame.
             paint: reflectivity of the bodies' paint (N,); a mean one without.
+            speeds_mps: of the bodies (N,), along their heading; they stand without.
 
         Raises:
             MessageError: a type that the set-up did not announce.
         """
+        if self._config.rolling_shutter and speeds_mps is not None:
+            poses = driven(poses, speeds_mps * self._after_s(map_SE3_sensor, poses))
         near = self._within_range(map_SE3_sensor, poses)
         others = near if own is None else near[near != own]
         paints = np.full(len(poses), MEAN_PAINT, np.float32) if paint is None else paint
@@ -259,6 +293,16 @@ class Lidar:
         points_on = np.zeros(len(poses), np.int64)
         points_on[others] = view.points_on(range_m, len(others))
         return Sensed(RangeScan(self._pattern, range_m, intensity), points_on)
+
+    def _after_s(self, map_SE3_sensor: SE3, poses: Floats) -> Floats:
+        """Returns how long after the middle of the revolution the beam passes each body (N,).
+
+        The sensor turns clockwise, as the HDL-64E does, and is at azimuth 0 at that time.
+        """
+        places = map_SE3_sensor.inverse().apply(poses[:, :3])
+        turns = np.arctan2(places[:, 1], places[:, 0]) / (2 * np.pi)
+        result: Floats = -turns / self._config.rotation_frequency
+        return result
 
     def _within_range(self, map_SE3_sensor: SE3, poses: Floats) -> Ints:
         """Returns the indices of the bodies of which a ray could reach a part."""
@@ -310,10 +354,8 @@ class Lidar:
         place(np.array(poses, np.float64), bodies.size_m, bounds, rotation, translation, placed)
         parts = np.empty((len(poses), 4), np.int64)
         pattern = self._pattern
-        fov_rad = np.radians([pattern.upper_fov_deg, pattern.lower_fov_deg])
-        windows(
-            placed, fov_rad, pattern.channels, pattern.columns, float(self._config.range), parts
-        )
+        range_m = float(self._config.range)
+        windows(placed, pattern.elevations_rad, pattern.columns, range_m, parts)
         if own is not None:
             parts[own] = 0
         sizes = (parts[:, 1] - parts[:, 0]) * parts[:, 3]

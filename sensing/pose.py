@@ -42,6 +42,16 @@ def pose_above(pose: Floats, height_m: float) -> SE3:
     return SE3.from_pose(pose) @ SE3(np.eye(3), np.array([0.0, 0.0, height_m]))
 
 
+def driven(poses: Floats, ahead_m: Floats) -> Floats:
+    """Returns poses (N, 6) so much (N,) farther along their heading."""
+    pitch, yaw = poses[:, 4], poses[:, 5]
+    result = poses.copy()
+    result[:, 0] += ahead_m * np.cos(yaw) * np.cos(pitch)
+    result[:, 1] += ahead_m * np.sin(yaw) * np.cos(pitch)
+    result[:, 2] -= ahead_m * np.sin(pitch)
+    return result
+
+
 def estimated_pose(
     true_pose: npt.ArrayLike,
     config: PoseErrorConfig,

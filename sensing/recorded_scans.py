@@ -135,6 +135,7 @@ def write_recording(
             "columns": pattern.columns,
             "upper_fov_deg": pattern.upper_fov_deg,
             "lower_fov_deg": pattern.lower_fov_deg,
+            "elevations_deg": pattern.elevations_deg,
         },
     }
     (folder / _ABOUT).write_text(json.dumps(about, indent=2) + "\n", "utf-8")

@@ -174,9 +174,9 @@ def apply_power(
     """Writes range (N,), 0 for none, and intensity: the strength, as calibrated sensors report it.
 
     `rates` are the farthest range, the share that returns whatever is hit, the range of the 10 %
-    target, and the noise's standard deviation.
+    target, the noise's standard deviation, and the air's extinction, 1/m.
     """
-    farthest, keep, dark_m, stddev = rates
+    farthest, keep, dark_m, stddev, extinction = rates
     middle = 1.0 + np.log(SURE / (1.0 - SURE)) / STEEPNESS
     near, far_gone = (middle - 8.0 / STEEPNESS) ** 2, (middle + 8.0 / STEEPNESS) ** 2
     weakening = TARGET / (dark_m * dark_m)
@@ -185,6 +185,8 @@ def apply_power(
         if strength[n] <= 0 or not MIN_RANGE_M <= distance_m[n] < farthest:
             continue
         far = distance_m[n] * distance_m[n] * weakening / strength[n]  # of its range, squared
+        if extinction > 0:
+            far *= np.exp(2.0 * extinction * distance_m[n])
         chance = keep
         if far > far_gone:
             continue

@@ -45,7 +45,8 @@ class ModelSource:
         """See `ScanSource.scan`; noise follows from seed, agent and frame."""
         rng = stream(self._seed, "scan", agent, view.frame)
         paint = paints_of(self._seed, view.ids)
-        return self._lidar.scan(map_SE3_sensor, view.poses, view.types, own, rng, paint)
+        bodies = view.poses, view.types
+        return self._lidar.scan(map_SE3_sensor, *bodies, own, rng, paint, view.speeds_mps)
 
     def close(self) -> None:
         """Holds nothing."""

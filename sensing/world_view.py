@@ -12,6 +12,7 @@ from protocol.bus import Bus
 from protocol.geometry import Floats
 from protocol.messages import Equipment, Tick, TileBodies, TileRequest
 from protocol.tiles import Tile, joined, tile_name, tiles_within
+from sensing.pose import driven
 
 AHEAD_M = 50.0
 """Tiles are subscribed to so much before an agent needs them, and kept for twice that."""
@@ -49,12 +50,7 @@ class WorldView:
         if by_s == 0.0:
             return self
         ahead_m = self.speeds_mps.astype(np.float64) * by_s
-        pitch, yaw = self.poses[:, 4], self.poses[:, 5]
-        poses = self.poses.copy()
-        poses[:, 0] += ahead_m * np.cos(yaw) * np.cos(pitch)
-        poses[:, 1] += ahead_m * np.sin(yaw) * np.cos(pitch)
-        poses[:, 2] -= ahead_m * np.sin(pitch)
-        return replace(self, poses=poses)
+        return replace(self, poses=driven(self.poses, ahead_m))
 
     @classmethod
     def without_bodies(cls, tick: Tick) -> WorldView:

@@ -105,7 +105,8 @@ def encode_scan(
     pattern = scan.pattern
     fov_deg = (pattern.upper_fov_deg, pattern.lower_fov_deg)
     beams = (pattern.channels, pattern.columns)
-    return Head(form, points, step_m, *beams, *fov_deg, intensity).seal(*sections, *shades)
+    head = Head(form, points, step_m, *beams, *fov_deg, intensity, pattern.elevations_deg)
+    return head.seal(*sections, *shades)
 
 
 def encode_cloud(
@@ -247,6 +248,8 @@ def _unpack_tree(head: Head, reader: Reader) -> Floats32:
 
 
 def _pattern(head: Head) -> ScanPattern:
+    if head.elevations_deg:
+        return ScanPattern.of_rings(head.elevations_deg, head.columns)
     return ScanPattern(head.channels, head.columns, head.upper_fov_deg, head.lower_fov_deg)
 
 

@@ -1,7 +1,8 @@
 """The outside of a payload: a prefix, then sections of stated length.
 
 The prefix is 40 bytes: magic "SCAN", u8 form, u8 flags, u16 channels, u32 columns, u32 points,
-f32 upper and lower field of view (deg), f64 step (m), u32 length of what follows, u32 zero.
+f32 upper and lower field of view (deg), f64 step (m), u32 length of what follows, u32 zero. A
+pattern whose rings are not of equal spacing puts a section first: i16 of 0.01 deg by ring.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ from protocol.scans import Floats32, check_beams
 
 MAGIC = b"SCAN"
 PREFIX = struct.Struct("<4sBBHIIffdII")
-HAS_INTENSITY = 1
+HAS_INTENSITY, HAS_ELEVATIONS = 1, 2
+_FLAGS = HAS_INTENSITY | HAS_ELEVATIONS
+_ELEVATION_UNITS = 100.0  # per deg
 _LENGTH = struct.Struct("<I")
 _LEVEL = 1  # zstd: higher levels gain under 2 % here and cost several times as much
 
@@ -50,14 +53,20 @@ class Head:
     upper_fov_deg: float = 0.0
     lower_fov_deg: float = 0.0
     with_intensity: bool = False
+    elevations_deg: tuple[float, ...] = ()
 
     def seal(self, *sections: bytes) -> bytes:
         """Returns the payload."""
+        flags = HAS_INTENSITY if self.with_intensity else 0
+        if self.elevations_deg:
+            flags |= HAS_ELEVATIONS
+            units = np.round(np.array(self.elevations_deg) * _ELEVATION_UNITS)
+            sections = units.astype("<i2").tobytes(), *sections
         body = b"".join(_LENGTH.pack(len(section)) + section for section in sections)
         prefix = PREFIX.pack(
             MAGIC,
             self.form,
-            HAS_INTENSITY if self.with_intensity else 0,
+            flags,
             self.channels,
             self.columns,
             self.points,
@@ -113,7 +122,7 @@ def read_payload(data: bytes) -> tuple[Head, Reader]:
     magic, form, flags, channels, columns, points, upper, lower, step_m, length, zero = (
         PREFIX.unpack_from(data)
     )
-    if magic != MAGIC or form not in tuple(Form) or flags & ~HAS_INTENSITY or zero:
+    if magic != MAGIC or form not in tuple(Form) or flags & ~_FLAGS or zero:
         raise CodecError(f"scan begins with {magic!r}, form {form}, flags {flags}")
     if length != len(data) - PREFIX.size:
         raise CodecError(f"scan claims {length} bytes, {len(data) - PREFIX.size} are there")
@@ -125,10 +134,23 @@ def read_payload(data: bytes) -> tuple[Head, Reader]:
         check_beams(channels, columns)
     if form in _IMAGES and points > channels * columns:
         raise CodecError(f"scan claims {points} points of {channels} x {columns} beams")
-    head = Head(
-        Form(form), points, step_m, channels, columns, upper, lower, bool(flags & HAS_INTENSITY)
-    )
-    return head, Reader(data, PREFIX.size)
+    reader = Reader(data, PREFIX.size)
+    elevations_deg: tuple[float, ...] = ()
+    if flags & HAS_ELEVATIONS:
+        if form not in _IMAGES:
+            raise CodecError(f"scan of form {form} claims elevations of rings")
+        elevations_deg = _read_elevations(reader.section(), channels)
+    with_intensity = bool(flags & HAS_INTENSITY)
+    beams = channels, columns
+    head = Head(Form(form), points, step_m, *beams, upper, lower, with_intensity, elevations_deg)
+    return head, reader
+
+
+def _read_elevations(section: bytes, channels: int) -> tuple[float, ...]:
+    if len(section) != 2 * channels:
+        raise CodecError(f"elevations of {channels} rings take {len(section)} bytes")
+    units = np.frombuffer(section, "<i2").astype(np.float64)
+    return tuple((units / _ELEVATION_UNITS).tolist())
 
 
 def claimed_points(payload: npt.NDArray[np.uint8]) -> int:

@@ -57,10 +57,11 @@ def test_a_realism_that_there_is_not_is_refused_with_those_that_there_are():
         load("t_junction", {"realism": "easy"})
 
 
-def test_the_study_of_realism_has_all_parts_of_hard_each_once():
+def test_the_study_of_realism_has_all_parts_of_hard():
+    """Each once; what acts on the power that comes back stands beside the key that has it so."""
     study = yaml.safe_load((ROOT / "docs" / "figures" / "realism.yaml").read_text("utf-8"))
     parts = {name: one for name, one in study["axes"]["part"].items() if "realism" not in one}
-    keys = [key for one in parts.values() for key in one]
+    keys = [key for one in parts.values() for key in one if "range_at_10" not in key]
     assert len(keys) == len(set(keys))
     together = {key: value for one in parts.values() for key, value in one.items()}
     assert together == dotted(preset("hard"))

@@ -343,3 +343,49 @@ def test_a_scan_that_holds_another_number_of_points_than_it_claims_is_refused(po
     head, reader = read_payload(payload)
     with pytest.raises(CodecError, match=f"claims {points} points, holds 64"):
         decode(replace(head, points=points).seal(reader.section()))
+
+
+@settings(deadline=None)  # the machine may be busy
+@given(
+    st.lists(st.integers(-9000, 9000), min_size=1, max_size=12, unique=True),
+    st.booleans(),
+    PROFILES,
+)
+def test_rings_of_any_spacing_come_back(units, with_intensity, profile):
+    pattern = ScanPattern.of_rings([one / 100 for one in sorted(units, reverse=True)], 8)
+    range_m = np.full((len(units), 8), 30, np.float32)
+    scan = RangeScan(pattern, range_m, np.full_like(range_m, 0.5))
+    back = decode(encode_scan(scan, 0.02, profile=profile, intensity=with_intensity))
+    assert np.linalg.norm(back.points - scan.cloud().points, axis=1).max() <= 0.02
+
+
+@pytest.mark.parametrize("rings", [[], [1.0, 1.0], [-1.0, 1.0], [91.0, 0.0]])
+def test_rings_that_do_not_go_down_are_refused(rings):
+    with pytest.raises(CodecError):
+        ScanPattern.of_rings(rings, 8)
+
+
+def test_elevations_that_are_not_one_a_ring_are_refused():
+    pattern = ScanPattern.of_rings([1.0, 0.0, -3.0], 8)
+    range_m = np.full((3, 8), 30, np.float32)
+    payload = bytearray(encode_scan(RangeScan(pattern, range_m, range_m), 0.02, profile="fast"))
+    payload[6:8] = (4).to_bytes(2, "little")  # channels
+    with pytest.raises(CodecError, match="elevations of 4 rings take 6 bytes"):
+        decode(bytes(payload))
+
+
+def test_elevations_that_go_up_are_refused_on_the_wire():
+    pattern = ScanPattern.of_rings([1.0, 0.0, -3.0], 8)
+    range_m = np.full((3, 8), 30, np.float32)
+    payload = bytearray(encode_scan(RangeScan(pattern, range_m, range_m), 0.02, profile="fast"))
+    at = PREFIX.size + 4
+    payload[at : at + 6] = np.array([100, 200, -300], "<i2").tobytes()
+    with pytest.raises(CodecError, match="each must lie below the one before"):
+        decode(bytes(payload))
+
+
+def test_a_cloud_that_claims_elevations_is_refused():
+    payload = bytearray(encode_cloud(cloud_of(np.zeros((3, 3), np.float32)), 0.02, profile="fast"))
+    payload[5] |= 2
+    with pytest.raises(CodecError, match="claims elevations"):
+        decode(bytes(payload))

@@ -142,3 +142,23 @@ def test_a_body_of_an_unknown_type_is_refused(
     lidar = Lidar(CLEAN, scene, shapes)
     with pytest.raises(MessageError, match="'tank' is not in the set-up"):
         lidar.scan(SE3.identity(), traffic[0][:1], ["tank"], None, stream(SEED))
+
+
+def test_with_a_rolling_shutter_each_body_is_where_the_beam_met_it(
+    scene: Scene, shapes: VehicleShapes, traffic: Traffic
+) -> None:
+    """Clockwise from behind: what is on the left is met before, on the right after the middle."""
+    rolling = CLEAN.model_copy(update={"rolling_shutter": True})
+    sensor = SE3.from_pose([0, 0, 3, 0, 0, 0])
+    kind = traffic[1][:1]
+    for azimuth_rad, after_s in ((0.0, 0.0), (np.pi / 2, -0.025), (-np.pi / 2, 0.025)):
+        pose = np.array([[8 * np.cos(azimuth_rad), 8 * np.sin(azimuth_rad), 0, 0, 0, 0]])
+        met = pose + np.array([20 * after_s, 0, 0, 0, 0, 0])
+        lidars = Lidar(rolling, bare(scene), shapes), Lidar(CLEAN, bare(scene), shapes)
+        speeds_mps = np.array([20], np.float32)
+        moving = lidars[0].scan(sensor, pose, kind, None, stream(1), speeds_mps=speeds_mps)
+        still = lidars[1].scan(sensor, met, kind, None, stream(1))
+        assert moving.points_on[0] > 20
+        assert np.allclose(moving.scan.range_m, still.scan.range_m, atol=1e-4)
+        unmoved = lidars[1].scan(sensor, pose, kind, None, stream(1), speeds_mps=speeds_mps)
+        assert np.array_equal(unmoved.scan.range_m, moving.scan.range_m) == (after_s == 0)

@@ -87,6 +87,21 @@ def _beams(directions: Floats, pattern: ScanPattern) -> tuple[Ints, Ints]:
     return rings.astype(np.int64), columns.astype(np.int64) % pattern.columns
 
 
+ATTRIBUTES = {
+    "channels",
+    "range",
+    "points_per_second",
+    "rotation_frequency",
+    "upper_fov",
+    "lower_fov",
+    "atmosphere_attenuation_rate",
+    "dropoff_general_rate",
+    "dropoff_intensity_limit",
+    "dropoff_zero_intensity",
+    "noise_stddev",
+}
+"""Keys of a scenario's LiDAR that CARLA's has as attributes of the same names."""
+
 _ROLE = "cpnet"
 _SKY_M, _APART_M = 1000.0, 20.0  # where spawning never fails for want of room
 
@@ -278,8 +293,7 @@ class CarlaSource:
         self._server = CarlaServer(config, 1 / lidar.rotation_frequency)
         with self._server.turn():
             blueprint = self._server.blueprint(SENSOR)
-            # The attributes have the names of the scenario's keys; two of these are ours alone.
-            attributes = lidar.model_dump(exclude={"model", "range_at_10_percent_m"}) | {
+            attributes = lidar.model_dump(include=ATTRIBUTES) | {
                 "horizontal_fov": 360.0,
                 "noise_seed": setup.scenario["seed"],
             }
@@ -304,6 +318,8 @@ class CarlaSource:
         if len({config.rotation_frequency for config in kinds.values()}) > 1:  # it has one step
             needs.append("the same rotation_frequency for lidar.vehicle and lidar.roadside")
         for kind, config in kinds.items():
+            if config.pattern.elevations_deg:  # CARLA's rings lie at equal steps
+                needs.append(f"lidar.{kind}.model full or sparse (got {config.model})")
             if config.columns % 2:  # CARLA's beams begin half a turn from the front
                 needs.append(
                     f"an even number of rays a turn and laser (lidar.{kind}: {config.columns})"
