@@ -64,6 +64,9 @@ def train_command(
     windows: Annotated[int, typer.Option(help="a step")] = 4,
     cells: Annotated[int, typer.Option(help="of 0.25 m, a window's side")] = 320,
     seed: Annotated[int, typer.Option(help="the same weights for the same seed")] = 1,
+    start: Annotated[
+        Path | None, typer.Option(help="weights to begin with, trained on other data")
+    ] = None,
 ) -> None:
     """Train PointPillars on labelled scans, on a GPU if there is one."""
     from cpnet.evaluation import detectors_of, figures_of
@@ -74,7 +77,7 @@ def train_command(
     except ImportError as error:
         raise ConfigError(f"training needs PyTorch (extra `learn`): {error}") from None
     recipe = Recipe(steps=steps, windows=windows, cells=cells, seed=seed)
-    path = train(Training(dataset, out, network, recipe), errors)
+    path = train(Training(dataset, out, network, recipe, start), errors)
     errors.print("measuring it on the networks kept for validation")
     (name,) = detectors_of(network)
     describe(path, {"ap40_val": figures_of(dataset, name, path, "val")})

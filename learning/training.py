@@ -27,7 +27,7 @@ from learning.dataset import Dataset, Split
 from learning.examples import Example, PlacedSample, RoadRasters, Targets, example_of
 from perception.pillars.config import NETWORKS, PillarsConfig
 from perception.pillars.network import BOX_TERMS, Batch, PointPillars, lay_channels_last
-from perception.pillars.weights import save
+from perception.pillars.weights import load, save
 from protocol.config import is_file
 from protocol.errors import ConfigError
 
@@ -220,6 +220,16 @@ class Trainer:
         save_file(tensors, temporary, {"step": str(self.step), "recipe": self._recipe_text()})
         temporary.replace(folder / _STATE)
 
+    def begin_with(self, network: PointPillars, path: Path) -> None:
+        """Takes a network's weights, read from a file.
+
+        Raises:
+            ConfigError: it has another shape or other anchors.
+        """
+        if network.config != self.network.config:
+            raise ConfigError(f"--start {path}: it is of another network, or has other anchors")
+        self.network.load_state_dict(network.state_dict())
+
     def resume(self, folder: Path) -> bool:
         """Takes up a state of the same recipe; False if there is none.
 
@@ -267,12 +277,16 @@ SAVE_EVERY_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Training:
-    """A training: dataset, network, recipe, and the folder for weights and state."""
+    """A training: dataset, network, recipe, and the folder for weights and state.
+
+    `start` are weights to begin with, of the same network and anchors; random ones without.
+    """
 
     dataset: Path
     out: Path
     network: str
     recipe: Recipe
+    start: Path | None = None
 
     def check(self) -> None:
         """Raises ConfigError if it cannot be done."""
@@ -303,22 +317,29 @@ def train(training: Training, console: Console) -> Path:
     except (OSError, ValueError) as error:
         raise ConfigError(f"--out {training.out}: {error}") from None
     trainer = Trainer(NETWORKS[training.network], training.recipe, device)
+    start = None if training.start is None else load(training.start)
     if trainer.resume(training.out):
         console.print(f"going on after step {trainer.step}")
+    elif training.start is not None and start is not None:
+        trainer.begin_with(start[0], training.start)
     _run(trainer, samples, training.out, console)
     path = training.out / f"{training.network}.safetensors"
-    save(trainer.network, path, about_of(training, len(samples)))
+    about = about_of(training, len(samples), None if start is None else start[1])
+    save(trainer.network, path, about)
     return path
 
 
-def about_of(training: Training, samples: int) -> dict[str, object]:
-    """Returns the description in the weights' file: network, recipe, dataset."""
-    return {
+def about_of(
+    training: Training, samples: int, start: dict[str, object] | None = None
+) -> dict[str, object]:
+    """Returns the description in the weights' file: network, recipe, dataset, and of the start."""
+    about: dict[str, object] = {
         "network": training.network,
         "recipe": training.recipe.as_dict(),
         "dataset": Dataset(training.dataset).info.model_dump(),
         "samples": samples,
     }
+    return about if start is None else {**about, "start": start}
 
 
 def _run(trainer: Trainer, samples: PlacedSamples, out: Path, console: Console) -> None:

@@ -14,6 +14,7 @@ from safetensors.torch import load_file, save_file  # noqa: E402 - after the che
 from learning.examples import PlacedSample  # noqa: E402
 from learning.training import Recipe, Trainer  # noqa: E402
 from perception.pillars.config import PillarsConfig  # noqa: E402
+from perception.pillars.weights import load, save  # noqa: E402
 from protocol.errors import ConfigError  # noqa: E402
 
 pytestmark = pytest.mark.slow
@@ -104,3 +105,21 @@ def test_a_broken_state_is_named_and_not_trained_over(tmp_path: Path, how: str) 
     with pytest.raises(ConfigError, match=r"training\.safetensors: .*remove the file"):
         Trainer(TINY, RECIPE, CPU).resume(tmp_path)
     assert path.read_bytes() == before
+
+
+def test_training_begins_with_weights_that_are_given(tmp_path: Path) -> None:
+    path = tmp_path / "tiny.safetensors"
+    first, second = Trainer(TINY, RECIPE, CPU), Trainer(TINY, Recipe(steps=4, seed=2), CPU)
+    list(first.run(SIGHTS))
+    save(first.network, path, {})
+    second.begin_with(load(path)[0], path)
+    for name, value in weights(first).items():
+        assert torch.allclose(weights(second)[name].float(), value.float(), rtol=2e-3, atol=1e-3)
+
+
+def test_weights_of_another_network_are_no_beginning(tmp_path: Path) -> None:
+    path = tmp_path / "tiny.safetensors"
+    save(Trainer(TINY, RECIPE, CPU).network, path, {})
+    wider = TINY.model_copy(update={"up_channels": 16})
+    with pytest.raises(ConfigError, match=r"--start .*tiny.safetensors: .*another network"):
+        Trainer(wider, RECIPE, CPU).begin_with(load(path)[0], path)
