@@ -57,11 +57,11 @@ def figures_of(
     """
     config = EdgeConfig.model_validate({"pillars": {"weights": str(weights)}})
     _, listed = Source(dataset, None, None, split, 0).open(config)
-    rows = evaluate(listed, (network,))
+    rows = evaluate(listed, (network,), geofences=(True,))
     return {
         f"{row.cloud} {row.fusion} {row.view} {row.iou:g} {row.objects}": round(row.ap40, 4)
         for row in rows
-        if row.geofence and row.truth == "visible" and row.part == EVERYTHING and row.ap40
+        if row.truth == "visible" and row.part == EVERYTHING and row.ap40
     }
 
 

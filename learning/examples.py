@@ -19,6 +19,7 @@ from perception.pillars.windows import Pillars, Window, pillars_of
 from perception.roadway import Roadway
 from protocol.roadmap import RoadMap
 
+_OBLIQUE_RAD = np.pi / 3
 FAINT_IOU = 0.1  # of a vehicle with too few points to be required
 NO_OWNER = -1
 
@@ -79,29 +80,37 @@ def targets_of(
 def _assign(
     boxes: Floats, grid: Floats, rows: int, columns: int, overlap: Floats32, owner: Ints32
 ) -> None:
-    """Gives each anchor the box it overlaps most, both laid along the axes."""
+    """Gives each anchor the box it overlaps most, turned to lie along the box or across it.
+
+    An anchor within `_OBLIQUE_RAD` of a box's yaw lies along it. A box between both anchors' yaws
+    has both, so that which of them it is need not be guessed.
+    """
     low_x, low_y, step_m, length_m, width_m = grid
     for index in range(boxes.shape[0]):
         x, y, long_m, wide_m = boxes[index, 0], boxes[index, 1], boxes[index, 3], boxes[index, 4]
-        if abs(np.sin(boxes[index, 6])) > abs(np.cos(boxes[index, 6])):
-            long_m, wide_m = wide_m, long_m
-        reach_m = (max(long_m, wide_m) + length_m) / 2
+        cos, sin = np.cos(boxes[index, 6]), np.sin(boxes[index, 6])
+        reach_m = (np.hypot(long_m, wide_m) + np.hypot(length_m, width_m)) / 2
         first_row = max(int((y - reach_m - low_y) / step_m), 0)
         last_row = min(int((y + reach_m - low_y) / step_m), rows - 1)
         first_column = max(int((x - reach_m - low_x) / step_m), 0)
         last_column = min(int((x + reach_m - low_x) / step_m), columns - 1)
         for row in range(first_row, last_row + 1):
-            off_y = abs(low_y + (row + 0.5) * step_m - y)
+            off_y = low_y + (row + 0.5) * step_m - y
             for column in range(first_column, last_column + 1):
-                off_x = abs(low_x + (column + 0.5) * step_m - x)
+                off_x = low_x + (column + 0.5) * step_m - x
+                off_along, off_across = (
+                    abs(cos * off_x + sin * off_y),
+                    abs(cos * off_y - sin * off_x),
+                )
                 for kind in range(2):
-                    along = length_m if kind == 0 else width_m
-                    across = width_m if kind == 0 else length_m
-                    common_x = min(min(long_m, along), (long_m + along) / 2 - off_x)
-                    common_y = min(min(wide_m, across), (wide_m + across) / 2 - off_y)
-                    if common_x <= 0 or common_y <= 0:
+                    lies_along = abs(cos if kind == 0 else sin) > np.cos(_OBLIQUE_RAD)
+                    along = length_m if lies_along else width_m
+                    across = width_m if lies_along else length_m
+                    common_along = min(min(long_m, along), (long_m + along) / 2 - off_along)
+                    common_across = min(min(wide_m, across), (wide_m + across) / 2 - off_across)
+                    if common_along <= 0 or common_across <= 0:
                         continue
-                    area = common_x * common_y
+                    area = common_along * common_across
                     iou = area / (long_m * wide_m + length_m * width_m - area)
                     place = (kind * rows + row) * columns + column
                     if iou > overlap[place]:

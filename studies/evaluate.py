@@ -215,9 +215,11 @@ class Site:
 
 
 def evaluate(
-    samples: Iterable[tuple[Site, SceneSample]], detectors: Sequence[DetectorName]
+    samples: Iterable[tuple[Site, SceneSample]],
+    detectors: Sequence[DetectorName],
+    geofences: Sequence[bool] = (True, False),
 ) -> list[EvalRow]:
-    """Returns all rows of these detectors.
+    """Returns all rows of these detectors, with and without the geofence.
 
     Raises:
         ConfigError: a detector cannot be had here.
@@ -227,7 +229,7 @@ def evaluate(
     for site, sample in samples:
         for name in detectors:
             least[name] = site.least_score(name)
-            for geofence in (True, False):
+            for geofence in geofences:
                 for kind, objects, one in score_sample(site, sample, name, geofence=geofence):
                     judged.setdefault((name, geofence, kind, objects), []).append(one)
     return [row for key, scenes in judged.items() for row in rows_of(*key, scenes, least[key[0]])]

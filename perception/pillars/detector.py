@@ -22,6 +22,7 @@ from perception.config import PillarsDetection
 from perception.detector import Cloud, Stage, Vehicles, untimed
 from perception.pillars.config import FULL, STRIDE
 from perception.pillars.network import BOX_TERMS, PointPillars, boxes_of, middle_of
+from perception.pillars.seen_side import behind_their_points
 from perception.pillars.weights import network_of
 from perception.pillars.windows import Window, cover, known_of
 from perception.roadway import Roadway, merge
@@ -224,6 +225,8 @@ class PillarsDetector:
             boxes, scores, classes = self._ask(points, points[:, 2] - road_m, windows)
             kept = suppress(boxes, scores, iou=self._config.same_iou)
             boxes, scores, classes = boxes[kept], scores[kept], classes[kept]
+            sizes = np.array([len(part.points) for part in parts], np.int64)
+            boxes = behind_their_points(boxes, points, points[:, 2] - road_m, sizes, cloud.sensors)
             boxes[:, 2] += self._roadway.height_at(boxes)
             boxes[:, 6] = _headed(boxes[:, 6], self._roadway.yaw_at(boxes))
             return Vehicles.from_lidar(boxes, scores, classes)

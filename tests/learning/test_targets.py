@@ -36,6 +36,16 @@ def test_every_sure_vehicle_has_an_anchor_whose_terms_are_its_box(
     assert targets.counts[targets.place].all()
 
 
+@pytest.mark.parametrize("yaw_deg", range(0, 91, 15))
+def test_a_vehicle_has_as_good_anchors_at_every_yaw(yaw_deg: int) -> None:
+    boxes = np.array([car(0.25, 0.25, np.radians(yaw_deg))])
+    targets = targets_of(boxes, CARS, np.array([True]), WINDOW, SMALL)
+    kinds, counts = np.unique(targets.place // SIDE**2, return_counts=True)
+    lying_along = [0] * (yaw_deg < 60) + [1] * (yaw_deg > 30)
+    assert kinds.tolist() == lying_along
+    assert counts.min() >= 3
+
+
 def test_anchors_near_a_vehicle_do_not_count_and_far_ones_are_nothing() -> None:
     targets = targets_of(np.array([car(0.25, 0.25, 0.0)]), CARS, np.array([True]), WINDOW, SMALL)
     grid = targets.counts.reshape(SMALL.kinds, SIDE, SIDE)
