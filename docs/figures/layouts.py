@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable
+from itertools import product
 from statistics import mean, stdev
 from typing import Any
 
@@ -154,6 +155,43 @@ def accuracy(rows: Rows) -> Table:
         figures += [_fixed(at["recall"], 1, 100), _fixed(at["precision"], 1, 100)]
         table.append([f"`{detector}`", cloud, "yes" if geofence else "no", *figures])
     return table
+
+
+_OBJECTS = {
+    "vehicle": "vehicles, whatever they are called",
+    "car": "cars, vans",
+    "truck": "lorries, buses",
+    "two_wheeler": "two-wheelers",
+    "pedestrian": "pedestrians",
+}
+_BY_CLASS: tuple[tuple[str, float], ...] = tuple(product(("visible", "all"), (0.1, 0.5, 0.7)))
+
+
+def accuracy_by_class(rows: Rows) -> Table:
+    """Returns average precision by class, of merged clouds inside the geofence, from above."""
+    heads = [f"{truth}, {iou:g}" for truth, iou in _BY_CLASS]
+    table = [["detector", "objects", "visible", *heads]]
+    for detector in dict.fromkeys(row["detector"] for row in rows):
+        for name, words in _OBJECTS.items():
+            cells = {
+                (row["truth"], row["iou"]): row
+                for row in rows
+                if (row["detector"], row["fusion"], row["view"]) == (detector, "early", "bev")
+                and (row["part"], row["geofence"], row["objects"]) == ("all", True, name)
+            }
+            figures = [_with_half(cells[cell]) for cell in _BY_CLASS]
+            count = str(cells["visible", 0.1]["vehicles"])
+            table.append([f"`{detector}`", words, count, *figures])
+    return table
+
+
+def _with_half(row: dict[str, Any]) -> str:
+    """Returns AP40 and half of its interval over networks, in per cent."""
+    if row["ap40"] is None:
+        return ""
+    half = row["ap40_half"]
+    found = _fixed(row["ap40"], 1, 100)
+    return found if half is None else f"{found} ± {_fixed(half, 1, 100)}"
 
 
 def city(rows: Rows) -> Table:

@@ -139,11 +139,14 @@ _LIST = (
     ),
     Figure(
         "accuracy",
-        "[ -e data100 ] || cpnet dataset data100 --networks 100 --samples 10 --seed 1 >&2; "
-        "cpnet eval data100 --detectors fast,pointpillars --json",
+        "[ -e hard100 ] || cpnet dataset hard100 --networks 100 --samples 10 --seed 1 "
+        "--realism hard >&2; cpnet eval hard100 --detectors fast,pointpillars --json",
         (*PERCEPTION, "sensing", "learning", "studies/evaluate.py", "studies/average_precision.py"),
         40,
-        (Part("all", "docs/detection.md", layouts.accuracy),),
+        (
+            Part("all", "docs/detection.md", layouts.accuracy),
+            Part("classes", "docs/detection.md", layouts.accuracy_by_class),
+        ),
     ),
     Figure(
         "reference",
