@@ -316,6 +316,30 @@ def realism(rows: Rows) -> Table:
     return table
 
 
+_WORLDS = {
+    "paper": "as in Chen et al. (`paper`)",
+    "all: hard": "all kinds of traffic, rain (`hard`)",
+}
+
+
+def realism_readme(rows: Rows) -> Table:
+    """Returns a line for the easiest and the hardest world."""
+    heads = ["E-CVPR", "of what is visible", "false boxes a frame"]
+    detectors = list(dict.fromkeys(row["detector"] for row in rows))
+    table = [["world", *(f"`{name}`: {head}" for name in detectors for head in heads)]]
+    for part, words in _WORLDS.items():
+        cells = []
+        for name in detectors:
+            own = [row for row in rows if (row["part"], row["detector"]) == (part, name)]
+            cells += [
+                f"{_fixed(mean(row['e_cvpr'] for row in own), 1, 100)} %",
+                f"{_fixed(mean(row['e_cvpr'] / row['visible_share'] for row in own), 1, 100)} %",
+                _fixed(mean(row["false_detections"] for row in own), 1),
+            ]
+        table.append([words, *cells])
+    return table
+
+
 def alignment(rows: Rows) -> Table:
     """Returns a line for each case of poses: means over seeds, differences paired by seed."""
     first, *_ = names = list(dict.fromkeys(row["poses"] for row in rows))

@@ -213,7 +213,10 @@ _LIST = (
         'print(json.dumps(p.read_table("realism/results.parquet").to_pylist()))\'',
         (*STUDY, "cpnet/realism"),
         15,
-        (Part("parts", "docs/realism.md", layouts.realism),),
+        (
+            Part("parts", "docs/realism.md", layouts.realism),
+            Part("readme", "README.md", layouts.realism_readme),
+        ),
     ),
     Figure(
         "alignment",

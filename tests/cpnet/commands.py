@@ -37,6 +37,8 @@ from tests.waiting import PATIENCE_S, wait_until
 
 T = TypeVar("T")
 SMALL = [
+    "--set=lidar.vehicle.model=full",
+    "--set=lidar.roadside.model=full",
     "--set=lidar.vehicle.channels=16",
     "--set=lidar.roadside.channels=16",
     "--set=lidar.vehicle.points_per_second=72000",
