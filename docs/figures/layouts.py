@@ -316,6 +316,20 @@ def realism(rows: Rows) -> Table:
     return table
 
 
+def unseen(rows: Rows) -> Table:
+    """Returns a line for each detector: means over networks, with 95 % intervals."""
+    table = [["detector", "networks", "E-CVPR, %", "of the visible, %", "false boxes a frame"]]
+    for name in dict.fromkeys(row["detector"] for row in rows):
+        own = [row for row in rows if row["detector"] == name]
+        cells = [
+            _interval([100 * row["e_cvpr"] for row in own], 1),
+            _interval([100 * row["e_cvpr"] / row["visible_share"] for row in own], 1),
+            _interval([row["false_detections"] for row in own], 2),
+        ]
+        table.append([f"`{name}`", str(len(own)), *cells])
+    return table
+
+
 _WORLDS = {
     "paper": "as in Chen et al. (`paper`)",
     "all: hard": "all kinds of traffic, rain (`hard`)",

@@ -207,6 +207,16 @@ _LIST = (
         (Part("control", "docs/city.md", layouts.city),),
     ),
     Figure(
+        "unseen",
+        "[ -e hard100 ] || cpnet dataset hard100 --networks 100 --samples 10 --seed 1 "
+        "--realism hard >&2; cpnet study $ROOT/docs/figures/unseen.yaml --out unseen >&2; "
+        "python -c 'import json, pyarrow.parquet as p; "
+        'print(json.dumps(p.read_table("unseen/results.parquet").to_pylist()))\'',
+        (*STUDY, "cpnet/realism"),
+        10,
+        (Part("all", "docs/realism.md", layouts.unseen),),
+    ),
+    Figure(
         "realism",
         "cpnet study $ROOT/docs/figures/realism.yaml --out realism >&2; "
         "python -c 'import json, pyarrow.parquet as p; "
