@@ -25,7 +25,8 @@ LEAST_POINTS, NEAR_M = 8, 50.0  # so near a sensor, fewer are a sliver of what s
 LEAST_M, LEAST_HEIGHT_M = 0.5, 0.1  # what is smaller is no vehicle
 PERSON_M = 0.2  # but may be a person, if it is so high
 LINE_M, LINE_TOP_M = 1.0, 0.4  # of a side that one ring has hit: length, least height over ground
-PART = 0.5  # of the smaller box
+SHARED = 0.2  # of the smaller box: vehicles do not overlap, but boxes of one seen in parts do
+OVER_M = 0.8  # over the ground: what begins higher is seen over something else
 CERTAIN_POINTS = 25.0  # about two thirds of full score
 
 
@@ -54,11 +55,12 @@ def fit_boxes(
     kept &= shapes.is_vehicle_or_person
     kept &= _stands(shapes, height_m) | _is_line(shapes, height_m)
     size_m = usual_m(kinds)
-    _complete(extents, middles, yaws, sensors, size_m)
+    _complete(extents, middles, yaws, sensors, size_m, shapes.bottom_m > OVER_M)
     extents[:, 0, 2] = floor_m
     extents[:, 1, 2] = np.maximum(extents[:, 1, 2], floor_m + size_m[:, 2])
     boxes = _boxes(extents, middles, yaws)
-    return Vehicles.from_lidar(boxes, certainty(members), classes_of(kinds)).take(kept)
+    found = Vehicles.from_lidar(boxes, certainty(members), classes_of(kinds)).take(kept)
+    return found.take(np.sort(suppress(found.boxes, found.scores, iou=1.0, part=SHARED)))
 
 
 def main_sensors(labels: Ints32, sizes: Ints, sensors: Floats) -> Floats:
@@ -109,9 +111,12 @@ def certainty(members: Ints) -> Floats:
 
 
 def _complete(
-    extents: Floats, middles: Floats, yaws: Floats, sensors: Floats, usual_m: Floats
+    extents: Floats, middles: Floats, yaws: Floats, sensors: Floats, usual_m: Floats, over: Bools
 ) -> None:
-    """Widens boxes to usual sizes (C, 3): the side turned to the sensor (C, 2) stays in place."""
+    """Widens boxes to usual sizes (C, 3): the side turned to the sensor (C, 2) stays in place.
+
+    Of what is seen over something else alone (C,), that side is hidden, too: it is in the middle.
+    """
     off = sensors - middles[:, :2]
     cos, sin = np.cos(yaws), np.sin(yaws)
     seen_from = np.stack([cos * off[:, 0] + sin * off[:, 1], cos * off[:, 1] - sin * off[:, 0]], -1)
@@ -120,6 +125,7 @@ def _complete(
         missing_m = np.maximum(usual_m[:, axis] - (high - low), 0.0)
         ahead = np.where(seen_from[:, axis] > high, 0.0, 0.5)
         ahead = np.where(seen_from[:, axis] < low, 1.0, ahead)
+        ahead = np.where(over, 0.5, ahead)
         extents[:, 1, axis] = high + ahead * missing_m
         extents[:, 0, axis] = low - (1.0 - ahead) * missing_m
 
@@ -254,14 +260,18 @@ def overlaps(a: Floats, b: Floats) -> tuple[Floats, Floats]:
     return bev, space
 
 
-def suppress(boxes: Floats, scores: Floats, *, iou: float) -> Ints:
+PART = 0.5  # of the smaller box, at a learned detector
+
+
+def suppress(boxes: Floats, scores: Floats, *, iou: float, part: float = PART) -> Ints:
     """Returns which boxes (N, 7) stay when, of two that overlap more, the better one does.
 
-    A box most of which lies in a better one goes, too: a part of a lorry is no vehicle of its own.
+    A box of which more than a `part` lies in a better one goes, too: a part of a lorry is no
+    vehicle of its own.
     """
     order = np.lexsort((*boxes.T[::-1], -scores))
     kept = np.ones(len(boxes), np.bool_)
-    _suppress(np.ascontiguousarray(boxes[order], np.float64), iou, kept)
+    _suppress(np.ascontiguousarray(boxes[order], np.float64), iou, part, kept)
     return np.asarray(order[kept])
 
 
@@ -324,8 +334,8 @@ def _overlaps(a: Floats, b: Floats, bev: Floats, space: Floats) -> None:
             space[i, j] = volume / max(volumes - volume, 1e-12)
 
 
-@njit("void(float64[:,::1], float64, boolean[::1])", cache=True, nogil=True)
-def _suppress(boxes: Floats, iou: float, kept: Bools) -> None:
+@njit("void(float64[:,::1], float64, float64, boolean[::1])", cache=True, nogil=True)
+def _suppress(boxes: Floats, iou: float, part: float, kept: Bools) -> None:
     """Goes through boxes in order of their score, best first."""
     for i in range(boxes.shape[0]):
         if not kept[i]:
@@ -334,5 +344,5 @@ def _suppress(boxes: Floats, iou: float, kept: Bools) -> None:
             if kept[j] and _near(boxes[i], boxes[j]):
                 area = _common_m2(boxes[i], boxes[j])
                 one, other = boxes[i, 3] * boxes[i, 4], boxes[j, 3] * boxes[j, 4]
-                is_part = area > PART * min(one, other)
+                is_part = area > part * min(one, other)
                 kept[j] = area <= iou * (one + other - area) and not is_part

@@ -17,6 +17,7 @@ HIGH_M = 2.9  # what is higher is a lorry or a bus, however short
 LONG_M = 7.2  # what is longer is, however low
 RIDER_TOP_M, PERSON_TOP_M = 1.35, 1.5  # what is lower is a part of a car
 POLE_M = 0.9  # what is tall and has a smaller footprint is a pole
+MAST_M = 1.5  # the same of what is higher than vans, with signals or signs on it
 THIN_M = 0.5  # what is long, low and thinner is a wall
 
 # Usual length, width and height in m, by what is to be completed to them.
@@ -68,6 +69,7 @@ class Shapes:
         wide_m = np.minimum(self.along_m, self.across_m)
         fits = (long_m <= MAX_LENGTH_M) & (wide_m <= MAX_WIDTH_M) & (self.top_m <= MAX_TOP_M)
         is_pole = (long_m < POLE_M) & (self.top_m > TALL_M)
+        is_pole |= (long_m < MAST_M) & (self.top_m > HIGH_M)
         is_crown = self.bottom_m > TALL_M
         is_wall = (long_m > LONG_M) & (self.top_m < TALL_M) & (wide_m < THIN_M)
         return np.asarray(fits & ~is_pole & ~is_crown & ~is_wall)

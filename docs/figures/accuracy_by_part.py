@@ -1,7 +1,7 @@
-"""Prints AP40 by part of `realism`, detector and class as JSON: `accuracy_by_part.py STUDY.yaml SAMPLES`.
+"""Prints AP40 by part of `realism`, detector and class: `accuracy_by_part.py STUDY.yaml SAMPLES`.
 
-Each part is laid over the study's scenario, with its first seed. Samples are merged clouds inside the geofence; of
-boxes from above, at IoU 0.5; vehicles with five points or more.
+Each part is laid over the study's scenario, with its first seed. Samples are merged clouds inside
+the geofence; boxes count from above, at IoU 0.5, vehicles with five points or more.
 """
 
 from __future__ import annotations
@@ -42,7 +42,6 @@ def main() -> None:
             and row.part == EVERYTHING
             and row.objects in OBJECTS
         ]
-        print(part, file=sys.stderr, flush=True)
     json.dump(rows, sys.stdout)
 
 

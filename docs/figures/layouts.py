@@ -292,8 +292,9 @@ def scale_parts(rows: Rows) -> Table:
     ]
 
 
-def realism(rows: Rows) -> Table:
+def realism(data: dict[str, Rows]) -> Table:
     """Returns a line for each part of realism; what it costs is paired by seed with the first."""
+    rows = data["runs"]
     detectors = list(dict.fromkeys(row["detector"] for row in rows))
     first, *_ = parts = list(dict.fromkeys(row["part"] for row in rows))
     heads = ["E-CVPR, %", "lost, points", "of the visible, %", "false boxes a frame"]
@@ -336,8 +337,24 @@ _WORLDS = {
 }
 
 
-def realism_readme(rows: Rows) -> Table:
+def realism_accuracy(data: dict[str, Rows]) -> Table:
+    """Returns AP40 of cars and of trucks for each part of realism."""
+    rows = data["accuracy"]
+    by = {(row["part"], row["detector"], row["objects"]): row["ap40"] for row in rows}
+    kinds = [(name, one) for name in dict.fromkeys(r["detector"] for r in rows) for one in _KINDS]
+    table = [["part", *(f"`{name}`: {_KINDS[one]}" for name, one in kinds)]]
+    for part in dict.fromkeys(row["part"] for row in rows):
+        found = [by[part, *kind] for kind in kinds]
+        table.append([part, *("–" if one is None else _fixed(one, 1, 100) for one in found)])
+    return table
+
+
+_KINDS = {"vehicle": "all vehicles", "car": "cars, vans", "truck": "lorries, buses"}
+
+
+def realism_readme(data: dict[str, Rows]) -> Table:
     """Returns a line for the easiest and the hardest world."""
+    rows = data["runs"]
     heads = ["E-CVPR", "of what is visible", "false boxes a frame"]
     detectors = list(dict.fromkeys(row["detector"] for row in rows))
     table = [["world", *(f"`{name}`: {head}" for name in detectors for head in heads)]]

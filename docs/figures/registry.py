@@ -218,13 +218,16 @@ _LIST = (
     ),
     Figure(
         "realism",
-        "cpnet study $ROOT/docs/figures/realism.yaml --out realism >&2; "
+        "cpnet study $ROOT/docs/figures/realism.yaml --out realism >&2; printf '{\"runs\": '; "
         "python -c 'import json, pyarrow.parquet as p; "
-        'print(json.dumps(p.read_table("realism/results.parquet").to_pylist()))\'',
-        (*STUDY, "cpnet/realism"),
-        15,
+        'print(json.dumps(p.read_table("realism/results.parquet").to_pylist()))\'; '
+        "printf ', \"accuracy\": '; "
+        "python $ROOT/docs/figures/accuracy_by_part.py $ROOT/docs/figures/realism.yaml 20; echo '}'",
+        (*STUDY, "cpnet/realism", "docs/figures/accuracy_by_part.py"),
+        30,
         (
             Part("parts", "docs/realism.md", layouts.realism),
+            Part("accuracy", "docs/realism.md", layouts.realism_accuracy),
             Part("readme", "README.md", layouts.realism_readme),
         ),
     ),

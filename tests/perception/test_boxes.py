@@ -92,3 +92,27 @@ def test_what_is_too_short_low_or_high_for_that_is_none(
     roadway: Roadway, length_m: float, height_m: float
 ) -> None:
     assert len(fit(roadway, line(length_m, height_m))) == 0
+
+
+def test_a_roof_seen_over_another_vehicle_is_in_the_middle_of_its_box(roadway: Roadway) -> None:
+    rng = np.random.default_rng(1)
+    roof = rng.uniform([31, 0.9, 1.0], [33, 2.6, 1.5], (40, 3))
+    found = fit(roadway, roof)
+    np.testing.assert_allclose(found.boxes[0, :2], [32, 1.75], atol=0.15)
+    np.testing.assert_allclose(found.boxes[0, 3], 4.5, atol=0.1)
+
+
+def test_a_vehicle_seen_in_two_parts_gets_one_box(roadway: Roadway) -> None:
+    rng = np.random.default_rng(1)
+    side = rng.uniform([30, 0.85, 0.3], [34, 2.65, 1.5], (200, 3))
+    roof = rng.uniform([33, 0.85, 1.6], [34, 2.65, 1.7], (20, 3))
+    apart = rng.uniform([41, 0.85, 0.3], [42, 2.65, 1.3], (20, 3))
+    found = fit(roadway, side, roof, apart)
+    assert len(found) == 2
+    assert found.scores[0] > found.scores[1]
+
+
+def test_a_mast_with_signals_is_no_lorry(roadway: Roadway) -> None:
+    rng = np.random.default_rng(1)
+    mast = rng.uniform([-40, 1, 0.2], [-38.8, 2, 3.6], (80, 3))
+    assert len(fit(roadway, mast)) == 0
