@@ -11,6 +11,10 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, FailFast, Field
 
 
+MAP_RADIUS_M = 320.0
+"""A map has all lanes for road vehicles of which a part lies so near a signal."""
+
+
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
