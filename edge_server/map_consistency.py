@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -72,14 +71,10 @@ class MapConsistency:
 
     def over_road_m(self, sensor_m: Floats) -> float | None:
         """Returns how high over the road a sensor (3,) is; None off the road."""
-        x, y, z = sensor_m.tolist()
-        roadway, (rows, columns) = self._roadway, self._roadway.height_m.shape
-        column = int((x - roadway.origin_m[0]) // roadway.cell_m)
-        row = int((y - roadway.origin_m[1]) // roadway.cell_m)
-        if not (0 <= row < rows and 0 <= column < columns):
+        place = np.array([sensor_m[:3]])
+        if not self._roadway.contains(place)[0]:
             return None
-        over_m = z - float(roadway.height_m[row, column])
-        return None if math.isnan(over_m) else over_m
+        return float(sensor_m[2] - self._roadway.height_at(place)[0])
 
 
 def _open_ends(road_map: RoadMap) -> Floats:
