@@ -253,9 +253,7 @@ class Roadway:
         """Whether points (N, 2 or 3) lie on the road."""
         return self._cells(points)[2]
 
-    def _on_decks(
-        self, points: Floats, rows: Ints, columns: Ints
-    ) -> Iterator[tuple[int, Bools]]:
+    def _on_decks(self, points: Floats, rows: Ints, columns: Ints) -> Iterator[tuple[int, Bools]]:
         """Yields each level of decks, and which points (N, 3) are not below it."""
         if points.shape[1] > 2:
             for level, deck_m in enumerate(self.decks_m):

@@ -125,7 +125,9 @@ def _squares(points: Floats) -> list[tuple[Ints, Ints]]:
     return [
         (
             np.array(own),
-            np.concatenate([np.array(squares.get((i + di, j + dj), []), int) for di, dj in _AROUND]),
+            np.concatenate(
+                [np.array(squares.get((i + di, j + dj), []), int) for di, dj in _AROUND]
+            ),
         )
         for (i, j), own in squares.items()
     ]

@@ -88,7 +88,9 @@ def test_threads_do_not_share_their_tables(road_map: RoadMap) -> None:
         np.testing.assert_array_equal(found, votes(pose))
 
 
-def test_points_belong_to_the_road_that_they_are_on_where_roads_cross_at_different_heights() -> None:
+def test_points_belong_to_the_road_that_they_are_on_where_roads_cross_at_different_heights() -> (
+    None
+):
     roadway = Roadway.of(bridge(7.0), margin_m=0.5)
     heights_m = np.array([0.0, 1.5, 4.9, 6.0, 7.0, 8.5], np.float32)
     points = np.column_stack([np.full(6, 61.0), np.full(6, 2.0), heights_m]).astype(np.float32)
