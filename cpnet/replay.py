@@ -17,7 +17,13 @@ from protocol.messages import Setup
 from protocol.roadmap import RoadMap
 from protocol.version import own_version
 from recording.foreign_scans.agents import Source, agents_of, check_clocks
-from recording.foreign_scans.importer import STEM, ImportedScans, open_ground, record_scans
+from recording.foreign_scans.importer import (
+    STEM,
+    ImportedScans,
+    ground_of,
+    open_ground,
+    record_scans,
+)
 from recording.foreign_scans.poses import write_extrinsics
 from recording.mcap.reader import McapReader
 from recording.playback.frames import RecordingSummary
@@ -178,7 +184,10 @@ def replay_of_scans(asked: Scans, pace: Pace, console: Console) -> Replay:
         changes = {"replay": {"recording": recording, "speed": pace.speed}}
         whole = scenario.model_dump(mode="json") | changes
         if asked.scenario is None:
-            roads = open_ground(imported.ways(), width_m=asked.width_m or WIDTH_M)
+            ways, width_m = imported.ways(), asked.width_m or WIDTH_M
+            ground = ground_of(agents, ways, width_m=width_m)
+            console.print(str(ground), highlight=False, soft_wrap=True)
+            roads = open_ground(ways, ground, width_m=width_m)
             made = _plain_setup(resolved(whole, roads), roads)
         else:
             made = build_setup(whole, run_dir)

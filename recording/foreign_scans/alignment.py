@@ -61,7 +61,7 @@ def refined(guess: Mapping[str, SE3], clouds: Mapping[str, Floats]) -> dict[str,
 def _level(name: str, points: Floats) -> _Levelled:
     points = points.astype(np.float64)
     near = points[np.linalg.norm(points, axis=1) < _NEAR_M]
-    up, height_m, share = _ground(near)
+    up, height_m, share = ground_plane(near)
     if share < _LEAST_SHARE:
         raise ConfigError(f"the sensor {name} sees no ground to be levelled by")
     # The forward axis stays ahead: what it is turned by is told by the guess.
@@ -74,8 +74,11 @@ def _level(name: str, points: Floats) -> _Levelled:
     return _Levelled(upright, upright.apply(points))
 
 
-def _ground(points: Floats) -> tuple[Floats, float, float]:
-    """Returns the normal (3,) of the plane with most points, how far below it lies, their share."""
+def ground_plane(points: Floats) -> tuple[Floats, float, float]:
+    """Returns the normal (3,) of the plane with most points (N, 3), how far below it lies, a share.
+
+    That of the points; 0 where there is none.
+    """
     rng = np.random.default_rng(1)
     best = (np.array([0.0, 0.0, 1.0]), 0.0, 0.0)
     if len(points) < 3:
