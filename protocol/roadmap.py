@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, FailFast, Field
 
-
 MAP_RADIUS_M = 320.0
 """A map has all lanes for road vehicles of which a part lies so near a signal."""
 

@@ -44,7 +44,9 @@ class Ground:
     slope_deg: float
 
     @classmethod
-    def of(cls, scans: Iterable[tuple[Floats, SE3]], lines: Sequence[Floats], width_m: float) -> Ground:
+    def of(
+        cls, scans: Iterable[tuple[Floats, SE3]], lines: Sequence[Floats], width_m: float
+    ) -> Ground:
         """Fits the ground around lines.
 
         Args:

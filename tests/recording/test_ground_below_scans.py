@@ -70,7 +70,10 @@ def test_a_scan_on_a_slope_shows_the_vehicles_that_a_level_one_shows(
 def test_where_poses_contradict_one_another_the_ground_fits_badly() -> None:
     points = places.scene(CARS)
     scans = [
-        (places.seen(points, SE3.from_pose([x, 0, 2.0, 0, 0, 0])), SE3.from_pose([x, 0, z, 0, 0, 0]))
+        (
+            places.seen(points, SE3.from_pose([x, 0, 2.0, 0, 0, 0])),
+            SE3.from_pose([x, 0, z, 0, 0, 0]),
+        )
         for x, z in ((0.0, 2.0), (1.0, 2.4), (2.0, 1.6))
     ]
     line = np.array([[-30.0, 0.0], [30.0, 0.0]])

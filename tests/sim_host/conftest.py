@@ -17,7 +17,7 @@ class FlatGround:
         x: np.ndarray,
         y: np.ndarray,
         yaw: np.ndarray,
-        level_m: np.ndarray,  # noqa: ARG002 - there is but one
+        level_m: np.ndarray,
     ) -> np.ndarray:
         zero = np.zeros_like(x)
         return np.stack([x, y, zero, zero, zero, yaw], axis=1)
