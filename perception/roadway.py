@@ -340,7 +340,7 @@ def road_below(
 
     And within a bridge: what is there is neither on the road over it nor on the one below.
     """
-    base_m = height_m[row, column]
+    base_m: np.float32 = height_m[row, column]
     for level in range(decks_m.shape[0]):
         over_m = z - decks_m[level, row, column]
         base_m = np.float32(np.nan) if over_m >= -np.float32(SLAB_M) else base_m

@@ -56,7 +56,7 @@ class RegionMap:
         return cls(region, area, around, whole.centres, bounds)
 
     def knows(self, x_m: float, y_m: float) -> bool:
-        """Whether every lane at a place is one of the surroundings'; elsewhere roads are unknown."""
+        """Whether the surroundings have every lane at a place; elsewhere roads are unknown."""
         low, high = self.bounds
         if not (low[0] <= x_m <= high[0] and low[1] <= y_m <= high[1]):
             return False

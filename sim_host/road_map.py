@@ -167,7 +167,7 @@ def _place(
 
 
 def road_map(net: Net, junctions: Literal["all"] | Sequence[str] | None) -> RoadMap:
-    """Returns the intersections of a net with these signals, and all lanes within 320 m of them.
+    """Returns the intersections of a net with these signals, and all lanes around them.
 
     Args:
         net: as read from its file.

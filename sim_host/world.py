@@ -232,7 +232,8 @@ class World:
         yaw = np.radians(90.0 - np.array([person.getAngle(name) for name in names]))
         plane = np.concatenate([own.plane, np.column_stack([places[near, :2], yaw])])
         level_m = np.concatenate([self._nearest_level_m(own.plane), places[near, 2]])
-        poses = self._ground.body_poses(*plane.T, level_m)
+        x, y, yaw = plane.T
+        poses = self._ground.body_poses(x, y, yaw, level_m)
         poses[:, 3:5] = 0.0  # people stand upright
         poses[: len(own.ids), 2] += own.above_m
         walking_mps = [person.getSpeed(name) for name in names]

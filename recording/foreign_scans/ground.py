@@ -26,7 +26,7 @@ _SEED_M = 15.0
 _STEEPEST_DEG = 20.0
 _TOLERANCES_M = (0.5, 0.3)  # from the plane that is expected: votes that count, in turn
 _FITS_M, _STANDS_M = 0.2, 0.5  # over or below the ground: it fits; above: something that stands
-PRIOR = 8.0  # votes: so much counts what the neighbours say
+_PRIOR = 8.0  # votes: so much counts what the neighbours say
 _FITS_WELL = 0.7
 
 
@@ -60,7 +60,7 @@ class Ground:
             plane = plane_below(low)
             votes.append(low + map_SE3_sensor.translation)
             sensors.append(map_SE3_sensor.translation)
-            seeds.append(plane + [map_SE3_sensor.translation[2], 0.0, 0.0])
+            seeds.append(plane + np.array([map_SE3_sensor.translation[2], 0.0, 0.0]))
         every = np.concatenate(votes)
         nodes = _nodes(lines, width_m)
         planes = _grow(nodes, every[np.argsort(every[:, 0])], np.array(sensors), np.array(seeds))
@@ -79,8 +79,8 @@ class Ground:
     def __str__(self) -> str:
         """What a user is told of it."""
         said = (
-            f"ground: slopes up to {self.slope_deg:.1f} degrees; {100 * self.fit:.0f} % of the square "
-            f"metres within {_SEEN_M:g} m of a sensor lie within {_FITS_M:g} m of it"
+            f"ground: slopes up to {self.slope_deg:.1f} degrees; {100 * self.fit:.0f} % of the "
+            f"square metres within {_SEEN_M:g} m of a sensor lie within {_FITS_M:g} m of it"
         )
         if self.fit >= _FITS_WELL:
             return said
@@ -158,12 +158,12 @@ def _grow(nodes: Floats, votes: Floats, sensors: Floats, seeds: Floats) -> Float
 
 def _moved(plane: Floats, by_m: Floats) -> Floats:
     """Returns a plane (3,) as it is described from a place so far away (2,)."""
-    return plane + [plane[1:] @ by_m, 0.0, 0.0]
+    return np.asarray(plane + np.array([plane[1:] @ by_m, 0.0, 0.0]))
 
 
 def _fitted(votes: Floats, expected: Floats) -> Floats:
-    """Returns the plane (3,) of votes (V, 3) near the one that is expected, which counts as some."""
-    prior = np.diag([PRIOR, *(2 * [PRIOR * (_AROUND_M / 2) ** 2])])
+    """Returns the plane (3,) of votes (V, 3) near an expected one, which counts as a few."""
+    prior = np.diag([_PRIOR, *(2 * [_PRIOR * (_AROUND_M / 2) ** 2])])
     plane, terms = expected, np.column_stack([np.ones(len(votes)), votes[:, :2]])
     for tolerance_m in _TOLERANCES_M:
         near: Bools = np.abs(votes[:, 2] - terms @ plane) < tolerance_m

@@ -15,7 +15,7 @@ from tests.roads import junction_road, lane, one_junction, signal
 def judge() -> MapConsistency:
     """A map as it is read from a net: its longest lane leads far beyond the radius."""
     road = junction_road()
-    far = lane("long_0", [(200, -1.75, 0), (900, -1.75, 0)])
+    far = lane("long_0", [(200, -1.75, 0), (1900, -1.75, 0)])
     whole = one_junction("test", [*road.lanes, far], signal("j", ("in_0", "out_0")))
     return MapConsistency(RegionMap.whole(whole), Roadway.of(whole, margin_m=0.5))
 
@@ -30,7 +30,7 @@ def test_a_place_on_a_lane_fits_and_one_in_a_house_does_not(judge: MapConsistenc
     assert judge.on_road(at(-100, 200), 0.05) == 0.0
 
 
-@pytest.mark.parametrize("place", [(MAP_RADIUS_M + 5, 8), (700, 60), (250, -250), (-2000, 0)])
+@pytest.mark.parametrize("place", [(MAP_RADIUS_M + 5, 8), (900, 60), (350, -350), (-2000, 0)])
 def test_beyond_the_map_a_place_is_neither_right_nor_wrong(
     judge: MapConsistency, place: tuple[float, float]
 ):
