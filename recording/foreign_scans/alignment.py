@@ -47,12 +47,12 @@ def refined(guess: Mapping[str, SE3], clouds: Mapping[str, Floats]) -> dict[str,
     levelled = {name: _level(name, clouds[name]) for name in guess}
     first = next(iter(guess))
     vehicle_SE3_level = guess[first] @ levelled[first].level_SE3_sensor.inverse()
-    grid = _occupied(_standing(levelled[first].points))
+    grid = occupied(_standing(levelled[first].points))
     found = {first: guess[first]}
     for name in [other for other in guess if other != first]:
         guessed = vehicle_SE3_level.inverse() @ guess[name]
         start = np.array([*guessed.translation[:2], guess[name].as_pose()[5]])
-        place = _search(_standing(levelled[name].points), grid, start)
+        place = search(_standing(levelled[name].points), grid, start)
         level_SE3_level = SE3.from_pose([place[0], place[1], 0, 0, 0, place[2]])
         found[name] = vehicle_SE3_level @ level_SE3_level @ levelled[name].level_SE3_sensor
     return found
@@ -98,12 +98,16 @@ def ground_plane(points: Floats) -> tuple[Floats, float, float]:
 
 def _standing(points: Floats) -> Floats:
     """Returns the places (M, 2) of what stands upright within the grid, one of each cell."""
-    stands = (points[:, 2] > _STANDS_M[0]) & (points[:, 2] < _STANDS_M[1])
-    places = points[stands & (np.abs(points[:, :2]) < _HALF_M).all(axis=1), :2]
-    return np.unique(np.floor(places / _CELL_M), axis=0) * _CELL_M + _CELL_M / 2
+    return cells(points[(points[:, 2] > _STANDS_M[0]) & (points[:, 2] < _STANDS_M[1]), :2])
 
 
-def _occupied(places: Floats) -> Floats:
+def cells(places: Floats) -> Floats:
+    """Returns the middles (M, 2) of the grid's cells in which places (N, 2) lie."""
+    inside = places[(np.abs(places) < _HALF_M).all(axis=1)]
+    return np.asarray(np.unique(np.floor(inside / _CELL_M), axis=0) * _CELL_M + _CELL_M / 2)
+
+
+def occupied(places: Floats) -> Floats:
     """Returns a grid of what stands where, 1 there and less beside it."""
     side = round(2 * _HALF_M / _CELL_M)
     grid = np.zeros((side, side))
@@ -116,7 +120,7 @@ def _occupied(places: Floats) -> Floats:
     return beside
 
 
-def _search(places: Floats, grid: Floats, start: Floats) -> Floats:
+def search(places: Floats, grid: Floats, start: Floats) -> Floats:
     """Returns x, y, yaw (3,) near the start at which most places lie where something stands."""
     best = start
     for turn_deg, step_deg, off_m, step_m in _ROUNDS:
