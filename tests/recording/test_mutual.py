@@ -62,7 +62,7 @@ def test_real_clouds_with_poses_that_are_off_are_found_and_moved_back(tmp_path: 
     (car,) = agents_of(Source(SHARED, tmp_path / "car.csv", guess, names, refine=True))
     off = {"left": (1.2, -0.8, 0, 0, 0, 0), "right": (-0.5, 1.4, 0, 0, 0, np.radians(1.5))}
     for name, mount in car.mounts.items():
-        pose = mount.as_pose() + [0, 0, 2, 0, 0, 0] + off.get(name, np.zeros(6))
+        pose = mount.as_pose() + np.array([0, 0, 2, 0, 0, 0]) + off.get(name, np.zeros(6))
         for folder in ("all", "poses"):
             (tmp_path / folder / name).mkdir(parents=True)
         (tmp_path / "all" / name / "0.pcd").symlink_to(SHARED / f"{name}.pcd")
