@@ -26,7 +26,6 @@ _SAME_M, _KNOWN_M = 0.25, 2.0  # from the others: the same surface; where they s
 _LEAST_KNOWN = 200  # voxels
 _OFF_M, _OFF_DEG = 0.3, 0.5  # less is what poses are usually off
 _GAIN, _GOOD = 0.1, 0.5  # of the share that fits: so much must a shift bring, so much must fit then
-_FRAMES = 3  # that are looked at
 _ALIKE_M, _ALIKE_RAD = 0.4, np.radians(1.0)
 
 
@@ -61,7 +60,7 @@ def misplaced(agents: Sequence[Agent]) -> list[Misplaced]:
     Against whom, decides the majority; of two, the one that sees more is taken to be right.
     """
     count = len(agents[0].files)
-    frames = sorted({0, count // 2, count - 1})[:_FRAMES]
+    frames = sorted({0, count // 2, count - 1})
     found: dict[str, list[Misplaced]] = {}
     for number in frames:
         for one in _in_frame({agent.name: _scan(agent, number) for agent in agents}):
@@ -150,6 +149,8 @@ def _against(name: str, seen: _Seen, others: Sequence[_Seen]) -> Misplaced | Non
     """Returns how a scan lies against others; None where they see too little together."""
     origin = others[0].sensor_m
     around = np.concatenate([one.stands + one.sensor_m - origin for one in others])
+    if min(len(around), len(seen.stands)) < _LEAST_KNOWN:
+        return None
     cloud = np.concatenate([around, *(one.lies + one.sensor_m - origin for one in others)])
     target = small_gicp.PointCloud(cloud)
     tree, walls = small_gicp.KdTree(target), small_gicp.KdTree(small_gicp.PointCloud(around))
