@@ -160,6 +160,10 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
         float | None,
         typer.Option(min=1, help="of the open ground, m; else 60", rich_help_panel=_SCANS),
     ] = None,
+    align: Annotated[
+        bool,
+        typer.Option("--align", help="move agents to where others see", rich_help_panel=_SCANS),
+    ] = False,
 ) -> None:
     """Play a recorded run to live processes: another detector, policy or link, the same scans."""
     from cpnet.preparation import Options
@@ -174,7 +178,7 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
         )
     if recording is not None:
         named = [poses, extrinsics, sensors, scenario, frames, height, width]
-        if refine or any(option is not None for option in named):
+        if refine or align or any(option is not None for option in named):
             raise ConfigError("--poses and all that is for scans from elsewhere needs --scans DIR")
         played = replay_of_recording(recording, overrides, pace, console)
     elif refine and extrinsics is None:
@@ -190,7 +194,7 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
         names = [name.strip() for name in sensors.split(",")] if sensors else []
         source = Source(scans, poses, extrinsics, names, refine=refine)
         played = replay_of_scans(
-            Scans(source, scenario, overrides, frames, height, width), pace, console
+            Scans(source, scenario, overrides, frames, height, width, align), pace, console
         )
     options = Options(
         "", {}, only, listen or [], connect or [], out,

@@ -13,11 +13,19 @@ from rich.console import Console
 from cpnet import scenario as scenarios
 from cpnet.preparation import Replay
 from protocol.errors import ConfigError
+from protocol.geometry import Floats
 from protocol.messages import Setup
 from protocol.roadmap import RoadMap
 from protocol.version import own_version
-from recording.foreign_scans.agents import Source, agents_of, check_clocks
-from recording.foreign_scans.importer import STEM, ImportedScans, open_ground, record_scans
+from recording.foreign_scans.agents import Agent, Source, agents_of, check_clocks
+from recording.foreign_scans.importer import (
+    STEM,
+    ImportedScans,
+    ground_of,
+    open_ground,
+    record_scans,
+)
+from recording.foreign_scans.mutual import misplaced
 from recording.foreign_scans.poses import write_extrinsics
 from recording.mcap.reader import McapReader
 from recording.playback.frames import RecordingSummary
@@ -146,7 +154,8 @@ class Scans:
     """What the user asked for: clouds, a scenario whose roads fit them, or an open ground.
 
     `height_m` is that of sensors over the ground, None to find it; `frames` None for each once;
-    `width_m` that of the open ground, None for `WIDTH_M`.
+    `width_m` that of the open ground, None for `WIDTH_M`; `align` moves agents whose scans lie
+    elsewhere than those of others.
     """
 
     source: Source
@@ -155,6 +164,7 @@ class Scans:
     frames: int | None = None
     height_m: float | None = None
     width_m: float | None = None
+    align: bool = False
 
 
 def replay_of_scans(asked: Scans, pace: Pace, console: Console) -> Replay:
@@ -166,7 +176,8 @@ def replay_of_scans(asked: Scans, pace: Pace, console: Console) -> Replay:
     agents = agents_of(asked.source)
     if asked.scenario is None:
         origin_m = agents[0].pose(0)[:3]
-        agents = [agent.moved(-origin_m) for agent in agents]
+        agents = [agent.moved(np.array([*-origin_m, 0.0])) for agent in agents]
+    agents = _in_place(agents, asked, console)
     imported = ImportedScans.of(agents, asked.frames, asked.height_m)
     scenario = _scenario_of_scans(asked, pace, imported.frames)
     check_clocks(agents, scenario.frame_period_s, asked.source.poses)
@@ -178,7 +189,10 @@ def replay_of_scans(asked: Scans, pace: Pace, console: Console) -> Replay:
         changes = {"replay": {"recording": recording, "speed": pace.speed}}
         whole = scenario.model_dump(mode="json") | changes
         if asked.scenario is None:
-            roads = open_ground(imported.ways(), width_m=asked.width_m or WIDTH_M)
+            ways, width_m = imported.ways(), asked.width_m or WIDTH_M
+            ground = ground_of(agents, ways, width_m=width_m)
+            console.print(str(ground), highlight=False, soft_wrap=True)
+            roads = open_ground(ways, ground, width_m=width_m)
             made = _plain_setup(resolved(whole, roads), roads)
         else:
             made = build_setup(whole, run_dir)
@@ -190,6 +204,18 @@ def replay_of_scans(asked: Scans, pace: Pace, console: Console) -> Replay:
         return made
 
     return Replay(scenario.name, setup)
+
+
+def _in_place(agents: list[Agent], asked: Scans, console: Console) -> list[Agent]:
+    """Says whose scans lie elsewhere than those of others, and moves them if that is asked for."""
+    offsets: dict[str, Floats] = {}
+    for one in misplaced(agents) if len(agents) > 1 else []:
+        offsets[one.agent] = one.offset
+        done = "they are" if asked.align else f"--align does it; {asked.source.poses} is as it was"
+        console.print(f"{one}: {done}", markup=False, highlight=False, soft_wrap=True)
+    if not asked.align:
+        return agents
+    return [agent.moved(-offsets.get(agent.name, np.zeros(4))) for agent in agents]
 
 
 def _check_scan_overrides(overrides: dict[str, Any]) -> None:

@@ -16,6 +16,7 @@ from edge_server.config import FusionConfig
 from perception.arrays import Bools, Bytes, Floats, Ints
 from perception.detector import LIDAR, Vehicles
 from perception.object_classes import classes_by_size
+from perception.roadway import LEVEL_M
 from protocol.messages import AgentPose, Equipment, ObjectClass
 
 CERTAIN_STD_M = 0.5  # poses better than this say by themselves which box is the agent's
@@ -120,14 +121,15 @@ def _claimed(own: Vehicles, found: Vehicles, config: FusionConfig) -> Bools:
 
 def _same(boxes: Floats, others: Floats, config: FusionConfig, *, slack_m: float = 0.0) -> Bools:
     """Whether each of the others (M, 7) is the same vehicle as each of these boxes (N, 7)."""
-    x, y = others[:, 0] - boxes[:, :1], others[:, 1] - boxes[:, 1:2]
+    x, y, z = (others[:, axis] - boxes[:, axis : axis + 1] for axis in range(3))
+    level = np.abs(z) < LEVEL_M
     if config.rule == "radius":
-        return np.asarray(np.hypot(x, y) < config.duplicate_m + slack_m)
+        return np.asarray(level & (np.hypot(x, y) < config.duplicate_m + slack_m))
     cos, sin = np.cos(boxes[:, 6:7]), np.sin(boxes[:, 6:7])
     along, across = np.abs(cos * x + sin * y), np.abs(cos * y - sin * x)
     half_m = np.maximum(boxes[:, 3:4], others[:, 3]) / 2  # a part of a lorry lies anywhere in it
     along_m = np.maximum(config.duplicate_m, half_m) + slack_m
-    return np.asarray((along < along_m) & (across < config.across_m + slack_m))
+    return np.asarray(level & (along < along_m) & (across < config.across_m + slack_m))
 
 
 def _alike(classes: Bytes) -> Bools:

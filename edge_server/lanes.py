@@ -9,10 +9,10 @@ import numpy as np
 from numba import njit
 
 from perception.arrays import Bools, Floats, Ints
+from perception.roadway import LEVEL_M
 from protocol.approaches import Approach, Approaches
 from protocol.roadmap import Lane, RoadMap
 
-LEVEL_M = 3.5  # a lane farther below or above is on another level: it counts as farther away
 ACROSS_M = 1.75  # a lane at right angles to the vehicle counts as this much farther away
 
 

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
 
+from edge_server.motion import fastest_mps
 from perception.arrays import Floats, Floats32
 from perception.roadway import Placed, Roadway, lane_segments
+from protocol.regions import RegionMap
 from protocol.roadmap import RoadMap
 
 BESIDE_M = 1.5  # a lane's edge: still on the road, as far as the map is right
 AWAY_M = 3.0  # beyond that: not on the road at all
 CERTAIN = 4.0  # standard deviations
 EDGE_M = 15.0  # around a lane's end that leads nowhere: the road goes on where no lane is drawn
-BEYOND_M = 50.0  # around all lanes: what is farther away is none of the map's business
+ELSEWHERE_MPS = fastest_mps([36.1])  # where lanes are unknown: 130 km/h are allowed
 ALONG_RAD, AGAINST_RAD = np.radians([60.0, 120.0])  # to the lane
 AGAINST = 0.6  # the score of a vehicle that faces the wrong way: people park like that
 NEAR_M = 25.0  # around a sensor, where its rings lie close together
@@ -26,21 +27,24 @@ SENSOR_M = (0.0, 12.0)  # over the road, of a vehicle's sensor
 
 
 class MapConsistency:
-    """The road map, prepared for checks of agents."""
+    """A region's road map, prepared for checks of agents."""
 
-    def __init__(self, road_map: RoadMap, roadway: Roadway) -> None:
-        self._segments = lane_segments(road_map)
+    def __init__(self, region: RegionMap, roadway: Roadway) -> None:
+        self._region = region
+        self._segments = lane_segments(region.surroundings)
         self._roadway = roadway
-        ends = self._segments[:, [0, 1, 3, 4]].reshape(-1, 2)
-        self._low = (ends.min(axis=0) - BEYOND_M).tolist()
-        self._high = (ends.max(axis=0) + BEYOND_M).tolist()
-        self._open_ends = _open_ends(road_map)
+        self._open_ends = _open_ends(region.surroundings)
+        self._fastest_mps = fastest_mps([lane.speed_mps for lane in region.surroundings.lanes])
+
+    def fastest_mps(self, place: Floats) -> float:
+        """Returns how fast a vehicle can be at a place (2,) or (3,)."""
+        is_known = self._region.knows(float(place[0]), float(place[1]))
+        return self._fastest_mps if is_known else max(self._fastest_mps, ELSEWHERE_MPS)
 
     def on_road(self, pose: Floats, std_m: float) -> float | None:
-        """Returns how well a vehicle's pose (6,) fits the lanes; None beyond the map."""
+        """Returns how well a vehicle's pose (6,) fits the lanes; None where they are unknown."""
         x, y, _, _, _, yaw_rad = pose.tolist()
-        (low_x, low_y), (high_x, high_y) = self._low, self._high
-        if not (low_x < x < high_x and low_y < y < high_y):
+        if not self._region.knows(x, y):
             return None
         if (np.hypot(self._open_ends[:, 0] - x, self._open_ends[:, 1] - y) < EDGE_M).any():
             return None
@@ -67,14 +71,10 @@ class MapConsistency:
 
     def over_road_m(self, sensor_m: Floats) -> float | None:
         """Returns how high over the road a sensor (3,) is; None off the road."""
-        x, y, z = sensor_m.tolist()
-        roadway, (rows, columns) = self._roadway, self._roadway.height_m.shape
-        column = int((x - roadway.origin_m[0]) // roadway.cell_m)
-        row = int((y - roadway.origin_m[1]) // roadway.cell_m)
-        if not (0 <= row < rows and 0 <= column < columns):
+        place = np.array([sensor_m[:3]])
+        if not self._roadway.contains(place)[0]:
             return None
-        over_m = z - float(roadway.height_m[row, column])
-        return None if math.isnan(over_m) else over_m
+        return float(sensor_m[2] - self._roadway.height_at(place)[0])
 
 
 def _open_ends(road_map: RoadMap) -> Floats:

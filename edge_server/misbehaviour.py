@@ -16,12 +16,12 @@ import numpy as np
 from edge_server.config import MisbehaviourConfig
 from edge_server.frame import Chunk, Frame, FrameStage, FrameState
 from edge_server.map_consistency import MapConsistency, height
-from edge_server.motion import MOST_STD_M, ClaimedPose, MotionCheck, fastest_mps
+from edge_server.motion import MOST_STD_M, ClaimedPose, MotionCheck
 from perception.arrays import Floats
 from perception.roadway import Roadway
 from protocol.geometry import wrap_angle
 from protocol.messages import AgentPose, AgentScore
-from protocol.roadmap import RoadMap
+from protocol.regions import RegionMap
 
 FALL = 0.3  # share of a worse frame's score that enters the mean
 RISE = 0.05  # of a better one's: an agent that was excluded returns only after a while
@@ -114,15 +114,14 @@ class Check(FrameStage):
 
     def __init__(
         self,
-        road_map: RoadMap,
+        region: RegionMap,
         roadway: Roadway,
         config: MisbehaviourConfig,
         mounts: Mapping[str, Floats],
     ) -> None:
         self._threshold = config.threshold
         self._mounts = mounts
-        self._fast_mps = fastest_mps([lane.speed_mps for lane in road_map.lanes])
-        self._map = MapConsistency(road_map, roadway)
+        self._map = MapConsistency(region, roadway)
         self._remembered: dict[str, _Remembered] = {}
 
     def run(self, state: FrameState) -> None:
@@ -161,7 +160,8 @@ class Check(FrameStage):
             claimed = ClaimedPose.of_rsu(now_ns, sensor_pose)
             found.place = _at_mount(sensor_pose, mount)
         if claimed is not None:
-            found.motion = known.motion.score(claimed, self._fast_mps)
+            fast_mps = self._map.fastest_mps(claimed.pose)
+            found.motion = known.motion.score(claimed, fast_mps)
         if not sent.is_from_one_place:
             found.motion = 0.0
         if pose is not None and mount is None:

@@ -160,7 +160,7 @@ def stages_of(
     lanes = LaneIndex(region.surroundings)
     place = Place(roadway, config.geofence)
     sample, align = _alignment(roadway, config, mounts)
-    check = [Check(region.surroundings, roadway, config.misbehaviour, mounts)]
+    check = [Check(region, roadway, config.misbehaviour, mounts)]
     return [
         Decode(),
         *sample,

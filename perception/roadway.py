@@ -8,7 +8,7 @@ of one chunk are taken before the other chunks arrive.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,6 +126,9 @@ def _lowest(
     return votes
 
 
+LEVEL_M = 3.5  # lanes farther above one another are on different levels
+MOST_DECKS = 3  # over one another; of more, the lowest
+DECK_BELOW_M, SLAB_M = 0.4, 1.5  # below a deck's road: still on it; from there on, under the bridge
 CELL_M = 0.5  # two make a metre, the side of the squares that vote
 MAX_CELLS = 8_000_000  # 8 bytes each
 
@@ -159,13 +162,17 @@ class Roadway:
     """Cells of the map's plane: the road's height, NaN off the road, and its direction.
 
     `height_m` and `yaw_rad` are (rows, columns); rows go with y. Both are those of the nearest
-    lane. The outermost cells lie off the road.
+    lane. Where lanes pass over others, those are the lowest; the others are in `decks_m` and
+    `deck_yaws_rad` (levels, rows, columns), upwards, NaN elsewhere. The outermost cells lie off the
+    road.
     """
 
     origin_m: tuple[float, float]
     cell_m: float
     height_m: Floats32
     yaw_rad: Floats32
+    decks_m: Floats32
+    deck_yaws_rad: Floats32
 
     @classmethod
     def of(cls, road_map: RoadMap, *, margin_m: float) -> Roadway:
@@ -177,12 +184,20 @@ class Roadway:
         cell_m = max(CELL_M, float(np.sqrt(np.prod(high - low) / MAX_CELLS)))
         low = np.floor(low)  # squares lie as those of `perception.roadway`
         columns, rows = (int(n) for n in np.ceil((high - low) / cell_m))
-        height_m = np.full((rows, columns), np.nan, np.float32)
-        yaw_rad = np.zeros_like(height_m)
-        _draw(segments, low, cell_m, margin_m, height_m, yaw_rad)
-        for edge in (height_m[0], height_m[-1], height_m[:, 0], height_m[:, -1]):
+        for levels in range(1, MOST_DECKS + 2):
+            heights_m = np.full((levels, rows, columns), np.nan, np.float32)
+            yaws_rad = np.zeros_like(heights_m)
+            if not _draw(segments, low, cell_m, margin_m, heights_m, yaws_rad):
+                break
+        if levels > 1:
+            upwards = np.argsort(heights_m, axis=0)
+            heights_m, yaws_rad = (
+                np.take_along_axis(layers, upwards, axis=0) for layers in (heights_m, yaws_rad)
+            )
+        for edge in (heights_m[:, 0], heights_m[:, -1], heights_m[..., 0], heights_m[..., -1]):
             edge[:] = np.nan
-        return cls((float(low[0]), float(low[1])), cell_m, height_m, yaw_rad)
+        place = float(low[0]), float(low[1])
+        return cls(place, cell_m, heights_m[0], yaws_rad[0], heights_m[1:], yaws_rad[1:])
 
     def place(
         self,
@@ -204,23 +219,45 @@ class Roadway:
         rows, columns = self.height_m.shape
         squares = table(((rows + 1) // 2) * ((columns + 1) // 2))
         count, votes = _place(
-            points, motion.astype(np.float32), grid, self.height_m, squares, kept, road_m
+            points,
+            motion.astype(np.float32),
+            grid,
+            self.height_m,
+            self.decks_m if len(self.decks_m) else None,
+            squares,
+            kept,
+            road_m,
         )
         return Placed(kept[:count], road_m[:count], votes)
 
     def yaw_at(self, points: Floats) -> Floats:
         """Returns the road's direction (N,) at points (N, 2 or 3); 0 off the road."""
         rows, columns, known = self._cells(points)
-        return np.where(known, self.yaw_rad[rows, columns].astype(np.float64), 0.0)
+        found = np.where(known, self.yaw_rad[rows, columns].astype(np.float64), 0.0)
+        for level, on_deck in self._on_decks(points, rows, columns):
+            found[on_deck] = self.deck_yaws_rad[level, rows[on_deck], columns[on_deck]]
+        return found
 
     def height_at(self, points: Floats) -> Floats:
-        """Returns the road's height (N,) at points (N, 2 or 3); 0 off the road."""
+        """Returns the road's height (N,) at points (N, 2 or 3); 0 off the road.
+
+        Of roads over one another, the highest that lies below a point, the lowest without heights.
+        """
         rows, columns, known = self._cells(points)
-        return np.where(known, self.height_m[rows, columns].astype(np.float64), 0.0)
+        found = np.where(known, self.height_m[rows, columns].astype(np.float64), 0.0)
+        for level, on_deck in self._on_decks(points, rows, columns):
+            found[on_deck] = self.decks_m[level, rows[on_deck], columns[on_deck]]
+        return found
 
     def contains(self, points: Floats | Floats32) -> Bools:
         """Whether points (N, 2 or 3) lie on the road."""
         return self._cells(points)[2]
+
+    def _on_decks(self, points: Floats, rows: Ints, columns: Ints) -> Iterator[tuple[int, Bools]]:
+        """Yields each level of decks, and which points (N, 3) are not below it."""
+        if points.shape[1] > 2:
+            for level, deck_m in enumerate(self.decks_m):
+                yield level, points[:, 2] >= deck_m[rows, columns] - DECK_BELOW_M
 
     def _cells(self, points: Floats | Floats32) -> tuple[Ints, Ints, Bools]:
         """Returns rows, columns and whether they belong to the road (N,)."""
@@ -242,7 +279,7 @@ def lane_segments(road_map: RoadMap) -> Floats:
 
 
 @njit(
-    "void(float64[:,::1], float64[::1], float64, float64, float32[:,::1], float32[:,::1])",
+    "int64(float64[:,::1], float64[::1], float64, float64, float32[:,:,::1], float32[:,:,::1])",
     cache=True,
 )
 def _draw(
@@ -250,12 +287,16 @@ def _draw(
     low: Floats,
     cell_m: float,
     margin_m: float,
-    height_m: Floats32,
-    yaw_rad: Floats32,
-) -> None:
-    """Fills the cells within reach of each segment from the nearest one."""
-    rows, columns = height_m.shape
-    best = np.full((rows, columns), np.float32(np.inf))
+    heights_m: Floats32,
+    yaws_rad: Floats32,
+) -> int:
+    """Fills the cells within reach of each segment from the nearest one of each level.
+
+    Returns how often there were more levels than layers (levels, rows, columns).
+    """
+    levels, rows, columns = heights_m.shape
+    best = np.full((levels, rows, columns), np.float32(np.inf))
+    left = 0
     for index in range(segments.shape[0]):
         x0, y0, z0, x1, y1, z1, half_m = segments[index]
         reach_m = half_m + margin_m + 0.71 * cell_m
@@ -272,15 +313,47 @@ def _draw(
                 x = low[0] + (column + 0.5) * cell_m
                 along = min(max(((x - x0) * dx + (y - y0) * dy) / square, 0.0), 1.0)
                 off_m = np.hypot(x - x0 - along * dx, y - y0 - along * dy)
-                if off_m <= reach_m and off_m < best[row, column]:
-                    best[row, column] = off_m
-                    height_m[row, column] = z0 + along * (z1 - z0)
-                    yaw_rad[row, column] = yaw
+                if off_m > reach_m:
+                    continue
+                z, level = z0 + along * (z1 - z0), 0
+                while level < levels and abs(z - heights_m[level, row, column]) > LEVEL_M:
+                    level += 1
+                if level == levels:
+                    left += 1
+                elif off_m < best[level, row, column]:
+                    best[level, row, column] = off_m
+                    heights_m[level, row, column] = z
+                    yaws_rad[level, row, column] = yaw
+    return left
 
 
 @njit(
-    "Tuple((int64, float32[:,::1]))(float32[:,::1], float32[:,::1], float32[::1], float32[:,::1], "
-    f"{TABLE}, float32[:,::1], float32[::1])",
+    "float32(float32, uint64, uint64, float32[:,::1], float32[:,:,::1])",
+    cache=True,
+    nogil=True,
+    inline="always",
+)
+def road_below(
+    z: float, row: np.uint64, column: np.uint64, height_m: Floats32, decks_m: Floats32
+) -> np.float32:
+    """Returns the height of the road that a height belongs to in a cell; NaN off the road.
+
+    And within a bridge: what is there is neither on the road over it nor on the one below.
+    """
+    base_m: np.float32 = height_m[row, column]
+    for level in range(decks_m.shape[0]):
+        over_m = z - decks_m[level, row, column]
+        base_m = np.float32(np.nan) if over_m >= -np.float32(SLAB_M) else base_m
+        base_m = decks_m[level, row, column] if over_m >= -np.float32(DECK_BELOW_M) else base_m
+    return base_m
+
+
+@njit(
+    [
+        "Tuple((int64, float32[:,::1]))(float32[:,::1], float32[:,::1], float32[::1], "
+        f"float32[:,::1], {decks}, {TABLE}, float32[:,::1], float32[::1])"
+        for decks in ("none", "float32[:,:,::1]")
+    ],
     cache=True,
     nogil=True,
 )
@@ -289,6 +362,7 @@ def _place(
     motion: Floats32,
     grid: Floats32,
     height_m: Floats32,
+    decks_m: Floats32 | None,
     squares: tuple[Floats32, Ints32, Ints32],
     kept: Floats32,
     road_m: Floats32,
@@ -315,6 +389,8 @@ def _place(
         at_y = at_y if at_y < last_row else last_row
         row, column = np.uint64(at_y), np.uint64(at_x)
         base_m = height_m[row, column]
+        if decks_m is not None:
+            base_m = road_below(z, row, column, height_m, decks_m)
         kept[count, 0], kept[count, 1], kept[count, 2], road_m[count] = x, y, z, base_m
         over_m = z - base_m
         stays = (low_m <= over_m) & (over_m <= high_m)

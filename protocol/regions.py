@@ -16,29 +16,32 @@ import numpy as np
 import numpy.typing as npt
 
 from protocol.approaches import Approaches
-from protocol.roadmap import Lane, RoadMap, distance_m
+from protocol.roadmap import MAP_RADIUS_M, Lane, RoadMap, distance_m
 
 AROUND_M = 150.0
 """A region knows the lanes so far around its area: farther than its agents drive away from it."""
+_EDGE_M = 10.0  # of the map: a vehicle there may be on a lane whose centreline lies beyond it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegionMap:
     """A region's roads: its own and counted lanes, and all lanes on and around them.
 
-    Both hold the region's intersections alone. `centres` (C, 3) are those of all of the net.
+    Both hold the region's intersections alone. `centres` (C, 3) are those of all of the net;
+    beyond `bounds`, the least and the greatest x, y (2, 2), `surroundings` may lack lanes.
     """
 
     id: str
     area: RoadMap
     surroundings: RoadMap
     centres: npt.NDArray[np.float64]
+    bounds: npt.NDArray[np.float64]
 
     @classmethod
     def whole(cls, road_map: RoadMap, region: str = "r0") -> RegionMap:
         """Returns a map as its only region."""
         centres = np.array([one.centre for one in road_map.intersections])
-        return cls(region, road_map, road_map, centres)
+        return cls(region, road_map, road_map, centres, np.array([[-np.inf] * 2, [np.inf] * 2]))
 
     @classmethod
     def of(cls, road_map: RoadMap, region: str, scenario: Mapping[str, Any]) -> RegionMap:
@@ -48,8 +51,17 @@ class RegionMap:
         if len(scenario["regions"]) == 1:
             return whole
         area = road_map.part(_area(road_map, junctions, scenario["edge"]), junctions)
-        around = road_map.part(_around(road_map, area.lanes), junctions)
-        return cls(region, area, around, whole.centres)
+        bounds = _around(area.lanes)
+        around = road_map.part(_within(road_map, bounds), junctions)
+        return cls(region, area, around, whole.centres, bounds)
+
+    def knows(self, x_m: float, y_m: float) -> bool:
+        """Whether the surroundings have every lane at a place; elsewhere roads are unknown."""
+        low, high = self.bounds
+        if not (low[0] <= x_m <= high[0] and low[1] <= y_m <= high[1]):
+            return False
+        away_m = np.hypot(self.centres[:, 0] - x_m, self.centres[:, 1] - y_m)
+        return bool((away_m <= MAP_RADIUS_M - _EDGE_M).any())
 
 
 def regions_of(road_map: RoadMap, scenario: Mapping[str, Any]) -> dict[str, RegionMap]:
@@ -74,9 +86,13 @@ def _area(road_map: RoadMap, junctions: Collection[str], edge: Mapping[str, Any]
     return found
 
 
-def _around(road_map: RoadMap, area: list[Lane]) -> set[str]:
+def _around(area: list[Lane]) -> npt.NDArray[np.float64]:
     inside = np.array([lane.bounds for lane in area])
-    low, high = inside[:, 0].min(axis=0) - AROUND_M, inside[:, 1].max(axis=0) + AROUND_M
+    return np.array([inside[:, 0].min(axis=0) - AROUND_M, inside[:, 1].max(axis=0) + AROUND_M])
+
+
+def _within(road_map: RoadMap, around: npt.NDArray[np.float64]) -> set[str]:
+    low, high = around
     bounds = np.array([lane.bounds for lane in road_map.lanes])
     near = ((bounds[:, 1] >= low) & (bounds[:, 0] <= high)).all(axis=1)
     return {lane.id for lane, is_near in zip(road_map.lanes, near, strict=True) if is_near}

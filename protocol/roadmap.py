@@ -10,6 +10,12 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, FailFast, Field
 
+MAP_RADIUS_M = 460.0
+"""A map has all lanes for road vehicles of which a part lies so near a signal.
+
+Farther than vehicles exist with the default of `traffic.radius_m`.
+"""
+
 
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")

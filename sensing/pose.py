@@ -32,7 +32,8 @@ def mount_place(mount: Mount, road_map: RoadMap) -> tuple[float, float]:
 def mount_pose(mount: Mount, road_map: RoadMap, terrain: Terrain) -> SE3:
     """Returns `map_SE3_sensor` of a mount: upright, its height above the ground at its place."""
     x_m, y_m = mount_place(mount, road_map)
-    ground_m = float(terrain.height_m(np.array([[x_m, y_m]]))[0])
+    at = road_map.intersections[0] if mount.tls is None else road_map.by_tls[mount.tls]
+    ground_m = float(terrain.height_m(np.array([[x_m, y_m]]), at.centre[2])[0])
     yaw_rad = float(np.radians(mount.yaw_deg))
     return SE3.from_pose([x_m, y_m, ground_m + mount.height_m, 0, 0, yaw_rad])
 

@@ -22,10 +22,14 @@ _PROBE_M = 0.2  # a place this far outside an edge decides whether the road ends
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edge:
-    """A stretch of the road's border: points (K, 2) and unit vectors (K, 2) away from the road."""
+    """A stretch of the road's border.
+
+    Points (K, 2), unit vectors (K, 2) away from the road, and the height of the lane (K,), m.
+    """
 
     points: Floats
     outward: Floats
+    level_m: Floats
 
 
 class RoadArea:
@@ -34,6 +38,7 @@ class RoadArea:
     def __init__(self, road_map: RoadMap) -> None:
         self._lanes = road_map.lanes
         self._outlines = _outlines(road_map)
+        self._levels_m = [one.centre[2] for one in road_map.intersections]
         self._index = _Index.of(road_map.lanes, self._outlines)
 
     def clearance_m(self, xy: npt.ArrayLike, most_m: float = math.inf) -> Floats:
@@ -53,28 +58,28 @@ class RoadArea:
         found: list[Edge] = []
         for lane in self._lanes:
             line = resample(lane.points[:, :2], EDGE_STEP_M)
-            left = _left_normals(line)
+            left, level_m = _left_normals(line), heights_along(line, lane.points)
             for outward in (left, -left):
-                found += self._outer(line + outward * (lane.width_m / 2), outward)
-        for outline in self._outlines:
+                found += self._outer(line + outward * (lane.width_m / 2), outward, level_m)
+        for outline, level in zip(self._outlines, self._levels_m, strict=True):
             if len(outline) >= 3:
-                found += self._around(outline)
+                found += self._around(outline, level)
         return found
 
-    def _around(self, outline: Floats) -> list[Edge]:
+    def _around(self, outline: Floats, level_m: float) -> list[Edge]:
         line = resample(np.vstack([outline, outline[:1]]), EDGE_STEP_M / 2)
         outward = _left_normals(line)
         if signed_area_m2(outline) > 0:  # counter-clockwise: left is inside
             outward = -outward
-        return self._outer(line, outward)
+        return self._outer(line, outward, np.full(len(line), level_m))
 
-    def _outer(self, points: Floats, outward: Floats) -> list[Edge]:
+    def _outer(self, points: Floats, outward: Floats, level_m: Floats) -> list[Edge]:
         inside_m = np.maximum(-self.clearance_m(points), 0.0)
         free = (self.clearance_m(points + outward * _PROBE_M) > 0) & (inside_m < _PROBE_M)
         points = points + outward * inside_m[:, None]  # at bends, where the offset falls short
         cuts = np.flatnonzero(np.diff(np.concatenate([[False], free, [False]]).astype(np.int8)))
         return [
-            Edge(points[start:end], outward[start:end])
+            Edge(points[start:end], outward[start:end], level_m[start:end])
             for start, end in cuts.reshape(-1, 2)
             if end - start >= 2
         ]
@@ -90,6 +95,13 @@ def resample(line: Floats, step_m: float) -> Floats:
     points = np.concatenate(parts)
     moved = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])
     return np.asarray(points[moved])
+
+
+def heights_along(flat: Floats, line: Floats) -> Floats:
+    """Returns the heights (N,) at points (N, 2) that were resampled from a polyline (K, 3)."""
+    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line[:, :2], axis=0).T))])
+    here = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(flat, axis=0).T))])
+    return np.asarray(np.interp(here, along_m, line[:, 2]))
 
 
 def _strips(lane: Lane) -> Floats:

@@ -58,6 +58,7 @@ def _kerb(edge: Edge, terrain: Terrain, widths: Floats, config: SceneConfig) -> 
     if np.count_nonzero(wide) < 2:
         return merge([])
     points, outward, widths = edge.points[wide], edge.outward[wide], widths[wide]
+    level_m = edge.level_m[wide]
     rise_m = config.kerb_height_m
     profile = (
         (np.zeros_like(widths), -_KERB_SUNK_M),
@@ -69,7 +70,7 @@ def _kerb(edge: Edge, terrain: Terrain, widths: Floats, config: SceneConfig) -> 
     for k, (offset, height_m) in enumerate(profile):
         xy = points + outward * offset[:, None]
         sections[:, k, :2] = xy
-        sections[:, k, 2] = terrain.height_m(xy) + height_m
+        sections[:, k, 2] = terrain.height_m(xy, level_m) + height_m
     return strip(sections)
 
 
@@ -207,13 +208,13 @@ def street_lights(
 
 
 def street_light_feet(edges: Sequence[Edge], road: RoadArea, config: SceneConfig) -> Floats:
-    """Returns where street lights stand (N, 2)."""
+    """Returns where street lights stand (N, 2), and the height of the lane beside (N, 3)."""
     feet = [
         foot
         for edge in edges
         for foot in _feet(edge, config.pole_spacing_m, config.pole_spacing_m / 2, _POLE_OFFSET_M)
     ]
-    return np.array(_off_road(feet, road, _LIGHT_RADIUS_M)).reshape(-1, 2)
+    return np.array(_off_road(feet, road, _LIGHT_RADIUS_M)).reshape(-1, 3)
 
 
 def signal_posts(road_map: RoadMap, terrain: Terrain, road: RoadArea) -> TriangleMesh:
@@ -224,7 +225,8 @@ def signal_posts(road_map: RoadMap, terrain: Terrain, road: RoadArea) -> Triangl
         ahead = lane.points[-1, :2] - lane.points[-2, :2]
         ahead /= np.hypot(*ahead)
         right = np.array([ahead[1], -ahead[0]])
-        feet.append(lane.points[-1, :2] + right * (lane.width_m / 2 + _POLE_OFFSET_M))
+        aside = right * (lane.width_m / 2 + _POLE_OFFSET_M)
+        feet.append(lane.points[-1] + [*aside, 0.0])
     posts = _off_road(feet, road, _POST_RADIUS_M)
     return merge(mesh for foot in posts for mesh in _signal_post(foot, terrain))
 
@@ -256,24 +258,24 @@ def _feet(edge: Edge, spacing_m: float, first_m: float, offset_m: float) -> Iter
     along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(edge.points, axis=0).T))])
     for at_m in np.arange(first_m, along_m[-1], spacing_m):
         k = int(np.searchsorted(along_m, at_m))
-        yield edge.points[k] + edge.outward[k] * offset_m
+        yield np.array([*(edge.points[k] + edge.outward[k] * offset_m), edge.level_m[k]])
 
 
 def _off_road(feet: list[Floats], road: RoadArea, radius_m: float) -> list[Floats]:
     if not feet:
         return []
-    clearance = road.clearance_m(np.array(feet))
+    clearance = road.clearance_m(np.array(feet)[:, :2])
     return [foot for foot, free_m in zip(feet, clearance, strict=True) if free_m > radius_m]
 
 
 def _pole(foot: Floats, terrain: Terrain, radius_m: float, height_m: float) -> TriangleMesh:
-    ground_m = float(terrain.height_m(foot)[0])
+    ground_m = float(terrain.height_m(foot[:2], foot[2])[0])
     ring = regular_polygon(foot, radius_m, 6)
     return extrude(ring, ground_m - _POLE_SUNK_M, ground_m + height_m, taper=0.7)
 
 
 def _signal_post(foot: Floats, terrain: Terrain) -> list[TriangleMesh]:
-    top_m = float(terrain.height_m(foot)[0]) + _POST_HEIGHT_M
+    top_m = float(terrain.height_m(foot[:2], foot[2])[0]) + _POST_HEIGHT_M
     head = extrude(regular_polygon(foot, 0.25, 4), top_m - 1.0, top_m)
     return [_pole(foot, terrain, _POST_RADIUS_M, _POST_HEIGHT_M), head]
 

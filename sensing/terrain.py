@@ -1,9 +1,13 @@
-"""Terrain: a grid of ground heights, how a body stands on it, and its mesh."""
+"""Terrain: a grid of ground heights, how a body stands on it, and its mesh.
+
+Where lanes pass over others there are several: the ground, and a grid for each level of decks.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -13,38 +17,38 @@ from numba import njit
 from protocol.geometry import Floats
 from protocol.roadmap import RoadMap
 from sensing.config import SceneConfig
+from sensing.decks import REACH_M, Bools, LanePlaces, by_level, deck_mesh
 from sensing.limits import MAX_TERRAIN_NODES
-from sensing.mesh import TriangleMesh
+from sensing.mesh import TriangleMesh, merge
 from sensing.noise import stream
-from sensing.road import RoadArea, count_up, resample
+from sensing.road import RoadArea, count_up
 
-_REACH_M = 9.0  # a lane's height counts for grid points this near
-_SAMPLE_M = 3.0
 _WAVES = ((48.0, 0.7), (17.0, 0.3))  # spacing of the undulation in m, share of its amplitude
 
 
-def road_relief(road_map: RoadMap, origin: Floats, cell_m: float, shape: tuple[int, int]) -> Floats:
+def road_relief(
+    places: LanePlaces, origin: Floats, cell_m: float, shape: tuple[int, int]
+) -> tuple[Floats, Bools]:
     """Returns heights (rows, columns): the lanes' near them, smoothly interpolated elsewhere.
 
-    Only sums and products are used, so that every machine finds the same numbers.
+    And where lanes are near. Only sums and products are used, so that every machine finds the same
+    numbers.
     """
     weight, total = np.zeros(shape), np.zeros(shape)
-    reach = int(np.ceil(_REACH_M / cell_m))
+    reach = int(np.ceil(REACH_M / cell_m))
     step = np.arange(-reach, reach + 1)
-    for lane in road_map.lanes:
-        line = lane.points
-        flat = resample(line[:, :2], _SAMPLE_M)
-        height = _height_along(flat, line)
-        grid = (flat - origin) / cell_m
+    for number in np.unique(places.lane):
+        lane = places.points[places.lane == number]
+        grid = (lane[:, :2] - origin) / cell_m
         node = np.floor(grid).astype(np.int64)
         column = node[:, 0, None, None] + step[None, None, :]
         row = node[:, 1, None, None] + step[None, :, None]
         dx, dy = column - grid[:, 0, None, None], row - grid[:, 1, None, None]
-        near = np.maximum(1.0 - (dx * dx + dy * dy) * (cell_m / _REACH_M) ** 2, 0.0) ** 2
+        near = np.maximum(1.0 - (dx * dx + dy * dy) * (cell_m / REACH_M) ** 2, 0.0) ** 2
         column, row = np.broadcast_arrays(column, row)
         np.add.at(weight, (row, column), near)
-        np.add.at(total, (row, column), near * height[:, None, None])
-    return _spread(weight, total)
+        np.add.at(total, (row, column), near * lane[:, 2, None, None])
+    return _spread(weight, total), weight > 0
 
 
 def undulation(
@@ -83,13 +87,6 @@ def believed_map(road_map: RoadMap, config: SceneConfig, seed: int) -> RoadMap:
         return np.asarray(offset_m + amplitude_m * np.cos(places @ along + phase).sum(axis=1))
 
     return road_map.raised(error_m)
-
-
-def _height_along(flat: Floats, line: Floats) -> Floats:
-    """Returns the heights at points (N, 2) that were resampled from a polyline (K, 3)."""
-    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line[:, :2], axis=0).T))])
-    here = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(flat, axis=0).T))])
-    return np.asarray(np.interp(here, along_m, line[:, 2]))
 
 
 def _blend(lattice: Floats, at: Floats) -> Floats:
@@ -134,13 +131,47 @@ MARGIN_M = 128.0  # as far beyond the road as a sensor on it sees
 _HALF_WHEELBASE_M, _HALF_TRACK_M = 1.35, 0.75
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Surface:
+    """Heights over a grid; `known` says at which nodes lanes are near.
+
+    Nodes are (rows along y, columns along x); `origin` is x, y (2,) of the first.
+    """
+
+    origin: Floats
+    cell_m: float
+    nodes: Floats
+    known: Bools
+
+    def height_m(self, places: Floats) -> Floats:
+        """Returns the height at places (N, 2); beyond the grid, that of its border."""
+        result = np.empty(len(places))
+        _heights(self.nodes, self.origin, self.cell_m, places, result)
+        return result
+
+    def is_known(self, places: Floats) -> Bools:
+        """Whether lanes are near places (N, 2)."""
+        column, row = np.rint((places - self.origin) / self.cell_m).astype(np.int64).T
+        rows, columns = self.known.shape
+        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        at = np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
+        return np.asarray(inside & self.known[at])
+
+    def stand(self, plane: Floats) -> Floats:
+        """Returns poses (N, 6) of bodies at x, y, yaw (N, 3)."""
+        result = np.empty((len(plane), 6))
+        _stand(self.nodes, self.origin, self.cell_m, plane, result)
+        return result
+
+
 class Terrain:
-    """A grid of heights, as the scene's ground mesh shows it.
+    """A grid of heights, as the scene's ground mesh shows it, and those of decks over it.
 
     Attributes:
         origin: x, y (2,) of the grid's first node, in the map frame.
         cell_m: distance between nodes.
         nodes: heights (rows along y, columns along x) in m, read-only.
+        deck_mesh: all decks; empty where no lane passes over another.
     """
 
     def __init__(self, road_map: RoadMap, config: SceneConfig, seed: int) -> None:
@@ -151,31 +182,82 @@ class Terrain:
             self.cell_m *= 2
         self.origin: Floats = np.floor(low / self.cell_m) * self.cell_m
         columns, rows = (int(n) + 2 for n in (high - self.origin) / self.cell_m)
-        shape = (rows, columns)
-        road = road_relief(road_map, self.origin, self.cell_m, shape)
-        waves = undulation(self.origin, self.cell_m, shape, stream(seed, "terrain"))
-        self.nodes: Floats = np.ascontiguousarray(road + waves * config.terrain_amplitude_m)
-        self.nodes.setflags(write=False)
+        waves = undulation(self.origin, self.cell_m, (rows, columns), stream(seed, "terrain"))
+        waves *= config.terrain_amplitude_m
+        on_ground, on_decks = by_level(LanePlaces.of(road_map.lanes))
+        self._ground = self._surface(on_ground, waves)
+        self.nodes: Floats = self._ground.nodes
+        self._decks = [self._deck(places, waves) for places in on_decks]
+        self.deck_mesh = merge(
+            deck_mesh(run, deck.height_m(np.ascontiguousarray(run.points[:, :2])))
+            for deck, places in zip(self._decks, on_decks, strict=True)
+            for run in places.runs()
+        )
 
-    def height_m(self, xy: npt.ArrayLike) -> Floats:
-        """Returns the ground's height at places (N, 2); beyond the grid, that of its border."""
+    def _surface(
+        self, places: LanePlaces, waves: Floats, first: tuple[int, int] = (0, 0)
+    ) -> _Surface:
+        """Returns the surface of places on lanes, from a node (row, column) on."""
+        origin = self.origin + np.array(first[::-1]) * self.cell_m
+        relief, known = road_relief(places, origin, self.cell_m, waves.shape)
+        nodes = np.ascontiguousarray(relief + waves)
+        nodes.setflags(write=False)
+        return _Surface(origin, self.cell_m, nodes, known)
+
+    def _deck(self, places: LanePlaces, waves: Floats) -> _Surface:
+        """Returns the surface of a deck, which undulates as the ground that it begins on does."""
+        grid = (places.points[:, :2] - self.origin) / self.cell_m
+        around = int(np.ceil(REACH_M / self.cell_m)) + 1
+        left, low = np.floor(grid.min(axis=0)).astype(int) - around
+        right, high = np.ceil(grid.max(axis=0)).astype(int) + around + 1
+        return self._surface(places, waves[low:high, left:right], (int(low), int(left)))
+
+    def height_m(self, xy: npt.ArrayLike, level_m: npt.ArrayLike | None = None) -> Floats:
+        """Returns the ground's height at places (N, 2); beyond the grid, that of its border.
+
+        With `level_m`, heights in m, the height of the deck or ground that is nearest to them.
+        """
         places = np.ascontiguousarray(np.asarray(xy, np.float64).reshape(-1, 2))
-        result = np.empty(len(places))
-        _heights(self.nodes, self.origin, self.cell_m, places, result)
-        return result
+        found = self._ground.height_m(places)
+        for deck, chosen in self._on_decks(places, level_m):
+            found[chosen] = deck.height_m(np.ascontiguousarray(places[chosen]))
+        return found
 
-    def body_poses(self, x: npt.ArrayLike, y: npt.ArrayLike, yaw: npt.ArrayLike) -> Floats:
-        """Returns poses (N, 6) of bodies whose four wheels stand on the ground.
+    def body_poses(
+        self,
+        x: npt.ArrayLike,
+        y: npt.ArrayLike,
+        yaw: npt.ArrayLike,
+        level_m: npt.ArrayLike | None = None,
+    ) -> Floats:
+        """Returns poses (N, 6) of bodies whose four wheels stand on the ground or on a deck.
 
         Args:
             x: of the footprints' centres (N,), m.
             y: the same.
             yaw: headings (N,), rad CCW from +x.
+            level_m: height of their lanes (N,), which decides between ground and decks.
         """
         plane = np.ascontiguousarray(np.column_stack([x, y, yaw]), np.float64)
-        result = np.empty((len(plane), 6))
-        _stand(self.nodes, self.origin, self.cell_m, plane, result)
-        return result
+        found = self._ground.stand(plane)
+        for deck, chosen in self._on_decks(np.ascontiguousarray(plane[:, :2]), level_m):
+            found[chosen] = deck.stand(np.ascontiguousarray(plane[chosen]))
+        return found
+
+    def _on_decks(
+        self, places: Floats, level_m: npt.ArrayLike | None
+    ) -> Iterator[tuple[_Surface, Bools]]:
+        """Yields each deck with the places (N,) on it."""
+        if level_m is None or not self._decks:
+            return
+        meant = np.broadcast_to(np.asarray(level_m, np.float64), len(places))
+        off_m = [np.abs(self._ground.height_m(places) - meant)]
+        for deck in self._decks:
+            here_m = np.abs(deck.height_m(places) - meant)
+            off_m.append(np.where(deck.is_known(places), here_m, np.inf))
+        nearest = np.argmin(off_m, axis=0)
+        for number, deck in enumerate(self._decks, 1):
+            yield deck, nearest == number
 
 
 _GRID = "Array(float64, 2, 'C', readonly=True), float64[::1], float64"
@@ -232,7 +314,7 @@ _NONE, _COARSE, _FINE = 0, 1, 2
 
 
 def ground(terrain: Terrain, road: RoadArea) -> TriangleMesh:
-    """Returns the ground's mesh; blocks that no sensor on the road sees are omitted."""
+    """Returns the mesh of ground and decks; blocks that no sensor on the road sees are omitted."""
     rows, columns = terrain.nodes.shape
     blocks = _levels(terrain, road, ((rows - 1) // _BLOCK, (columns - 1) // _BLOCK))
     triangles = np.concatenate(
@@ -249,7 +331,8 @@ def ground(terrain: Terrain, road: RoadArea) -> TriangleMesh:
             terrain.nodes[row, column],
         ]
     )
-    return TriangleMesh.of(vertices, renamed[triangles])
+    mesh = TriangleMesh.of(vertices, renamed[triangles])
+    return merge([mesh, terrain.deck_mesh]) if len(terrain.deck_mesh.triangles) else mesh
 
 
 def _levels(terrain: Terrain, road: RoadArea, shape: tuple[int, int]) -> Blocks:

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from perception.arrays import Bytes, Floats, Floats32, Ints32
-from perception.roadway import Roadway
+from perception.roadway import Roadway, road_below
 from protocol.geometry import SE3
 from protocol.scans import RangeScan
 
@@ -45,7 +45,7 @@ def locate(scan: RangeScan, map_SE3_sensor: SE3, roadway: Roadway) -> Located:
         scan.pattern.directions.reshape(-1, 3),
         motion.astype(np.float32),
         np.array([*roadway.origin_m, 1 / roadway.cell_m]),
-        roadway.height_m,
+        (roadway.height_m, roadway.decks_m),
         located.xy,
         located.above_m,
     )
@@ -54,7 +54,7 @@ def locate(scan: RangeScan, map_SE3_sensor: SE3, roadway: Roadway) -> Located:
 
 @njit(
     "void(float32[::1], Array(float32, 2, 'C', readonly=True), float32[:,::1], float64[::1], "
-    "float32[:,::1], float32[:,::1], float32[::1])",
+    "Tuple((float32[:,::1], float32[:,:,::1])), float32[:,::1], float32[::1])",
     cache=True,
 )
 def _locate(
@@ -62,10 +62,11 @@ def _locate(
     directions: Floats32,
     motion: Floats32,
     grid: Floats,
-    height_m: Floats32,
+    roads: tuple[Floats32, Floats32],
     xy: Floats32,
     above_m: Floats32,
 ) -> None:
+    height_m, decks_m = roads
     rows, columns = height_m.shape
     x_m, y_m, per_m = np.float32(grid[0]), np.float32(grid[1]), np.float32(grid[2])
     for beam in range(range_m.size):
@@ -85,7 +86,7 @@ def _locate(
         if row < 0 or row >= rows or column < 0 or column >= columns:
             continue
         z = motion[2, 0] * u + motion[2, 1] * v + motion[2, 2] * w + motion[2, 3]
-        over = z - height_m[row, column]
+        over = z - road_below(z, np.uint64(row), np.uint64(column), height_m, decks_m)
         if BELOW_M <= over <= ABOVE_M:  # never off the road: there it is NaN
             above_m[beam] = over
 

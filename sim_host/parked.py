@@ -60,13 +60,13 @@ def draw_parked(
     area = RoadArea(roads)
     edges = area.edges()
     junctions = _Places(_junction_places(roads))
-    lights = _Places(street_light_feet(edges, area, scene))
+    lights = _Places(street_light_feet(edges, area, scene)[:, :2])
     rng = stream(seed, "parked")
     share = per_100m * SPACE_M / 100
     taken = _Places(np.zeros((0, 2)))
     found: list[tuple[VehicleType, Floats]] = []
     for edge in edges:
-        for middle, ahead, outward in _spaces(edge):
+        for middle, ahead, outward, level_m in _spaces(edge):
             # Every space draws alike, so that what is near it changes no other.
             occupied, kind_at, gap, shift, turn = rng.random(5).tolist()
             kind = kinds[int(kind_at * len(kinds))]
@@ -83,12 +83,15 @@ def draw_parked(
             ):
                 continue
             taken.add(place)
-            found.append((kind, np.array([*place, yaw])))
+            found.append((kind, np.array([*place, yaw, level_m])))
     return _standing(found, roads, scene, seed)
 
 
-def _spaces(edge: Edge) -> Iterator[tuple[Floats, Floats, Floats]]:
-    """Yields middles of spaces on an edge, its direction, and the unit vector off the road."""
+def _spaces(edge: Edge) -> Iterator[tuple[Floats, Floats, Floats, float]]:
+    """Yields middles of spaces on an edge, its direction, the unit vector off the road, its height.
+
+    That of the lane, in m.
+    """
     length_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(edge.points, axis=0).T))])
     for start_m, end_m in pairwise(np.arange(0.0, length_m[-1], SPACE_M)):
         ends = [
@@ -98,8 +101,9 @@ def _spaces(edge: Edge) -> Iterator[tuple[Floats, Floats, Floats]]:
         ahead = ends[1] - ends[0]
         ahead /= np.hypot(*ahead)
         right = np.array([ahead[1], -ahead[0]])
-        near = edge.outward[int(np.searchsorted(length_m, (start_m + end_m) / 2))]
-        yield (ends[0] + ends[1]) / 2, ahead, right if right @ near > 0 else -right
+        middle = int(np.searchsorted(length_m, (start_m + end_m) / 2))
+        outward = right if right @ edge.outward[middle] > 0 else -right
+        yield (ends[0] + ends[1]) / 2, ahead, outward, float(edge.level_m[middle])
 
 
 def _corners(place: Floats, yaw: float, kind: VehicleType) -> Floats:
@@ -154,7 +158,7 @@ def _standing(
     found: list[tuple[VehicleType, Floats]], roads: RoadMap, scene: SceneConfig, seed: int
 ) -> ParkedCars:
     """Returns the cars with all four wheels on the pavement, as high as its kerb."""
-    plane = np.array([pose for _, pose in found]).reshape(-1, 3)
+    plane = np.array([place for _, place in found]).reshape(-1, 4)
     poses = Terrain(roads, scene, seed).body_poses(*plane.T)
     poses[:, 2] += scene.kerb_height_m
     return ParkedCars([kind.name for kind, _ in found], poses)

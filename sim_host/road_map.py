@@ -10,7 +10,16 @@ import numpy.typing as npt
 
 from protocol.approaches import shortest, successors, through_junction
 from protocol.errors import ConfigError, did_you_mean
-from protocol.roadmap import Intersection, Lane, Link, PlanPhase, RoadMap, Signal, distance_m
+from protocol.roadmap import (
+    MAP_RADIUS_M,
+    Intersection,
+    Lane,
+    Link,
+    PlanPhase,
+    RoadMap,
+    Signal,
+    distance_m,
+)
 from sim_host.netfile import Net, NetConnection, NetJunction, Point
 
 _LISTED = 20
@@ -157,11 +166,8 @@ def _place(
     return at.get(lane)
 
 
-MAP_RADIUS_M = 320.0
-
-
 def road_map(net: Net, junctions: Literal["all"] | Sequence[str] | None) -> RoadMap:
-    """Returns the intersections of a net with these signals, and all lanes within 320 m of them.
+    """Returns the intersections of a net with these signals, and all lanes around them.
 
     Args:
         net: as read from its file.

@@ -32,8 +32,11 @@ _ACTUATED_TYPE = 3  # of SUMO's kinds of program
 class Ground(Protocol):
     """Poses of bodies on the ground."""
 
-    def body_poses(self, x: Floats, y: Floats, yaw: Floats) -> Floats:
-        """Returns poses (N, 6) of footprint centres at x, y (N,) in m, heading yaw (N,) in rad."""
+    def body_poses(self, x: Floats, y: Floats, yaw: Floats, level_m: Floats) -> Floats:
+        """Returns poses (N, 6) of footprint centres at x, y (N,) in m, heading yaw (N,) in rad.
+
+        `level_m` (N,) is the height of the lane, which decides between roads above one another.
+        """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +119,7 @@ class World:
         self._traffic = traffic_config(setup.scenario)
         self._config = config_file(self._traffic, run_dir)
         self._ground = ground
-        self._centres = np.array([one.centre[:2] for one in setup.road_map.intersections])
+        self._centres = np.array([one.centre for one in setup.road_map.intersections])
         self._setup = setup
         self._shown: dict[str, str] = {}
         self._widths_m: dict[str, float] = {}
@@ -195,7 +198,7 @@ class World:
     def _vehicles(self) -> TrafficState:
         vehicle = self._sumo.vehicle
         names = sorted(vehicle.getIDList())
-        fronts = np.array([vehicle.getPosition(name) for name in names]).reshape(-1, 2)
+        fronts = np.array([vehicle.getPosition3D(name) for name in names]).reshape(-1, 3)
         near = _nearest_m(fronts, self._centres) <= self._traffic.radius_m
         names = [name for name, is_near in zip(names, near, strict=True) if is_near]
         journeys = self._journeys.within_radius(names)
@@ -204,14 +207,14 @@ class World:
         half = np.array([journey.type.length_m / 2 for journey in journeys])
         if self._traffic.lateral.lane_change_s:
             yaw = self._headings.yaws_rad(names, lanes, 2 * half, yaw)
-        x, y = fronts[near].T - half * np.array([np.cos(yaw), np.sin(yaw)])
+        x, y = fronts[near, :2].T - half * np.array([np.cos(yaw), np.sin(yaw)])
         if not self._lateral.are_off:
             x, y, yaw = self._beside_the_middle(names, journeys, lanes, (x, y, yaw))
         return TrafficState(
             ids=[journey.name for journey in journeys],
             types=[journey.type.name for journey in journeys],
             lanes=lanes,
-            poses=self._ground.body_poses(x, y, yaw),
+            poses=self._ground.body_poses(x, y, yaw, fronts[near, 2]),
             speeds_mps=np.array([vehicle.getSpeed(name) for name in names], np.float32),
             lane_positions_m=np.array(
                 [vehicle.getLanePosition(name) for name in names], np.float32
@@ -223,12 +226,14 @@ class World:
         """Returns those of our own, and of SUMO's whoever walks within the radius."""
         own, person = self._pedestrians.people(), self._sumo.person
         names = [name for name in sorted(person.getIDList()) if not person.getVehicle(name)]
-        places = np.array([person.getPosition(name) for name in names]).reshape(-1, 2)
+        places = np.array([person.getPosition3D(name) for name in names]).reshape(-1, 3)
         near = _nearest_m(places, self._centres) <= self._traffic.radius_m
         names = [name for name, is_near in zip(names, near, strict=True) if is_near]
         yaw = np.radians(90.0 - np.array([person.getAngle(name) for name in names]))
-        plane = np.concatenate([own.plane, np.column_stack([places[near], yaw])])
-        poses = self._ground.body_poses(*plane.T)
+        plane = np.concatenate([own.plane, np.column_stack([places[near, :2], yaw])])
+        level_m = np.concatenate([self._nearest_level_m(own.plane), places[near, 2]])
+        x, y, yaw = plane.T
+        poses = self._ground.body_poses(x, y, yaw, level_m)
         poses[:, 3:5] = 0.0  # people stand upright
         poses[: len(own.ids), 2] += own.above_m
         walking_mps = [person.getSpeed(name) for name in names]
@@ -239,6 +244,11 @@ class World:
             poses,
             np.append(own.speeds_mps, walking_mps),
         )
+
+    def _nearest_level_m(self, places: Floats) -> Floats:
+        """Returns how high the intersections lie that are nearest to places (N, 2 or more)."""
+        away_m = np.linalg.norm(places[:, None, :2] - self._centres[:, :2], axis=2)
+        return np.asarray(self._centres[away_m.argmin(axis=1), 2])
 
     def _beside_the_middle(
         self,
@@ -305,10 +315,10 @@ class World:
 
 
 def _nearest_m(places: Floats, centres: Floats) -> Floats:
-    """Returns the distance of each place (N, 2) to the nearest centre (C, 2)."""
+    """Returns the distance in the plane of each place (N, 2 or 3) to the nearest centre (C, 3)."""
     result = np.full(len(places), np.inf)
     for centre in centres:
-        np.minimum(result, np.linalg.norm(places - centre, axis=1), out=result)
+        np.minimum(result, np.linalg.norm(places[:, :2] - centre[:2], axis=1), out=result)
     return result
 
 

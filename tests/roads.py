@@ -208,3 +208,15 @@ def _level(name: str, ends: Sequence[Point]) -> Lane:
     """Returns a lane whose length is measured in the plane, as SUMO does."""
     points = np.array(ends)
     return lane(name, ends, length_m=float(np.hypot(*(points[-1] - points[0])[:2])))
+
+
+def bridge(high_m: float) -> RoadMap:
+    """A level street along x with a signal, and a road along y, at x = 60, that passes over it."""
+    level, up = street(), []
+    rises = [(-300.0, 0.0), (-150.0, 0.0), (-60.0, high_m), (60.0, high_m), (150.0, 0.0)]
+    rises.append((300.0, 0.0))
+    for name, x, way in (("up_0", 61.75, rises), ("down_0", 58.25, rises[::-1])):
+        up.append(_level(name, [(x, y, z) for y, z in way]))
+    lanes = [one for one in level.lanes if not one.id.startswith("s_")]
+    both = signal("t", ("w_0", "e_0"), ("fe_0", "fw_0"))
+    return one_junction("bridge", [*lanes, *up], both)

@@ -227,7 +227,7 @@ class PillarsDetector:
             boxes, scores, classes = boxes[kept], scores[kept], classes[kept]
             sizes = np.array([len(part.points) for part in parts], np.int64)
             boxes = behind_their_points(boxes, points, points[:, 2] - road_m, sizes, cloud.sensors)
-            boxes[:, 2] += self._roadway.height_at(boxes)
+            boxes[:, 2] += self._roadway.height_at(_over(boxes, points, road_m, self._roadway))
             boxes[:, 6] = _headed(boxes[:, 6], self._roadway.yaw_at(boxes))
             return Vehicles.from_lidar(boxes, scores, classes)
 
@@ -308,6 +308,17 @@ def _well_inside(boxes: Floats, windows: list[Window], cell_m: float) -> np.ndar
     side_m = np.array([w.size[::-1] for w in windows]).reshape(-1, 2) * cell_m
     off = boxes[:, :2] - low
     return np.asarray(((off >= EDGE_M) & (off < side_m - EDGE_M)).all(axis=1))
+
+
+def _over(boxes: Floats, points: Floats32, road_m: Floats32, roadway: Roadway) -> Floats:
+    """Returns places (N, 3) over that road on which most points of each box (N, 7) are."""
+    places = boxes[:, :3].copy()
+    if len(roadway.decks_m):
+        for place, box in zip(places, boxes, strict=True):
+            away_m = np.hypot(*(points[:, :2] - box[:2]).T)
+            near = road_m[away_m < max(box[3], box[4]) / 2]
+            place[2] += np.median(near) if len(near) else 0.0
+    return places
 
 
 def _headed(yaw: Floats, road_yaw: Floats) -> Floats:

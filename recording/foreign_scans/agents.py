@@ -52,9 +52,9 @@ class Agent:
         times_s = self.track.times_s
         return times_s if times_s is not None and len(times_s) == len(self.files) else None
 
-    def moved(self, by_m: Floats) -> Agent:
-        """Returns the agent with its poses shifted in the map frame by (3,)."""
-        shift = np.concatenate([by_m, np.zeros(3)])
+    def moved(self, by: Floats) -> Agent:
+        """Returns the agent with its poses moved by x, y, z in m and yaw in rad (4,)."""
+        shift = np.array([*by[:3], 0.0, 0.0, by[3]])
         return replace(self, track=replace(self.track, poses=self.track.poses + shift))
 
 

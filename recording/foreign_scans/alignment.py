@@ -47,12 +47,12 @@ def refined(guess: Mapping[str, SE3], clouds: Mapping[str, Floats]) -> dict[str,
     levelled = {name: _level(name, clouds[name]) for name in guess}
     first = next(iter(guess))
     vehicle_SE3_level = guess[first] @ levelled[first].level_SE3_sensor.inverse()
-    grid = _occupied(_standing(levelled[first].points))
+    grid = occupied(_standing(levelled[first].points))
     found = {first: guess[first]}
     for name in [other for other in guess if other != first]:
         guessed = vehicle_SE3_level.inverse() @ guess[name]
         start = np.array([*guessed.translation[:2], guess[name].as_pose()[5]])
-        place = _search(_standing(levelled[name].points), grid, start)
+        place = search(_standing(levelled[name].points), grid, start)
         level_SE3_level = SE3.from_pose([place[0], place[1], 0, 0, 0, place[2]])
         found[name] = vehicle_SE3_level @ level_SE3_level @ levelled[name].level_SE3_sensor
     return found
@@ -61,7 +61,7 @@ def refined(guess: Mapping[str, SE3], clouds: Mapping[str, Floats]) -> dict[str,
 def _level(name: str, points: Floats) -> _Levelled:
     points = points.astype(np.float64)
     near = points[np.linalg.norm(points, axis=1) < _NEAR_M]
-    up, height_m, share = _ground(near)
+    up, height_m, share = ground_plane(near)
     if share < _LEAST_SHARE:
         raise ConfigError(f"the sensor {name} sees no ground to be levelled by")
     # The forward axis stays ahead: what it is turned by is told by the guess.
@@ -74,8 +74,11 @@ def _level(name: str, points: Floats) -> _Levelled:
     return _Levelled(upright, upright.apply(points))
 
 
-def _ground(points: Floats) -> tuple[Floats, float, float]:
-    """Returns the normal (3,) of the plane with most points, how far below it lies, their share."""
+def ground_plane(points: Floats) -> tuple[Floats, float, float]:
+    """Returns the normal (3,) of the plane with most points (N, 3), how far below it lies, a share.
+
+    That of the points; 0 where there is none.
+    """
     rng = np.random.default_rng(1)
     best = (np.array([0.0, 0.0, 1.0]), 0.0, 0.0)
     if len(points) < 3:
@@ -95,12 +98,16 @@ def _ground(points: Floats) -> tuple[Floats, float, float]:
 
 def _standing(points: Floats) -> Floats:
     """Returns the places (M, 2) of what stands upright within the grid, one of each cell."""
-    stands = (points[:, 2] > _STANDS_M[0]) & (points[:, 2] < _STANDS_M[1])
-    places = points[stands & (np.abs(points[:, :2]) < _HALF_M).all(axis=1), :2]
-    return np.unique(np.floor(places / _CELL_M), axis=0) * _CELL_M + _CELL_M / 2
+    return cells(points[(points[:, 2] > _STANDS_M[0]) & (points[:, 2] < _STANDS_M[1]), :2])
 
 
-def _occupied(places: Floats) -> Floats:
+def cells(places: Floats) -> Floats:
+    """Returns the middles (M, 2) of the grid's cells in which places (N, 2) lie."""
+    inside = places[(np.abs(places) < _HALF_M).all(axis=1)]
+    return np.asarray(np.unique(np.floor(inside / _CELL_M), axis=0) * _CELL_M + _CELL_M / 2)
+
+
+def occupied(places: Floats) -> Floats:
     """Returns a grid of what stands where, 1 there and less beside it."""
     side = round(2 * _HALF_M / _CELL_M)
     grid = np.zeros((side, side))
@@ -113,7 +120,7 @@ def _occupied(places: Floats) -> Floats:
     return beside
 
 
-def _search(places: Floats, grid: Floats, start: Floats) -> Floats:
+def search(places: Floats, grid: Floats, start: Floats) -> Floats:
     """Returns x, y, yaw (3,) near the start at which most places lie where something stands."""
     best = start
     for turn_deg, step_deg, off_m, step_m in _ROUNDS:

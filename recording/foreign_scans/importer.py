@@ -21,6 +21,7 @@ from protocol.roadmap import Intersection, Lane, PlanPhase, RoadMap, Signal
 from protocol.scans import PointCloud
 from protocol.wire import encode
 from recording.foreign_scans.agents import Agent
+from recording.foreign_scans.ground import Ground, plane_below
 from recording.limits import MAX_MOUNT_HEIGHT_M
 from recording.mcap.format import next_file
 from recording.mcap.writer import McapWriter
@@ -28,9 +29,9 @@ from sensing.config import UploadConfig
 
 OPEN_GROUND = "open-ground"
 BEYOND_M = 100.0
-_NEAR_M, _FAR_M = 2.5, 15.0  # around a vehicle: beyond its own body, where most beams hit ground
-_LOW_M, _HIGH_M, _BIN_M = -8.0, 0.0, 0.05
-_STEP_M = 2.0  # between the points of a ground's middle
+_STEP_M, _BEYOND_STEP_M = 2.0, 5.0  # between the points of a way, and beyond its ends
+_APART_M = 15.0  # scans whose ground is looked at
+_FALLS_M, _NARROWEST_M = 0.2, 1.5  # of a lane to one side; what it is cut into
 _FASTEST_MPS = 60.0
 _GREEN = "G"  # the one state of a signal that nobody minds
 
@@ -40,29 +41,47 @@ def height_over_ground_m(cloud: PointCloud, map_SE3_sensor: SE3) -> float:
 
     0 where it sees nothing below it.
     """
-    level = cloud.points @ map_SE3_sensor.rotation.T
-    away_m = np.hypot(level[:, 0], level[:, 1])
-    near = level[(away_m > _NEAR_M) & (away_m < _FAR_M), 2]
-    counts, edges = np.histogram(near, np.arange(_LOW_M, _HIGH_M + _BIN_M / 2, _BIN_M))
-    if not counts.any():
-        return 0.0
-    around = np.convolve(counts, np.ones(3), "same")
-    best = int(around.argmax())
-    within = (near > edges[max(best - 1, 0)]) & (near < edges[min(best + 2, len(edges) - 1)])
-    return -float(np.median(near[within]))
+    upright = cloud.points.astype(np.float64) @ map_SE3_sensor.rotation.T
+    return -float(plane_below(upright)[0])
 
 
-def open_ground(ways: Mapping[str, Floats], *, width_m: float) -> RoadMap:
+def ground_of(agents: Sequence[Agent], ways: Mapping[str, Floats], *, width_m: float) -> Ground:
+    """Returns the ground along the agents' ways, poses (N, 6), so broad."""
+    lines = [_line(poses)[:, :2] for poses in ways.values()]
+    scans = (
+        (agent.cloud(number).points.astype(np.float64), SE3.from_pose(agent.pose(number)))
+        for agent in agents
+        for number in _looked_at(ways[agent.name])
+    )
+    return Ground.of(scans, lines, width_m)
+
+
+def _looked_at(poses: Floats) -> list[int]:
+    """Returns the numbers of poses (N, 6) that are well apart, as many as show the ground."""
+    chosen = [0]
+    for number, place in enumerate(poses[:, :2]):
+        if np.hypot(*(place - poses[chosen[-1], :2])) >= _APART_M:
+            chosen.append(number)
+    return chosen
+
+
+def open_ground(ways: Mapping[str, Floats], ground: Ground, *, width_m: float) -> RoadMap:
     """Returns a map with one lane along each way, so broad that all that matters lies on it.
 
-    Its height is that of the way, and so is its direction, which vehicles along it have as well.
-    No lane leads to the signal, so that none is counted.
+    Its direction is that of the way, which vehicles along it have as well. Where the ground falls
+    to a side, the lane is cut into narrow ones. No lane leads to the signal, so that none is
+    counted.
 
     Args:
         ways: poses (N, 6) on the ground by name, in the order in which they were passed.
-        width_m: of the ground; before and behind a way it goes on for `BEYOND_M`.
+        ground: below the ways and around them.
+        width_m: of the lanes; before and behind a way they go on for `BEYOND_M`.
     """
-    lanes = [_lane(f"{OPEN_GROUND}-{name}", poses, width_m) for name, poses in ways.items()]
+    lanes = [
+        lane
+        for name, poses in ways.items()
+        for lane in _lanes(f"{OPEN_GROUND}-{name}", _line(poses), ground, width_m)
+    ]
     x, y, z = np.concatenate([poses[:, :3] for poses in ways.values()]).mean(axis=0).tolist()
     plan = [PlanPhase(duration_s=3600.0, state=_GREEN)]
     return RoadMap(
@@ -78,25 +97,43 @@ def open_ground(ways: Mapping[str, Floats], *, width_m: float) -> RoadMap:
     )
 
 
-def _lane(name: str, poses: Floats, width_m: float) -> Lane:
-    middle = [poses[0, :3]]
-    for place in poses[1:, :3]:
-        if np.hypot(*(place - middle[-1])[:2]) >= _STEP_M:
+def _line(poses: Floats) -> Floats:
+    """Returns the middle (K, 2) of a way, and of what is before and behind it."""
+    middle = [poses[0, :2]]
+    for place in poses[1:, :2]:
+        if np.hypot(*(place - middle[-1])) >= _STEP_M:
             middle.append(place)
-    line = np.stack([_beyond(poses[0], -BEYOND_M), *middle, _beyond(poses[-1], BEYOND_M)])
-    return Lane(
-        id=name,
-        edge=name,
-        width_m=width_m,
-        speed_mps=_FASTEST_MPS,
-        length_m=float(np.linalg.norm(np.diff(line[:, :2], axis=0), axis=1).sum()),
-        centreline=[(float(x), float(y), float(z)) for x, y, z in line],
+    beyond_m = np.arange(_BEYOND_STEP_M, BEYOND_M + _BEYOND_STEP_M / 2, _BEYOND_STEP_M)[:, None]
+    before, behind = (
+        pose[:2] + side * beyond_m * [np.cos(pose[5]), np.sin(pose[5])]
+        for pose, side in ((poses[0], -1.0), (poses[-1], 1.0))
     )
+    return np.concatenate([before[::-1], middle, behind])
 
 
-def _beyond(pose: Floats, ahead_m: float) -> Floats:
-    """Returns a place (3,) ahead of a pose, at its height."""
-    return pose[:3] + ahead_m * np.array([np.cos(pose[5]), np.sin(pose[5]), 0.0])
+def _lanes(name: str, line: Floats, ground: Ground, width_m: float) -> list[Lane]:
+    """Returns the lane along a line (K, 2), cut so that none falls to a side by much."""
+    along = np.gradient(line, axis=0)
+    along /= np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+    left = np.column_stack([-along[:, 1], along[:, 0]])
+    edges = np.stack([ground.height_m(line + left * side * width_m / 2) for side in (-1, 0, 1)])
+    strips = min(int(np.ptp(edges, axis=0).max() / _FALLS_M) + 1, int(width_m / _NARROWEST_M) or 1)
+    one_m = width_m / strips
+    lanes = []
+    for number, off_m in enumerate((np.arange(strips) - (strips - 1) / 2) * one_m):
+        places = line + left * off_m
+        points = np.column_stack([places, ground.height_m(places)])
+        lanes.append(
+            Lane(
+                id=name if strips == 1 else f"{name}-{number}",
+                edge=name,
+                width_m=one_m,
+                speed_mps=_FASTEST_MPS,
+                length_m=float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum()),
+                centreline=[(float(x), float(y), float(z)) for x, y, z in points],
+            )
+        )
+    return lanes
 
 
 PROCESS = vehicle_instances(1)[0].id

@@ -83,7 +83,7 @@ class Scene:
         return [checked(stage, frame) for frame in frames]
 
     def stage(self) -> Check:
-        return Check(self.road_map, self.roadway, MisbehaviourConfig(), MOUNTS)
+        return Check(RegionMap.whole(self.road_map), self.roadway, MisbehaviourConfig(), MOUNTS)
 
 
 def checked(stage: Check, frame: Frame) -> FrameState:

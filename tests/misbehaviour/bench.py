@@ -26,6 +26,7 @@ from edge_server.placing import Place
 from edge_server.scenario import places_of
 from perception.roadway import Roadway
 from protocol.errors import CpnetError
+from protocol.regions import RegionMap
 from protocol.roadmap import RoadMap
 from recording.run import Run
 from studies.bench import JsonRow, empty_table, print_whole
@@ -145,7 +146,8 @@ class RecordedRun:
         self, frames: Sequence[Frame], attack: Attack | None, victim: str
     ) -> Iterator[tuple[int, set[str]]]:
         """Yields each frame's number and the agents excluded from it."""
-        check = Check(self.road_map, self._roadway, self._config.misbehaviour, self._mounts)
+        region = RegionMap.whole(self.road_map)
+        check = Check(region, self._roadway, self._config.misbehaviour, self._mounts)
         for honest in frames:
             frame = self._placed(honest)
             if attack is not None:

@@ -9,6 +9,7 @@ import numpy as np
 from perception.roadway import Placed, Roadway, merge
 from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
+from tests.roads import bridge
 
 
 def test_points_on_the_road_stay_and_others_go(road_map: RoadMap) -> None:
@@ -85,3 +86,21 @@ def test_threads_do_not_share_their_tables(road_map: RoadMap) -> None:
         together = list(pool.map(votes, poses * 5))
     for pose, found in zip(poses * 5, together, strict=True):
         np.testing.assert_array_equal(found, votes(pose))
+
+
+def test_points_belong_to_the_road_that_they_are_on_where_roads_cross_at_different_heights() -> (
+    None
+):
+    roadway = Roadway.of(bridge(7.0), margin_m=0.5)
+    heights_m = np.array([0.0, 1.5, 4.9, 6.0, 7.0, 8.5], np.float32)
+    points = np.column_stack([np.full(6, 61.0), np.full(6, 2.0), heights_m]).astype(np.float32)
+    placed = roadway.place(points, SE3.identity(), below_m=2.0, above_m=5.0)
+    np.testing.assert_allclose(placed.points[:, 2], [0.0, 1.5, 4.9, 7.0, 8.5])
+    np.testing.assert_allclose(placed.road_m, [0, 0, 0, 7, 7])
+    over = np.array([[61.0, 2, 1.5], [61.0, 2, 8.5]])
+    np.testing.assert_allclose(roadway.height_at(over), [0, 7])
+    np.testing.assert_allclose(np.abs(roadway.yaw_at(over)), [np.pi, np.pi / 2], atol=1e-6)
+    beside = roadway.place(
+        np.array([[61, 30, 0], [61, 30, 7.5]], np.float32), SE3.identity(), below_m=2, above_m=5
+    )
+    np.testing.assert_allclose(beside.road_m, [7])

@@ -12,7 +12,13 @@ from sim_host.setup import build_setup
 class FlatGround:
     """A ground without relief."""
 
-    def body_poses(self, x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    def body_poses(
+        self,
+        x: np.ndarray,
+        y: np.ndarray,
+        yaw: np.ndarray,
+        level_m: np.ndarray,
+    ) -> np.ndarray:
         zero = np.zeros_like(x)
         return np.stack([x, y, zero, zero, zero, yaw], axis=1)
 

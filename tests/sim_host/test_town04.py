@@ -2,10 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from protocol.errors import ConfigError
 from protocol.roadmap import RoadMap
+from sensing.config import SceneConfig
+from sensing.terrain import Terrain
 from sim_host.config import TrafficConfig
 from sim_host.demand import movements
 from sim_host.netfile import Net, read_net
@@ -52,3 +55,11 @@ def test_every_signal_of_the_town_can_be_read(net: Net) -> None:
 def test_an_unknown_signal_is_refused_with_some_of_the_known(net: Net) -> None:
     with pytest.raises(ConfigError, match="1008, 1103"):
         road_map(net, ["1"])
+
+
+def test_every_lane_of_the_town_keeps_its_height_under_and_over_bridges(net: Net) -> None:
+    roads = road_map(net, "all")
+    terrain = Terrain(roads, SceneConfig(terrain_amplitude_m=0), 1)
+    places = np.concatenate([lane.points for lane in roads.lanes])
+    assert len(terrain.deck_mesh.triangles) > 0
+    assert np.abs(terrain.height_m(places[:, :2], places[:, 2]) - places[:, 2]).max() < 0.2

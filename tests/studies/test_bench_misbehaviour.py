@@ -13,6 +13,7 @@ from cpnet import scenario as scenarios
 from studies.in_process import run_in_process
 from tests.misbehaviour.attacks import GHOST, Displaced, Emptied, GhostReport, Peopled, Replayed
 from tests.misbehaviour.bench import HONEST, RecordedRun, attacks_on, print_misbehaviour
+from tests.misbehaviour.honest import KINDS, honest_run
 
 pytestmark = pytest.mark.slow
 
@@ -74,3 +75,14 @@ def test_a_run_that_kept_no_scan_has_no_frames(tmp_path: Path):
     keys = SHORT | {"duration_s": 1, "record.snapshot_period_s": 0}
     run_in_process(scenarios.load("t_junction", keys).model_dump(mode="json"), tmp_path)
     assert RecordedRun(tmp_path).frames == []
+
+
+@pytest.mark.parametrize("number", range(len(KINDS)), ids=KINDS)
+def test_on_other_nets_honest_agents_are_never_left_out_either(number: int):
+    sparse = {key: value for key, value in SHORT.items() if key.startswith("lidar.")}
+    keys = sparse | {"duration_s": 30, "frame_period_s": 1, "traffic.cav_rate": 0.2}
+    row = honest_run(1, number, keys | {"processes.vehicle": 1, "traffic.warmup_s": 60})
+    assert row.net == KINDS[number]
+    assert row.agents > 5
+    assert (row.beyond_map > 0) == (row.net == "town")
+    assert (row.excluded, row.reasons) == (0, {})
