@@ -222,7 +222,8 @@ _LIST = (
         "python -c 'import json, pyarrow.parquet as p; "
         'print(json.dumps(p.read_table("realism/results.parquet").to_pylist()))\'; '
         "printf ', \"accuracy\": '; "
-        "python $ROOT/docs/figures/accuracy_by_part.py $ROOT/docs/figures/realism.yaml 20; echo '}'",
+        "python $ROOT/docs/figures/accuracy_by_part.py $ROOT/docs/figures/realism.yaml 20; "
+        "echo '}'",
         (*STUDY, "cpnet/realism", "docs/figures/accuracy_by_part.py"),
         30,
         (
