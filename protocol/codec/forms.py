@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from protocol.codec import planes
 from protocol.codec.image_sections import Window, image_step_m, pack_image, unpack_image
-from protocol.codec.octree import cell_edge_m, pack_tree, unpack_tree
+from protocol.codec.octree import lattice_edge_m, pack_tree, unpack_tree
 from protocol.codec.payload import (
     Form,
     Head,
@@ -118,8 +118,8 @@ def encode_cloud(
 ) -> bytes:
     """Encodes an unordered cloud; every point moves by at most `max_error_m`.
 
-    Profile `fast` keeps the order of the points; `default` does not. A cloud of one spinning LiDAR
-    becomes a range image of the rings that are found in it, any other an octree.
+    Profile `fast` keeps the order of the points; `default` does not. It takes the smaller of an
+    octree and, where the rings of one spinning LiDAR are found, a range image of these.
 
     Args:
         cloud: in the sensor frame.
@@ -142,13 +142,13 @@ def encode_cloud(
     if chosen is Profile.FAST:
         return _pack_deltas(cloud, points, room, intensity)
     image = find_rings(points, room)
-    if image is not None:
-        return _pack_rings(cloud, points, image, room, intensity)
-    edge_m = cell_edge_m(room)
-    sections, order = pack_tree(points, edge_m)
-    shades = pack_intensity(cloud.intensity[order], True) if intensity else []
-    head = Head(Form.TREE, len(points), edge_m, with_intensity=intensity)
-    return head.seal(*sections, *shades)
+    if image is None:
+        return _pack_tree(cloud, points, room, intensity)
+    rings = _pack_rings(cloud, points, image, room, intensity)
+    try:
+        return min(rings, _pack_tree(cloud, points, room, intensity), key=len)
+    except CodecError:  # too wide or too regular for a tree of all points
+        return rings
 
 
 def _pack_planes(range_m: Floats32, max_error_m: float, step_m: float) -> tuple[list[bytes], int]:
@@ -164,10 +164,18 @@ def _pack_planes(range_m: Floats32, max_error_m: float, step_m: float) -> tuple[
 
 
 def _pack_deltas(cloud: PointCloud, points: Floats, room: float, intensity: bool) -> bytes:
-    step_m = cell_edge_m(room)
+    step_m = 2.0 * room / math.sqrt(3.0)  # the corners of a cubic cell are farthest
     raw = planes.pack_points(np.round(points / step_m).astype(np.int32))
     head = Head(Form.DELTAS, len(points), step_m, with_intensity=intensity)
     return head.seal(compress(raw), *pack_intensity(cloud.intensity, intensity))
+
+
+def _pack_tree(cloud: PointCloud, points: Floats, room: float, intensity: bool) -> bytes:
+    edge_m = lattice_edge_m(room)
+    sections, order = pack_tree(points, edge_m)
+    shades = pack_intensity(cloud.intensity[order], True) if intensity else []
+    head = Head(Form.TREE, len(points), edge_m, with_intensity=intensity)
+    return head.seal(*sections, *shades)
 
 
 def _pack_rings(
@@ -176,7 +184,7 @@ def _pack_rings(
     step_m = image_step_m(float(np.sqrt(room**2 - image.beside_m**2)))
     rings = image.rings
     sections, _ = pack_image(image.range_m, step_m)
-    rest, order = pack_tree(points[image.misfits], cell_edge_m(room))
+    rest, order = pack_tree(points[image.misfits], lattice_edge_m(room))
     shades = []
     if intensity:
         order = np.concatenate([image.order, image.misfits[order]])
@@ -190,7 +198,7 @@ def _pack_rings(
         with_intensity=intensity,
     )
     return head.seal(
-        rings.to_bytes(len(image.misfits), cell_edge_m(room)), *sections, *rest, *shades
+        rings.to_bytes(len(image.misfits), lattice_edge_m(room)), *sections, *rest, *shades
     )
 
 

@@ -171,7 +171,7 @@ def unpack_image(
     tuning = np.frombuffer(settings, np.uint8, 4).astype(np.int64)
     if tuning[2] > 15 or tuning[3] > tuning[2]:
         raise CodecError(f"an image has settings {tuning.tolist()}")
-    stream = unpack_symbols(reader, CONTEXTS, symbol_room(1, head.columns))
+    stream = unpack_symbols(reader, (CONTEXTS, STRIDE), symbol_room(1, head.columns))
     raw = read_raw(reader.section())
     xyz = np.empty((points + 1, 3), np.float32)
     tables = stream.table_of.tobytes()

@@ -31,8 +31,6 @@ from protocol.codec.prediction import (
     describe_lower_ring,
     expect,
     place_ring,
-    read_states,
-    states_are_final,
 )
 from protocol.codec.rans import (
     ESCAPE,
@@ -48,7 +46,9 @@ from protocol.codec.rans import (
     fold,
     i64,
     is_short,
+    read_states,
     refill,
+    states_are_final,
     tail_base,
     tail_bits,
     tail_token,

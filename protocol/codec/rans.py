@@ -155,3 +155,19 @@ def is_short(state: int) -> int:
     """Returns 1 if the state needs a word."""
     result: int = u64(state < u64(START))
     return result
+
+
+@njit("void(uint16[::1], uint64[::1])", cache=True, nogil=True)
+def read_states(words: U2, states: U8) -> None:
+    """Fills the states of the entropy coder."""
+    for n in range(STATES):
+        states[n] = (u64(words[2 * n]) << u64(16)) | u64(words[2 * n + 1])
+
+
+@njit("boolean(uint64[::1])", cache=True, nogil=True)
+def states_are_final(states: U8) -> bool:
+    """Returns whether all states are where they began: if not, the payload is damaged."""
+    done = True
+    for n in range(STATES):
+        done &= states[n] == u64(START)
+    return done
