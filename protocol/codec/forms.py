@@ -145,6 +145,8 @@ def encode_cloud(
     if image is None:
         return _pack_tree(cloud, points, room, intensity)
     rings = _pack_rings(cloud, points, image, room, intensity)
+    if image.is_sure(room):
+        return rings
     try:
         return min(rings, _pack_tree(cloud, points, room, intensity), key=len)
     except CodecError:  # too wide or too regular for a tree of all points
@@ -184,7 +186,8 @@ def _pack_rings(
     step_m = image_step_m(float(np.sqrt(room**2 - image.beside_m**2)))
     rings = image.rings
     sections, _ = pack_image(image.range_m, step_m)
-    rest, order = pack_tree(points[image.misfits], lattice_edge_m(room))
+    edge_m = lattice_edge_m(room)
+    rest, order = pack_tree(points[image.misfits], edge_m)
     shades = []
     if intensity:
         order = np.concatenate([image.order, image.misfits[order]])
@@ -198,7 +201,7 @@ def _pack_rings(
         with_intensity=intensity,
     )
     return head.seal(
-        rings.to_bytes(len(image.misfits), lattice_edge_m(room)), *sections, *rest, *shades
+        rings.to_bytes(len(image.misfits), edge_m), *sections, *rest, *shades
     )
 
 

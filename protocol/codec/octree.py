@@ -36,6 +36,9 @@ from protocol.codec.rans import (
     read_states,
     refill,
     states_are_final,
+    tail_base,
+    tail_bits,
+    tail_token,
     u64,
 )
 from protocol.codec.symbols import pack_symbols, read_raw, unpack_symbols
@@ -49,10 +52,10 @@ from protocol.limits import (
 from protocol.scans import Floats, Floats32
 
 STRIDE = 16
-_UPPER, _LOWER, _LONE, _PLACE, _COPIES = 0, 54, 198, 262, 406
-CONTEXTS = 407
+_UPPER, _LOWER, _LONE, _PLACE, _COPIES, _MIDDLE = 0, 216, 504, 584, 656, 661
+CONTEXTS = 691
 _COPIES_BITS = 20  # raw, of a count beyond the tokens
-_SYMBOLS_PER_CELL = 32  # at most 28
+_SYMBOLS_PER_CELL = 40  # at most 36
 _SPARE = 16  # words behind the raw bits: those of the points of a cell are read before a look
 _RADIX = 11  # bits that are sorted at a time
 _STACK = 7 * MAX_TREE_DEPTH + 8
@@ -69,7 +72,17 @@ def most_symbols(words: int) -> int:
 
 def symbol_room(points: int, depth: int) -> int:
     """Returns how many symbols a tree can have at most."""
-    return points * (depth * 2 + 4) + 8  # a cell that is divided holds two points at least
+    return points * (depth * 2 + 5) + 8  # a cell that is divided holds two points at least
+
+
+@njit("void(float64[:,::1], float64[::1], float64[::1])", cache=True, nogil=True)
+def fill_corners(points: Floats, low: Floats, high: Floats) -> None:
+    """Fills the lowest and the highest coordinate on each axis of points (N, 3)."""
+    low[:], high[:] = points[0], points[0]
+    for n in range(1, len(points)):
+        for axis in range(3):
+            low[axis] = min(low[axis], points[n, axis])
+            high[axis] = max(high[axis], points[n, axis])
 
 
 @njit("int64(float64[:,::1], float64[::1], float64, int64[:,::1], uint64[::1])", cache=True,
@@ -77,7 +90,8 @@ def symbol_room(points: int, depth: int) -> int:
 def fill_nodes(points: Floats, low: Floats, edge_m: float, cells: I8, keys: U8) -> int:
     """Fills the cell (N, 3) and the key (N,) of each point's node; returns the largest coordinate.
 
-    A key is the Morton key of the cell, z highest, and below it the bit of the node.
+    A key is the Morton key of the cell, z highest, and below it whether the node is the cell's
+    middle.
     """
     largest = 0
     whole, half = np.empty(3, np.int64), np.empty(3, np.int64)
@@ -146,24 +160,81 @@ def _quarter_of(last: int, cell: int, level: int) -> int:
 def _place_context(last: int, cell: int, level: int) -> int:
     """Returns the context of a coordinate of a lone point, by that of the point before."""
     eighth = ((last - (cell << level)) << 3) >> level
-    return _PLACE + 16 * (min(level, 3) - 1) + min(max(eighth, -4), 11) + 4
+    return _PLACE + 12 * (min(level, 3) - 1) + min(max(eighth, -2), 9) + 2
 
 
 @njit("int64(int64, int64, int64)", cache=True, nogil=True)
-def _lone_context(crowd: int, behind: int, level: int) -> int:
-    """Returns the context of which children are alone: of how many, of the second four, level."""
-    depth = level if level < 2 else 2 if level < 4 else 3
-    return _LONE + 8 * (crowd - 1) + 4 * behind + depth
+def _lone_context(crowd: int, behind: int, above: int) -> int:
+    """Returns the context of which children are alone: of how many, of the second four, depth.
+
+    `above` says how many levels the cell lies above that where the point before was alone.
+    """
+    return _LONE + 10 * (crowd - 1) + 5 * behind + min(max(above, -2), 2) + 2
+
+
+@njit("int64(int64, int64, int64, int64, int64)", cache=True, nogil=True)
+def _middle_context(copies: int, level: int, rise: int, last: int, before: int) -> int:
+    """Returns the context of how many points lie at the middle of their cell.
+
+    Args:
+        copies: points in the cell.
+        level: where they are alone.
+        rise: how much higher it lies than the cell before.
+        last: 1 if the point before lies at the middle of its cell, else 0.
+        before: that of the point before it.
+    """
+    if copies > 1:
+        return _MIDDLE + 24 + 2 * (min(copies, 4) - 2) + last
+    return _MIDDLE + 12 * i64(level > 0) + 4 * (min(max(rise, -1), 1) + 1) + 2 * last + before
+
+
+@njit("int64(int64)", cache=True, nogil=True)
+def _is_flat(occupied: int) -> int:
+    """Returns 1 if the points of a cell are all in its upper half, or all in its lower."""
+    return i64(occupied < 16 or occupied & 15 == 0)
+
+
+@njit("int64(int64)", cache=True, nogil=True)
+def _level_of(copies: int) -> int:
+    """Returns the level below 0 at which points of one cell would be alone."""
+    level = 0
+    while copies >> (1 - level):
+        level -= 1
+    return level
+
+
+@njit("int64(uint64[::1], int64, int64, uint64)", cache=True, nogil=True)
+def _end_of_octant(keys: U8, start: int, end: int, shift: int) -> int:
+    """Returns where the keys end that agree with the first above `shift`."""
+    wanted, step, at = keys[start] >> shift, 1, start + 1
+    while at < end and keys[at] >> shift == wanted:  # ever farther, then back between the last two
+        step *= 2
+        start, at = at, at + step
+    at = min(at, end)
+    while at - start > 1:
+        between = (start + at) >> 1
+        if keys[between] >> shift == wanted:
+            start = between
+        else:
+            at = between
+    return at
 
 
 @njit(
-    "void(uint64[::1], int64[:,::1], int64, uint16[::1], uint32[::1], int64[:,::1], int64[::1], "
+    "void(uint64[::1], int64[:,::1], int64, uint32[::1], uint32[::1], int64[:,::1], int64[::1], "
     "int64[::1])",
     cache=True,
     nogil=True,
 )
 def tree_to_symbols(
-    keys: U8, cells: I8, depth: int, symbols: U2, raw: U4, counts: I8, order: I8, sizes: I8
+    keys: U8,
+    cells: I8,
+    depth: int,
+    symbols: U4,
+    raw: U4,
+    counts: I8,
+    order: I8,
+    sizes: I8,
 ) -> None:
     """Turns sorted nodes into symbols and raw bits.
 
@@ -178,29 +249,31 @@ def tree_to_symbols(
         sizes: filled with the number of symbols and of raw words.
     """
     starts, ends = np.empty(_STACK, np.int64), np.empty(_STACK, np.int64)
-    levels, first = np.empty(_STACK, np.int64), np.empty(9, np.int64)
+    levels, flats = np.empty(_STACK, np.int64), np.empty(_STACK, np.int64)
+    first = np.empty(8, np.int64)
     contexts, tokens = np.empty(_SYMBOLS_PER_CELL, np.int64), np.empty(_SYMBOLS_PER_CELL, np.int64)
     last = np.zeros(3, np.int64)
-    starts[0], ends[0], levels[0], top = 0, len(keys), depth - 1, 1
-    x = y = z = i64(0)
+    starts[0], ends[0], levels[0], flats[0], top = 0, len(keys), depth - 1, 0, 1
+    x = y = z = alone = middle = middle_before = i64(0)
     count, words, held, placed = 0, 0, 0, 0
     bits = u64(0)
     while top > 0:
         top -= 1
         start, end, level = starts[top], ends[top], levels[top]
         shift = u64(3 * level + 1)
-        occupied, crowd, octant = 0, 0, -1
-        for n in range(start, end):
-            here = i64(keys[n] >> shift) & 7
-            if here != octant:
-                octant = here
-                occupied |= 1 << octant
-                first[octant] = n
-                crowd += 1
+        occupied, crowd = 0, 0
+        n = start
+        while n < end:
+            octant = i64(keys[n] >> shift) & 7
+            occupied |= 1 << octant
+            first[octant] = n
+            crowd += 1
+            n = _end_of_octant(keys, n, end, shift)
         sides = 3 * _half_of(x, cells[start, 0] >> (level + 1), level)
         sides += _half_of(y, cells[start, 1] >> (level + 1), level)
-        contexts[0] = _UPPER + 6 * sides + _quarter_of(z, cells[start, 2] >> (level + 1), level)
-        contexts[1] = _LOWER + 9 * (occupied >> 4) + sides
+        contexts[0] = _UPPER + 108 * i64(level > alone) + 54 * flats[top] + 6 * sides
+        contexts[0] += _quarter_of(z, cells[start, 2] >> (level + 1), level)
+        contexts[1] = _LOWER + 18 * (occupied >> 4) + 9 * flats[top] + sides
         tokens[0], tokens[1] = occupied >> 4, occupied & 15
         used, seen, pattern, behind, octant = 2, 0, 0, end, 8
         while octant > 0:
@@ -211,7 +284,7 @@ def tree_to_symbols(
             behind = first[octant]
             seen += 1
             if seen == 4 or seen == crowd:
-                contexts[used] = _lone_context(crowd, i64(seen > 4), level)
+                contexts[used] = _lone_context(crowd, i64(seen > 4), level - alone)
                 tokens[used] = pattern
                 used, pattern = used + 1, 0
         behind = end
@@ -222,40 +295,51 @@ def tree_to_symbols(
             behind = at
             if level > 0 and copies > 1:
                 starts[top], ends[top], levels[top] = at, at + copies, level - 1
+                flats[top] = _is_flat(occupied)
                 top += 1
                 continue
             if copies > 1:
-                contexts[used], tokens[used] = _COPIES, min(copies - 2, STRIDE - 1)
+                token = min(tail_token(copies - 2), STRIDE - 1)
+                contexts[used], tokens[used] = _COPIES + min(max(-alone, 0), 4), token
                 used += 1
-                if copies - 2 >= STRIDE - 1:
-                    bits |= u64(copies - 2 - (STRIDE - 1)) << u64(held)
-                    held += _COPIES_BITS
+                bits |= u64(copies - 2 - tail_base(token)) << u64(held)
+                held += _COPIES_BITS if token == STRIDE - 1 else tail_bits(token)
             fine = max(level - 3, 0)
             last[0], last[1], last[2] = x, y, z
-            for part in range(3 + copies):
+            for axis in range(3):
                 if held >= 32:
                     raw[words] = np.uint32(bits & u64(0xFFFFFFFF))
                     words += 1
                     bits >>= u64(32)
                     held -= 32
-                if part >= 3:
-                    bits |= (keys[at + part - 3] & u64(1)) << u64(held)
-                    held += 1
-                    order[placed] = at + part - 3
-                    placed += 1
-                elif level > 0:
-                    here = cells[at, part]
-                    context = _place_context(last[part], here >> level, level) + 48 * part
-                    contexts[used], tokens[used] = context, (here & ((1 << level) - 1)) >> fine
+                if level > 0:
+                    here = cells[at, axis]
+                    context = _place_context(last[axis], here >> level, level)
+                    contexts[used] = context + 36 * i64(axis == 2)
+                    tokens[used] = (here & ((1 << level) - 1)) >> fine
                     used += 1
                     bits |= u64(here & ((1 << fine) - 1)) << u64(held)
                     held += fine
+            x, y, z = cells[at, 0], cells[at, 1], cells[at, 2]
+            inner = 0
+            for n in range(at, at + copies):
+                inner += i64(keys[n] & u64(1))
+                order[placed] = n
+                placed += 1
+            rise = z - last[2]
+            contexts[used] = _middle_context(copies, level, rise, middle, middle_before)
+            tokens[used] = min(1 + inner, STRIDE - 1) if 0 < inner < copies else i64(inner > 0)
+            if tokens[used] == STRIDE - 1:
+                bits |= u64(inner) << u64(held)
+                held += _COPIES_BITS
+            used += 1
+            middle, middle_before = i64(inner > 0), middle
             if held >= 32:
                 raw[words] = np.uint32(bits & u64(0xFFFFFFFF))
                 words += 1
                 bits >>= u64(32)
                 held -= 32
-            x, y, z = cells[at, 0], cells[at, 1], cells[at, 2]
+            alone = level if level > 0 else _level_of(copies)
         for n in range(used):
             symbols[count] = (count & 7) << TURN_SHIFT | (contexts[n] * STRIDE + tokens[n])
             counts[contexts[n], tokens[n]] += 1
@@ -308,7 +392,7 @@ def symbols_to_points(
     """Reverses `tree_to_symbols` and places the points; returns 0, -1 if the payload is damaged.
 
     Args:
-        words: of the entropy coder, and 32 zeros behind them.
+        words: of the entropy coder, and `_SYMBOLS_PER_CELL` zeros behind them.
         end: how many words are not such zeros.
         raw: the raw bits, and `_SPARE` zeros behind them.
         table_of: the table of each context.
@@ -319,25 +403,25 @@ def symbols_to_points(
         low: (3,), where the first cell's corner is.
         xyz: (N, 3), filled.
     """
-    stack, levels = np.empty((_STACK, 3), np.int64), np.empty(_STACK, np.int64)
+    stack = np.empty((_STACK, 5), np.int64)
     states = np.empty(STATES, np.uint64)
     read_states(words, states)
     points, most = len(xyz), u64(most_symbols(end))
     end_word, end_bit = u64(end), u64(32 * (len(raw) - _SPARE))
     at, bit, count, found, top = u64(2 * STATES), u64(0), u64(0), 0, min(points, 1)
-    stack[0] = 0
-    levels[0] = depth - 1
-    x = y = z = i64(0)
+    stack[0], stack[0, 3] = 0, depth - 1
+    x = y = z = alone = middle = middle_before = i64(0)
     while top > 0:
         if at > end_word or bit > end_bit or count > most:
             return -1
         top -= 1
-        level = levels[top]
+        level, flat = stack[top, 3], stack[top, 4]
         cell_x, cell_y, cell_z = stack[top, 0], stack[top, 1], stack[top, 2]
         sides = 3 * _half_of(x, cell_x, level) + _half_of(y, cell_y, level)
-        context = _UPPER + 6 * sides + _quarter_of(z, cell_z, level)
+        context = _UPPER + 108 * i64(level > alone) + 54 * flat + 6 * sides
+        context += _quarter_of(z, cell_z, level)
         upper, at = _next(context, table_of, slots, place, states, words, at, count)
-        context = _LOWER + 9 * upper + sides
+        context = _LOWER + 18 * upper + 9 * flat + sides
         lower, at = _next(context, table_of, slots, place, states, words, at, count + u64(1))
         count += u64(2)
         occupied, crowd = 16 * upper + lower, 0
@@ -345,60 +429,68 @@ def symbols_to_points(
             crowd += (occupied >> octant) & 1
         if crowd == 0:
             return -1
-        context = _lone_context(crowd, 0, level)
-        alone, at = _next(context, table_of, slots, place, states, words, at, count)
+        context = _lone_context(crowd, 0, level - alone)
+        lone, at = _next(context, table_of, slots, place, states, words, at, count)
         count += u64(1)
         if crowd > 4:
-            context = _lone_context(crowd, 1, level)
+            context = _lone_context(crowd, 1, level - alone)
             token, at = _next(context, table_of, slots, place, states, words, at, count)
             count += u64(1)
-            alone = (alone << (crowd - 4)) | (token & ((1 << (crowd - 4)) - 1))
+            lone = (lone << (crowd - 4)) | (token & ((1 << (crowd - 4)) - 1))
         fine, mask = max(level - 3, 0), (1 << level) - 1
         for octant in range(7, -1, -1):
             if not (occupied >> octant) & 1:
                 continue
             crowd -= 1
-            single = (alone >> crowd) & 1
+            single = (lone >> crowd) & 1
             child_x = 2 * cell_x + (octant & 1)
             child_y = 2 * cell_y + ((octant >> 1) & 1)
             child_z = 2 * cell_z + (octant >> 2)
             if level > 0 and not single:
                 stack[top, 0], stack[top, 1], stack[top, 2] = child_x, child_y, child_z
-                levels[top] = level - 1
+                stack[top, 3], stack[top, 4] = level - 1, _is_flat(occupied)
                 top += 1
                 continue
             copies, before_x, before_y, before_z = 1, x, y, z
             x, y, z = child_x << level, child_y << level, child_z << level
             if not single:
-                token, at = _next(_COPIES, table_of, slots, place, states, words, at, count)
+                context = _COPIES + min(max(-alone, 0), 4)
+                token, at = _next(context, table_of, slots, place, states, words, at, count)
                 count += u64(1)
-                copies = 2 + token
-                if token == STRIDE - 1:
-                    copies += _bits(raw, bit, _COPIES_BITS)
-                    bit += u64(_COPIES_BITS)
+                length = _COPIES_BITS if token == STRIDE - 1 else tail_bits(token)
+                copies = 2 + tail_base(token) + _bits(raw, bit, length)
+                bit += u64(length)
             elif level > 0:
                 context = _place_context(before_x, child_x, level)
                 token, at = _next(context, table_of, slots, place, states, words, at, count)
                 x |= ((token << fine) & mask) | _bits(raw, bit, fine)
                 bit += u64(fine)
-                context = _place_context(before_y, child_y, level) + 48
+                context = _place_context(before_y, child_y, level)
                 token, at = _next(
                     context, table_of, slots, place, states, words, at, count + u64(1)
                 )
                 y |= ((token << fine) & mask) | _bits(raw, bit, fine)
                 bit += u64(fine)
-                context = _place_context(before_z, child_z, level) + 96
+                context = _place_context(before_z, child_z, level) + 36
                 token, at = _next(
                     context, table_of, slots, place, states, words, at, count + u64(2)
                 )
                 z |= ((token << fine) & mask) | _bits(raw, bit, fine)
                 bit += u64(fine)
                 count += u64(3)
-            if copies > points - found or bit + u64(copies) > end_bit:
+            alone = level if level > 0 else _level_of(copies)
+            if copies > points - found:
                 return -1
-            for _ in range(copies):
-                half = 0.5 * _bits(raw, bit, 1)
-                bit += u64(1)
+            context = _middle_context(copies, level, z - before_z, middle, middle_before)
+            token, at = _next(context, table_of, slots, place, states, words, at, count)
+            count += u64(1)
+            inner = copies * token if token < 2 else token - 1
+            if token == STRIDE - 1:
+                inner = _bits(raw, bit, _COPIES_BITS)
+                bit += u64(_COPIES_BITS)
+            middle, middle_before = i64(inner > 0), middle
+            for n in range(copies):
+                half = 0.5 if copies - n <= inner else 0.0
                 xyz[found, 0] = np.float32((x + half) * edge_m + low[0])
                 xyz[found, 1] = np.float32((y + half) * edge_m + low[1])
                 xyz[found, 2] = np.float32((z + half) * edge_m + low[2])
@@ -425,21 +517,23 @@ def pack_tree(points: Floats, edge_m: float) -> tuple[list[bytes], npt.NDArray[n
     """
     if not len(points):
         return [], np.zeros(0, np.int64)
-    low = points.min(axis=0)
-    extent_m = float((points.max(axis=0) - low).max())
+    points = np.ascontiguousarray(points)
+    low, high = np.empty(3), np.empty(3)
+    fill_corners(points, low, high)
+    extent_m = float((high - low).max())
     if extent_m / edge_m >= 2**MAX_TREE_DEPTH - 1:
         raise CodecError(
             f"a coordinate lies {extent_m:.1f} m from another: at this bound the form ends at "
             f"{edge_m * (2**MAX_TREE_DEPTH - 1):.1f} m"
         )
     cells, keys = np.empty(points.shape, np.int64), np.empty(len(points), np.uint64)
-    largest = fill_nodes(np.ascontiguousarray(points), low, edge_m, cells, keys)
-    depth, order = max(largest.bit_length(), 1), np.empty(len(points), np.int64)
+    order, placed = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
+    largest = fill_nodes(points, low, edge_m, cells, keys)
+    depth = max(largest.bit_length(), 1)
     sort_keys(keys, 3 * depth + 1, order)
-    symbols = np.empty(symbol_room(len(points), depth), np.uint16)
+    symbols = np.empty(symbol_room(len(points), depth), np.uint32)
     raw = np.empty(2 * len(points) + 2, np.uint32)
     counts, sizes = np.zeros((CONTEXTS, STRIDE), np.int64), np.zeros(2, np.int64)
-    placed = np.empty(len(points), np.int64)
     tree_to_symbols(keys, cells[order], depth, symbols, raw, counts, placed, sizes)
     sections = pack_symbols(symbols, int(sizes[0]), counts)
     if sizes[0] > most_symbols(len(sections[1]) // 2):
@@ -468,8 +562,6 @@ def unpack_tree(reader: Reader, points: int, edge_m: float) -> Floats32:
         raise CodecError(f"a tree claims depth {depth} at {low}")
     stream = unpack_symbols(reader, (CONTEXTS, STRIDE), _SYMBOLS_PER_CELL)
     raw = read_raw(reader.section(), _SPARE)
-    if points > 32 * (len(raw) - _SPARE):  # each takes a bit at least
-        raise CodecError(f"a tree claims {points} points in {4 * len(raw)} bytes of raw bits")
     xyz = np.empty((points, 3), np.float32)
     tables = (stream.table_of, stream.slots, stream.place)
     placing = (depth, edge_m, np.array(low), xyz)

@@ -73,12 +73,12 @@ def tail_base(token: int) -> int:
 STATES = 8
 SHARE_BITS = 12
 SHARES = 1 << SHARE_BITS
-TURN_SHIFT = 13  # of the state's number above the symbol
+TURN_SHIFT = 16  # of the state's number above the symbol
 START = 1 << 16  # every state begins and ends here, which tells a damaged payload
 
 
-@njit("int64(uint16[::1], int64, uint16[:,::1], uint16[::1])", cache=True, nogil=True)
-def encode_symbols(symbols: U2, count: int, shares: U2, words: U2) -> int:
+@njit("int64(uint32[::1], int64, uint16[:,::1], uint16[::1])", cache=True, nogil=True)
+def encode_symbols(symbols: U4, count: int, shares: U2, words: U2) -> int:
     """Writes words from the end of `words` backwards; returns where they begin.
 
     Args:

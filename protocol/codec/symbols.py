@@ -31,6 +31,7 @@ from protocol.errors import CodecError
 LEVELS = 3 * 12 + 2
 MAX_TABLES = 255
 _WRITTEN_BITS = 3.0  # a level, roughly
+_SYMBOLS_PER_BIT = 1 << 12  # that a table must save: each takes the decoder room in its caches
 _WEIGHTS = np.array([0] + [round(64 * 2 ** (k / 3)) for k in range(LEVELS - 1)], np.int64)
 
 
@@ -61,13 +62,14 @@ def choose_tables(counts: I8, table_of: U1, levels: U1) -> int:
     contexts, stride = counts.shape
     run, joined = np.zeros(stride, np.int64), np.zeros(stride, np.int64)
     run_cost, table = 0.0, 0
+    worth = counts.sum() / _SYMBOLS_PER_BIT
     for context in range(contexts + 1):
         alone = 0.0
         if context < contexts:
             for token in range(stride):
                 joined[token] = run[token] + counts[context, token]
             alone, together = _cost(counts[context]), _cost(joined)
-            if context == 0 or together <= run_cost + alone or table == MAX_TABLES - 1:
+            if context == 0 or together <= run_cost + alone + worth or table == MAX_TABLES - 1:
                 run, joined, run_cost = joined, run, together
                 table_of[context] = table
                 continue
@@ -216,7 +218,7 @@ class SymbolStream:
     place: U4
 
 
-def pack_symbols(symbols: U2, count: int, counts: I8) -> list[bytes]:
+def pack_symbols(symbols: U4, count: int, counts: I8) -> list[bytes]:
     """Returns the sections of the first `count` symbols.
 
     Args:
