@@ -1,4 +1,4 @@
-"""Clouds of the kinds of LiDAR there are, cast into the built-in junction, as their files hold them.
+"""Clouds of the kinds of LiDAR there are, cast into a scene, as their files hold them.
 
 What a codec meets in files is not a range image: azimuths that do not divide a turn, lasers that
 stand beside the sensor's middle, rings of unequal spacing of which some fire half as often,
@@ -99,10 +99,9 @@ def _hdl_64e() -> Rays:
     elevations = np.array(SENSOR_MODELS["hdl-64e"].elevations_deg)
     elevations = elevations + 0.05 * np.sin(7.0 * np.arange(64))  # each device's own
     offsets = np.where(np.arange(64) % 2, 4.0, -4.0) + np.sin(3.0 * np.arange(64))
-    shape = {"offsets_deg": offsets, "above_m": at, "beside_m": beside}
-    starts, directions = _spin(elevations, 2083.3, **shape)  # type: ignore[arg-type]
-    by_ring = (a.swapaxes(0, 1).reshape(-1, 3) for a in (starts, directions))
-    return Rays(*by_ring, round_m=0.001)
+    starts, directions = _spin(elevations, 2083.3, offsets_deg=offsets, above_m=at, beside_m=beside)
+    starts, directions = starts.swapaxes(0, 1), directions.swapaxes(0, 1)  # ring by ring
+    return Rays(starts.reshape(-1, 3), directions.reshape(-1, 3), round_m=0.001)
 
 
 def _hdl_32e() -> Rays:
@@ -116,12 +115,14 @@ def _vlp_32c(columns: float = 1807.2, *, moves: bool = False) -> tuple[Floats, F
 
 
 def _two_vlp_32c() -> Rays:
-    upper, lower = (_vlp_32c(columns, moves=True) for columns in (1807.2, 1801.9))
-    lower = tuple(a * np.array([1.0, -1.0, -1.0]) for a in lower)  # hangs upside down
-    starts = np.concatenate([upper[0][:1801] + [0, 0, 0.15], lower[0][:1801] - [0, 0, 0.15]], 1)
-    directions = np.concatenate([upper[1][:1801], lower[1][:1801]], axis=1)
-    starts = starts + [1.35, 0.0, 0.0]  # in the vehicle's frame
-    return Rays(starts.reshape(-1, 3), directions.reshape(-1, 3), half_precision=True)
+    over, under = np.array([1.35, 0.0, 0.15]), np.array([1.35, 0.0, -0.15])  # in the vehicle
+    upright, turning = _vlp_32c(1807.2, moves=True), _vlp_32c(1801.9, moves=True)
+    upside_down = np.array([1.0, -1.0, -1.0])
+    firings = min(len(upright[0]), len(turning[0]))
+    starts = (upright[0][:firings] + over, turning[0][:firings] * upside_down + under)
+    directions = (upright[1][:firings], turning[1][:firings] * upside_down)
+    every = (np.concatenate(both, axis=1).reshape(-1, 3) for both in (starts, directions))
+    return Rays(next(every), next(every), half_precision=True)
 
 
 def _ot128() -> Rays:
@@ -210,13 +211,9 @@ def sensor_clouds(
         yield name, _cast(caster, map_SE3_sensor, rays_of(), stream(seed, "kind", name))
 
 
-def _cast(
-    caster: Caster, map_SE3_sensor: SE3, rays: Rays, rng: np.random.Generator
-) -> Floats32:
+def _cast(caster: Caster, map_SE3_sensor: SE3, rays: Rays, rng: np.random.Generator) -> Floats32:
     starts = np.ascontiguousarray(map_SE3_sensor.apply(rays.starts_m).T, np.float32)
-    directions = np.ascontiguousarray(
-        (rays.directions @ map_SE3_sensor.rotation.T).T, np.float32
-    )
+    directions = np.ascontiguousarray((rays.directions @ map_SE3_sensor.rotation.T).T, np.float32)
     range_m = np.full(len(rays.starts_m), 120.0, np.float32)
     caster.cast(starts, directions, range_m, np.empty(len(range_m), np.int32))
     hit = (range_m > _NEAREST_M) & (range_m < 120.0) & (rng.random(len(range_m)) >= _LOSS)
@@ -237,4 +234,3 @@ def _cast(
     if rays.half_precision:
         points = points.astype(np.float16).astype(np.float64)
     return points.astype(np.float32)
-

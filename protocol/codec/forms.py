@@ -200,9 +200,7 @@ def _pack_rings(
         rings.columns,
         with_intensity=intensity,
     )
-    return head.seal(
-        rings.to_bytes(len(image.misfits), edge_m), *sections, *rest, *shades
-    )
+    return head.seal(rings.to_bytes(len(image.misfits), edge_m), *sections, *rest, *shades)
 
 
 def decode(payload: bytes | npt.NDArray[np.uint8]) -> PointCloud:

@@ -52,8 +52,8 @@ from protocol.limits import (
 from protocol.scans import Floats, Floats32
 
 STRIDE = 16
-_UPPER, _LOWER, _LONE, _PLACE, _COPIES, _MIDDLE = 0, 216, 504, 584, 656, 661
-CONTEXTS = 691
+_UPPER, _LOWER, _LONE, _PLACE, _COPIES, _MIDDLE = 0, 216, 504, 648, 720, 725
+CONTEXTS = 755
 _COPIES_BITS = 20  # raw, of a count beyond the tokens
 _SYMBOLS_PER_CELL = 40  # at most 36
 _SPARE = 16  # words behind the raw bits: those of the points of a cell are read before a look
@@ -167,9 +167,10 @@ def _place_context(last: int, cell: int, level: int) -> int:
 def _lone_context(crowd: int, behind: int, above: int) -> int:
     """Returns the context of which children are alone: of how many, of the second four, depth.
 
-    `above` says how many levels the cell lies above that where the point before was alone.
+    `above` says how many half levels the cell lies above the mean of those where the two points
+    before were alone.
     """
-    return _LONE + 10 * (crowd - 1) + 5 * behind + min(max(above, -2), 2) + 2
+    return _LONE + 18 * (crowd - 1) + 9 * behind + min(max(above, -4), 4) + 4
 
 
 @njit("int64(int64, int64, int64, int64, int64)", cache=True, nogil=True)
@@ -185,13 +186,16 @@ def _middle_context(copies: int, level: int, rise: int, last: int, before: int) 
     """
     if copies > 1:
         return _MIDDLE + 24 + 2 * (min(copies, 4) - 2) + last
-    return _MIDDLE + 12 * i64(level > 0) + 4 * (min(max(rise, -1), 1) + 1) + 2 * last + before
+    context: int = (
+        _MIDDLE + 12 * i64(level > 0) + 4 * (min(max(rise, -1), 1) + 1) + 2 * last + before
+    )
+    return context
 
 
 @njit("int64(int64)", cache=True, nogil=True)
 def _is_flat(occupied: int) -> int:
     """Returns 1 if the points of a cell are all in its upper half, or all in its lower."""
-    return i64(occupied < 16 or occupied & 15 == 0)
+    return 1 if occupied < 16 or occupied & 15 == 0 else 0
 
 
 @njit("int64(int64)", cache=True, nogil=True)
@@ -254,7 +258,7 @@ def tree_to_symbols(
     contexts, tokens = np.empty(_SYMBOLS_PER_CELL, np.int64), np.empty(_SYMBOLS_PER_CELL, np.int64)
     last = np.zeros(3, np.int64)
     starts[0], ends[0], levels[0], flats[0], top = 0, len(keys), depth - 1, 0, 1
-    x = y = z = alone = middle = middle_before = i64(0)
+    x = y = z = alone = alone_before = middle = middle_before = i64(0)
     count, words, held, placed = 0, 0, 0, 0
     bits = u64(0)
     while top > 0:
@@ -271,7 +275,8 @@ def tree_to_symbols(
             n = _end_of_octant(keys, n, end, shift)
         sides = 3 * _half_of(x, cells[start, 0] >> (level + 1), level)
         sides += _half_of(y, cells[start, 1] >> (level + 1), level)
-        contexts[0] = _UPPER + 108 * i64(level > alone) + 54 * flats[top] + 6 * sides
+        above = 2 * level - alone - alone_before
+        contexts[0] = _UPPER + 108 * i64(above > 0) + 54 * flats[top] + 6 * sides
         contexts[0] += _quarter_of(z, cells[start, 2] >> (level + 1), level)
         contexts[1] = _LOWER + 18 * (occupied >> 4) + 9 * flats[top] + sides
         tokens[0], tokens[1] = occupied >> 4, occupied & 15
@@ -284,7 +289,7 @@ def tree_to_symbols(
             behind = first[octant]
             seen += 1
             if seen == 4 or seen == crowd:
-                contexts[used] = _lone_context(crowd, i64(seen > 4), level - alone)
+                contexts[used] = _lone_context(crowd, i64(seen > 4), above)
                 tokens[used] = pattern
                 used, pattern = used + 1, 0
         behind = end
@@ -339,7 +344,7 @@ def tree_to_symbols(
                 words += 1
                 bits >>= u64(32)
                 held -= 32
-            alone = level if level > 0 else _level_of(copies)
+            alone, alone_before = level if level > 0 else _level_of(copies), alone
         for n in range(used):
             symbols[count] = (count & 7) << TURN_SHIFT | (contexts[n] * STRIDE + tokens[n])
             counts[contexts[n], tokens[n]] += 1
@@ -350,7 +355,7 @@ def tree_to_symbols(
     sizes[0], sizes[1] = count, words
 
 
-@njit(inline="always")  # type: ignore[untyped-decorator]
+@njit(inline="always")
 def _next(
     context: int, table_of: U1, slots: U1, place: U4, states: U8, words: U2, at: int, count: int
 ) -> tuple[int, int]:
@@ -363,12 +368,13 @@ def _next(
     return i64(token), at + is_short(state)
 
 
-@njit(inline="always")  # type: ignore[untyped-decorator]
+@njit(inline="always")
 def _bits(raw: U4, at: int, length: int) -> int:
     """Returns up to 32 raw bits."""
     word = at >> u64(5)
     both = u64(raw[word]) | (u64(raw[word + u64(1)]) << u64(32))
-    return i64((both >> (at & u64(31))) & ((u64(1) << u64(length)) - u64(1)))
+    value: int = i64((both >> (at & u64(31))) & ((u64(1) << u64(length)) - u64(1)))
+    return value
 
 
 @njit(
@@ -410,7 +416,7 @@ def symbols_to_points(
     end_word, end_bit = u64(end), u64(32 * (len(raw) - _SPARE))
     at, bit, count, found, top = u64(2 * STATES), u64(0), u64(0), 0, min(points, 1)
     stack[0], stack[0, 3] = 0, depth - 1
-    x = y = z = alone = middle = middle_before = i64(0)
+    x = y = z = alone = alone_before = middle = middle_before = i64(0)
     while top > 0:
         if at > end_word or bit > end_bit or count > most:
             return -1
@@ -418,7 +424,8 @@ def symbols_to_points(
         level, flat = stack[top, 3], stack[top, 4]
         cell_x, cell_y, cell_z = stack[top, 0], stack[top, 1], stack[top, 2]
         sides = 3 * _half_of(x, cell_x, level) + _half_of(y, cell_y, level)
-        context = _UPPER + 108 * i64(level > alone) + 54 * flat + 6 * sides
+        above = 2 * level - alone - alone_before
+        context = _UPPER + 108 * i64(above > 0) + 54 * flat + 6 * sides
         context += _quarter_of(z, cell_z, level)
         upper, at = _next(context, table_of, slots, place, states, words, at, count)
         context = _LOWER + 18 * upper + 9 * flat + sides
@@ -429,11 +436,11 @@ def symbols_to_points(
             crowd += (occupied >> octant) & 1
         if crowd == 0:
             return -1
-        context = _lone_context(crowd, 0, level - alone)
+        context = _lone_context(crowd, 0, above)
         lone, at = _next(context, table_of, slots, place, states, words, at, count)
         count += u64(1)
         if crowd > 4:
-            context = _lone_context(crowd, 1, level - alone)
+            context = _lone_context(crowd, 1, above)
             token, at = _next(context, table_of, slots, place, states, words, at, count)
             count += u64(1)
             lone = (lone << (crowd - 4)) | (token & ((1 << (crowd - 4)) - 1))
@@ -478,7 +485,7 @@ def symbols_to_points(
                 z |= ((token << fine) & mask) | _bits(raw, bit, fine)
                 bit += u64(fine)
                 count += u64(3)
-            alone = level if level > 0 else _level_of(copies)
+            alone, alone_before = level if level > 0 else _level_of(copies), alone
             if copies > points - found:
                 return -1
             context = _middle_context(copies, level, z - before_z, middle, middle_before)

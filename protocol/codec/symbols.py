@@ -31,7 +31,7 @@ from protocol.errors import CodecError
 LEVELS = 3 * 12 + 2
 MAX_TABLES = 255
 _WRITTEN_BITS = 3.0  # a level, roughly
-_SYMBOLS_PER_BIT = 1 << 12  # that a table must save: each takes the decoder room in its caches
+_SYMBOLS_PER_BIT = 6000  # that a table must save: each takes the decoder room in its caches
 _WEIGHTS = np.array([0] + [round(64 * 2 ** (k / 3)) for k in range(LEVELS - 1)], np.int64)
 
 

@@ -144,7 +144,7 @@ def certain_tree(side: int) -> bytes:
     keys, order = np.empty(len(cells), np.uint64), np.empty(len(cells), np.int64)
     fill_nodes(points, np.zeros(3), 1.0, cells, keys)
     sort_keys(keys, 61, order)
-    symbols = np.empty(symbol_room(len(keys), 20), np.uint16)
+    symbols = np.empty(symbol_room(len(keys), 20), np.uint32)
     raw, sizes = np.empty(2 * len(keys) + 2, np.uint32), np.zeros(2, np.int64)
     counts = np.zeros((CONTEXTS, STRIDE), np.int64)
     tree_to_symbols(keys, cells[order], 20, symbols, raw, counts, np.empty_like(order), sizes)
