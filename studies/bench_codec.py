@@ -3,8 +3,8 @@
 Scans are a roadside sensor's and CAVs' in traffic, at the built-in junction; clouds are what other
 kinds of LiDAR see there (`studies.sensor_clouds`), and files. All codecs get the same bound.
 Draco's grid is as coarse as the bound allows: its step puts the corners of a cell one bound from
-its middle, whatever the number of bits. Times are medians of one thread; codecs take turns, so that
-a busy machine is so for all.
+its middle, whatever the number of bits. Times are CPU times of one thread, medians; codecs take
+turns, so that a busy machine is so for all.
 """
 
 from __future__ import annotations
@@ -263,7 +263,7 @@ def _reference(module: str, what: str) -> ModuleType:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DracoGrid:
-    """The grid of Draco's quantisation: `low` (3,), its step, and the bits that number its lines."""
+    """The grid of Draco's quantisation: `low` (3,), its step, the bits of a line's number."""
 
     low: Floats32
     step_m: float
@@ -348,12 +348,12 @@ def _row(cloud: BenchCloud, trial: _Trial, encode_ms: float, decode_ms: float) -
 
 
 def _timed(trial: _Trial) -> tuple[float, float]:
-    """Returns the seconds that encoding and decoding take."""
-    start = time.perf_counter()
+    """Returns the seconds of CPU time that encoding and decoding take."""
+    start = time.thread_time()
     packed = trial.encode()
-    between = time.perf_counter()
+    between = time.thread_time()
     trial.decode(packed)
-    return between - start, time.perf_counter() - between
+    return between - start, time.thread_time() - between
 
 
 def _plain(cloud: BenchCloud) -> _Trial:

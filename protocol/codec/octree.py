@@ -1,25 +1,21 @@
-"""Unordered points as an octree, depth first, on the lattice that covers space with fewest points.
-
-Points go to the nearest node of a body-centred cubic lattice: of all lattices known it has the
-fewest nodes for a largest distance, 1.86 times fewer than a cubic grid (Conway and Sloane, Sphere
-Packings, Lattices and Groups, chapter 2). A node is a cell of a cubic grid and one bit, whether it
-is the cell's corner or its middle.
+"""Unordered points as an octree, depth first, on the lattice of `lattice`.
 
 A cell of the tree says which of its eighths hold points (two symbols of four bits, upper half
-first), then which of these hold one point only. Those are not divided further: the height of the
-point is one more symbol of up to three bits, the rest is as good as random and is raw (as in
-Draco's kd-tree). Contexts look at where the point before lies beside the cell: surfaces go on.
+first), then which of these hold one point only. Those are not divided further: a symbol of up to
+three bits tells where the point lies along each axis, the rest is as good as random and is raw (as
+in Draco's kd-tree). A symbol tells whether it lies at the corner of its cell or at the middle.
+Contexts are those of `tree_contexts`.
 """
 
 from __future__ import annotations
 
-import math
 import struct
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from protocol.codec.lattice import fill_corners, fill_nodes, sort_keys
 from protocol.codec.payload import Reader
 from protocol.codec.rans import (
     I8,
@@ -42,6 +38,20 @@ from protocol.codec.rans import (
     u64,
 )
 from protocol.codec.symbols import pack_symbols, read_raw, unpack_symbols
+from protocol.codec.tree_contexts import (
+    CONTEXTS,
+    COPIES,
+    LOWER,
+    STRIDE,
+    UPPER,
+    half_of,
+    is_flat,
+    level_of,
+    lone_context,
+    middle_context,
+    place_context,
+    quarter_of,
+)
 from protocol.errors import CodecError
 from protocol.limits import (
     FREE_TREE_SYMBOLS,
@@ -51,13 +61,9 @@ from protocol.limits import (
 )
 from protocol.scans import Floats, Floats32
 
-STRIDE = 16
-_UPPER, _LOWER, _LONE, _PLACE, _COPIES, _MIDDLE = 0, 216, 504, 648, 720, 725
-CONTEXTS = 755
 _COPIES_BITS = 20  # raw, of a count beyond the tokens
 _SYMBOLS_PER_CELL = 40  # at most 36
 _SPARE = 16  # words behind the raw bits: those of the points of a cell are read before a look
-_RADIX = 11  # bits that are sorted at a time
 _STACK = 7 * MAX_TREE_DEPTH + 8
 
 
@@ -73,138 +79,6 @@ def most_symbols(words: int) -> int:
 def symbol_room(points: int, depth: int) -> int:
     """Returns how many symbols a tree can have at most."""
     return points * (depth * 2 + 5) + 8  # a cell that is divided holds two points at least
-
-
-@njit("void(float64[:,::1], float64[::1], float64[::1])", cache=True, nogil=True)
-def fill_corners(points: Floats, low: Floats, high: Floats) -> None:
-    """Fills the lowest and the highest coordinate on each axis of points (N, 3)."""
-    low[:], high[:] = points[0], points[0]
-    for n in range(1, len(points)):
-        for axis in range(3):
-            low[axis] = min(low[axis], points[n, axis])
-            high[axis] = max(high[axis], points[n, axis])
-
-
-@njit("int64(float64[:,::1], float64[::1], float64, int64[:,::1], uint64[::1])", cache=True,
-      nogil=True)  # fmt: skip
-def fill_nodes(points: Floats, low: Floats, edge_m: float, cells: I8, keys: U8) -> int:
-    """Fills the cell (N, 3) and the key (N,) of each point's node; returns the largest coordinate.
-
-    A key is the Morton key of the cell, z highest, and below it whether the node is the cell's
-    middle.
-    """
-    largest = 0
-    whole, half = np.empty(3, np.int64), np.empty(3, np.int64)
-    for n in range(len(points)):
-        to_corner = to_middle = 0.0
-        for axis in range(3):
-            place = (points[n, axis] - low[axis]) / edge_m
-            whole[axis], half[axis] = i64(np.floor(place + 0.5)), i64(np.floor(place))
-            to_corner += (place - whole[axis]) ** 2
-            to_middle += (place - half[axis] - 0.5) ** 2
-        middle = to_middle < to_corner
-        key = u64(0)
-        for axis in range(3):
-            cell = half[axis] if middle else whole[axis]
-            cells[n, axis] = cell
-            largest = max(largest, cell)
-            v = u64(cell) & u64(0x1FFFFF)
-            v = (v | (v << u64(32))) & u64(0x1F00000000FFFF)
-            v = (v | (v << u64(16))) & u64(0x1F0000FF0000FF)
-            v = (v | (v << u64(8))) & u64(0x100F00F00F00F00F)
-            v = (v | (v << u64(4))) & u64(0x10C30C30C30C30C3)
-            v = (v | (v << u64(2))) & u64(0x1249249249249249)
-            key |= v << u64(axis)
-        keys[n] = (key << u64(1)) | u64(middle)
-    return largest
-
-
-@njit("void(uint64[::1], int64, int64[::1])", cache=True, nogil=True)
-def sort_keys(keys: U8, bits: int, order: I8) -> None:
-    """Sorts keys (N,) by their lowest bits and fills their order; equal ones keep theirs."""
-    points, passes = len(keys), max(1, (bits + _RADIX - 1) // _RADIX)
-    for n in range(points):
-        order[n] = n
-    other, of_other = np.empty(points, np.uint64), np.empty(points, np.int64)
-    starts = np.empty(1 << _RADIX, np.int64)
-    for turn in range(passes):
-        shift, mask = u64(turn * _RADIX), u64((1 << _RADIX) - 1)
-        starts[:] = 0
-        for n in range(points):
-            starts[(keys[n] >> shift) & mask] += 1
-        below = 0
-        for digit in range(1 << _RADIX):
-            below, starts[digit] = below + starts[digit], below
-        for n in range(points):
-            digit = (keys[n] >> shift) & mask
-            other[starts[digit]], of_other[starts[digit]] = keys[n], order[n]
-            starts[digit] += 1
-        keys[:], order[:] = other, of_other
-
-
-@njit("int64(int64, int64, int64)", cache=True, nogil=True)
-def _half_of(last: int, cell: int, level: int) -> int:
-    """Returns in which half of a cell a coordinate lies: 1 or 2; 0 if it lies outside."""
-    half = (last >> level) - 2 * cell
-    return half + 1 if 0 <= half < 2 else 0
-
-
-@njit("int64(int64, int64, int64)", cache=True, nogil=True)
-def _quarter_of(last: int, cell: int, level: int) -> int:
-    """Returns in which quarter of a cell a height lies, 1 to 4; 0 if below, 5 if above."""
-    quarter = (last >> (level - 1)) - 4 * cell if level > 0 else 2 * (last - 2 * cell)
-    return min(max(quarter, -1), 4) + 1
-
-
-@njit("int64(int64, int64, int64)", cache=True, nogil=True)
-def _place_context(last: int, cell: int, level: int) -> int:
-    """Returns the context of a coordinate of a lone point, by that of the point before."""
-    eighth = ((last - (cell << level)) << 3) >> level
-    return _PLACE + 12 * (min(level, 3) - 1) + min(max(eighth, -2), 9) + 2
-
-
-@njit("int64(int64, int64, int64)", cache=True, nogil=True)
-def _lone_context(crowd: int, behind: int, above: int) -> int:
-    """Returns the context of which children are alone: of how many, of the second four, depth.
-
-    `above` says how many half levels the cell lies above the mean of those where the two points
-    before were alone.
-    """
-    return _LONE + 18 * (crowd - 1) + 9 * behind + min(max(above, -4), 4) + 4
-
-
-@njit("int64(int64, int64, int64, int64, int64)", cache=True, nogil=True)
-def _middle_context(copies: int, level: int, rise: int, last: int, before: int) -> int:
-    """Returns the context of how many points lie at the middle of their cell.
-
-    Args:
-        copies: points in the cell.
-        level: where they are alone.
-        rise: how much higher it lies than the cell before.
-        last: 1 if the point before lies at the middle of its cell, else 0.
-        before: that of the point before it.
-    """
-    if copies > 1:
-        return _MIDDLE + 24 + 2 * (min(copies, 4) - 2) + last
-    context: int = (
-        _MIDDLE + 12 * i64(level > 0) + 4 * (min(max(rise, -1), 1) + 1) + 2 * last + before
-    )
-    return context
-
-
-@njit("int64(int64)", cache=True, nogil=True)
-def _is_flat(occupied: int) -> int:
-    """Returns 1 if the points of a cell are all in its upper half, or all in its lower."""
-    return 1 if occupied < 16 or occupied & 15 == 0 else 0
-
-
-@njit("int64(int64)", cache=True, nogil=True)
-def _level_of(copies: int) -> int:
-    """Returns the level below 0 at which points of one cell would be alone."""
-    level = 0
-    while copies >> (1 - level):
-        level -= 1
-    return level
 
 
 @njit("int64(uint64[::1], int64, int64, uint64)", cache=True, nogil=True)
@@ -273,12 +147,12 @@ def tree_to_symbols(
             first[octant] = n
             crowd += 1
             n = _end_of_octant(keys, n, end, shift)
-        sides = 3 * _half_of(x, cells[start, 0] >> (level + 1), level)
-        sides += _half_of(y, cells[start, 1] >> (level + 1), level)
+        sides = 3 * half_of(x, cells[start, 0] >> (level + 1), level)
+        sides += half_of(y, cells[start, 1] >> (level + 1), level)
         above = 2 * level - alone - alone_before
-        contexts[0] = _UPPER + 108 * i64(above > 0) + 54 * flats[top] + 6 * sides
-        contexts[0] += _quarter_of(z, cells[start, 2] >> (level + 1), level)
-        contexts[1] = _LOWER + 18 * (occupied >> 4) + 9 * flats[top] + sides
+        contexts[0] = UPPER + 108 * i64(above > 0) + 54 * flats[top] + 6 * sides
+        contexts[0] += quarter_of(z, cells[start, 2] >> (level + 1), level)
+        contexts[1] = LOWER + 18 * (occupied >> 4) + 9 * flats[top] + sides
         tokens[0], tokens[1] = occupied >> 4, occupied & 15
         used, seen, pattern, behind, octant = 2, 0, 0, end, 8
         while octant > 0:
@@ -289,7 +163,7 @@ def tree_to_symbols(
             behind = first[octant]
             seen += 1
             if seen == 4 or seen == crowd:
-                contexts[used] = _lone_context(crowd, i64(seen > 4), above)
+                contexts[used] = lone_context(crowd, i64(seen > 4), above)
                 tokens[used] = pattern
                 used, pattern = used + 1, 0
         behind = end
@@ -300,12 +174,12 @@ def tree_to_symbols(
             behind = at
             if level > 0 and copies > 1:
                 starts[top], ends[top], levels[top] = at, at + copies, level - 1
-                flats[top] = _is_flat(occupied)
+                flats[top] = is_flat(occupied)
                 top += 1
                 continue
             if copies > 1:
                 token = min(tail_token(copies - 2), STRIDE - 1)
-                contexts[used], tokens[used] = _COPIES + min(max(-alone, 0), 4), token
+                contexts[used], tokens[used] = COPIES + min(max(-alone, 0), 4), token
                 used += 1
                 bits |= u64(copies - 2 - tail_base(token)) << u64(held)
                 held += _COPIES_BITS if token == STRIDE - 1 else tail_bits(token)
@@ -319,7 +193,7 @@ def tree_to_symbols(
                     held -= 32
                 if level > 0:
                     here = cells[at, axis]
-                    context = _place_context(last[axis], here >> level, level)
+                    context = place_context(last[axis], here >> level, level)
                     contexts[used] = context + 36 * i64(axis == 2)
                     tokens[used] = (here & ((1 << level) - 1)) >> fine
                     used += 1
@@ -332,7 +206,7 @@ def tree_to_symbols(
                 order[placed] = n
                 placed += 1
             rise = z - last[2]
-            contexts[used] = _middle_context(copies, level, rise, middle, middle_before)
+            contexts[used] = middle_context(copies, level, rise, middle, middle_before)
             tokens[used] = min(1 + inner, STRIDE - 1) if 0 < inner < copies else i64(inner > 0)
             if tokens[used] == STRIDE - 1:
                 bits |= u64(inner) << u64(held)
@@ -344,7 +218,7 @@ def tree_to_symbols(
                 words += 1
                 bits >>= u64(32)
                 held -= 32
-            alone, alone_before = level if level > 0 else _level_of(copies), alone
+            alone, alone_before = level if level > 0 else level_of(copies), alone
         for n in range(used):
             symbols[count] = (count & 7) << TURN_SHIFT | (contexts[n] * STRIDE + tokens[n])
             counts[contexts[n], tokens[n]] += 1
@@ -423,12 +297,12 @@ def symbols_to_points(
         top -= 1
         level, flat = stack[top, 3], stack[top, 4]
         cell_x, cell_y, cell_z = stack[top, 0], stack[top, 1], stack[top, 2]
-        sides = 3 * _half_of(x, cell_x, level) + _half_of(y, cell_y, level)
+        sides = 3 * half_of(x, cell_x, level) + half_of(y, cell_y, level)
         above = 2 * level - alone - alone_before
-        context = _UPPER + 108 * i64(above > 0) + 54 * flat + 6 * sides
-        context += _quarter_of(z, cell_z, level)
+        context = UPPER + 108 * i64(above > 0) + 54 * flat + 6 * sides
+        context += quarter_of(z, cell_z, level)
         upper, at = _next(context, table_of, slots, place, states, words, at, count)
-        context = _LOWER + 18 * upper + 9 * flat + sides
+        context = LOWER + 18 * upper + 9 * flat + sides
         lower, at = _next(context, table_of, slots, place, states, words, at, count + u64(1))
         count += u64(2)
         occupied, crowd = 16 * upper + lower, 0
@@ -436,11 +310,11 @@ def symbols_to_points(
             crowd += (occupied >> octant) & 1
         if crowd == 0:
             return -1
-        context = _lone_context(crowd, 0, above)
+        context = lone_context(crowd, 0, above)
         lone, at = _next(context, table_of, slots, place, states, words, at, count)
         count += u64(1)
         if crowd > 4:
-            context = _lone_context(crowd, 1, above)
+            context = lone_context(crowd, 1, above)
             token, at = _next(context, table_of, slots, place, states, words, at, count)
             count += u64(1)
             lone = (lone << (crowd - 4)) | (token & ((1 << (crowd - 4)) - 1))
@@ -455,40 +329,40 @@ def symbols_to_points(
             child_z = 2 * cell_z + (octant >> 2)
             if level > 0 and not single:
                 stack[top, 0], stack[top, 1], stack[top, 2] = child_x, child_y, child_z
-                stack[top, 3], stack[top, 4] = level - 1, _is_flat(occupied)
+                stack[top, 3], stack[top, 4] = level - 1, is_flat(occupied)
                 top += 1
                 continue
             copies, before_x, before_y, before_z = 1, x, y, z
             x, y, z = child_x << level, child_y << level, child_z << level
             if not single:
-                context = _COPIES + min(max(-alone, 0), 4)
+                context = COPIES + min(max(-alone, 0), 4)
                 token, at = _next(context, table_of, slots, place, states, words, at, count)
                 count += u64(1)
                 length = _COPIES_BITS if token == STRIDE - 1 else tail_bits(token)
                 copies = 2 + tail_base(token) + _bits(raw, bit, length)
                 bit += u64(length)
             elif level > 0:
-                context = _place_context(before_x, child_x, level)
+                context = place_context(before_x, child_x, level)
                 token, at = _next(context, table_of, slots, place, states, words, at, count)
                 x |= ((token << fine) & mask) | _bits(raw, bit, fine)
                 bit += u64(fine)
-                context = _place_context(before_y, child_y, level)
+                context = place_context(before_y, child_y, level)
                 token, at = _next(
                     context, table_of, slots, place, states, words, at, count + u64(1)
                 )
                 y |= ((token << fine) & mask) | _bits(raw, bit, fine)
                 bit += u64(fine)
-                context = _place_context(before_z, child_z, level) + 36
+                context = place_context(before_z, child_z, level) + 36
                 token, at = _next(
                     context, table_of, slots, place, states, words, at, count + u64(2)
                 )
                 z |= ((token << fine) & mask) | _bits(raw, bit, fine)
                 bit += u64(fine)
                 count += u64(3)
-            alone, alone_before = level if level > 0 else _level_of(copies), alone
+            alone, alone_before = level if level > 0 else level_of(copies), alone
             if copies > points - found:
                 return -1
-            context = _middle_context(copies, level, z - before_z, middle, middle_before)
+            context = middle_context(copies, level, z - before_z, middle, middle_before)
             token, at = _next(context, table_of, slots, place, states, words, at, count)
             count += u64(1)
             inner = copies * token if token < 2 else token - 1
@@ -508,12 +382,6 @@ def symbols_to_points(
 
 
 _HEAD = struct.Struct("<dddB")
-_COVERING = 4.0 / math.sqrt(5.0)  # edge of a cell by how far a place can be from the nearest node
-
-
-def lattice_edge_m(room_m: float) -> float:
-    """Returns the edge of a cell for which every place is within `room_m` of a node."""
-    return room_m * _COVERING
 
 
 def pack_tree(points: Floats, edge_m: float) -> tuple[list[bytes], npt.NDArray[np.int64]]:

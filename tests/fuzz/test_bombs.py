@@ -14,18 +14,13 @@ import pytest
 import zstandard
 from fuzz_targets import FILE_MIB, LIMIT_MS, MESSAGE_MIB, SCAN_MIB
 from fuzz_watch import forget_peak, peak_kib
+from protocol.codec.tree_contexts import CONTEXTS, STRIDE
 
 from protocol import messages as m
 from protocol import wire
 from protocol.codec import decode, encode_cloud, encode_scan
-from protocol.codec.octree import (
-    CONTEXTS,
-    STRIDE,
-    fill_nodes,
-    sort_keys,
-    symbol_room,
-    tree_to_symbols,
-)
+from protocol.codec.lattice import fill_nodes, sort_keys
+from protocol.codec.octree import symbol_room, tree_to_symbols
 from protocol.codec.payload import Form, Head, compress
 from protocol.codec.rans import STATES, encode_symbols
 from protocol.codec.symbols import LEVELS, shares_of_levels, write_tables
