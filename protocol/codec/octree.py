@@ -62,8 +62,9 @@ from protocol.limits import (
 from protocol.scans import Floats, Floats32
 
 _COPIES_BITS = 20  # raw, of a count beyond the tokens
-_SYMBOLS_PER_CELL = 40  # at most 36
-_SPARE = 16  # words behind the raw bits: those of the points of a cell are read before a look
+# What one cell may read before the decoder looks whether it is there.
+_SYMBOLS_PER_CELL = 40  # four of the cell, four of each of eight points
+_SPARE = 24  # words of raw bits: three times 16 bits and 20 of each point, and one ahead
 _STACK = 7 * MAX_TREE_DEPTH + 8
 
 
