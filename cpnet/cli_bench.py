@@ -30,13 +30,23 @@ def bench_codec_command(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure the scan codec beside Draco and zstd at equal maximum error."""
+    """Measure the codec beside others at equal maximum error, by kind of sensor."""
     from sensing.point_files import point_files
-    from studies.bench_codec import BenchCloud, bench, cast_scans, load_draco, print_bench
+    from studies.bench_codec import (
+        BenchCloud,
+        Junction,
+        bench,
+        cast_clouds,
+        cast_scans,
+        load_draco,
+        print_bench,
+    )
 
     files = [BenchCloud.of_file(path) for path in point_files(points or [])]
     load_draco()
-    clouds = [BenchCloud.of_scan(scan) for scan in cast_scans()] + files
+    junction = Junction.in_traffic()
+    clouds = [BenchCloud.of_scan(scan) for scan in cast_scans(junction)]
+    clouds += cast_clouds(junction) + files
     rows = [row for cloud in clouds for row in bench(cloud)]
     show(rows, print_bench, as_json=as_json)
 

@@ -1,12 +1,15 @@
-"""`cpnet bench codec`: the codec's profiles, Draco and float32 + zstd at equal maximum error.
+"""`cpnet bench codec`: the codec's profiles beside other codecs at equal maximum error.
 
-Scans are a roadside sensor's and CAVs' in traffic, at the built-in junction. Draco's error at each
-of its bit depths is measured, and becomes the bound of all others. Times are medians of one thread;
-codecs take turns, so that a busy machine is so for all.
+Scans are a roadside sensor's and CAVs' in traffic, at the built-in junction; clouds are what other
+kinds of LiDAR see there (`studies.sensor_clouds`), and files. All codecs get the same bound.
+Draco's grid is as coarse as the bound allows: its step puts the corners of a cell one bound from
+its middle, whatever the number of bits. Times are CPU times of one thread, medians; codecs take
+turns, so that a busy machine is so for all.
 """
 
 from __future__ import annotations
 
+import importlib
 import math
 import sys
 import tempfile
@@ -24,26 +27,63 @@ from rich.console import Console
 from rich.table import Table
 
 from protocol.codec import decode, encode_cloud, encode_scan
-from protocol.codec.forms import MIN_BOUND_M
 from protocol.errors import CodecError, ConfigError
 from protocol.geometry import SE3
+from protocol.messages import Setup
 from protocol.scans import Floats32, PointCloud, Profile, RangeScan
 from sensing.config import LidarConfig, SceneConfig
 from sensing.lidar import Lidar, return_probability
-from sensing.mesh import VehicleShapes
+from sensing.mesh import TriangleMesh, VehicleShapes, merge
 from sensing.noise import stream
 from sensing.point_files import read_points
 from sensing.pose import pose_above
 from sensing.reflectivity import MIN_RANGE_M
-from sensing.scene import scene_of
+from sensing.scene import Scene, scene_of
 from sim_host.setup import build_setup
-from sim_host.world import sample_traffic
+from sim_host.world import TrafficState, sample_traffic
 from studies.bench import JsonRow, empty_table, print_whole
+from studies.sensor_clouds import sensor_clouds
 
 CAST_SEED = 1
 _WARM_UP_STEPS = 600
 _ROADSIDE_HEIGHT_M, _ROOF_HEIGHT_M = 3.0, 2.4
 _CAV_DISTANCES_M = (20.0, 60.0, 120.0)  # from the junction's centre
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Junction:
+    """The built-in junction in traffic."""
+
+    setup: Setup
+    scene: Scene
+    bodies: TrafficState
+
+    @classmethod
+    def in_traffic(cls) -> Junction:
+        """Builds it; the same one every time."""
+        with tempfile.TemporaryDirectory() as folder:
+            setup = build_setup({}, Path(folder))
+            scene = scene_of(setup, SceneConfig(), CAST_SEED)
+            steps = [_WARM_UP_STEPS]
+            bodies = sample_traffic(setup, Path(folder), scene.terrain, CAST_SEED, steps)[0]
+        return cls(setup, scene, bodies)
+
+    def car_at(self, away_m: float) -> int:
+        """Returns the index of the body that is nearest to this distance from the centre."""
+        centre = np.array(self.setup.road_map.centre[:2])
+        found_m = np.linalg.norm(self.bodies.poses[:, :2] - centre, axis=1)
+        return int(np.argmin(np.abs(found_m - away_m)))
+
+    def mesh_without(self, own: int) -> TriangleMesh:
+        """Returns scene and bodies as one mesh, without the body that carries the sensor."""
+        shapes = VehicleShapes.from_setup(self.setup)
+        looks, parts = shapes.bodies(self.bodies.types), [self.scene.mesh]
+        for n, pose in enumerate(self.bodies.poses):
+            if n != own:
+                unit = shapes.meshes[looks.mesh[n]]
+                placed = SE3.from_pose(pose).apply(unit.vertices * looks.size_m[n])
+                parts.append(TriangleMesh.of(placed, unit.triangles))
+        return merge(parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,22 +99,18 @@ class BenchScan:
     loss_bits: float
 
 
-def cast_scans() -> list[BenchScan]:
+def cast_scans(junction: Junction) -> list[BenchScan]:
     """Casts the scans; the same ones every time."""
-    with tempfile.TemporaryDirectory() as folder:
-        setup = build_setup({}, Path(folder))
-        scene = scene_of(setup, SceneConfig(), CAST_SEED)
-        bodies = sample_traffic(setup, Path(folder), scene.terrain, CAST_SEED, [_WARM_UP_STEPS])[0]
+    scene, bodies = junction.scene, junction.bodies
     config = LidarConfig()
-    lidar = Lidar(config, scene, VehicleShapes.from_setup(setup))
-    centre = np.array(setup.road_map.centre[:2])
+    lidar = Lidar(config, scene, VehicleShapes.from_setup(junction.setup))
+    centre = np.array(junction.setup.road_map.centre[:2])
     ground = scene.terrain.body_poses(centre[:1], centre[1:], np.zeros(1))[0]
     sensors: list[tuple[str, SE3, int | None]] = [
         ("roadside", pose_above(ground, _ROADSIDE_HEIGHT_M), None)
     ]
-    away_m = np.linalg.norm(bodies.poses[:, :2] - centre, axis=1)
     for n, wanted_m in enumerate(_CAV_DISTANCES_M):
-        car = int(np.argmin(np.abs(away_m - wanted_m)))
+        car = junction.car_at(wanted_m)
         sensors.append((f"cav {n}", pose_above(bodies.poses[car], _ROOF_HEIGHT_M), car))
     result = []
     for name, map_SE3_sensor, own in sensors:
@@ -83,6 +119,14 @@ def cast_scans() -> list[BenchScan]:
         bits = loss_entropy_bits(lidar.view(*view).distance_m, config)
         result.append(BenchScan(name, scan, config.noise_stddev, bits))
     return result
+
+
+def cast_clouds(junction: Junction) -> list[BenchCloud]:
+    """Casts what other kinds of sensor on a CAV's roof see; the same clouds every time."""
+    own = junction.car_at(_CAV_DISTANCES_M[0])
+    map_SE3_sensor = pose_above(junction.bodies.poses[own], _ROOF_HEIGHT_M)
+    cast = sensor_clouds(junction.mesh_without(own), map_SE3_sensor, CAST_SEED)
+    return [BenchCloud(name, points, SIMULATED) for name, points in cast]
 
 
 def loss_entropy_bits(distance_m: Floats32, config: LidarConfig) -> float:
@@ -94,9 +138,12 @@ def loss_entropy_bits(distance_m: Floats32, config: LidarConfig) -> float:
     return float(-(terms[0] + terms[1]).sum())
 
 
-DRACO_BITS = (10, 11, 12, 14)
-_LEVEL = 10
-FLOOR_BOUND_M = 0.01
+BOUNDS_M = (0.01, 0.02, 0.05, 0.1)
+STRUCTURED, SIMULATED, FILE = "structured", "simulated", "file"
+DRACO = "draco"
+_LEVEL = 7  # of 10: as few bytes as the highest, in less time
+_DRACO_MAX_BITS = 30
+_DRACO_ROOM = 1.0 - 1e-3  # of the bound: the rest is float32's
 OWN = (Profile.FAST, Profile.DEFAULT)
 _RUNS = 9
 _NORMAL_BITS = math.sqrt(2 * math.pi * math.e)  # 2^entropy of a normal of standard deviation 1
@@ -107,11 +154,13 @@ _ZSTD_LEVEL = 3
 class BenchCloud:
     """What to encode: points (N, 3), and the scan that they came from, if any.
 
-    `noise_std_m` and `loss_bits` are those of a `BenchScan`, 0 where they are not known.
+    `kind` is structured, simulated or file. `noise_std_m` and `loss_bits` are those of a
+    `BenchScan`, 0 where they are not known.
     """
 
     name: str
     points: Floats32
+    kind: str
     scan: RangeScan | None = None
     noise_std_m: float = 0.0
     loss_bits: float = 0.0
@@ -120,7 +169,7 @@ class BenchCloud:
     def of_scan(cls, cast: BenchScan) -> BenchCloud:
         """Returns the returns of a scan, ring by ring."""
         points = cast.scan.cloud().points
-        return cls(cast.name, points, cast.scan, cast.noise_std_m, cast.loss_bits)
+        return cls(cast.name, points, STRUCTURED, cast.scan, cast.noise_std_m, cast.loss_bits)
 
     @classmethod
     def of_file(cls, path: Path) -> BenchCloud:
@@ -129,15 +178,16 @@ class BenchCloud:
         Raises:
             ConfigError: it cannot be read, or holds no points that could be measured.
         """
-        cloud = cls(str(path), read_points(path).points)
+        name = f"{path.parent.name}/{path.name}"
+        cloud = cls(name, np.ascontiguousarray(read_points(path).points), FILE)
         if not len(cloud.points):
             raise ConfigError(f"{path}: holds no point with finite coordinates")
         try:
-            for bits in (min(DRACO_BITS), max(DRACO_BITS)):
-                for profile in OWN:
-                    _own(cloud, profile, bound_beside(cloud.points, bits)).encode()
+            for profile in OWN:
+                _own(cloud, profile, min(BOUNDS_M)).encode()
+            DracoGrid.of(cloud.points, min(BOUNDS_M))
         except CodecError as error:
-            raise ConfigError(f"{path}: at Draco's error it cannot be encoded: {error}") from None
+            raise ConfigError(f"{path}: at 1 cm it cannot be encoded: {error}") from None
         return cloud
 
 
@@ -145,12 +195,13 @@ class BenchCloud:
 class BenchRow(JsonRow):
     """One codec on one cloud. `bound_m` is the error it was allowed.
 
-    `max_error_m` is the farthest that a point lies from its decoded self. `noise_floor_bits` is
-    what range noise costs per point in steps of twice that bound, `loss_floor_bits` what it costs
-    to tell which beams were lost; None where not known.
+    `kind` is the cloud's. `max_error_m` is the farthest that a point lies from its decoded self.
+    `noise_floor_bits` is what range noise costs per point in steps of twice that bound,
+    `loss_floor_bits` what it costs to tell which beams were lost; None where not known.
     """
 
     cloud: str
+    kind: str
     codec: str
     points: int
     bytes: int
@@ -182,12 +233,10 @@ def bench(cloud: BenchCloud, runs: int = _RUNS) -> list[BenchRow]:
     """
     draco = load_draco()
     trials = [_plain(cloud)]
-    for bits in DRACO_BITS:
-        bound_m = bound_beside(cloud.points, bits)
-        trials.append(_draco(draco, cloud, bits, bound_m))
+    for bound_m in BOUNDS_M:
+        trials.append(_draco(draco, cloud, bound_m))
         trials += [_own(cloud, profile, bound_m) for profile in OWN]
-    if cloud.scan is not None:
-        trials += [_own(cloud, profile, FLOOR_BOUND_M) for profile in OWN]
+        trials += _images(cloud, bound_m)
     times = np.array([[_timed(trial) for trial in trials] for _ in range(runs)])
     medians = np.median(times, axis=0) * 1e3
     return [_row(cloud, trial, *took) for trial, took in zip(trials, medians, strict=True)]
@@ -199,41 +248,75 @@ def load_draco() -> ModuleType:
     Raises:
         ConfigError: it is not installed.
     """
+    return _reference("DracoPy", "Draco")
+
+
+def _reference(module: str, what: str) -> ModuleType:
     try:
-        import DracoPy
+        return importlib.import_module(module)
     except ModuleNotFoundError:
         raise ConfigError(
-            "Draco needs DracoPy, which is not installed (extra `reference`): "
-            f"{sys.executable} -m pip install DracoPy"
+            f"{what} needs {module}, which is not installed (extra `reference`): "
+            f"{sys.executable} -m pip install {module}"
         ) from None
-    module: ModuleType = DracoPy
-    return module
 
 
-def bound_beside(points: Floats32, bits: int) -> float:
-    """Returns the bound for a comparison with Draco: its error, or the least that we know."""
-    return max(draco_error_m(points, bits), MIN_BOUND_M)
+@dataclass(frozen=True, slots=True, eq=False)
+class DracoGrid:
+    """The grid of Draco's quantisation: `low` (3,), its step, the bits of a line's number."""
+
+    low: Floats32
+    step_m: float
+    bits: int
+
+    @classmethod
+    def of(cls, points: Floats32, bound_m: float) -> DracoGrid:
+        """Returns the coarsest grid whose cells reach no farther than the bound from their middle.
+
+        Raises:
+            CodecError: the cloud is too wide for it.
+        """
+        low = points.min(axis=0)
+        step_m = 2.0 / math.sqrt(3.0) * bound_m * _DRACO_ROOM
+        extent_m = float((points.max(axis=0) - low).max())
+        bits = max(1, math.ceil(math.log2(extent_m / step_m + 1)))
+        if bits > _DRACO_MAX_BITS:
+            raise CodecError(f"a coordinate lies {extent_m:g} m from another, too far for Draco")
+        return cls(low, step_m, bits)
+
+    @property
+    def extent_m(self) -> float:
+        """From the first to the last line."""
+        lines: int = 2**self.bits
+        return self.step_m * (lines - 1)
+
+    def encode(self, draco: Any, points: Floats32) -> bytes:  # noqa: ANN401 - DracoPy is untyped
+        """Returns Draco's bytes."""
+        packed: bytes = draco.encode(
+            points,
+            quantization_bits=self.bits,
+            compression_level=_LEVEL,
+            quantization_range=self.extent_m,
+            quantization_origin=self.low.tolist(),
+        )
+        return packed
 
 
-def draco_error_m(points: Floats32, bits: int) -> float:
+def draco_error_m(points: Floats32, bound_m: float) -> float:
     """Returns how far Draco moves a point of this cloud at most.
 
     Draco reorders points, so that its quantisation is repeated here; that it is the same is checked
     against what Draco returns.
     """
-    draco = load_draco()
-    packed = draco.encode(points, quantization_bits=bits, compression_level=_LEVEL)
-    found = np.asarray(draco.decode(packed).points, np.float32)
-    low = points.min(axis=0)
-    extent = np.float32((points.max(axis=0) - low).max() or 1)  # as Draco takes a single place
-    cells = np.float32(2**bits - 1)
-    steps = np.floor((points - low) * (cells / extent) + np.float32(0.5))
-    moved = steps * (extent / cells) + low
+    draco, grid = load_draco(), DracoGrid.of(points, bound_m)
+    found = np.asarray(draco.decode(grid.encode(draco, points)).points, np.float32)
+    step = np.float32(grid.step_m)
+    moved = np.floor((points - grid.low) / step + np.float32(0.5)) * step + grid.low
     same = len(found) == len(points) and np.allclose(
-        np.sort(found, axis=0), np.sort(moved, axis=0), atol=float(extent / cells) * 1e-2, rtol=0
+        np.sort(found, axis=0), np.sort(moved, axis=0), atol=0.02 * grid.step_m, rtol=0
     )
     if not same:  # half the diagonal of a cell, the most there can be
-        return float(extent / cells) * math.sqrt(3) / 2
+        return grid.step_m * math.sqrt(3) / 2
     return _farthest(moved, points)
 
 
@@ -248,6 +331,7 @@ def _row(cloud: BenchCloud, trial: _Trial, encode_ms: float, decode_ms: float) -
     points, size = len(cloud.points), len(trial.encode())
     return BenchRow(
         cloud=cloud.name,
+        kind=cloud.kind,
         codec=trial.codec,
         points=points,
         bytes=size,
@@ -264,12 +348,12 @@ def _row(cloud: BenchCloud, trial: _Trial, encode_ms: float, decode_ms: float) -
 
 
 def _timed(trial: _Trial) -> tuple[float, float]:
-    """Returns the seconds that encoding and decoding take."""
-    start = time.perf_counter()
+    """Returns the seconds of CPU time that encoding and decoding take."""
+    start = time.thread_time()
     packed = trial.encode()
-    between = time.perf_counter()
+    between = time.thread_time()
     trial.decode(packed)
-    return between - start, time.perf_counter() - between
+    return between - start, time.thread_time() - between
 
 
 def _plain(cloud: BenchCloud) -> _Trial:
@@ -283,16 +367,60 @@ def _plain(cloud: BenchCloud) -> _Trial:
     return _Trial("float32+zstd", 0.0, encode, unpack, lambda: 0.0)
 
 
-def _draco(draco: Any, cloud: BenchCloud, bits: int, bound_m: float) -> _Trial:  # noqa: ANN401 - DracoPy is untyped
-    def encode() -> bytes:
-        packed: bytes = draco.encode(cloud.points, quantization_bits=bits, compression_level=_LEVEL)
-        return packed
+def _draco(draco: Any, cloud: BenchCloud, bound_m: float) -> _Trial:  # noqa: ANN401 - DracoPy is untyped
+    grid = DracoGrid.of(cloud.points, bound_m)
 
     def unpack(packed: bytes) -> npt.NDArray[Any]:
         return np.asarray(draco.decode(packed).points)
 
+    def error_m() -> float:
+        return draco_error_m(cloud.points, bound_m)
+
+    return _Trial(DRACO, bound_m, lambda: grid.encode(draco, cloud.points), unpack, error_m)
+
+
+_IMAGE_CODECS = {"jpeg-xl": "jpegxl", "jpeg-ls": "jpegls"}
+_U16_STEPS = 65_535
+
+
+def _images(cloud: BenchCloud, bound_m: float) -> list[_Trial]:
+    """Returns codecs of pictures on the range image, if there is one and they are installed."""
+    scan = cloud.scan
+    if scan is None:
+        return []
+    try:
+        codecs = _reference("imagecodecs", "JPEG XL")
+    except ConfigError:
+        return []
+    return [_image(codecs, name, scan, bound_m) for name in _IMAGE_CODECS]
+
+
+def _image(codecs: Any, name: str, scan: RangeScan, bound_m: float) -> _Trial:  # noqa: ANN401 - untyped
+    """Returns lossless compression of the steps of range, and of a mask of the beams that returned.
+
+    A lost beam holds the range of the beam before, which costs least.
+    """
+    pack = getattr(codecs, f"{_IMAGE_CODECS[name]}_encode")
+    unpack_image = getattr(codecs, f"{_IMAGE_CODECS[name]}_decode")
+    step_m = 2.0 * bound_m * _DRACO_ROOM
+
+    def encode() -> bytes:
+        there = scan.range_m > 0
+        last = np.maximum.accumulate(np.where(there, np.arange(there.shape[1]), 0), axis=1)
+        filled = np.take_along_axis(scan.range_m, last, axis=1)
+        steps = np.clip(np.round(filled / step_m), 0, _U16_STEPS).astype(np.uint16)
+        parts = [pack(steps), pack(there.astype(np.uint8))]
+        return b"".join(len(part).to_bytes(4, "little") + part for part in parts)
+
+    def unpack(packed: bytes) -> Floats32:
+        first = 4 + int.from_bytes(packed[:4], "little")
+        there = unpack_image(packed[first + 4 :]) > 0
+        range_m = unpack_image(packed[4:first])[there] * np.float32(step_m)
+        found: Floats32 = scan.pattern.directions[there] * range_m[:, None]
+        return found
+
     return _Trial(
-        f"draco-{bits}", bound_m, encode, unpack, lambda: draco_error_m(cloud.points, bits)
+        name, bound_m, encode, unpack, lambda: _farthest(unpack(encode()), scan.cloud().points)
     )
 
 
@@ -337,14 +465,19 @@ def _farthest(found: Floats32, points: Floats32) -> float:
 
 
 _BLANK = "–"
-_NAME_WIDTH = 24
+_NAME_WIDTH = 30
+_RATIOS: dict[str, Callable[[BenchRow, BenchRow], float]] = {
+    "bytes": lambda row, draco: row.bytes / draco.bytes,
+    "encode": lambda row, draco: draco.encode_ms / row.encode_ms,
+    "decode": lambda row, draco: draco.decode_ms / row.decode_ms,
+}
 
 
 def print_bench(rows: list[BenchRow], console: Console) -> None:
-    """Prints a table for each cloud, then the least favourable ratios of each profile."""
+    """Prints a table for each cloud, then all kinds of sensor beside Draco."""
     for name in dict.fromkeys(row.cloud for row in rows):
         print_whole(_cloud_table(name, [row for row in rows if row.cloud == name]), console)
-    print_whole(_summary_table(rows), console)
+    print_whole(_kinds_table(rows), console)
 
 
 def _short(name: str) -> str:
@@ -380,40 +513,32 @@ def _cloud_table(name: str, rows: list[BenchRow]) -> Table:
 
 
 def draco_beside(row: BenchRow, rows: Iterable[BenchRow]) -> BenchRow | None:
-    """Returns Draco's row on the same cloud with the same error."""
+    """Returns Draco's row on the same cloud with the same bound."""
     for other in rows:
         same = other.cloud == row.cloud and other.bound_m == row.bound_m
-        if same and other.codec.startswith("draco"):
+        if same and other.codec == DRACO:
             return other
     return None
 
 
-_RATIOS: dict[str, Callable[[BenchRow, BenchRow], float]] = {
-    "bytes": lambda row, draco: row.bytes / draco.bytes,
-    "encode": lambda row, draco: draco.encode_ms / row.encode_ms,
-    "decode": lambda row, draco: draco.decode_ms / row.decode_ms,
-}
-
-
-def _summary_table(rows: list[BenchRow]) -> Table:
-    """Beside Draco at equal error: mean and worst over clouds, by codec and bits."""
+def _kinds_table(rows: list[BenchRow]) -> Table:
+    """Profile `default` by kind of sensor: bits a point and ratio to Draco, by bound."""
+    heads = [f"{100 * bound:g} cm\n{what}" for bound in BOUNDS_M for what in ("bits", "of Draco")]
     table = empty_table(
-        ("clouds", "codec", "Draco's\nbits", "bytes /\nDraco", "worst", "encode\nx Draco", "worst",
-         "decode\nx Draco", "worst"),
-        title="beside Draco at equal maximum error: mean and least favourable cloud", left=2,
-    )  # fmt: skip
-    groups: dict[tuple[str, str, str], list[tuple[BenchRow, BenchRow]]] = {}
-    for row in rows:
-        draco = draco_beside(row, rows)
-        if draco is not None and draco is not row:
-            kind = "scans" if row.loss_floor_bits is not None else "files"
-            key = (kind, row.codec, draco.codec.removeprefix("draco-"))
-            groups.setdefault(key, []).append((row, draco))
-    for key in sorted(groups, key=lambda key: (key[0] != "scans", key[1], int(key[2]))):
-        cells = []
-        for name, ratio in _RATIOS.items():
-            values = [ratio(row, draco) for row, draco in groups[key]]
-            worst = max(values) if name == "bytes" else min(values)
-            cells += [f"{sum(values) / len(values):.2f}", f"{worst:.2f}"]
-        table.add_row(*key, *cells)
+        ("cloud", "", *heads, "enc. x\nleast", "dec. x\nleast"),
+        title="`default` by sensor: bits a point, share of Draco's bytes, speed beside Draco's",
+        left=2,
+    )
+    for name in dict.fromkeys(row.cloud for row in rows):
+        own = [row for row in rows if row.cloud == name and row.codec == Profile.DEFAULT]
+        cells, speeds = [], []
+        for row in own:
+            draco = draco_beside(row, rows)
+            if draco is not None:
+                values = {what: ratio(row, draco) for what, ratio in _RATIOS.items()}
+                cells += [f"{row.bits_per_point:.2f}", f"{values['bytes']:.2f}"]
+                speeds.append((values["encode"], values["decode"]))
+        if speeds:
+            least = (f"{min(column):.2f}" for column in zip(*speeds, strict=True))
+            table.add_row(_short(name), own[0].kind, *cells, *least)
     return table

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from itertools import product
 from statistics import mean, stdev
 from typing import Any
@@ -83,33 +83,62 @@ def emulated(runs: Rows) -> Table:
     return table
 
 
-def _beside_draco(rows: Rows) -> Iterable[tuple[str, str, list[tuple[float, float, float]]]]:
-    """Yields Draco's bits, a profile, and its ratios of bytes and times on each cloud."""
-    draco = {(r["cloud"], r["bound_m"]): r for r in rows if r["codec"].startswith("draco")}
-    groups: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
-    for row in rows:
-        other = draco.get((row["cloud"], row["bound_m"]))
-        if other is not None and other is not row:
-            ratios = (
-                row["bytes"] / other["bytes"],
-                other["encode_ms"] / row["encode_ms"],
-                other["decode_ms"] / row["decode_ms"],
-            )
-            groups.setdefault((other["codec"].removeprefix("draco-"), row["codec"]), []).append(
-                ratios
-            )
-    yield from ((bits, codec, ratios) for (bits, codec), ratios in groups.items())
+def codec_kinds(rows: Rows) -> Table:
+    """Returns bits a point and the share of Draco's bytes by kind of sensor, and speeds."""
+    bounds = sorted({row["bound_m"] for row in rows if row["codec"] == "draco"})
+    heads = [f"{100 * bound:g} cm, bits / of Draco" for bound in bounds]
+    table = [["cloud", "points", *heads, "encode x Draco", "decode x Draco"]]
+    for kind in ("simulated", "file"):
+        own = [row for row in rows if row["kind"] == kind]
+        for cloud in dict.fromkeys(row["cloud"] for row in own):
+            pairs = [_beside_draco(own, cloud, bound, "default") for bound in bounds]
+            cells = [
+                f"{_fixed(row['bits_per_point'], 2)} / {_fixed(row['bytes'] / draco['bytes'], 2)}"
+                for row, draco in pairs
+            ]
+            table.append([cloud, str(pairs[0][0]["points"]), *cells, *_speeds(pairs)])
+    return table
 
 
-def codec(rows: Rows) -> Table:
-    """Returns bytes and times beside Draco's, by its bits."""
-    table = [["bits of Draco", "profile", "bytes / Draco", "worst", "encode x Draco", "worst",
-              "decode x Draco", "worst"]]  # fmt: skip
-    for bits, codec, ratios in _beside_draco(rows):
-        cells = []
-        for values, worst in zip(zip(*ratios, strict=True), (max, min, min), strict=True):
-            cells += [_fixed(sum(values) / len(values), 2), _fixed(worst(values), 2)]
-        table.append([bits, f"`{codec}`", *cells])
+def _beside_draco(
+    rows: Rows, cloud: str, bound_m: float, codec: str
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Returns the row of a codec and Draco's."""
+    same = {r["codec"]: r for r in rows if r["cloud"] == cloud and r["bound_m"] == bound_m}
+    return same[codec], same["draco"]
+
+
+def _speeds(pairs: list[tuple[dict[str, Any], dict[str, Any]]]) -> list[str]:
+    """Returns the least and the largest speed of encoding and decoding beside Draco's."""
+    cells = []
+    for step in ("encode_ms", "decode_ms"):
+        ratios = [draco[step] / row[step] for row, draco in pairs]
+        cells.append(f"{_fixed(min(ratios), 1)} to {_fixed(max(ratios), 1)}")
+    return cells
+
+
+_CODECS = {
+    "default": "`default`", "fast": "`fast`", "draco": "Draco", "jpeg-xl": "JPEG XL, mask",
+    "jpeg-ls": "JPEG-LS, mask",
+}  # fmt: skip
+
+
+def codec_scans(rows: Rows) -> Table:
+    """Returns bits a point of structured scans by codec, means over the scans."""
+    own = [row for row in rows if row["kind"] == "structured"]
+    clouds = list(dict.fromkeys(row["cloud"] for row in own))
+    bounds = sorted({row["bound_m"] for row in own if row["codec"] == "draco"})
+    table = [["codec", *(f"{100 * bound:g} cm" for bound in bounds), "encode x Draco",
+              "decode x Draco"]]  # fmt: skip
+    for codec, name in _CODECS.items():
+        if not any(row["codec"] == codec for row in own):
+            continue
+        pairs = [_beside_draco(own, cloud, bound, codec) for bound in bounds for cloud in clouds]
+        bits = [
+            _fixed(mean(row["bits_per_point"] for row, _ in pairs if row["bound_m"] == bound), 2)
+            for bound in bounds
+        ]
+        table.append([name, *bits, *_speeds(pairs)])
     return table
 
 

@@ -88,11 +88,12 @@ _LIST = (
     ),
     Figure(
         "codec",
-        "cpnet bench codec --json",
-        ("protocol/codec", "sensing", "studies/bench_codec.py"),
-        2,
+        'cpnet bench codec --json ${LIDAR_FILES:+--points "$LIDAR_FILES"}',
+        ("protocol/codec", "sensing", "studies/bench_codec.py", "studies/sensor_clouds.py"),
+        5,
         (
-            Part("draco", "docs/codec.md", layouts.codec),
+            Part("kinds", "docs/codec.md", layouts.codec_kinds),
+            Part("scans", "docs/codec.md", layouts.codec_scans),
             Part("floor", "docs/codec.md", layouts.codec_floor),
         ),
     ),

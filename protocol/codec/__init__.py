@@ -11,7 +11,9 @@ The decoder checks what a payload claims before it allocates; a damaged one rais
 `range_image`       the loops over its beams: ranges to symbols, symbols to points
 `prediction`        the model: expected ranges, contexts
 `rings`             range images of unordered clouds of one spinning LiDAR
-`octree`            all other clouds
+`octree`            clouds of any kind: cells and the points in them
+`lattice`           where an octree's points may lie, and their order
+`tree_contexts`     contexts of its symbols
 `symbols`, `rans`   tables of shares and streams of symbols; tokens and the entropy coder
 """
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from protocol.codec import planes
 from protocol.codec.image_sections import Window, image_step_m, pack_image, unpack_image
-from protocol.codec.octree import cell_edge_m, pack_tree, unpack_tree
+from protocol.codec.lattice import lattice_edge_m
+from protocol.codec.octree import pack_tree, unpack_tree
 from protocol.codec.payload import (
     Form,
     Head,
@@ -118,8 +120,8 @@ def encode_cloud(
 ) -> bytes:
     """Encodes an unordered cloud; every point moves by at most `max_error_m`.
 
-    Profile `fast` keeps the order of the points; `default` does not. A cloud of one spinning LiDAR
-    becomes a range image of the rings that are found in it, any other an octree.
+    Profile `fast` keeps the order of the points; `default` does not. It takes the smaller of an
+    octree and, where the rings of one spinning LiDAR are found, a range image of these.
 
     Args:
         cloud: in the sensor frame.
@@ -141,14 +143,30 @@ def encode_cloud(
     room = room_m(max_error_m, farthest_m * 3**0.5, "coordinate")
     if chosen is Profile.FAST:
         return _pack_deltas(cloud, points, room, intensity)
+    head, sections, order = _pack_cloud(points, room)
+    if intensity:
+        sections = [*sections, *pack_intensity(cloud.intensity[order], True)]
+    return replace(head, with_intensity=intensity).seal(*sections)
+
+
+_Packed = tuple[Head, list[bytes], npt.NDArray[np.int64]]  # the order in which points come back
+
+
+def _pack_cloud(points: Floats, room: float) -> _Packed:
+    """Returns the smaller of an octree and the image of the rings that are found.
+
+    Intensities are not looked at, so that they change nothing of where the points come to lie.
+    """
     image = find_rings(points, room)
-    if image is not None:
-        return _pack_rings(cloud, points, image, room, intensity)
-    edge_m = cell_edge_m(room)
-    sections, order = pack_tree(points, edge_m)
-    shades = pack_intensity(cloud.intensity[order], True) if intensity else []
-    head = Head(Form.TREE, len(points), edge_m, with_intensity=intensity)
-    return head.seal(*sections, *shades)
+    if image is None:
+        return _pack_tree(points, room)
+    rings = _pack_rings(points, image, room)
+    if image.is_sure(room):
+        return rings
+    try:
+        return min(rings, _pack_tree(points, room), key=lambda form: sum(map(len, form[1])))
+    except CodecError:  # too wide or too regular for a tree of all points
+        return rings
 
 
 def _pack_planes(range_m: Floats32, max_error_m: float, step_m: float) -> tuple[list[bytes], int]:
@@ -164,34 +182,26 @@ def _pack_planes(range_m: Floats32, max_error_m: float, step_m: float) -> tuple[
 
 
 def _pack_deltas(cloud: PointCloud, points: Floats, room: float, intensity: bool) -> bytes:
-    step_m = cell_edge_m(room)
+    step_m = 2.0 * room / math.sqrt(3.0)  # the corners of a cubic cell are farthest
     raw = planes.pack_points(np.round(points / step_m).astype(np.int32))
     head = Head(Form.DELTAS, len(points), step_m, with_intensity=intensity)
     return head.seal(compress(raw), *pack_intensity(cloud.intensity, intensity))
 
 
-def _pack_rings(
-    cloud: PointCloud, points: Floats, image: RingImage, room: float, intensity: bool
-) -> bytes:
+def _pack_tree(points: Floats, room: float) -> _Packed:
+    edge_m = lattice_edge_m(room)
+    sections, order = pack_tree(points, edge_m)
+    return Head(Form.TREE, len(points), edge_m), sections, order
+
+
+def _pack_rings(points: Floats, image: RingImage, room: float) -> _Packed:
     step_m = image_step_m(float(np.sqrt(room**2 - image.beside_m**2)))
-    rings = image.rings
+    rings, edge_m = image.rings, lattice_edge_m(room)
     sections, _ = pack_image(image.range_m, step_m)
-    rest, order = pack_tree(points[image.misfits], cell_edge_m(room))
-    shades = []
-    if intensity:
-        order = np.concatenate([image.order, image.misfits[order]])
-        shades = pack_intensity(cloud.intensity[order], True)
-    head = Head(
-        Form.RINGS,
-        len(points),
-        step_m,
-        len(rings.elevations),
-        rings.columns,
-        with_intensity=intensity,
-    )
-    return head.seal(
-        rings.to_bytes(len(image.misfits), cell_edge_m(room)), *sections, *rest, *shades
-    )
+    rest, order = pack_tree(points[image.misfits], edge_m)
+    head = Head(Form.RINGS, len(points), step_m, len(rings.elevations), rings.columns)
+    sections = [rings.to_bytes(len(image.misfits), edge_m), *sections, *rest]
+    return head, sections, np.concatenate([image.order, image.misfits[order]])
 
 
 def decode(payload: bytes | npt.NDArray[np.uint8]) -> PointCloud:

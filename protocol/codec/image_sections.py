@@ -23,7 +23,7 @@ from protocol.codec.prediction import (
     symbol_room,
 )
 from protocol.codec.range_image import image_to_symbols, symbols_to_points
-from protocol.codec.rans import I8, U1, U2, U4, i64
+from protocol.codec.rans import I8, U1, U4, i64
 from protocol.codec.symbols import pack_symbols, read_raw, unpack_symbols
 from protocol.errors import CodecError
 from protocol.scans import Floats, Floats32
@@ -140,12 +140,12 @@ def pack_image(range_m: Floats32, step_m: float) -> tuple[list[bytes], int]:
 _kept = threading.local()
 
 
-def _scratch(channels: int, columns: int) -> tuple[U2, U4]:
+def _scratch(channels: int, columns: int) -> tuple[U4, U4]:
     """Returns room for symbols and raw bits, one for each thread: fresh memory takes longer."""
-    symbols: U2 | None = getattr(_kept, "symbols", None)
+    symbols: U4 | None = getattr(_kept, "symbols", None)
     needed = symbol_room(channels, columns)
     if symbols is None or len(symbols) < needed:
-        symbols = _kept.symbols = np.empty(needed, np.uint16)
+        symbols = _kept.symbols = np.empty(needed, np.uint32)
         _kept.raw = np.empty(needed, np.uint32)
     return symbols, _kept.raw
 
@@ -171,7 +171,7 @@ def unpack_image(
     tuning = np.frombuffer(settings, np.uint8, 4).astype(np.int64)
     if tuning[2] > 15 or tuning[3] > tuning[2]:
         raise CodecError(f"an image has settings {tuning.tolist()}")
-    stream = unpack_symbols(reader, CONTEXTS, symbol_room(1, head.columns))
+    stream = unpack_symbols(reader, (CONTEXTS, STRIDE), symbol_room(1, head.columns))
     raw = read_raw(reader.section())
     xyz = np.empty((points + 1, 3), np.float32)
     tables = stream.table_of.tobytes()

@@ -1,41 +1,57 @@
-"""Unordered points as an octree, breadth first: which eighths of a cell hold points.
+"""Unordered points as an octree, depth first, on the lattice of `lattice`.
 
-Points become cells of a grid, their Morton keys are sorted. A cell with one point is not divided
-further; its remaining bits are as good as random and are raw (as in Draco's kd-tree). Which eighths
-are occupied takes two symbols of four bits each; the context of the first is how many eighths the
-parent had, that of the second is the first.
+A cell of the tree says which of its eighths hold points (two symbols of four bits, upper half
+first), then which of these hold one point only. Those are not divided further: a symbol of up to
+three bits tells where the point lies along each axis, the rest is as good as random and is raw (as
+in Draco's kd-tree). A symbol tells whether it lies at the corner of its cell or at the middle.
+Contexts are those of `tree_contexts`.
 """
 
 from __future__ import annotations
 
-import math
 import struct
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from protocol.codec.lattice import fill_corners, fill_nodes, sort_keys
 from protocol.codec.payload import Reader
 from protocol.codec.rans import (
     I8,
     SHARES,
-    START,
     STATES,
-    TAIL_ALPHABET,
     TURN_SHIFT,
     U1,
     U2,
     U4,
+    U8,
     advance,
     i64,
     is_short,
+    read_states,
     refill,
+    states_are_final,
     tail_base,
     tail_bits,
     tail_token,
     u64,
 )
 from protocol.codec.symbols import pack_symbols, read_raw, unpack_symbols
+from protocol.codec.tree_contexts import (
+    CONTEXTS,
+    COPIES,
+    LOWER,
+    STRIDE,
+    UPPER,
+    half_of,
+    is_flat,
+    level_of,
+    lone_context,
+    middle_context,
+    place_context,
+    quarter_of,
+)
 from protocol.errors import CodecError
 from protocol.limits import (
     FREE_TREE_SYMBOLS,
@@ -45,11 +61,11 @@ from protocol.limits import (
 )
 from protocol.scans import Floats, Floats32
 
-U8 = npt.NDArray[np.uint64]
-
-STRIDE = TAIL_ALPHABET
-_FIRST, _SECOND, _LONE, _COUNT = 0, 16, 32, 53
-CONTEXTS = 54
+_COPIES_BITS = 20  # raw, of a count beyond the tokens
+# What one cell may read before the decoder looks whether it is there.
+_SYMBOLS_PER_CELL = 40  # four of the cell, four of each of eight points
+_SPARE = 24  # words of raw bits: three times 16 bits and 20 of each point, and one ahead
+_STACK = 7 * MAX_TREE_DEPTH + 8
 
 
 @njit("int64(int64)", cache=True, nogil=True)
@@ -63,237 +79,310 @@ def most_symbols(words: int) -> int:
 
 def symbol_room(points: int, depth: int) -> int:
     """Returns how many symbols a tree can have at most."""
-    return points * (depth * 3 + 2) + 8
+    return points * (depth * 2 + 5) + 8  # a cell that is divided holds two points at least
 
 
-@njit("void(int64[:,::1], uint64[::1])", cache=True, nogil=True)
-def morton_keys(cells: I8, keys: U8) -> None:
-    """Fills the Morton keys (N,) of cells (N, 3), z highest."""
-    for n in range(len(keys)):
-        key = u64(0)
-        for axis in range(3):
-            v = u64(cells[n, axis]) & u64(0x1FFFFF)
-            v = (v | (v << u64(32))) & u64(0x1F00000000FFFF)
-            v = (v | (v << u64(16))) & u64(0x1F0000FF0000FF)
-            v = (v | (v << u64(8))) & u64(0x100F00F00F00F00F)
-            v = (v | (v << u64(4))) & u64(0x10C30C30C30C30C3)
-            v = (v | (v << u64(2))) & u64(0x1249249249249249)
-            key |= v << u64(axis)
-        keys[n] = key
-
-
-@njit("void(uint64[::1], int64[:,::1])", cache=True, nogil=True)
-def morton_cells(keys: U8, cells: I8) -> None:
-    """Reverses `morton_keys`."""
-    for n in range(len(keys)):
-        for axis in range(3):
-            v = (keys[n] >> u64(axis)) & u64(0x1249249249249249)
-            v = (v | (v >> u64(2))) & u64(0x10C30C30C30C30C3)
-            v = (v | (v >> u64(4))) & u64(0x100F00F00F00F00F)
-            v = (v | (v >> u64(8))) & u64(0x1F0000FF0000FF)
-            v = (v | (v >> u64(16))) & u64(0x1F00000000FFFF)
-            v = (v | (v >> u64(32))) & u64(0x1FFFFF)
-            cells[n, axis] = i64(v)
+@njit("int64(uint64[::1], int64, int64, uint64)", cache=True, nogil=True)
+def _end_of_octant(keys: U8, start: int, end: int, shift: int) -> int:
+    """Returns where the keys end that agree with the first above `shift`."""
+    wanted, step, at = keys[start] >> shift, 1, start + 1
+    while at < end and keys[at] >> shift == wanted:  # ever farther, then back between the last two
+        step *= 2
+        start, at = at, at + step
+    at = min(at, end)
+    while at - start > 1:
+        between = (start + at) >> 1
+        if keys[between] >> shift == wanted:
+            start = between
+        else:
+            at = between
+    return at
 
 
 @njit(
-    "void(uint64[::1], int64, uint16[::1], uint32[::1], int64[:,::1], int64[::1])",
+    "void(uint64[::1], int64[:,::1], int64, uint32[::1], uint32[::1], int64[:,::1], int64[::1], "
+    "int64[::1])",
     cache=True,
     nogil=True,
 )
-def tree_to_symbols(keys: U8, depth: int, symbols: U2, raw: U4, counts: I8, sizes: I8) -> None:
-    """Turns sorted keys into symbols and raw bits.
+def tree_to_symbols(
+    keys: U8,
+    cells: I8,
+    depth: int,
+    symbols: U4,
+    raw: U4,
+    counts: I8,
+    order: I8,
+    sizes: I8,
+) -> None:
+    """Turns sorted nodes into symbols and raw bits.
 
     Args:
         keys: (N,), sorted.
+        cells: (N, 3), in the same order.
         depth: of the tree.
         symbols: filled with `state << TURN_SHIFT | context * STRIDE + token`.
         raw: filled with raw bits.
         counts: zeros (CONTEXTS, STRIDE); filled with how often each symbol occurs.
+        order: (N,), filled with the order in which the decoder places the nodes.
         sizes: filled with the number of symbols and of raw words.
     """
-    points = len(keys)
-    starts, ends = np.zeros((2, points + 1), np.int64), np.zeros((2, points + 1), np.int64)
-    crowds = np.zeros((2, points + 1), np.int64)
-    inside, token_of = np.zeros(8, np.int64), np.zeros(18, np.int64)
-    context_of = np.zeros(18, np.int64)
-    ends[0, 0], crowds[0, 0], cells = points, 7, min(points, 1)
-    count, words, held = 0, 0, 0
+    starts, ends = np.empty(_STACK, np.int64), np.empty(_STACK, np.int64)
+    levels, flats = np.empty(_STACK, np.int64), np.empty(_STACK, np.int64)
+    first = np.empty(8, np.int64)
+    contexts, tokens = np.empty(_SYMBOLS_PER_CELL, np.int64), np.empty(_SYMBOLS_PER_CELL, np.int64)
+    last = np.zeros(3, np.int64)
+    starts[0], ends[0], levels[0], flats[0], top = 0, len(keys), depth - 1, 0, 1
+    x = y = z = alone = alone_before = middle = middle_before = i64(0)
+    count, words, held, placed = 0, 0, 0, 0
     bits = u64(0)
-    for level in range(depth - 1, -1, -1):
-        now, then = (depth - 1 - level) & 1, (depth - level) & 1
-        born = 0
-        for cell in range(cells):
-            at, end = starts[now, cell], ends[now, cell]
-            for n in range(8):
-                inside[n] = 0
-            for n in range(at, end):
-                inside[i64(keys[n] >> u64(3 * level)) & 7] += 1
-            occupied, crowd = 0, 0
-            for n in range(8):
-                if inside[n] > 0:
-                    occupied |= 1 << n
-                    crowd += 1
-            context_of[0] = _FIRST + crowds[now, cell] + 8 * (level < 3)
-            token_of[0] = occupied >> 4
-            context_of[1], token_of[1] = _SECOND + (occupied >> 4), occupied & 15
-            used = 2
-            for n in range(8):
-                if inside[n] == 0:
-                    continue
-                extra, length = u64(0), 0
-                if level == 0:
-                    token = tail_token(inside[n] - 1)
-                    context_of[used], token_of[used] = _COUNT, token
-                    length = tail_bits(token)
-                    extra = u64(inside[n] - 1 - tail_base(token))
-                else:
-                    lone = inside[n] == 1
-                    context_of[used], token_of[used] = _LONE + level, 1 if lone else 0
-                    if lone:
-                        length = 3 * level
-                        extra = keys[at] & ((u64(1) << u64(length)) - u64(1))
-                    else:
-                        starts[then, born], ends[then, born] = at, at + inside[n]
-                        crowds[then, born] = crowd - 1
-                        born += 1
+    while top > 0:
+        top -= 1
+        start, end, level = starts[top], ends[top], levels[top]
+        shift = u64(3 * level + 1)
+        occupied, crowd = 0, 0
+        n = start
+        while n < end:
+            octant = i64(keys[n] >> shift) & 7
+            occupied |= 1 << octant
+            first[octant] = n
+            crowd += 1
+            n = _end_of_octant(keys, n, end, shift)
+        sides = 3 * half_of(x, cells[start, 0] >> (level + 1), level)
+        sides += half_of(y, cells[start, 1] >> (level + 1), level)
+        above = 2 * level - alone - alone_before
+        contexts[0] = UPPER + 108 * i64(above > 0) + 54 * flats[top] + 6 * sides
+        contexts[0] += quarter_of(z, cells[start, 2] >> (level + 1), level)
+        contexts[1] = LOWER + 18 * (occupied >> 4) + 9 * flats[top] + sides
+        tokens[0], tokens[1] = occupied >> 4, occupied & 15
+        used, seen, pattern, behind, octant = 2, 0, 0, end, 8
+        while octant > 0:
+            octant -= 1
+            if not (occupied >> octant) & 1:
+                continue
+            pattern = 2 * pattern + i64(behind - first[octant] == 1)
+            behind = first[octant]
+            seen += 1
+            if seen == 4 or seen == crowd:
+                contexts[used] = lone_context(crowd, i64(seen > 4), above)
+                tokens[used] = pattern
+                used, pattern = used + 1, 0
+        behind = end
+        for octant in range(7, -1, -1):
+            if not (occupied >> octant) & 1:
+                continue
+            at, copies = first[octant], behind - first[octant]
+            behind = at
+            if level > 0 and copies > 1:
+                starts[top], ends[top], levels[top] = at, at + copies, level - 1
+                flats[top] = is_flat(occupied)
+                top += 1
+                continue
+            if copies > 1:
+                token = min(tail_token(copies - 2), STRIDE - 1)
+                contexts[used], tokens[used] = COPIES + min(max(-alone, 0), 4), token
                 used += 1
-                at += inside[n]
-                while length > 0:
-                    part = min(length, 30)
-                    bits |= (extra & u64((1 << part) - 1)) << u64(held)
-                    extra >>= u64(part)
-                    length -= part
-                    held += part
-                    if held >= 32:
-                        raw[words] = np.uint32(bits & u64(0xFFFFFFFF))
-                        words += 1
-                        bits >>= u64(32)
-                        held -= 32
-            for n in range(used):
-                symbols[count] = (count & 7) << TURN_SHIFT | (context_of[n] * STRIDE + token_of[n])
-                counts[context_of[n], token_of[n]] += 1
-                count += 1
-        cells = born
+                bits |= u64(copies - 2 - tail_base(token)) << u64(held)
+                held += _COPIES_BITS if token == STRIDE - 1 else tail_bits(token)
+            fine = max(level - 3, 0)
+            last[0], last[1], last[2] = x, y, z
+            for axis in range(3):
+                if held >= 32:
+                    raw[words] = np.uint32(bits & u64(0xFFFFFFFF))
+                    words += 1
+                    bits >>= u64(32)
+                    held -= 32
+                if level > 0:
+                    here = cells[at, axis]
+                    context = place_context(last[axis], here >> level, level)
+                    contexts[used] = context + 36 * i64(axis == 2)
+                    tokens[used] = (here & ((1 << level) - 1)) >> fine
+                    used += 1
+                    bits |= u64(here & ((1 << fine) - 1)) << u64(held)
+                    held += fine
+            x, y, z = cells[at, 0], cells[at, 1], cells[at, 2]
+            inner = 0
+            for n in range(at, at + copies):
+                inner += i64(keys[n] & u64(1))
+                order[placed] = n
+                placed += 1
+            rise = z - last[2]
+            contexts[used] = middle_context(copies, level, rise, middle, middle_before)
+            tokens[used] = min(1 + inner, STRIDE - 1) if 0 < inner < copies else i64(inner > 0)
+            if tokens[used] == STRIDE - 1:
+                bits |= u64(inner) << u64(held)
+                held += _COPIES_BITS
+            used += 1
+            middle, middle_before = i64(inner > 0), middle
+            if held >= 32:
+                raw[words] = np.uint32(bits & u64(0xFFFFFFFF))
+                words += 1
+                bits >>= u64(32)
+                held -= 32
+            alone, alone_before = level if level > 0 else level_of(copies), alone
+        for n in range(used):
+            symbols[count] = (count & 7) << TURN_SHIFT | (contexts[n] * STRIDE + tokens[n])
+            counts[contexts[n], tokens[n]] += 1
+            count += 1
     if held > 0:
         raw[words] = np.uint32(bits & u64(0xFFFFFFFF))
         words += 1
     sizes[0], sizes[1] = count, words
 
 
+@njit(inline="always")
+def _next(
+    context: int, table_of: U1, slots: U1, place: U4, states: U8, words: U2, at: int, count: int
+) -> tuple[int, int]:
+    """Returns the next symbol of a context, and the word behind it."""
+    table = u64(table_of[context])
+    state = states[count & u64(7)]
+    token = u64(slots[(table << u64(12)) | (state & u64(SHARES - 1))])
+    state = advance(state, place[(table << u64(4)) | token])
+    states[count & u64(7)] = refill(state, words[at])
+    return i64(token), at + is_short(state)
+
+
+@njit(inline="always")
+def _bits(raw: U4, at: int, length: int) -> int:
+    """Returns up to 32 raw bits."""
+    word = at >> u64(5)
+    both = u64(raw[word]) | (u64(raw[word + u64(1)]) << u64(32))
+    value: int = i64((both >> (at & u64(31))) & ((u64(1) << u64(length)) - u64(1)))
+    return value
+
+
 @njit(
     "int64(uint16[::1], int64, uint32[::1], uint8[::1], uint8[::1], uint32[::1], int64, "
-    "uint64[::1])",
+    "float64, float64[::1], float32[:,::1])",
     cache=True,
     nogil=True,
 )
-def symbols_to_tree(
-    words: U2, end: int, raw: U4, table_of: U1, slots: U1, place: U4, depth: int, keys: U8
+def symbols_to_points(
+    words: U2,
+    end: int,
+    raw: U4,
+    table_of: U1,
+    slots: U1,
+    place: U4,
+    depth: int,
+    edge_m: float,
+    low: Floats,
+    xyz: Floats32,
 ) -> int:
-    """Reverses `tree_to_symbols`, but for the order; returns 0, or -1 if the payload is damaged.
+    """Reverses `tree_to_symbols` and places the points; returns 0, -1 if the payload is damaged.
 
     Args:
-        words: of the entropy coder, and 32 zeros behind them.
+        words: of the entropy coder, and `_SYMBOLS_PER_CELL` zeros behind them.
         end: how many words are not such zeros.
-        raw: the raw bits.
+        raw: the raw bits, and `_SPARE` zeros behind them.
         table_of: the table of each context.
-        slots: (tables * 4096,), of `open_tables`.
-        place: (tables * STRIDE,), of `open_tables`.
+        slots: (tables * 4096,), of `fill_lookup`.
+        place: (tables * STRIDE,), of `fill_lookup`.
         depth: of the tree.
-        keys: (N,), filled.
+        edge_m: of a cell.
+        low: (3,), where the first cell's corner is.
+        xyz: (N, 3), filled.
     """
-    points = len(keys)
-    prefixes, crowds = np.empty((2, points + 1), np.uint64), np.empty((2, points + 1), np.int8)
-    prefixes[0, 0] = 0
+    stack = np.empty((_STACK, 5), np.int64)
     states = np.empty(STATES, np.uint64)
-    for n in range(STATES):
-        states[n] = (u64(words[2 * n]) << u64(16)) | u64(words[2 * n + 1])
-    at_word, at_raw, held, count, found = 2 * STATES, 0, 0, 0, 0
-    most = most_symbols(end)
-    bits = u64(0)
-    crowds[0, 0], cells = 7, min(points, 1)
-    for level in range(depth - 1, -1, -1):
-        now, then = (depth - 1 - level) & 1, (depth - level) & 1
-        born = 0
-        for cell in range(cells):
-            if at_word > end or count > most:
-                return -1
-            prefix = prefixes[now, cell] << u64(3)
-            occupied, crowd, octant, step = 0, 0, 0, 0
-            while step < 2 or octant < 8:
-                if step == 0:
-                    context = _FIRST + i64(crowds[now, cell]) + 8 * (level < 3)
-                elif step == 1:
-                    context = _SECOND + occupied
-                elif not (occupied >> octant) & 1:
-                    octant += 1
-                    continue
-                else:
-                    context = _LONE + level if level > 0 else _COUNT
-                table = i64(table_of[context])
-                state = states[count & 7]
-                token = i64(slots[table << 12 | i64(state & u64(SHARES - 1))])
-                state = advance(state, place[table << 6 | token])
-                states[count & 7] = refill(state, words[at_word])
-                at_word += i64(is_short(state))
-                count += 1
-                step += 1
-                if step == 1:
-                    occupied = token & 15
-                    continue
-                if step == 2:
-                    occupied = occupied << 4 | (token & 15)
-                    for n in range(8):
-                        crowd += (occupied >> n) & 1
-                    continue
-                key = prefix | u64(octant)
-                octant += 1
-                if level > 0 and token == 0:
-                    if born >= points:
-                        return -1
-                    prefixes[then, born], crowds[then, born] = key, crowd - 1
-                    born += 1
-                    continue
-                length = 3 * level if level > 0 else tail_bits(token)
-                extra, filled = u64(0), 0
-                while filled < length:
-                    part = min(length - filled, 30)
-                    if held < part:
-                        if at_raw >= len(raw):
-                            return -1
-                        bits |= u64(raw[at_raw]) << u64(held)
-                        at_raw += 1
-                        held += 32
-                    piece = bits & u64((1 << part) - 1)
-                    extra |= piece << u64(filled)
-                    bits >>= u64(part)
-                    held -= part
-                    filled += part
-                copies = 1
-                if level == 0:
-                    copies = tail_base(token) + 1 + i64(extra)
-                    extra = u64(0)
-                if copies > points - found:
-                    return -1
-                for _ in range(copies):
-                    keys[found] = (key << u64(3 * level)) | extra
-                    found += 1
-        cells = born
-    if at_word != end or at_raw != len(raw) or found != points or cells != 0:
-        return -1
-    for n in range(STATES):
-        if states[n] != u64(START):
+    read_states(words, states)
+    points, most = len(xyz), u64(most_symbols(end))
+    end_word, end_bit = u64(end), u64(32 * (len(raw) - _SPARE))
+    at, bit, count, found, top = u64(2 * STATES), u64(0), u64(0), 0, min(points, 1)
+    stack[0], stack[0, 3] = 0, depth - 1
+    x = y = z = alone = alone_before = middle = middle_before = i64(0)
+    while top > 0:
+        if at > end_word or bit > end_bit or count > most:
             return -1
-    return 0
+        top -= 1
+        level, flat = stack[top, 3], stack[top, 4]
+        cell_x, cell_y, cell_z = stack[top, 0], stack[top, 1], stack[top, 2]
+        sides = 3 * half_of(x, cell_x, level) + half_of(y, cell_y, level)
+        above = 2 * level - alone - alone_before
+        context = UPPER + 108 * i64(above > 0) + 54 * flat + 6 * sides
+        context += quarter_of(z, cell_z, level)
+        upper, at = _next(context, table_of, slots, place, states, words, at, count)
+        context = LOWER + 18 * upper + 9 * flat + sides
+        lower, at = _next(context, table_of, slots, place, states, words, at, count + u64(1))
+        count += u64(2)
+        occupied, crowd = 16 * upper + lower, 0
+        for octant in range(8):
+            crowd += (occupied >> octant) & 1
+        if crowd == 0:
+            return -1
+        context = lone_context(crowd, 0, above)
+        lone, at = _next(context, table_of, slots, place, states, words, at, count)
+        count += u64(1)
+        if crowd > 4:
+            context = lone_context(crowd, 1, above)
+            token, at = _next(context, table_of, slots, place, states, words, at, count)
+            count += u64(1)
+            lone = (lone << (crowd - 4)) | (token & ((1 << (crowd - 4)) - 1))
+        fine, mask = max(level - 3, 0), (1 << level) - 1
+        for octant in range(7, -1, -1):
+            if not (occupied >> octant) & 1:
+                continue
+            crowd -= 1
+            single = (lone >> crowd) & 1
+            child_x = 2 * cell_x + (octant & 1)
+            child_y = 2 * cell_y + ((octant >> 1) & 1)
+            child_z = 2 * cell_z + (octant >> 2)
+            if level > 0 and not single:
+                stack[top, 0], stack[top, 1], stack[top, 2] = child_x, child_y, child_z
+                stack[top, 3], stack[top, 4] = level - 1, is_flat(occupied)
+                top += 1
+                continue
+            copies, before_x, before_y, before_z = 1, x, y, z
+            x, y, z = child_x << level, child_y << level, child_z << level
+            if not single:
+                context = COPIES + min(max(-alone, 0), 4)
+                token, at = _next(context, table_of, slots, place, states, words, at, count)
+                count += u64(1)
+                length = _COPIES_BITS if token == STRIDE - 1 else tail_bits(token)
+                copies = 2 + tail_base(token) + _bits(raw, bit, length)
+                bit += u64(length)
+            elif level > 0:
+                context = place_context(before_x, child_x, level)
+                token, at = _next(context, table_of, slots, place, states, words, at, count)
+                x |= ((token << fine) & mask) | _bits(raw, bit, fine)
+                bit += u64(fine)
+                context = place_context(before_y, child_y, level)
+                token, at = _next(
+                    context, table_of, slots, place, states, words, at, count + u64(1)
+                )
+                y |= ((token << fine) & mask) | _bits(raw, bit, fine)
+                bit += u64(fine)
+                context = place_context(before_z, child_z, level) + 36
+                token, at = _next(
+                    context, table_of, slots, place, states, words, at, count + u64(2)
+                )
+                z |= ((token << fine) & mask) | _bits(raw, bit, fine)
+                bit += u64(fine)
+                count += u64(3)
+            alone, alone_before = level if level > 0 else level_of(copies), alone
+            if copies > points - found:
+                return -1
+            context = middle_context(copies, level, z - before_z, middle, middle_before)
+            token, at = _next(context, table_of, slots, place, states, words, at, count)
+            count += u64(1)
+            inner = copies * token if token < 2 else token - 1
+            if token == STRIDE - 1:
+                inner = _bits(raw, bit, _COPIES_BITS)
+                bit += u64(_COPIES_BITS)
+            middle, middle_before = i64(inner > 0), middle
+            for n in range(copies):
+                half = 0.5 if copies - n <= inner else 0.0
+                xyz[found, 0] = np.float32((x + half) * edge_m + low[0])
+                xyz[found, 1] = np.float32((y + half) * edge_m + low[1])
+                xyz[found, 2] = np.float32((z + half) * edge_m + low[2])
+                found += 1
+    if at != end_word or found != points or (bit + u64(31)) >> u64(5) != end_bit >> u64(5):
+        return -1
+    return 0 if states_are_final(states) else -1
 
 
 _HEAD = struct.Struct("<dddB")
-_SYMBOLS_PER_CELL = 32
-
-
-def cell_edge_m(room_m: float) -> float:
-    """Returns the edge of a cell whose corners are `room_m` from its middle."""
-    return 2.0 * room_m / math.sqrt(3.0)
 
 
 def pack_tree(points: Floats, edge_m: float) -> tuple[list[bytes], npt.NDArray[np.int64]]:
@@ -304,28 +393,29 @@ def pack_tree(points: Floats, edge_m: float) -> tuple[list[bytes], npt.NDArray[n
     """
     if not len(points):
         return [], np.zeros(0, np.int64)
-    low = points.min(axis=0)
-    cells = np.floor((points - low) / edge_m).astype(np.int64)
-    depth = int(cells.max()).bit_length()
-    if depth > MAX_TREE_DEPTH:
+    points = np.ascontiguousarray(points)
+    low, high = np.empty(3), np.empty(3)
+    fill_corners(points, low, high)
+    extent_m = float((high - low).max())
+    if extent_m / edge_m >= 2**MAX_TREE_DEPTH - 1:
         raise CodecError(
-            f"a coordinate lies {(points.max(axis=0) - low).max():.1f} m from another: at this "
-            f"bound the form ends at {edge_m * 2**MAX_TREE_DEPTH:.1f} m"
+            f"a coordinate lies {extent_m:.1f} m from another: at this bound the form ends at "
+            f"{edge_m * (2**MAX_TREE_DEPTH - 1):.1f} m"
         )
-    keys = np.empty(len(points), np.uint64)
-    morton_keys(cells, keys)
-    order = np.argsort(keys, kind="stable")
-    keys = keys[order]
-    depth = max(depth, 1)
-    symbols = np.empty(symbol_room(len(points), depth), np.uint16)
+    cells, keys = np.empty(points.shape, np.int64), np.empty(len(points), np.uint64)
+    order, placed = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
+    largest = fill_nodes(points, low, edge_m, cells, keys)
+    depth = max(largest.bit_length(), 1)
+    sort_keys(keys, 3 * depth + 1, order)
+    symbols = np.empty(symbol_room(len(points), depth), np.uint32)
     raw = np.empty(2 * len(points) + 2, np.uint32)
     counts, sizes = np.zeros((CONTEXTS, STRIDE), np.int64), np.zeros(2, np.int64)
-    tree_to_symbols(keys, depth, symbols, raw, counts, sizes)
+    tree_to_symbols(keys, cells[order], depth, symbols, raw, counts, placed, sizes)
     sections = pack_symbols(symbols, int(sizes[0]), counts)
     if sizes[0] > most_symbols(len(sections[1]) // 2):
         raise CodecError(f"{len(points)} points lie too regularly for a tree")
     bits = raw[: sizes[1]].astype("<u4", copy=False).tobytes()
-    return [_HEAD.pack(*(low + edge_m / 2), depth), *sections, bits], order
+    return [_HEAD.pack(*low, depth), *sections, bits], order[placed]
 
 
 def unpack_tree(reader: Reader, points: int, edge_m: float) -> Floats32:
@@ -339,23 +429,18 @@ def unpack_tree(reader: Reader, points: int, edge_m: float) -> Floats32:
     head = reader.section()
     if len(head) != _HEAD.size:
         raise CodecError(f"a tree has a head of {len(head)} bytes, needs {_HEAD.size}")
-    *middle, depth = _HEAD.unpack(head)
+    *low, depth = _HEAD.unpack(head)
     if not (
-        np.isfinite(middle).all()
-        and np.abs(middle).max() < MAX_TREE_ORIGIN_M
+        np.isfinite(low).all()
+        and np.abs(low).max() < MAX_TREE_ORIGIN_M
         and 1 <= depth <= MAX_TREE_DEPTH
     ):
-        raise CodecError(f"a tree claims depth {depth} at {middle}")
-    stream = unpack_symbols(reader, CONTEXTS, _SYMBOLS_PER_CELL)
-    raw = read_raw(reader.section())
-    keys = np.empty(points, np.uint64)
-    status = symbols_to_tree(
-        stream.words, stream.end, raw, stream.table_of, stream.slots, stream.place, depth, keys
-    )
-    if status < 0:
+        raise CodecError(f"a tree claims depth {depth} at {low}")
+    stream = unpack_symbols(reader, (CONTEXTS, STRIDE), _SYMBOLS_PER_CELL)
+    raw = read_raw(reader.section(), _SPARE)
+    xyz = np.empty((points, 3), np.float32)
+    tables = (stream.table_of, stream.slots, stream.place)
+    placing = (depth, edge_m, np.array(low), xyz)
+    if symbols_to_points(stream.words, stream.end, raw, *tables, *placing) < 0:
         raise CodecError("a tree is damaged, or holds other than the points it claims")
-    keys.sort()
-    cells = np.empty((points, 3), np.int64)
-    morton_cells(keys, cells)
-    found: Floats32 = (cells * edge_m + np.array(middle)).astype(np.float32)
-    return found
+    return xyz

@@ -9,28 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from protocol.codec.rans import ESCAPE, I2, I4, I8, START, STATES, TAIL_ALPHABET, U1, U2, U8, u64
+from protocol.codec.rans import ESCAPE, I2, I4, I8, TAIL_ALPHABET, U1, U2, u64
 from protocol.scans import Floats, Floats32
 
 STRIDE = TAIL_ALPHABET
 UNITS = 256  # in one step
 GONE = 4  # the smallest kind of a lost beam
-
-
-@njit("void(uint16[::1], uint64[::1])", cache=True, nogil=True)
-def read_states(words: U2, states: U8) -> None:
-    """Fills the states of the entropy coder."""
-    for n in range(STATES):
-        states[n] = (u64(words[2 * n]) << u64(16)) | u64(words[2 * n + 1])
-
-
-@njit("boolean(uint64[::1])", cache=True, nogil=True)
-def states_are_final(states: U8) -> bool:
-    """Returns whether all states are where they began: if not, the payload is damaged."""
-    done = True
-    for n in range(STATES):
-        done &= states[n] == u64(START)
-    return done
 
 
 @njit(

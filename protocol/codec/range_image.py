@@ -31,8 +31,6 @@ from protocol.codec.prediction import (
     describe_lower_ring,
     expect,
     place_ring,
-    read_states,
-    states_are_final,
 )
 from protocol.codec.rans import (
     ESCAPE,
@@ -48,7 +46,9 @@ from protocol.codec.rans import (
     fold,
     i64,
     is_short,
+    read_states,
     refill,
+    states_are_final,
     tail_base,
     tail_bits,
     tail_token,
@@ -59,7 +59,7 @@ from protocol.scans import Floats, Floats32
 
 
 @njit(
-    "void(float32[:,::1], float64, int64[::1], int64[::1], uint8[::1], uint8[::1], uint16[::1], "
+    "void(float32[:,::1], float64, int64[::1], int64[::1], uint8[::1], uint8[::1], uint32[::1], "
     "uint32[::1], int32[:,::1], int64[::1])",
     cache=True,
     nogil=True,
@@ -71,7 +71,7 @@ def image_to_symbols(
     marks: I8,
     context_of: U1,
     next_kind: U1,
-    symbols: U2,
+    symbols: U4,
     raw: U4,
     counts: I4,
     sizes: I8,

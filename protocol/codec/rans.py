@@ -73,12 +73,12 @@ def tail_base(token: int) -> int:
 STATES = 8
 SHARE_BITS = 12
 SHARES = 1 << SHARE_BITS
-TURN_SHIFT = 13  # of the state's number above the symbol
+TURN_SHIFT = 16  # of the state's number above the symbol
 START = 1 << 16  # every state begins and ends here, which tells a damaged payload
 
 
-@njit("int64(uint16[::1], int64, uint16[:,::1], uint16[::1])", cache=True, nogil=True)
-def encode_symbols(symbols: U2, count: int, shares: U2, words: U2) -> int:
+@njit("int64(uint32[::1], int64, uint16[:,::1], uint16[::1])", cache=True, nogil=True)
+def encode_symbols(symbols: U4, count: int, shares: U2, words: U2) -> int:
     """Writes words from the end of `words` backwards; returns where they begin.
 
     Args:
@@ -155,3 +155,19 @@ def is_short(state: int) -> int:
     """Returns 1 if the state needs a word."""
     result: int = u64(state < u64(START))
     return result
+
+
+@njit("void(uint16[::1], uint64[::1])", cache=True, nogil=True)
+def read_states(words: U2, states: U8) -> None:
+    """Fills the states of the entropy coder."""
+    for n in range(STATES):
+        states[n] = (u64(words[2 * n]) << u64(16)) | u64(words[2 * n + 1])
+
+
+@njit("boolean(uint64[::1])", cache=True, nogil=True)
+def states_are_final(states: U8) -> bool:
+    """Returns whether all states are where they began: if not, the payload is damaged."""
+    done = True
+    for n in range(STATES):
+        done &= states[n] == u64(START)
+    return done

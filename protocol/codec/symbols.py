@@ -17,7 +17,6 @@ from protocol.codec.rans import (
     I8,
     SHARES,
     STATES,
-    TAIL_ALPHABET,
     U1,
     U2,
     U4,
@@ -30,7 +29,9 @@ from protocol.codec.rans import (
 from protocol.errors import CodecError
 
 LEVELS = 3 * 12 + 2
+MAX_TABLES = 255
 _WRITTEN_BITS = 3.0  # a level, roughly
+_SYMBOLS_PER_BIT = 6000  # that a table must save: each takes the decoder room in its caches
 _WEIGHTS = np.array([0] + [round(64 * 2 ** (k / 3)) for k in range(LEVELS - 1)], np.int64)
 
 
@@ -61,13 +62,14 @@ def choose_tables(counts: I8, table_of: U1, levels: U1) -> int:
     contexts, stride = counts.shape
     run, joined = np.zeros(stride, np.int64), np.zeros(stride, np.int64)
     run_cost, table = 0.0, 0
+    worth = counts.sum() / _SYMBOLS_PER_BIT
     for context in range(contexts + 1):
         alone = 0.0
         if context < contexts:
             for token in range(stride):
                 joined[token] = run[token] + counts[context, token]
             alone, together = _cost(counts[context]), _cost(joined)
-            if context == 0 or together <= run_cost + alone:
+            if context == 0 or together <= run_cost + alone + worth or table == MAX_TABLES - 1:
                 run, joined, run_cost = joined, run, together
                 table_of[context] = table
                 continue
@@ -163,7 +165,10 @@ def read_tables(data: U1, table_of: U1, levels: U1) -> int:
         return -1
     at = 0
     for context in range(1, contexts):
-        table_of[context] = table_of[context - 1] + ((data[at >> 3] >> (at & 7)) & 1)
+        table = i64(table_of[context - 1]) + ((data[at >> 3] >> (at & 7)) & 1)
+        if table >= MAX_TABLES:
+            return -1
+        table_of[context] = table
         at += 1
     tables: int = i64(table_of[contexts - 1]) + 1
     before = np.zeros(stride, np.int64)
@@ -203,7 +208,7 @@ class SymbolStream:
     """What a decoder needs: words with zeros behind them, `end` of the words, and tables.
 
     `table_of` is the table of each context, `slots` (tables * 4096,) and `place`
-    (tables * TAIL_ALPHABET,) are those of `fill_lookup`.
+    (tables * stride,) are those of `fill_lookup`.
     """
 
     words: U2
@@ -213,33 +218,33 @@ class SymbolStream:
     place: U4
 
 
-def pack_symbols(symbols: U2, count: int, counts: I8) -> list[bytes]:
+def pack_symbols(symbols: U4, count: int, counts: I8) -> list[bytes]:
     """Returns the sections of the first `count` symbols.
 
     Args:
-        symbols: `state << TURN_SHIFT | context * TAIL_ALPHABET + token`.
+        symbols: `state << TURN_SHIFT | context * stride + token`.
         count: how many of them.
-        counts: (contexts, TAIL_ALPHABET), how often each occurs.
+        counts: (contexts, stride), how often each occurs.
     """
-    contexts = len(counts)
+    contexts, stride = counts.shape
     table_of = np.zeros(contexts, np.uint8)
-    levels = np.zeros((contexts, TAIL_ALPHABET), np.uint8)
+    levels = np.zeros((contexts, stride), np.uint8)
     tables = choose_tables(counts, table_of, levels)
-    written = np.zeros(contexts + tables * 2 * TAIL_ALPHABET, np.uint8)
+    written = np.zeros(contexts + tables * 2 * stride, np.uint8)
     length = write_tables(table_of, levels, tables, written)
-    shares = np.zeros((tables, TAIL_ALPHABET), np.uint16)
+    shares = np.zeros((tables, stride), np.uint16)
     shares_of_levels(levels, tables, shares)
     words = np.empty(count + 2 * STATES, np.uint16)
     start = encode_symbols(symbols, count, shares[table_of], words)
     return [written[:length].tobytes(), words[start:].astype("<u2", copy=False).tobytes()]
 
 
-def unpack_symbols(reader: Reader, contexts: int, room: int) -> SymbolStream:
+def unpack_symbols(reader: Reader, shape: tuple[int, int], room: int) -> SymbolStream:
     """Reads the sections of `pack_symbols`.
 
     Args:
         reader: of the payload.
-        contexts: of the form.
+        shape: how many contexts the form has, and how many tokens each.
         room: how many words the decoder may read beyond the end before it looks.
 
     Raises:
@@ -248,15 +253,14 @@ def unpack_symbols(reader: Reader, contexts: int, room: int) -> SymbolStream:
     written, body = reader.section(), reader.section()
     if len(body) % 2 or len(body) < 4 * STATES:
         raise CodecError(f"scan has {len(body)} bytes of symbols")
-    table_of = np.zeros(contexts, np.uint8)
-    levels = np.zeros((contexts, TAIL_ALPHABET), np.uint8)
+    table_of, levels = np.zeros(shape[0], np.uint8), np.zeros(shape, np.uint8)
     tables = read_tables(np.frombuffer(written, np.uint8), table_of, levels)
     if tables < 0:
         raise CodecError("the tables of a scan are damaged")
-    shares = np.zeros((tables, TAIL_ALPHABET), np.uint16)
+    shares = np.zeros((tables, shape[1]), np.uint16)
     shares_of_levels(levels, tables, shares)
     slots = np.empty((tables, SHARES), np.uint8)
-    place = np.empty((tables, TAIL_ALPHABET), np.uint32)
+    place = np.empty((tables, shape[1]), np.uint32)
     fill_lookup(shares, slots, place)
     end = len(body) // 2
     words = np.zeros(end + room, np.uint16)
@@ -264,12 +268,14 @@ def unpack_symbols(reader: Reader, contexts: int, room: int) -> SymbolStream:
     return SymbolStream(words, end, table_of, slots.ravel(), place.ravel())
 
 
-def read_raw(section: bytes) -> U4:
-    """Returns the words of raw bits.
+def read_raw(section: bytes, spare: int = 0) -> U4:
+    """Returns the words of raw bits, and so many zeros behind them.
 
     Raises:
         CodecError: they are not whole.
     """
     if len(section) % 4:
         raise CodecError(f"scan has {len(section)} bytes of raw bits")
-    return np.frombuffer(section, "<u4").astype(np.uint32)
+    words = np.zeros(len(section) // 4 + spare, np.uint32)
+    words[: len(section) // 4] = np.frombuffer(section, "<u4")
+    return words

@@ -14,11 +14,13 @@ import pytest
 import zstandard
 from fuzz_targets import FILE_MIB, LIMIT_MS, MESSAGE_MIB, SCAN_MIB
 from fuzz_watch import forget_peak, peak_kib
+from protocol.codec.tree_contexts import CONTEXTS, STRIDE
 
 from protocol import messages as m
 from protocol import wire
 from protocol.codec import decode, encode_cloud, encode_scan
-from protocol.codec.octree import CONTEXTS, STRIDE, morton_keys, symbol_room, tree_to_symbols
+from protocol.codec.lattice import fill_nodes, sort_keys
+from protocol.codec.octree import symbol_room, tree_to_symbols
 from protocol.codec.payload import Form, Head, compress
 from protocol.codec.rans import STATES, encode_symbols
 from protocol.codec.symbols import LEVELS, shares_of_levels, write_tables
@@ -133,22 +135,23 @@ def certain_tree(side: int) -> bytes:
     """Pairs of points on a coarse grid within a fine tree, every symbol as good as certain."""
     places = np.arange(side) << 13
     grid = np.stack(np.meshgrid(places, places, places, indexing="ij"), -1).reshape(-1, 3)
-    cells = np.repeat(grid, 2, axis=0)
-    keys = np.empty(len(cells), np.uint64)
-    morton_keys(cells, keys)
-    keys.sort()
-    symbols = np.empty(symbol_room(len(keys), 20), np.uint16)
+    points, cells = np.repeat(grid, 2, axis=0).astype(np.float64), np.empty((2 * side**3, 3), int)
+    keys, order = np.empty(len(cells), np.uint64), np.empty(len(cells), np.int64)
+    fill_nodes(points, np.zeros(3), 1.0, cells, keys)
+    sort_keys(keys, 61, order)
+    symbols = np.empty(symbol_room(len(keys), 20), np.uint32)
     raw, sizes = np.empty(2 * len(keys) + 2, np.uint32), np.zeros(2, np.int64)
     counts = np.zeros((CONTEXTS, STRIDE), np.int64)
-    tree_to_symbols(keys, 20, symbols, raw, counts, sizes)
-    levels = np.where(counts > 0, 1, 0).astype(np.uint8)
-    levels[np.arange(CONTEXTS), counts.argmax(axis=1)] = LEVELS - 1
-    table_of, shares = np.arange(CONTEXTS, dtype=np.uint8), np.zeros((CONTEXTS, STRIDE), np.uint16)
-    written = np.zeros(1 << 14, np.uint8)
-    length = write_tables(table_of, levels, CONTEXTS, written)
-    shares_of_levels(levels, CONTEXTS, shares)
+    tree_to_symbols(keys, cells[order], 20, symbols, raw, counts, np.empty_like(order), sizes)
+    used = np.flatnonzero(counts.any(axis=1))  # each with a table of its own, up to the next
+    table_of = (np.searchsorted(used, np.arange(CONTEXTS), "right") - 1).clip(0).astype(np.uint8)
+    levels = np.where(counts[used] > 0, 1, 0).astype(np.uint8)
+    levels[np.arange(len(used)), counts[used].argmax(axis=1)] = LEVELS - 1
+    shares, written = np.zeros(levels.shape, np.uint16), np.zeros(1 << 14, np.uint8)
+    length = write_tables(table_of, levels, len(used), written)
+    shares_of_levels(levels, len(used), shares)
     words = np.empty(int(sizes[0]) + 2 * STATES, np.uint16)
-    first = encode_symbols(symbols, int(sizes[0]), shares, words)
+    first = encode_symbols(symbols, int(sizes[0]), shares[table_of], words)
     head = struct.pack("<dddB", 0.0, 0.0, 0.0, 20)
     parts = (head, written[:length].tobytes(), words[first:].tobytes(), raw[: sizes[1]].tobytes())
     return Head(Form.TREE, len(keys), 0.01).seal(*parts)

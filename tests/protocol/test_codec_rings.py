@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from protocol.codec import decode, encode_cloud
-from protocol.codec.payload import Form, read_payload
+from protocol.codec.forms import room_m
+from protocol.codec.lattice import lattice_edge_m
+from protocol.codec.octree import pack_tree
+from protocol.codec.payload import PREFIX, Form, read_payload
 from protocol.codec.rings import Rings, find_rings
 from protocol.errors import CodecError
 from protocol.scans import PointCloud, ScanPattern
@@ -133,3 +136,26 @@ def test_more_points_than_beams_and_fewer_than_lie_beside_them_are_refused(claim
     with pytest.raises(CodecError) as refusal:
         decode(replace(head, points=limit).seal(*sections))
     assert "of them beside" not in str(refusal.value)
+
+
+def smeared() -> np.ndarray:
+    """A sensor whose lasers stand apart, so that each ring falls into several, hardly filled."""
+    rng = np.random.default_rng(0)
+    elevation = np.radians(np.linspace(10, -20, 48))[:, None]
+    azimuth = np.arange(900) * (2 * np.pi / 900) + np.zeros((48, 1))
+    flat = np.cos(elevation) + 0 * azimuth
+    away = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation + 0 * flat)])
+    hall = 1 / np.abs(away / np.array([30.0, 20.0, 4.0])[:, None, None]).max(axis=0)
+    points = (away * (hall + rng.normal(0, 0.02, hall.shape))).reshape(3, -1).T
+    points[:, 2] += np.repeat(0.05 + 0.003 * np.arange(48), 900)
+    return points.astype(np.float32)
+
+
+@pytest.mark.parametrize("bound_m", [0.02, 0.05, 0.1, 0.3, 1.0])
+def test_a_cloud_takes_the_smaller_of_its_forms(bound_m):
+    for points in (ringed(), ringed(loss=0.9), smeared()):
+        plain = PointCloud(points, np.zeros(len(points), np.float32))
+        farthest_m = 3**0.5 * float(np.abs(points.astype(np.float64)).max())
+        edge_m = lattice_edge_m(room_m(bound_m, farthest_m, "coordinate"))
+        tree = sum(map(len, pack_tree(points.astype(np.float64), edge_m)[0]))
+        assert len(encode_cloud(plain, bound_m)) <= tree + PREFIX.size + 40  # lengths of sections
