@@ -127,11 +127,15 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
     insecure: Insecure = False,
     scans: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="folder of .bin or .pcd", rich_help_panel=_SCANS),
+        typer.Option(
+            metavar="DIR", help="folder of .bin, .pcd, .ply, .feather, .npy", rich_help_panel=_SCANS
+        ),
     ] = None,
     poses: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="CSV, KITTI's or EMP's text", rich_help_panel=_SCANS),
+        typer.Option(
+            metavar="FILE", help="CSV, text of KITTI, TUM or EMP, .feather", rich_help_panel=_SCANS
+        ),
     ] = None,
     extrinsics: Annotated[
         Path | None,

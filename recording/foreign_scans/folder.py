@@ -28,7 +28,7 @@ def by_agent(folder: Path, files: Iterable[Path]) -> dict[str, list[Path]]:
 
 
 def scans_in(folder: Path) -> dict[str, list[Path]]:
-    """Returns the .bin and .pcd files by agent, each list in the order of frames.
+    """Returns the clouds' files by agent, each list in the order of frames.
 
     Raises:
         ConfigError: there is none.
