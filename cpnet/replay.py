@@ -189,7 +189,7 @@ def replay_of_scans(asked: Scans, pace: Pace, console: Console) -> Replay:
             write_extrinsics(run_dir / EXTRINSICS, agents[0].mounts)
         return made
 
-    return Replay(scenario.name, setup)
+    return Replay(scenario.name, setup, imported.sensor_poses())
 
 
 def _check_scan_overrides(overrides: dict[str, Any]) -> None:

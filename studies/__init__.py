@@ -17,4 +17,5 @@ Many runs
 - `in_process`: a lockstep run in one process
 - `sweep/`: `cpnet study`, its cells, workers and table
 - `bench_*`, `evaluate`, `accuracy`: `cpnet bench`, `cpnet eval`, Table 1 of Chen et al. 2022
+- `box_files`: detected boxes of a run as KITTI's labels or Parquet
 """

@@ -153,6 +153,10 @@ class ImportedScans:
         """Returns which files a frame plays: after the last, they begin anew."""
         return frame % self._numbers
 
+    def sensor_poses(self) -> Floats:
+        """Returns the poses (N, 6) of the first agent's sensor, or vehicle, by frame."""
+        return np.stack([self.agents[0].pose(self.number(n)) for n in range(self.frames)])
+
     @property
     def repeats(self) -> bool:
         """Whether files are played more than once."""
