@@ -9,6 +9,7 @@ ending a folder with a file of KITTI's object labels per frame. KITTI's boxes ar
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
@@ -81,10 +82,9 @@ def write_boxes(run_dir: Path, path: Path, sensor_poses: Floats) -> int:
 
 def _polars() -> ModuleType:
     try:
-        import polars
+        return import_module("polars")
     except ImportError:
         raise ConfigError("--boxes with .parquet needs polars (extra `study`)") from None
-    return polars
 
 
 def _write_table(rows: Sequence[DetectionRow], path: Path) -> None:

@@ -41,6 +41,35 @@ def print_evaluation(rows: list[EvalRow], console: Console) -> None:
     )
 
 
+def print_kitti(rows: list[EvalRow], console: Console) -> None:
+    """Prints AP40 by object and by level of difficulty, of files with labels in KITTI's form."""
+    ious = [f"{name} {iou:g}" for name in ("BEV", "3D") for iou in _CLASS_IOUS]
+    heads = ["detector", "objects", "level", "number", *ious, "recall", "prec"]
+    title = "AP40 by IoU, of labels with 5 points or more"
+    table = empty_table(heads, title=title, left=3, padding=(0, 0))
+    cells = {
+        (row.detector, row.objects, row.part, row.view, row.iou): row
+        for row in rows
+        if row.truth == "visible"
+    }
+    for detector, objects, part in dict.fromkeys(key[:3] for key in cells):
+        at = cells[detector, objects, part, "bev", _PART_IOU]
+        if at.vehicles or (part == EVERYTHING and at.precision is not None):
+            figures = [
+                _percent(cells[detector, objects, part, view, iou].ap40)
+                for view in VIEWS
+                for iou in _CLASS_IOUS
+            ]
+            shares = [_percent(at.recall), _percent(at.precision)]
+            table.add_row(detector, objects, part, str(at.vehicles), *figures, *shares)
+    console.print(table)
+    console.print(
+        f"{rows[0].scenes if rows else 0} frames. Recall and precision at IoU {_PART_IOU:g} from "
+        "above. Levels are KITTI's; vans are neither right nor wrong for cars.",
+        style="dim",
+    )
+
+
 def _view_table(view: View, rows: list[EvalRow], *, geofence: bool) -> Table:
     ious = [f"{iou:g}" for iou in IOUS]
     heads = ["detector", "cloud", "truth", *ious, "recall", "prec", "ms"]

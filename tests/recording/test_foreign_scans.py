@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import places
 import pytest
 from rich.console import Console
 
@@ -20,6 +19,7 @@ from recording.tables import CountRow, DetectionRow, FrameRow, RequestRow
 from studies.box_files import write_boxes
 from studies.in_process import run_setup_in_process
 from studies.summary import print_report, summarise
+from tests import places
 
 pytest.importorskip("mcap", reason="needs the extra `mcap`")
 
