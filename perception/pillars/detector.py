@@ -26,6 +26,7 @@ from perception.pillars.seen_side import behind_their_points
 from perception.pillars.weights import network_of
 from perception.pillars.windows import Window, cover, known_of
 from perception.roadway import Roadway, merge
+from perception.solid import are_solid
 
 _MOST = 500  # anchors of a window that are looked at
 
@@ -226,7 +227,11 @@ class PillarsDetector:
             kept = suppress(boxes, scores, iou=self._config.same_iou)
             boxes, scores, classes = boxes[kept], scores[kept], classes[kept]
             sizes = np.array([len(part.points) for part in parts], np.int64)
-            boxes = behind_their_points(boxes, points, points[:, 2] - road_m, sizes, cloud.sensors)
+            height_m, sensors = points[:, 2] - road_m, cloud.sensors.astype(np.float64)
+            boxes = behind_their_points(boxes, points, height_m, sizes, sensors)
+            sensors[:, 2] -= self._roadway.height_at(sensors)
+            solid = are_solid(boxes, classes, points, height_m, sizes, sensors)
+            boxes, scores, classes = boxes[solid], scores[solid], classes[solid]
             boxes[:, 2] += self._roadway.height_at(boxes)
             boxes[:, 6] = _headed(boxes[:, 6], self._roadway.yaw_at(boxes))
             return Vehicles.from_lidar(boxes, scores, classes)
