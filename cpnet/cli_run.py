@@ -163,7 +163,7 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
     ] = None,
     width: Annotated[
         float | None,
-        typer.Option(min=1, help="of the open ground, m; else 60", rich_help_panel=_SCANS),
+        typer.Option(min=1, help="of the open ground, m; else 100", rich_help_panel=_SCANS),
     ] = None,
     boxes: Annotated[
         Path | None,

@@ -137,8 +137,9 @@ def _check_cabinet(scenario: scenarios.Scenario) -> None:
 
 _CASTING = ("lidar", "pose", "scene")
 _ENCODING = ("upload.max_error_m", "upload.profile", "upload.intensity")
+_FREE = {"traffic.cav_rate", "mode", "edge.solid_only"}
 EXTRINSICS = "extrinsics.csv"
-WIDTH_M = 60.0
+WIDTH_M = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,12 +216,14 @@ def _scenario_of_scans(asked: Scans, pace: Pace, frames: int) -> scenarios.Scena
         "processes.vehicle": 1,
         "record.truth": False,
     }
+    if asked.scenario is None:
+        facts["edge.solid_only"] = asked.overrides.get("edge.solid_only", True)
     if "name" not in asked.overrides and asked.scenario is None:
         name = asked.source.scans.resolve().name
         facts["name"] = re.sub(r"[^A-Za-z0-9_-]", "_", name)[:80] or "scans"
     if pace.mode is not None:
         facts["mode"] = pace.mode
-    if taken := sorted(facts.keys() & asked.overrides.keys() - {"traffic.cav_rate", "mode"}):
+    if taken := sorted(facts.keys() & asked.overrides.keys() - _FREE):
         raise ConfigError(
             f"--set {taken[0]}: with --scans that follows from the scans, and cannot be set"
         )

@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit
 
 from perception.arrays import Bools, Bytes, Floats, Floats32, Ints
+from perception.detector import Cloud, Vehicles
+from perception.roadway import Roadway, merge
 from protocol.messages import ObjectClass
 
 LOW_M = 0.4  # over the road: lower points are of the ground and of kerbs
@@ -27,6 +29,21 @@ THROUGH = {
     ObjectClass.TRUCK: 0.3,
 }  # of its points; others are slender
 COLUMN = 0.3  # of a box's points, and of those in the lower layer
+
+
+def solid_of(found: Vehicles, cloud: Cloud, roadway: Roadway) -> Vehicles:
+    """Returns those vehicles of a cloud, map frame, whose boxes may be vehicles.
+
+    Boxes are taken to stand on the ground.
+    """
+    parts = [*cloud.near, *cloud.bare]
+    points, road_m = merge(parts)
+    boxes, sensors = found.boxes.copy(), cloud.sensors.astype(np.float64)
+    boxes[:, 2] = boxes[:, 5] / 2
+    sensors[:, 2] -= roadway.height_at(sensors)
+    sizes = np.array([len(part.points) for part in parts], np.int64)
+    height_m = points[:, 2] - road_m
+    return found.take(are_solid(boxes, found.classes, points, height_m, sizes, sensors))
 
 
 def are_solid(

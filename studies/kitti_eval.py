@@ -46,14 +46,19 @@ _OWN_M = (2.75, 1.25)  # half of the carrying vehicle's length and width
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Judged:
-    """A frame's detections (N,) beside its labels with boxes (M,)."""
+class JudgedFrame:
+    """A frame's detections (N,) beside its labels with boxes (M,), and the points in these (M,).
+
+    Of a learned detector, detections are listed down to a score that is none of a vehicle; from
+    `least_score` on they are.
+    """
 
     frame: KittiFrame
     found: Vehicles
     objects: Sequence[KittiObject]
     points: Ints
     took_ms: float
+    least_score: float
 
 
 def evaluate_kitti(
@@ -67,24 +72,36 @@ def evaluate_kitti(
     Raises:
         ConfigError: a cloud cannot be read, or a detector cannot be had here.
     """
-    judged: dict[DetectorName, list[_Judged]] = {name: [] for name in detectors}
+    judged: dict[DetectorName, list[JudgedFrame]] = {name: [] for name in detectors}
     for number, frame in enumerate(frames):
-        cloud = read_points(frame.cloud)
-        height_m = height_over_ground_m(cloud, SE3.identity())
-        footprint = np.array([[0.0, 0.0, -height_m, 0.0, 0.0, 0.0]])
-        site = Site(open_ground({frame.name: footprint}, width_m=2 * range_m), config)
-        for name in detectors:
-            judged[name].append(_judge(site, frame, cloud.points, name, number))
-    return [
-        row
-        for name, scenes in judged.items()
-        for row in _rows(name, scenes, range_m, site.least_score(name) if scenes else 0.0)
-    ]
+        for name, one in judge(frame, detectors, config, range_m, number).items():
+            judged[name].append(one)
+    return [row for name, scenes in judged.items() for row in _rows(name, scenes, range_m)]
+
+
+def judge(
+    frame: KittiFrame,
+    detectors: Sequence[DetectorName],
+    config: EdgeConfig,
+    range_m: float,
+    seed: int = 0,
+) -> dict[DetectorName, JudgedFrame]:
+    """Detects in a frame; what is found on the vehicle that carries the sensor is left out.
+
+    Raises:
+        ConfigError: the cloud cannot be read, or a detector cannot be had here.
+    """
+    config = config.model_copy(update={"solid_only": True})  # as a replay without a road map
+    cloud = read_points(frame.cloud)
+    height_m = height_over_ground_m(cloud, SE3.identity())
+    footprint = np.array([[0.0, 0.0, -height_m, 0.0, 0.0, 0.0]])
+    site = Site(open_ground({frame.name: footprint}, width_m=2 * range_m), config)
+    return {name: _judge(site, frame, cloud.points, name, seed) for name in detectors}
 
 
 def _judge(
     site: Site, frame: KittiFrame, points: Floats32, name: DetectorName, number: int
-) -> _Judged:
+) -> JudgedFrame:
     scan = SensorScan(frame.name, points, SE3.identity(), None)
     no_boxes = np.zeros((0, 7)), np.zeros(0, np.uint8), np.zeros((1, 0), np.int64)
     sample = SceneSample(frame.name, number, [scan], *no_boxes)
@@ -96,7 +113,8 @@ def _judge(
     is_own = np.asarray((np.abs(found.boxes[:, :2]) < _OWN_M).all(axis=1))
     objects = [one for one in frame.objects if np.isfinite(one.box).all()]
     counts = np.array([_points_in(points, one.box) for one in objects], np.int64)
-    return _Judged(frame, found.take(~is_own), objects, counts, took_ms)
+    least_score = site.least_score(name)
+    return JudgedFrame(frame, found.take(~is_own), objects, counts, took_ms, least_score)
 
 
 def _points_in(points: Floats32, box: Floats) -> int:
@@ -107,9 +125,7 @@ def _points_in(points: Floats32, box: Floats) -> int:
     return int((np.abs(local) <= box[3:6] / 2).all(axis=1).sum())
 
 
-def _rows(
-    detector: str, scenes: Sequence[_Judged], range_m: float, least_score: float
-) -> Iterator[EvalRow]:
+def _rows(detector: str, scenes: Sequence[JudgedFrame], range_m: float) -> Iterator[EvalRow]:
     if not scenes:
         return
     median_ms = float(np.median([one.took_ms for one in scenes]))
@@ -131,7 +147,7 @@ def _rows(
                             results,
                             [one.scene.scores for one in compared],
                             sum(int(must.sum()) for must in due),
-                            least_score,
+                            scenes[0].least_score,
                         )
                         yield EvalRow(
                             detector, "single", "none", truth, False, view, iou, level,
@@ -155,7 +171,7 @@ class _Compared:
     fair: Bools
 
 
-def _compared(one: _Judged, objects: str, level: str, range_m: float) -> _Compared:
+def _compared(one: JudgedFrame, objects: str, level: str, range_m: float) -> _Compared:
     due_kinds, neither = _KINDS[objects]
     known = [n for n, label in enumerate(one.objects) if label.kind in (*due_kinds, *neither)]
     labels = [one.objects[n] for n in known]
