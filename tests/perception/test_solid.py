@@ -4,8 +4,13 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from perception.config import DetectionConfig
+from perception.detector import Cloud
+from perception.fast import FastDetector
+from perception.roadway import Placed, Roadway
 from perception.solid import are_solid, counts_of
 from protocol.messages import ObjectClass
+from recording.foreign_scans.importer import open_ground
 
 EYE = np.array([[0.0, 0.0, 2.0]])
 LORRY = np.array([[0.0, 10.0, 1.7, 9.0, 2.5, 3.4, 0.0]])
@@ -93,3 +98,20 @@ def test_a_sensor_is_taken_to_be_on_a_roof_at_least():
         for eye_m in (0.3, 1.5)
     ]
     assert counts[0][0, 1] == counts[1][0, 1] > 30
+
+
+def test_fast_leaves_out_what_it_looks_through_if_it_is_asked_to():
+    rng = np.random.default_rng(1)
+    ground = np.column_stack([rng.uniform(-20, 20, (8000, 2)), rng.normal(0, 0.02, 8000)])
+    hedge = rng.uniform([8, -2, 0.3], [9, 2, 1.2], (150, 3))
+    behind = upright(np.full(300, 15.0), np.linspace(-3, 3, 300), 1.0)
+    way = {"way": np.array([[0, 0, 0, 0, 0, np.pi / 2]])}
+    roadway = Roadway.of(open_ground(way, width_m=40), margin_m=0.5)
+    points = np.concatenate([ground, hedge, behind]).astype(np.float32)
+    placed = Placed.of(points, np.zeros(len(points), np.float32))
+    found = {}
+    for only in (False, True):
+        detector = FastDetector(DetectionConfig(solid_only=only), roadway)
+        boxes = detector.detect(Cloud([placed], [], EYE), np.random.default_rng(1)).boxes
+        found[only] = int((np.hypot(boxes[:, 0] - 8.5, boxes[:, 1]) < 2).sum())
+    assert found == {False: 1, True: 0}
