@@ -12,7 +12,7 @@ from protocol.errors import ConfigError
 from protocol.geometry import SE3, Floats
 from protocol.scans import PointCloud
 from recording.foreign_scans.alignment import refined
-from recording.foreign_scans.folder import scans_in, sensors_in
+from recording.foreign_scans.folder import agent_name, scans_in, sensors_in
 from recording.foreign_scans.poses import Track, read_extrinsics, read_poses
 from sensing.point_files import read_points
 
@@ -97,7 +97,7 @@ def agents_of(source: Source) -> list[Agent]:
             mounts = refined(mounts, first)
         rows = zip(*by_sensor.values(), strict=True)
         frames = [dict(zip(by_sensor, row, strict=True)) for row in rows]
-        groups = {source.scans.resolve().name or "agent": frames}
+        groups = {agent_name(source.scans): frames}
     tracks = read_poses(source.poses)
     agents = [
         Agent(

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
+from perception.detector import LIDAR
 from protocol.codec import encode_cloud
 from protocol.errors import CodecError, ConfigError
 from protocol.geometry import SE3, Floats
@@ -175,6 +176,8 @@ class ImportedScans:
 
 
 def _check_name(name: str) -> None:
+    if name == LIDAR:
+        raise ConfigError(f"agent {name!r}: boxes found in points are named so; rename its folder")
     try:
         TypeAdapter(Id).validate_python(name)
     except ValidationError:

@@ -179,6 +179,12 @@ def test_a_folder_whose_name_no_agent_can_have_is_named(tmp_path):
     agents = agents_of(two_agents(tmp_path, "a,5,0,0,2\nb,5,9,0,2\n"))
     with pytest.raises(ConfigError, match="agent 'xxx.*must have 1 to 128 visible"):
         ImportedScans.of([replace(agents[0], name="x" * 200)], None, None)
+    with pytest.raises(ConfigError, match="agent 'lidar': boxes found in points are named so"):
+        ImportedScans.of([replace(agents[0], name="lidar")], None, None)
+    places.write_bin(tmp_path / "sensors" / "lidar" / "1.bin", np.ones((3, 3)))
+    (tmp_path / "one.txt").write_text("0 0 0 0 0 0\n")
+    (agent,) = agents_of(Source(tmp_path / "sensors" / "lidar", tmp_path / "one.txt"))
+    assert agent.name == "agent"
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the real car's scans are not on this machine")
