@@ -18,17 +18,17 @@ from protocol.messages import ObjectClass
 
 LOW_M = 0.4  # over the road: lower points are of the ground and of kerbs
 OWN_M = 0.2  # points so near a box are its own
-OVER_M = (0.3, 1.3, 2.3)  # over the roof: two layers of a column
+AIR_M = (0.3, 1.3)  # over a roof, which a wall fills and a crown leaves free
+HIGHER_M = 0.8  # over a roof, from where on nothing can be the vehicle's
 CORE = 0.6  # of a box's length and width: rays through it go through the vehicle
 WINDOWS = 0.7  # of the height, from where on a vehicle may be looked through
 EYE_M = 1.5  # of a sensor over the road, at least: poses may be those of a wheel's axle
 BINS = 720  # of directions around a sensor
 LEAST = 5  # fewer points say nothing
-THROUGH = {
-    ObjectClass.CAR: 0.5,
-    ObjectClass.TRUCK: 0.3,
-}  # of its points; others are slender
-COLUMN = 0.3  # of a box's points, and of those in the lower layer
+# Of a box's own points, what speaks against it: seen through, in the air over it, higher. Lorries
+# are long and closed, and walls taken for them hardly reach over the band of heights that is kept.
+MOST = {ObjectClass.CAR: (0.5, 0.3, 0.3), ObjectClass.TRUCK: (0.3, 0.05, 0.1)}
+SLENDER = (np.inf, np.inf, np.inf)  # what may be looked past
 
 
 def solid_of(found: Vehicles, cloud: Cloud, roadway: Roadway) -> Vehicles:
@@ -64,17 +64,16 @@ def are_solid(
         sizes: how many points each part has (K,).
         sensors: the place that each part was seen from, z over the road (K, 3).
     """
-    inside, through, over, higher = counts_of(boxes, points, height_m, sizes, sensors).T
-    most = np.array([THROUGH.get(ObjectClass(kind), np.inf) for kind in classes]).reshape(-1)
-    seen_through = (through >= LEAST) & (through > most * np.maximum(inside, 1))
-    goes_on = (over >= LEAST) & (over > COLUMN * inside) & (higher > COLUMN * over)
-    return np.asarray(~(seen_through | goes_on))
+    counts = counts_of(boxes, points, height_m, sizes, sensors)
+    most = np.array([MOST.get(ObjectClass(kind), SLENDER) for kind in classes]).reshape(-1, 3)
+    speaks = (counts[:, 1:] >= LEAST) & (counts[:, 1:] > most * np.maximum(counts[:, :1], 1))
+    return np.asarray(~(speaks[:, 0] | (speaks[:, 1] & speaks[:, 2])))
 
 
 def counts_of(
     boxes: Floats, points: Floats32, height_m: Floats32, sizes: Ints, sensors: Floats
 ) -> Ints:
-    """Counts points by box: in it, seen through it, in the two layers over it (N, 4)."""
+    """Counts points by box: in it, seen through it, in the air over it, and higher (N, 4)."""
     result = np.zeros((len(boxes), 4), np.int64)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     for part, sensor in enumerate(np.asarray(sensors, np.float64)):
@@ -104,18 +103,6 @@ def _by_direction(points: Floats32, eye: Floats) -> tuple[Ints, Ints]:
         order[following[bin_of[index]]] = index
         following[bin_of[index]] += 1
     return order, starts
-
-
-@njit("int64(float64, float64)", cache=True, nogil=True, inline="always")
-def _layer(high_m: float, top_m: float) -> int:
-    """Returns 0 in a box, 2 and 3 in the layers over it, -1 elsewhere."""
-    if high_m <= LOW_M:
-        return -1
-    if high_m <= top_m + OWN_M:
-        return 0
-    if not top_m + OVER_M[0] < high_m <= top_m + OVER_M[2]:
-        return -1
-    return 2 if high_m <= top_m + OVER_M[1] else 3
 
 
 @njit(
@@ -175,9 +162,10 @@ def _count(boxes: Floats, points: Floats32, height_m: Floats32, eye: Floats, res
                 x, y = points[index, 0] - boxes[box, 0], points[index, 1] - boxes[box, 1]
                 u, v = cos * x + sin * y, cos * y - sin * x
                 if abs(u) <= length / 2 + OWN_M and abs(v) <= width / 2 + OWN_M:
-                    layer = _layer(high_m, top_m)
-                    if layer >= 0:
-                        result[box, layer] += 1
+                    over_m = high_m - top_m
+                    result[box, 0] += high_m > LOW_M and over_m <= OWN_M
+                    result[box, 2] += AIR_M[0] < over_m <= AIR_M[1]
+                    result[box, 3] += over_m > HIGHER_M
                 elif _is_through(
                     (eye_u, eye_v, eye[2]),
                     (u, v, high_m),

@@ -72,11 +72,12 @@ def counts(one: JudgedFrame) -> tuple[int, int]:
     return int(match.any(axis=0).sum()), int((~match.any(axis=1)).sum())
 
 
+# Before boxes were asked whether they are solid: 50, 7, 25 and 15.
 MOST_WRONG = {
-    ("car_three_lidars", "fast"): 99,
-    ("car_three_lidars", "pointpillars"): 99,
-    ("carla_five_lidars", "fast"): 99,
-    ("carla_five_lidars", "pointpillars"): 99,
+    ("car_three_lidars", "fast"): 30,
+    ("car_three_lidars", "pointpillars"): 3,
+    ("carla_five_lidars", "fast"): 16,
+    ("carla_five_lidars", "pointpillars"): 11,
 }
 
 
