@@ -134,11 +134,15 @@ def test_labels_that_are_wrong_are_refused_with_file_and_line(tmp_path, line, ca
 
 
 def test_the_command_prints_a_table_or_json_and_refuses_what_does_not_fit(tmp_path):
-    frame(tmp_path / "training", [AHEAD, BESIDE], [label(AHEAD), label(BESIDE)])
+    labels = [label(AHEAD), label(BESIDE, occluded=1)]
+    frame(tmp_path / "training", [AHEAD, BESIDE], labels)
     asked = ["eval", "--kitti", str(tmp_path)]
-    shown = CliRunner().invoke(app, asked, env={"COLUMNS": "100"})
+    shown = CliRunner().invoke(app, asked, env={"COLUMNS": "80"})
     assert shown.exit_code == 0, shown.output
-    assert "moderate" in shown.output
+    lines = [line.split() for line in shown.output.splitlines()]
+    assert ["car", "all", "2", *["100"] * 5] in lines
+    assert ["car", "easy", "1", *["100"] * 5] in lines
+    assert not any(line[:2] == ["car", "moderate"] for line in lines)  # as easy as all
     listed = json.loads(CliRunner().invoke(app, [*asked, "--json", "--range=50"]).stdout)
     assert {row["part"] for row in listed} == {"all", "easy", "moderate", "hard"}
     for options, said in (
