@@ -26,7 +26,7 @@ def bench_codec_command(
     *,
     points: Annotated[
         list[Path] | None,
-        typer.Option(metavar="PATH", help="a .bin or .pcd file as well, or all in a folder"),
+        typer.Option(metavar="PATH", help="a .bin, .pcd, .ply, … file as well, or all in a folder"),
     ] = None,
     as_json: AsJson = False,
 ) -> None:

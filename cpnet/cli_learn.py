@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -18,11 +19,13 @@ from rich.progress import (
 
 from cpnet import scenario as scenarios
 from cpnet.cli_options import AsJson, assigned, console, errors, show
-from perception.config import DETECTORS
+from edge_server.config import EdgeConfig
+from perception.config import DETECTORS, DetectorName
 from perception.registry import check
 from protocol.errors import ConfigError
 
 learn_app = typer.Typer()
+MOST_RANGE_M = 90.0  # as far as `studies.evaluate` gives points
 
 
 @learn_app.command("dataset")
@@ -85,13 +88,20 @@ def train_command(
 
 
 @learn_app.command("eval")
-def eval_command(
+def eval_command(  # noqa: PLR0913 - one parameter per option of the command
     dataset: Annotated[
         Path | None, typer.Argument(help="a folder that `cpnet dataset` wrote")
     ] = None,
     *,
     net: Annotated[Path | None, typer.Option(help="instead: your own .net.xml")] = None,
     tls: Annotated[str | None, typer.Option(help="id of the signal in that net")] = None,
+    kitti: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="instead: velodyne/, label_2/, calib/ as KITTI has them"),
+    ] = None,
+    range_: Annotated[
+        float | None, typer.Option("--range", metavar="M", help="with --kitti; 80 if not given")
+    ] = None,
     detectors: Annotated[
         str, typer.Option(metavar="NAME,...", help=f"of {', '.join(DETECTORS.builtin)}")
     ] = "fast",
@@ -111,7 +121,33 @@ def eval_command(
     config = scenarios.load("t_junction", assigned(set_)).edge
     for name in names:
         check(config.model_copy(update={"detector": name}))
+    if kitti is not None:
+        if dataset is not None or net is not None:
+            raise ConfigError("give a dataset, --net or --kitti, one of them")
+        _eval_kitti(kitti, names, config, 80.0 if range_ is None else range_, as_json=as_json)
+        return
+    if range_ is not None:
+        raise ConfigError("--range is for --kitti DIR")
     count, listed = Source(dataset, net, tls, split, samples).open(config)
     shown = track(listed, "measuring", count, console=errors, transient=True)
     rows = evaluate(shown, names)
     show(rows, print_evaluation, as_json=as_json)
+
+
+def _eval_kitti(
+    folder: Path,
+    names: Sequence[DetectorName],
+    config: EdgeConfig,
+    range_m: float,
+    *,
+    as_json: bool,
+) -> None:
+    from learning.kitti_object import kitti_frames
+    from studies.evaluation_tables import print_kitti
+    from studies.kitti_eval import evaluate_kitti
+
+    if not 5 <= range_m <= MOST_RANGE_M:
+        raise ConfigError(f"--range {range_m:g}: must be 5 to {MOST_RANGE_M:g} m")
+    frames = kitti_frames(folder)
+    shown = track(frames, "measuring", console=errors, transient=True)
+    show(evaluate_kitti(shown, names, config, range_m), print_kitti, as_json=as_json)

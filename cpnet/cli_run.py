@@ -24,6 +24,7 @@ from cpnet.cli_options import (
     junctions_of,
 )
 from protocol.errors import ConfigError
+from protocol.geometry import Floats
 from protocol.logs import LogStyle
 
 run_app = typer.Typer(pretty_exceptions_enable=False)
@@ -127,11 +128,15 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
     insecure: Insecure = False,
     scans: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="folder of .bin or .pcd", rich_help_panel=_SCANS),
+        typer.Option(
+            metavar="DIR", help="folder of .bin, .pcd, .ply, .feather, .npy", rich_help_panel=_SCANS
+        ),
     ] = None,
     poses: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="CSV, KITTI's or EMP's text", rich_help_panel=_SCANS),
+        typer.Option(
+            metavar="FILE", help="CSV, text of KITTI, TUM or EMP, .feather", rich_help_panel=_SCANS
+        ),
     ] = None,
     extrinsics: Annotated[
         Path | None,
@@ -158,7 +163,15 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
     ] = None,
     width: Annotated[
         float | None,
-        typer.Option(min=1, help="of the open ground, m; else 60", rich_help_panel=_SCANS),
+        typer.Option(min=1, help="of the open ground, m; else 100", rich_help_panel=_SCANS),
+    ] = None,
+    boxes: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="write detected boxes: .parquet, .txt or a folder (KITTI)",
+            rich_help_panel=_SCANS,
+        ),
     ] = None,
     align: Annotated[
         bool,
@@ -177,7 +190,7 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
             f"give the recording that is to be played, or --scans DIR --poses FILE{both}"
         )
     if recording is not None:
-        named = [poses, extrinsics, sensors, scenario, frames, height, width]
+        named = [poses, extrinsics, sensors, scenario, frames, height, width, boxes]
         if refine or align or any(option is not None for option in named):
             raise ConfigError("--poses and all that is for scans from elsewhere needs --scans DIR")
         played = replay_of_recording(recording, overrides, pace, console)
@@ -191,6 +204,10 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
         from cpnet.replay import Scans, replay_of_scans
         from recording.foreign_scans.agents import Source
 
+        if boxes is not None:
+            from studies.box_files import check_boxes
+
+            check_boxes(boxes)
         names = [name.strip() for name in sensors.split(",")] if sensors else []
         source = Source(scans, poses, extrinsics, names, refine=refine)
         played = replay_of_scans(
@@ -202,7 +219,24 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
     )  # fmt: skip
     status, run_dir = up(options, console, played)
     print_results(run_dir, console)
+    if played.sensor_poses is not None:
+        _say_boxes(run_dir, boxes, played.sensor_poses)
     raise typer.Exit(status)
+
+
+def _say_boxes(run_dir: Path, boxes: Path | None, sensor_poses: Floats) -> None:
+    """Says how many boxes were found, and writes them if asked to."""
+    if not (run_dir / "run.sqlite").is_file():  # the role record runs elsewhere
+        return
+    from studies.box_files import count_boxes, write_boxes
+
+    if boxes is None:
+        found, where = count_boxes(run_dir), ""
+    else:
+        found, where = write_boxes(run_dir, boxes, sensor_poses), f", written to {boxes}"
+    console.print(
+        f"{found} boxes in {len(sensor_poses)} frames{where}", highlight=False, soft_wrap=True
+    )
 
 
 def _absolute(path: Path | None) -> str | None:

@@ -30,6 +30,7 @@ from cpnet.viewer_process import Viewing
 from perception.registry import check
 from protocol.bus import Endpoint
 from protocol.errors import ConfigError
+from protocol.geometry import Floats
 from protocol.logs import LogStyle
 from protocol.messages import Setup
 from protocol.topics import BusName
@@ -63,10 +64,14 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """A replay: what its run is called, and what makes its setup, given the run folder."""
+    """A replay: what its run is called, and what makes its setup, given the run folder.
+
+    `sensor_poses` (N, 6) are those of the first agent's sensor by frame, of scans from elsewhere.
+    """
 
     name: str
     setup: Callable[[Path], Setup]
+    sensor_poses: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True)

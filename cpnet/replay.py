@@ -24,6 +24,7 @@ from recording.foreign_scans.importer import (
     ground_of,
     open_ground,
     record_scans,
+    scans_along,
 )
 from recording.foreign_scans.mutual import misplaced
 from recording.foreign_scans.poses import write_extrinsics
@@ -145,8 +146,9 @@ def _check_cabinet(scenario: scenarios.Scenario) -> None:
 
 _CASTING = ("lidar", "pose", "scene")
 _ENCODING = ("upload.max_error_m", "upload.profile", "upload.intensity")
+_FREE = {"traffic.cav_rate", "mode", "edge.solid_only"}
 EXTRINSICS = "extrinsics.csv"
-WIDTH_M = 60.0
+WIDTH_M = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +192,7 @@ def replay_of_scans(asked: Scans, pace: Pace, console: Console) -> Replay:
         whole = scenario.model_dump(mode="json") | changes
         if asked.scenario is None:
             ways, width_m = imported.ways(), asked.width_m or WIDTH_M
-            ground = ground_of(agents, ways, width_m=width_m)
+            ground = ground_of(scans_along(agents, ways), ways, width_m=width_m)
             console.print(str(ground), highlight=False, soft_wrap=True)
             roads = open_ground(ways, ground, width_m=width_m)
             made = _plain_setup(resolved(whole, roads), roads)
@@ -203,7 +205,7 @@ def replay_of_scans(asked: Scans, pace: Pace, console: Console) -> Replay:
             write_extrinsics(run_dir / EXTRINSICS, agents[0].mounts)
         return made
 
-    return Replay(scenario.name, setup)
+    return Replay(scenario.name, setup, imported.sensor_poses())
 
 
 def _in_place(agents: list[Agent], asked: Scans, console: Console) -> list[Agent]:
@@ -241,12 +243,14 @@ def _scenario_of_scans(asked: Scans, pace: Pace, frames: int) -> scenarios.Scena
         "processes.vehicle": 1,
         "record.truth": False,
     }
+    if asked.scenario is None:
+        facts["edge.solid_only"] = asked.overrides.get("edge.solid_only", True)
     if "name" not in asked.overrides and asked.scenario is None:
         name = asked.source.scans.resolve().name
         facts["name"] = re.sub(r"[^A-Za-z0-9_-]", "_", name)[:80] or "scans"
     if pace.mode is not None:
         facts["mode"] = pace.mode
-    if taken := sorted(facts.keys() & asked.overrides.keys() - {"traffic.cav_rate", "mode"}):
+    if taken := sorted(facts.keys() & asked.overrides.keys() - _FREE):
         raise ConfigError(
             f"--set {taken[0]}: with --scans that follows from the scans, and cannot be set"
         )

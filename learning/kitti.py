@@ -7,6 +7,7 @@ number of the scan's points on the vehicle where results have their score, and t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +34,18 @@ CALIB = (
 )
 
 
+def line_of(
+    box: Sequence[float] | Floats, object_class: ObjectClass, *, is_seen: bool = True
+) -> str:
+    """Returns KITTI's 15 fields of a box (7,) in the sensor frame."""
+    x, y, z, length, width, height, yaw = box
+    around = float(wrap_angle(-yaw - np.pi / 2))
+    size = f"{height:.3f} {width:.3f} {length:.3f}"
+    place = f"{-y:.3f} {height / 2 - z:.3f} {x:.3f}"
+    unseen = f"{CLASSES[object_class]} -1 {_SEEN if is_seen else _UNKNOWN} -10 -1 -1 -1 -1"
+    return f"{unseen} {size} {place} {around:.4f}"
+
+
 @dataclass(frozen=True, slots=True)
 class Label:
     """An object: box (7,) of centre, length, width, height and yaw, in the sensor frame."""
@@ -45,13 +58,8 @@ class Label:
     @property
     def line(self) -> str:
         """The label as a line of KITTI's."""
-        x, y, z, length, width, height, yaw = self.box
-        around = float(wrap_angle(-yaw - np.pi / 2))
-        size = f"{height:.3f} {width:.3f} {length:.3f}"
-        place = f"{-y:.3f} {height / 2 - z:.3f} {x:.3f}"
-        seen = _SEEN if self.points else _UNKNOWN
-        unseen = f"{CLASSES[self.object_class]} -1 {seen} -10 -1 -1 -1 -1"
-        return f"{unseen} {size} {place} {around:.4f} {self.points} {self.vehicle}"
+        line = line_of(self.box, self.object_class, is_seen=bool(self.points))
+        return f"{line} {self.points} {self.vehicle}"
 
     @classmethod
     def of(cls, line: str) -> Label:

@@ -116,5 +116,11 @@ class DetectionConfig(Section):
     geofence: GeofenceConfig = Field(GeofenceConfig(), description="what belongs to the road")
     ground: GroundConfig = Field(GroundConfig(), description="ground removal, RANSAC")
     cluster: ClusterConfig = Field(ClusterConfig(), description="clustering, DBSCAN")
+    solid_only: bool = Field(
+        False,
+        description="ours: of `fast`, boxes that a sensor looks through, or over whose roof a "
+        "column goes on, are no vehicles, as for PointPillars always. Without a road map, where "
+        "hedges and walls stand on the road, it is true",
+    )
     boxes: BoxConfig = Field(BoxConfig(), description="size filter of `reference`")
     pillars: PillarsDetection = Field(PillarsDetection(), description="PointPillars")

@@ -20,6 +20,7 @@ from perception.ground import remove_ground
 from perception.large_vehicles import join_parts
 from perception.object_classes import MAX_LENGTH_M, MAX_WIDTH_M
 from perception.roadway import Roadway, merge
+from perception.solid import solid_of
 
 LONGEST_M = float(np.hypot(6.0, 3.0))  # of a car or van: what is longer may be several vehicles
 WIDEST_M = 2.9  # the same of the shorter side, along the axes: two cars abreast
@@ -114,4 +115,5 @@ class FastDetector:
             labels = split(above, labels, config=self.config.cluster)
             labels = join_parts(above, ground_m, labels, roadway=self.roadway)
             sensors = main_sensors(labels, sizes, cloud.sensors)
-            return fit_boxes(above, ground_m, labels, roadway=self.roadway, sensors=sensors)
+            found = fit_boxes(above, ground_m, labels, roadway=self.roadway, sensors=sensors)
+            return solid_of(found, cloud, self.roadway) if self.config.solid_only else found

@@ -1,70 +1,42 @@
-"""Point clouds from files: KITTI's .bin and the Point Cloud Library's .pcd, all kinds of data.
+"""Point clouds from files of other people.
 
-Not by `pypcd4`: it refuses files without COUNT or WIDTH, reads truncated files as shorter ones and
-allocates what a header claims.
+| file | holds |
+|---|---|
+| `.bin` | KITTI's rows of four float32: x, y, z, reflectance |
+| `.pcd.bin` | nuScenes' rows of five float32: x, y, z, intensity, ring |
+| `.feather` | Argoverse 2's table: x, y, z, intensity and more |
+| `.npy` | an array (N, 3 or more), x, y, z, intensity first; or one with these fields |
+| `.pcd` | see `sensing.pcd` |
+| `.ply` | see `sensing.ply` |
+
+A `.bin` that can be rows of five only is read as such. Where its size allows both, its numbers
+decide: rings are whole numbers, and neither ring nor reflectance is below 0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import io
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from perception.arrays import Floats
 from protocol.config import is_file, is_folder
 from protocol.errors import ConfigError
 from protocol.scans import PointCloud
-from sensing.limits import MAX_CLOUD_FILE_BYTES, MAX_RECORD_BYTES
+from sensing.limits import MAX_CLOUD_FILE_BYTES
+from sensing.pcd import AXES, Columns, read_pcd
+from sensing.ply import read_ply
 
-
-def decompress(data: bytes, size: int) -> bytes:
-    """Returns the `size` bytes that were compressed; never more are written.
-
-    Raises:
-        ValueError: the data is damaged or holds another number of bytes.
-    """
-    out = bytearray()
-    at = 0
-    try:
-        while at < len(data) and len(out) <= size:
-            control = data[at]
-            at += 1
-            if control < 32:  # that many bytes and one more, as they are
-                out += data[at : at + control + 1]
-                at += control + 1
-                continue
-            length = control >> 5
-            if length == 7:
-                length += data[at]
-                at += 1
-            start = len(out) - ((control & 31) << 8) - data[at] - 1
-            at += 1
-            if start < 0:
-                raise ValueError("compressed data refers to what lies before its beginning")
-            _repeat(out, start, length + 2)
-    except IndexError:
-        raise ValueError("compressed data ends too early") from None
-    if len(out) != size:
-        raise ValueError(f"compressed data holds {len(out)} bytes or more, {size} are expected")
-    return bytes(out)
-
-
-def _repeat(out: bytearray, start: int, length: int) -> None:
-    """Appends what stands at `start`, which may run into what is being appended."""
-    period = bytes(out[start : start + length])
-    turns = -(-length // len(period))  # what is there is one period, if it is too short
-    out += (period * turns)[:length]
-
-
-_AXES = ("x", "y", "z")
-_KNOWN = (".bin", ".pcd")
-_KINDS = {"F": "f", "U": "u", "I": "i"}
-_SIZES = {"f": (4, 8), "u": (1, 2, 4, 8), "i": (1, 2, 4, 8)}
+_KNOWN = (".bin", ".feather", ".npy", ".pcd", ".ply")
+KNOWN = f"{', '.join(_KNOWN[:-1])} and {_KNOWN[-1]}"
+_FULL_SCALES = (1.0, 255.0, 65535.0)  # of intensities: shares, bytes, two bytes
+_NUSCENES = ".pcd.bin"
 
 
 def point_files(paths: Iterable[Path]) -> list[Path]:
-    """Returns the files among these, and in place of a folder all .bin and .pcd under it, sorted.
+    """Returns the files among these, and in place of a folder all known ones under it, sorted.
 
     Raises:
         ConfigError: a path does not exist, or a folder holds no such file.
@@ -80,7 +52,7 @@ def point_files(paths: Iterable[Path]) -> list[Path]:
             file for file in path.rglob("*") if file.suffix.lower() in _KNOWN and file.is_file()
         )
         if not found:
-            raise ConfigError(f"{path} holds no .bin or .pcd file")
+            raise ConfigError(f"{path} holds no {KNOWN.replace(' and ', ' or ')} file")
         result += found
     return result
 
@@ -88,15 +60,22 @@ def point_files(paths: Iterable[Path]) -> list[Path]:
 def read_points(path: Path) -> PointCloud:
     """Reads a cloud (N, 3) in the sensor frame; points that are not finite are dropped.
 
-    Intensities are scaled so that the largest is at most 1; zeros if the file has none.
+    Intensities are shares of the full scale, which is 1, 255 or 65535, whichever holds them all;
+    zeros if the file has none.
 
     Raises:
         ConfigError: the file is missing, of another kind, or not what its header says.
     """
-    readers = {".bin": _read_bin, ".pcd": _read_pcd}
+    readers = {
+        ".bin": _read_nuscenes if path.name.lower().endswith(_NUSCENES) else _read_bin,
+        ".feather": _read_feather,
+        ".npy": _read_npy,
+        ".pcd": read_pcd,
+        ".ply": read_ply,
+    }
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        raise ConfigError(f"{path}: cannot read {path.suffix or 'this'}; known are .bin and .pcd")
+        raise ConfigError(f"{path}: cannot read {path.suffix or 'this'}; known are {KNOWN}")
     try:
         if path.stat().st_size > MAX_CLOUD_FILE_BYTES:
             raise ConfigError(
@@ -111,123 +90,97 @@ def read_points(path: Path) -> PointCloud:
             columns = reader(data)
         except ValueError as error:
             raise ConfigError(f"{path}: {error}") from None
-        points = np.stack([columns[axis] for axis in _AXES], axis=1).astype(np.float32)
+        points = np.stack([columns[axis] for axis in AXES], axis=1).astype(np.float32)
         shade = columns.get("intensity", np.zeros(len(points))).astype(np.float32)
     finite = np.isfinite(points).all(axis=1)
     points, shade = points[finite], np.nan_to_num(shade[finite], posinf=0.0, neginf=0.0)
-    return PointCloud(points, shade / np.float32(max(1.0, float(shade.max(initial=0.0)))))
-
-
-Columns = dict[str, npt.NDArray[np.float64]]
+    most = float(shade.max(initial=0.0))
+    scale = next((scale for scale in _FULL_SCALES if most <= scale), most)
+    return PointCloud(points, shade / np.float32(scale))
 
 
 def _read_bin(data: bytes) -> Columns:
-    """Reads KITTI's rows of four float32: x, y, z, reflectance."""
-    if len(data) % 16:
-        raise ValueError(f"{len(data)} bytes are no rows of four float32")
-    rows = np.frombuffer(data, "<f4").reshape(-1, 4).astype(np.float64)
-    return dict(zip((*_AXES, "intensity"), rows.T, strict=True))
+    """Reads rows of four or five float32, whichever these are."""
+    four = _rows(data, 4) if len(data) % 16 == 0 else None
+    five = _rows(data, 5) if len(data) % 20 == 0 else None
+    if four is not None and _not_below_0(four[:, 3]):
+        return _columns(four)
+    if five is not None and _are_rings(five[:, 4]) and _not_below_0(five[:, 3]):
+        return _columns(five)
+    raise ValueError(
+        f"{len(data)} bytes are neither KITTI's rows of four float32 (x, y, z, reflectance of 0 "
+        "or more) nor nuScenes' of five (x, y, z, intensity, ring; such a file ends in .pcd.bin)"
+    )
 
 
-def _read_pcd(data: bytes) -> Columns:
-    header, body = _split(data)
-    record, points = _record(header), _whole(header, "POINTS")
-    kind = header["DATA"][0] if header["DATA"] else ""
-    if kind == "ascii":
-        rows = _ascii_rows(body, record, points)
-    elif kind == "binary":
-        rows = _binary_rows(body, record, points)
-    elif kind == "binary_compressed":
-        rows = _compressed_rows(body, record, points)
-    else:
-        raise ValueError(f"DATA {kind!r}: known are ascii, binary and binary_compressed")
-    names = [name for name in (*_AXES, "intensity") if name in (record.names or ())]
-    return {name: rows[name].astype(np.float64) for name in names}
+def _read_nuscenes(data: bytes) -> Columns:
+    if len(data) % 20:
+        raise ValueError(
+            f"{len(data)} bytes are no rows of five float32, as a .pcd.bin of nuScenes has them: "
+            "x, y, z, intensity, ring. KITTI's rows of four are a plain .bin"
+        )
+    rows = _rows(data, 5)
+    if not _are_rings(rows[:, 4]):
+        raise ValueError(
+            "the last of five float32 in a row must be a ring, a whole number from 0 to 255, as "
+            "in a .pcd.bin of nuScenes. KITTI's rows of four are a plain .bin"
+        )
+    return _columns(rows)
 
 
-def _split(data: bytes) -> tuple[dict[str, list[str]], bytes]:
-    """Returns the words behind each key of the header, and what follows the header."""
-    header: dict[str, list[str]] = {}
-    at = 0
-    while "DATA" not in header:
-        end = data.find(b"\n", at)
-        if end < 0 or end > 1 << 16:
-            raise ValueError("no line DATA within its header")
-        words = data[at:end].decode("ascii", "replace").split()
-        at = end + 1
-        if words and not words[0].startswith("#"):
-            header[words[0]] = words[1:]
-    return header, data[at:]
+def _rows(data: bytes, width: int) -> Floats:
+    return np.frombuffer(data, "<f4").reshape(-1, width).astype(np.float64)
 
 
-def _record(header: Mapping[str, list[str]]) -> np.dtype[np.void]:
-    """Returns the layout of one point; fields of several values keep their first name only."""
-    names, sizes, kinds = (header.get(key, []) for key in ("FIELDS", "SIZE", "TYPE"))
-    counts = header.get("COUNT", ["1"] * len(names))
-    if not names or not len(names) == len(sizes) == len(kinds) == len(counts):
-        raise ValueError("FIELDS, SIZE, TYPE and COUNT differ in length")
-    layout: dict[str, tuple[str, tuple[int, ...]]] = {}
-    for n, (name, size, kind, count) in enumerate(zip(names, sizes, kinds, counts, strict=True)):
-        letter = _KINDS.get(kind, "")
-        if not (size.isdigit() and count.isdigit() and int(size) in _SIZES.get(letter, ())):
-            raise ValueError(f"field {name} has TYPE {kind}, SIZE {size}, COUNT {count}")
-        if name in _AXES and (letter != "f" or int(count) != 1):
-            raise ValueError(f"field {name} must be one value of TYPE F")
-        shape = () if int(count) == 1 else (int(count),)
-        label = f"unnamed {n}" if name in layout or name == "_" or shape else name
-        layout[label] = (f"<{letter}{size}", shape)
-    if missing := [axis for axis in _AXES if axis not in layout]:
-        raise ValueError(f"no field {missing[0]}")
-    record = np.dtype([(label, *of_field) for label, of_field in layout.items()])
-    if record.itemsize > MAX_RECORD_BYTES:
-        raise ValueError(f"a point takes {record.itemsize} bytes, limit {MAX_RECORD_BYTES}")
-    return record
+def _columns(rows: Floats) -> Columns:
+    return dict(zip((*AXES, "intensity"), rows.T[:4], strict=False))
 
 
-def _whole(header: Mapping[str, list[str]], key: str) -> int:
-    words = header.get(key, [])
-    if len(words) != 1 or not words[0].isdigit():
-        raise ValueError(f"{key} must be one whole number")
-    return int(words[0])
+def _not_below_0(shade: Floats) -> bool:
+    return not bool((shade < 0).any())
 
 
-def _ascii_rows(body: bytes, record: np.dtype[np.void], points: int) -> npt.NDArray[np.void]:
-    words = body.split()
-    names = record.names or ()
-    widths = [int(np.prod(record[name].shape, dtype=np.int64)) for name in names]
-    if len(words) != points * sum(widths):
-        raise ValueError(f"{len(words)} numbers for {points} points of {sum(widths)} each")
-    numbers = np.array(words, np.float64).reshape(points, sum(widths))
-    rows = np.zeros(points, record)
-    first = 0
-    for name, width in zip(names, widths, strict=True):
-        if width == 1:
-            rows[name] = numbers[:, first]
-        first += width
-    return rows
+def _are_rings(ring: Floats) -> bool:
+    return bool(((ring >= 0) & (ring < 256) & (ring == np.floor(ring))).all())
 
 
-def _binary_rows(body: bytes, record: np.dtype[np.void], points: int) -> npt.NDArray[np.void]:
-    if len(body) < points * record.itemsize:
-        raise ValueError(f"{len(body)} bytes for {points} points of {record.itemsize} each")
-    return np.frombuffer(body, record, points)
+def _read_npy(data: bytes) -> Columns:
+    file = io.BytesIO(data)
+    try:
+        version = np.lib.format.read_magic(file)
+        header = np.lib.format.read_array_header_1_0 if version == (1, 0) else None
+        shape, by_column, kind = (header or np.lib.format.read_array_header_2_0)(file)
+    except (ValueError, EOFError) as error:
+        raise ValueError(f"is no array of NumPy: {error}") from None
+    body = data[file.tell() :]
+    wanted = int(np.prod(shape, dtype=object)) * kind.itemsize
+    if kind.hasobject or len(body) < wanted:
+        raise ValueError(f"{len(body)} bytes for an array {shape} of {kind}")
+    array = np.frombuffer(body[:wanted], kind).reshape(shape, order="F" if by_column else "C")
+    if kind.names and array.ndim == 1:
+        return _named({name: array[name] for name in kind.names})
+    if array.ndim != 2 or shape[1] < 3 or kind.kind not in "fiu":
+        raise ValueError(f"an array {shape} of {kind}; needed is (N, 3 or more) of numbers")
+    return _columns(array.astype(np.float64))
 
 
-def _compressed_rows(body: bytes, record: np.dtype[np.void], points: int) -> npt.NDArray[np.void]:
-    """Reads LZF over the fields one after the other."""
-    if len(body) < 8:
-        raise ValueError("the sizes of compressed data are missing")
-    packed, unpacked = (int(n) for n in np.frombuffer(body, "<u4", 2))
-    if unpacked != points * record.itemsize:
-        raise ValueError(f"{unpacked} bytes for {points} points of {record.itemsize} each")
-    if packed > len(body) - 8:
-        raise ValueError(f"{packed} compressed bytes, {len(body) - 8} are there")
-    raw = decompress(body[8 : 8 + packed], unpacked)
-    rows = np.zeros(points, record)
-    at = 0
-    for name in record.names or ():
-        field = record[name]
-        plain = np.frombuffer(raw, field.base, points * (field.itemsize // field.base.itemsize), at)
-        rows[name] = plain.reshape(points, *field.shape)
-        at += points * field.itemsize
-    return rows
+def _read_feather(data: bytes) -> Columns:
+    try:
+        import polars as pl
+    except ImportError:
+        raise ValueError("to read .feather needs polars (extra `study`)") from None
+    try:
+        table = pl.read_ipc(io.BytesIO(data))
+    except (pl.exceptions.PolarsError, OSError) as error:
+        raise ValueError(f"is no table of Feather: {error!s:.200}") from None
+    return _named({name: table[name].to_numpy() for name in table.columns})
+
+
+def _named(fields: dict[str, np.ndarray]) -> Columns:
+    if missing := [axis for axis in AXES if axis not in fields]:
+        raise ValueError(f"no column {missing[0]}; it has {', '.join(fields):.200}")
+    names = [name for name in (*AXES, "intensity") if name in fields]
+    for name in names:
+        if fields[name].dtype.kind not in "fiu":
+            raise ValueError(f"the column {name} is of {fields[name].dtype}, must be numbers")
+    return {name: fields[name].astype(np.float64) for name in names}

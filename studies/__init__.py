@@ -17,4 +17,6 @@ Many runs
 - `in_process`: a lockstep run in one process
 - `sweep/`: `cpnet study`, its cells, workers and table
 - `bench_*`, `evaluate`, `accuracy`: `cpnet bench`, `cpnet eval`, Table 1 of Chen et al. 2022
+- `kitti_eval`: the same on files with labels in KITTI's form
+- `box_files`: detected boxes of a run as KITTI's labels or Parquet
 """

@@ -41,6 +41,37 @@ def print_evaluation(rows: list[EvalRow], console: Console) -> None:
     )
 
 
+def print_kitti(rows: list[EvalRow], console: Console) -> None:
+    """Prints AP40 by object and level of difficulty, of files with labels in KITTI's form.
+
+    Levels are left out where nothing told which labels are hard.
+    """
+    seen = [row for row in rows if row.truth == "visible"]
+    for detector in dict.fromkeys(row.detector for row in seen):
+        for view in VIEWS:
+            here = [row for row in seen if row.detector == detector and row.view == view]
+            console.print(_kitti_table(here, f"{detector}: AP40 by IoU, boxes {_NAMES[view]}"))
+    console.print(
+        f"{rows[0].scenes if rows else 0} frames. Labels with 5 points or more; recall and "
+        f"precision at IoU {_PART_IOU:g}. Levels are KITTI's.",
+        style="dim",
+    )
+
+
+def _kitti_table(rows: list[EvalRow], title: str) -> Table:
+    heads = ["objects", "level", "number", *(f"{iou:g}" for iou in _CLASS_IOUS), "recall", "prec"]
+    table = empty_table(heads, title=title, left=2)
+    cells = {(row.objects, row.part, row.iou): row for row in rows}
+    for objects, part in dict.fromkeys(key[:2] for key in cells):
+        at, whole = cells[objects, part, _PART_IOU], cells[objects, EVERYTHING, _PART_IOU]
+        is_told = part == EVERYTHING or at.vehicles != whole.vehicles
+        if is_told and (at.vehicles or at.precision is not None):
+            figures = [_percent(cells[objects, part, iou].ap40) for iou in _CLASS_IOUS]
+            shares = [_percent(at.recall), _percent(at.precision)]
+            table.add_row(objects, part, str(at.vehicles), *figures, *shares)
+    return table
+
+
 def _view_table(view: View, rows: list[EvalRow], *, geofence: bool) -> Table:
     ious = [f"{iou:g}" for iou in IOUS]
     heads = ["detector", "cloud", "truth", *ious, "recall", "prec", "ms"]

@@ -20,12 +20,14 @@ from perception.arrays import Bytes, Floats, Floats32, Ints
 from perception.boxes import suppress
 from perception.config import PillarsDetection
 from perception.detector import Cloud, Stage, Vehicles, untimed
+from perception.map_height import TRUSTED_M
 from perception.pillars.config import FULL, STRIDE
 from perception.pillars.network import BOX_TERMS, PointPillars, boxes_of, middle_of
 from perception.pillars.seen_side import behind_their_points
 from perception.pillars.weights import network_of
 from perception.pillars.windows import Window, cover, known_of
 from perception.roadway import Roadway, merge
+from perception.solid import solid_of
 
 _MOST = 500  # anchors of a window that are looked at
 
@@ -202,6 +204,7 @@ def _fuse(steps: nn.Sequential) -> None:
 
 
 EDGE_M = 3.0  # what lies closer to a window's edge is seen better by the next one
+_ASKED = 20_000  # points of a cloud, for how far the map's height is off
 AT_ONCE = 8  # windows; bounds the memory that a cloud takes
 
 
@@ -227,9 +230,10 @@ class PillarsDetector:
             boxes, scores, classes = boxes[kept], scores[kept], classes[kept]
             sizes = np.array([len(part.points) for part in parts], np.int64)
             boxes = behind_their_points(boxes, points, points[:, 2] - road_m, sizes, cloud.sensors)
-            boxes[:, 2] += self._roadway.height_at(_over(boxes, points, road_m, self._roadway))
+            boxes[:, 2] += _ground_at(boxes, points, road_m, self._roadway)
             boxes[:, 6] = _headed(boxes[:, 6], self._roadway.yaw_at(boxes))
-            return Vehicles.from_lidar(boxes, scores, classes)
+            found = Vehicles.from_lidar(boxes, scores, classes)
+            return solid_of(found, cloud, self._roadway)
 
     def _ask(
         self, points: Floats32, height_m: Floats32, windows: list[Window]
@@ -310,15 +314,19 @@ def _well_inside(boxes: Floats, windows: list[Window], cell_m: float) -> np.ndar
     return np.asarray(((off >= EDGE_M) & (off < side_m - EDGE_M)).all(axis=1))
 
 
-def _over(boxes: Floats, points: Floats32, road_m: Floats32, roadway: Roadway) -> Floats:
-    """Returns places (N, 3) over that road on which most points of each box (N, 7) are."""
-    places = boxes[:, :3].copy()
-    if len(roadway.decks_m):
-        for place, box in zip(places, boxes, strict=True):
-            away_m = np.hypot(*(points[:, :2] - box[:2]).T)
-            near = road_m[away_m < max(box[3], box[4]) / 2]
-            place[2] += np.median(near) if len(near) else 0.0
-    return places
+def _ground_at(boxes: Floats, points: Floats32, road_m: Floats32, roadway: Roadway) -> Floats:
+    """Returns the road's height at boxes (N,): the map's, or what points nearby were given for it.
+
+    Points (P, 3) come with the height of the road (P,), see `perception.map_height`.
+    """
+    ground_m = roadway.height_at(boxes)
+    step = max(len(points) // _ASKED, 1)
+    asked = points[::step]
+    off_m = road_m[::step] - roadway.height_at(asked.astype(np.float64))
+    if len(boxes) and (np.abs(off_m) > TRUSTED_M).any():
+        nearest = [np.square(asked[:, :2] - box[:2]).sum(axis=1).argmin() for box in boxes]
+        ground_m += off_m[nearest]
+    return ground_m
 
 
 def _headed(yaw: Floats, road_yaw: Floats) -> Floats:

@@ -12,9 +12,12 @@ from protocol.errors import ConfigError
 from protocol.geometry import SE3, Floats
 from protocol.scans import PointCloud
 from recording.foreign_scans.alignment import refined
-from recording.foreign_scans.folder import scans_in, sensors_in
+from recording.foreign_scans.folder import agent_name, scans_in, sensors_in
 from recording.foreign_scans.poses import Track, read_extrinsics, read_poses
 from sensing.point_files import read_points
+
+_STAMP_DIGITS = 16  # of a file's name that is a time in ns: what is shorter is a number
+_STAMP_OFF_S = 0.05  # half a revolution
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,10 +97,12 @@ def agents_of(source: Source) -> list[Agent]:
             mounts = refined(mounts, first)
         rows = zip(*by_sensor.values(), strict=True)
         frames = [dict(zip(by_sensor, row, strict=True)) for row in rows]
-        groups = {source.scans.resolve().name or "agent": frames}
+        groups = {agent_name(source.scans): frames}
     tracks = read_poses(source.poses)
     agents = [
-        Agent(name, files, mounts, _track_of(name, tracks, len(groups), source.poses))
+        Agent(
+            name, files, mounts, _timed(_track_of(name, tracks, len(groups), source.poses), files)
+        )
         for name, files in sorted(groups.items())
     ]
     for agent in agents:
@@ -135,6 +140,14 @@ def _track_of(name: str, tracks: Mapping[str, Track], agents: int, path: Path) -
     )
 
 
+def _timed(track: Track, files: Sequence[Mapping[str, Path]]) -> Track:
+    """Picks the poses of the times that files are named by, in ns, if all are named so."""
+    stems = [next(iter(of_frame.values())).name.split(".")[0] for of_frame in files]
+    if not all(stem.isdigit() and len(stem) >= _STAMP_DIGITS for stem in stems):
+        return track
+    return track.at(np.array([int(stem) / 1e9 for stem in stems]), _STAMP_OFF_S) or track
+
+
 def _check(agent: Agent, frames: int, path: Path) -> None:
     poses = len(agent.track.poses)
     if len(agent.files) != frames:
@@ -145,5 +158,6 @@ def _check(agent: Agent, frames: int, path: Path) -> None:
     if poses not in (1, frames):
         raise ConfigError(
             f"{path}: has {poses} poses for the {frames} scans of {agent.name}; needs as many, or "
-            "one if it stood still"
+            "one if it stood still; poses with times may be more, for files named by times in ns "
+            f"that are within {_STAMP_OFF_S:g} s of one"
         )

@@ -5,10 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from perception.detector import LIDAR
 from protocol.errors import ConfigError
 from sensing.point_files import point_files
 
 _AFTER_NAME = "-_."
+
+
+def agent_name(folder: Path) -> str:
+    """Returns the name of the one agent of a folder: the folder's, unless that is what boxes have.
+
+    Argoverse 2 calls its folders so.
+    """
+    name = folder.resolve().name
+    return name if name and name != LIDAR else "agent"
 
 
 def by_agent(folder: Path, files: Iterable[Path]) -> dict[str, list[Path]]:
@@ -20,7 +30,7 @@ def by_agent(folder: Path, files: Iterable[Path]) -> dict[str, list[Path]]:
     for file in sorted(files):
         groups.setdefault(file.relative_to(folder).parent.parts, []).append(file)
     if len(groups) == 1:
-        return {folder.resolve().name or "agent": next(iter(groups.values()))}
+        return {agent_name(folder): next(iter(groups.values()))}
     short = [parts[0] if parts else folder.resolve().name for parts in groups]
     unique = len(set(short)) == len(short)
     names = short if unique else ["-".join(parts) or folder.resolve().name for parts in groups]
@@ -28,7 +38,7 @@ def by_agent(folder: Path, files: Iterable[Path]) -> dict[str, list[Path]]:
 
 
 def scans_in(folder: Path) -> dict[str, list[Path]]:
-    """Returns the .bin and .pcd files by agent, each list in the order of frames.
+    """Returns the clouds' files by agent, each list in the order of frames.
 
     Raises:
         ConfigError: there is none.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
+from perception.detector import LIDAR
 from protocol.codec import encode_cloud
 from protocol.errors import CodecError, ConfigError
 from protocol.geometry import SE3, Floats
@@ -45,15 +46,21 @@ def height_over_ground_m(cloud: PointCloud, map_SE3_sensor: SE3) -> float:
     return -float(plane_below(upright)[0])
 
 
-def ground_of(agents: Sequence[Agent], ways: Mapping[str, Floats], *, width_m: float) -> Ground:
-    """Returns the ground along the agents' ways, poses (N, 6), so broad."""
-    lines = [_line(poses)[:, :2] for poses in ways.values()]
-    scans = (
-        (agent.cloud(number).points.astype(np.float64), SE3.from_pose(agent.pose(number)))
-        for agent in agents
-        for number in _looked_at(ways[agent.name])
-    )
-    return Ground.of(scans, lines, width_m)
+def ground_of(
+    scans: Iterable[tuple[Floats, SE3]], ways: Mapping[str, Floats], *, width_m: float
+) -> Ground:
+    """Returns the ground along ways, poses (N, 6), so broad; of scans see `Ground.of`."""
+    return Ground.of(scans, [_line(poses)[:, :2] for poses in ways.values()], width_m)
+
+
+def scans_along(
+    agents: Sequence[Agent], ways: Mapping[str, Floats]
+) -> Iterator[tuple[Floats, SE3]]:
+    """Yields the agents' scans well apart on their ways: points (N, 3) and `map_SE3_sensor`."""
+    for agent in agents:
+        for number in _looked_at(ways[agent.name]):
+            points = agent.cloud(number).points.astype(np.float64)
+            yield points, SE3.from_pose(agent.pose(number))
 
 
 def _looked_at(poses: Floats) -> list[int]:
@@ -190,6 +197,10 @@ class ImportedScans:
         """Returns which files a frame plays: after the last, they begin anew."""
         return frame % self._numbers
 
+    def sensor_poses(self) -> Floats:
+        """Returns the poses (N, 6) of the first agent's sensor, or vehicle, by frame."""
+        return np.stack([self.agents[0].pose(self.number(n)) for n in range(self.frames)])
+
     @property
     def repeats(self) -> bool:
         """Whether files are played more than once."""
@@ -208,6 +219,8 @@ class ImportedScans:
 
 
 def _check_name(name: str) -> None:
+    if name == LIDAR:
+        raise ConfigError(f"agent {name!r}: boxes found in points are named so; rename its folder")
     try:
         TypeAdapter(Id).validate_python(name)
     except ValidationError:

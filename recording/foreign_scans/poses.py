@@ -1,13 +1,15 @@
-"""Poses of agents and mounts of sensors, from tables and from text files of KITTI, EMP, OpenCalib.
+"""Poses of agents and mounts of sensors, from tables and text files of other people.
 
 A pose is that of the sensor, or of the vehicle where extrinsics say how sensors are mounted on it.
 
 - CSV: columns x_m, y_m, z_m and, optionally, roll_deg, pitch_deg, yaw_deg (0), time_s, agent. One
   line per frame and agent.
 - Text: one line per frame with 6 numbers, x y z roll pitch yaw in m and rad (EMP, MobiCom 2021);
-  with 12, the rows of [R|t], map from sensor; or with 30, a line of KITTI's oxts, of which
-  latitude, longitude, altitude, roll, pitch and yaw are used: the first pose is the origin, x
-  east, y north.
+  with 8, TUM's time in s, x y z and the quaternion x y z w; with 12, the rows of [R|t], map from
+  sensor; or with 30, a line of KITTI's oxts, of which latitude, longitude, altitude, roll, pitch
+  and yaw are used: the first pose is the origin, x east, y north.
+- Feather: Argoverse 2's `city_SE3_egovehicle.feather`: timestamp_ns, qw, qx, qy, qz, tx_m, ty_m,
+  tz_m.
 - A folder: its .txt files in order, one line each, as KITTI's oxts/data; of several agents one
   folder each.
 
@@ -28,7 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
-from protocol.config import is_folder
+from protocol.config import is_file, is_folder
 from protocol.errors import ConfigError
 from protocol.geometry import SE3, Floats
 from recording.foreign_scans.folder import by_agent
@@ -125,17 +127,36 @@ def _row_pose(line: dict[str, str | None], where: str) -> Floats:
     return np.array([*numbers[:3], *np.radians(numbers[3:])])
 
 
+MAX_TIME_S = 1e10
 MAX_POSE = np.array([1e7, 1e7, 1e7, 1e3, 1e3, 1e3])  # m, rad: as messages take
 _EARTH_M = 6_378_137.0
-_EMP, _MATRIX, _OXTS = 6, 12, 30
+_EMP, _TUM, _MATRIX, _OXTS = 6, 8, 12, 30
+_QUATERNION_OFF = 0.01  # from length 1
+_AV2 = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+_AV2_TIME = "timestamp_ns"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """An agent's poses (N, 6) in the map frame, and their times in s (N,), None if not told."""
+    """An agent's poses (N, 6) in the map frame, and their times in s (N,), None if not told.
+
+    `clock` says that the times are those of a clock that files may be named by.
+    """
 
     poses: Floats
     times_s: Floats | None = None
+    clock: bool = False
+
+    def at(self, times_s: Floats, within_s: float) -> Track | None:
+        """Returns the poses nearest to times (N,); None if one is farther off, or none is told."""
+        if self.times_s is None or not self.clock:
+            return None
+        after = np.searchsorted(self.times_s, times_s).clip(1, max(len(self.times_s) - 1, 1))
+        both = np.stack([after - 1, after.clip(0, len(self.times_s) - 1)])
+        nearest = both[np.abs(self.times_s[both] - times_s).argmin(axis=0), np.arange(len(after))]
+        if (np.abs(self.times_s[nearest] - times_s) > within_s).any():
+            return None
+        return Track(self.poses[nearest], self.times_s[nearest], clock=True)
 
 
 def read_poses(path: Path) -> dict[str, Track]:
@@ -153,6 +174,8 @@ def read_poses(path: Path) -> dict[str, Track]:
         return {"": next(iter(tracks.values()))} if len(tracks) == 1 else tracks
     if path.suffix.lower() == ".csv":
         return _table_tracks(path)
+    if path.suffix.lower() == ".feather":
+        return {"": _feather_track(path)}
     return {"": _text_track([path])}
 
 
@@ -165,7 +188,7 @@ def _table_tracks(path: Path) -> dict[str, Track]:
         if "time_s" in row.others:
             (time_s,) = numbers_of([row.others["time_s"]], row.where)
             before = times_s.setdefault(agent, [])
-            if abs(time_s) > 1e10 or (before and time_s <= before[-1]):
+            if abs(time_s) > MAX_TIME_S or (before and time_s <= before[-1]):
                 raise ConfigError(f"{row.where}: time_s must ascend, and be 1e10 at most")
             before.append(time_s)
     if not poses:
@@ -184,20 +207,81 @@ def _text_track(files: Sequence[Path]) -> Track:
                 continue
             where = f"{file}: line {number}"
             found = numbers_of(line.split(), where)
-            known = (_EMP, _MATRIX, _OXTS)
+            known = (_EMP, _TUM, _MATRIX, _OXTS)
             if len(found) not in known or (rows and len(found) != len(rows[0])):
-                wanted = str(len(rows[0])) if rows else "6, 12 or 30"
+                wanted = str(len(rows[0])) if rows else "6, 8 (TUM), 12 (KITTI) or 30"
                 raise ConfigError(f"{where}: has {len(found)} numbers, needs {wanted}")
             rows.append(found)
             _checked(_pose(found, rows[0], where), where)
     if not rows:
         raise ConfigError(f"{files[0]}: line 1: there is no pose")
-    return Track(np.stack([_pose(row, rows[0], "") for row in rows]))
+    poses = np.stack([_pose(row, rows[0], "") for row in rows])
+    if len(rows[0]) != _TUM:
+        return Track(poses)
+    times_s = np.array([row[0] for row in rows])
+    _check_times(times_s, str(files[0]))
+    return Track(poses, times_s, clock=True)
+
+
+def _check_times(times_s: Floats, where: str) -> None:
+    if (np.abs(times_s) > MAX_TIME_S).any() or (np.diff(times_s) <= 0).any():
+        raise ConfigError(f"{where}: times must ascend, and be {MAX_TIME_S:g} s at most")
+
+
+def _feather_track(path: Path) -> Track:
+    """Reads the poses of Argoverse 2's ego vehicle."""
+    try:
+        import polars as pl
+    except ImportError:
+        raise ConfigError(f"{path}: to read .feather needs polars (extra `study`)") from None
+    if not is_file(path):
+        raise ConfigError(f"{path} does not exist")
+    if path.stat().st_size > MAX_POSE_FILE_BYTES:
+        raise ConfigError(f"{path} has {path.stat().st_size} bytes, limit {MAX_POSE_FILE_BYTES}")
+    try:
+        table = pl.read_ipc(path.read_bytes())
+    except (pl.exceptions.PolarsError, OSError) as error:
+        raise ConfigError(f"{path}: is no table of Feather: {error!s:.200}") from None
+    wanted = (_AV2_TIME, *_AV2)
+    numeric = [name for name in wanted if name in table.columns and table[name].dtype.is_numeric()]
+    if missing := [name for name in wanted if name not in numeric]:
+        raise ConfigError(
+            f"{path}: lacks a column {missing[0]} of numbers; needs {', '.join(wanted)}"
+        )
+    table = table.select(wanted).drop_nulls().sort(_AV2_TIME)
+    if not len(table):
+        raise ConfigError(f"{path}: holds no pose")
+    rows = table.select(_AV2).to_numpy().astype(np.float64)
+    poses = [
+        _checked(_turned(row[4:7], row[[1, 2, 3, 0]], f"{path}: row {n}"), f"{path}: row {n}")
+        for n, row in enumerate(rows)
+    ]
+    times_s = table[_AV2_TIME].to_numpy().astype(np.float64) / 1e9
+    _check_times(times_s, str(path))
+    return Track(np.stack(poses), times_s, clock=True)
+
+
+def _turned(place_m: Floats, quaternion: Floats, where: str) -> Floats:
+    """Returns the pose (6,) of a place (3,) and a quaternion x, y, z, w (4,)."""
+    length = float(np.linalg.norm(quaternion))
+    if not (abs(length - 1) < _QUATERNION_OFF and np.isfinite(place_m).all()):
+        raise ConfigError(f"{where}: the quaternion's length is {length:g}, must be 1")
+    x, y, z, w = quaternion / length
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return SE3(rotation, place_m).as_pose()
 
 
 def _pose(row: list[float], first: list[float], where: str) -> Floats:
     if len(row) == _EMP:
         return np.array(row)
+    if len(row) == _TUM:
+        return _turned(np.array(row[1:4]), np.array(row[4:]), where)
     if len(row) == _OXTS:
         return np.array(
             [*(_mercator(row, first, where) - _mercator(first, first, where)), *row[3:6]]

@@ -35,7 +35,8 @@ from protocol.messages import MESSAGES, ClockReading, Message, Scan, TimeReply
 from protocol.topics import TOPICS, Topic, alive_parts
 from protocol.wire import decode, encode, peek_frame_time
 from sensing.link_config import read_trace
-from sensing.point_files import decompress, read_points
+from sensing.pcd import decompress
+from sensing.point_files import read_points
 from sensing.recorded_scans import Recording
 
 HERE = Path(__file__).parent
@@ -246,6 +247,8 @@ TARGETS = {
             compiled=True,
         ),
         Target("pcd", _from_file(".pcd", read_points), (ConfigError,), _header, FILE_MIB),
+        Target("ply", _from_file(".ply", read_points), (ConfigError,), _header, FILE_MIB),
+        Target("npy", _from_file(".npy", read_points), (ConfigError,), shake, FILE_MIB, weight=0.5),
         Target("bin", _from_file(".bin", read_points), (ConfigError,), shake, FILE_MIB, weight=0.5),
         Target("lzf", _read_lzf, (ValueError,), shake, FILE_MIB),
         Target("trace-csv", _from_file(".csv", read_trace), (ConfigError,), _table, FILE_MIB),

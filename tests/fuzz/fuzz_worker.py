@@ -41,7 +41,8 @@ _TRIES = 3
 _GUIDED_BY = (
     "protocol",
     "sensing.link_config",
-    "sensing.point_files",
+    "sensing.pcd",
+    "sensing.ply",
     "sensing.point_files",
     "sensing.rec",
 )

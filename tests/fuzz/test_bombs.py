@@ -14,7 +14,6 @@ import pytest
 import zstandard
 from fuzz_targets import FILE_MIB, LIMIT_MS, MESSAGE_MIB, SCAN_MIB
 from fuzz_watch import forget_peak, peak_kib
-from protocol.codec.tree_contexts import CONTEXTS, STRIDE
 
 from protocol import messages as m
 from protocol import wire
@@ -24,6 +23,7 @@ from protocol.codec.octree import symbol_room, tree_to_symbols
 from protocol.codec.payload import Form, Head, compress
 from protocol.codec.rans import STATES, encode_symbols
 from protocol.codec.symbols import LEVELS, shares_of_levels, write_tables
+from protocol.codec.tree_contexts import CONTEXTS, STRIDE
 from protocol.errors import CodecError, ConfigError, MessageError
 from protocol.limits import MAX_BEAMS, MAX_POINTS
 from protocol.scans import PointCloud, RangeScan, ScanPattern

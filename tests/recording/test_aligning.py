@@ -1,7 +1,6 @@
 """Extrinsics that are refined by what the sensors see."""
 
 import numpy as np
-import places
 import pytest
 
 from protocol.errors import ConfigError
@@ -9,6 +8,7 @@ from protocol.geometry import SE3
 from protocol.scans import PointCloud
 from recording.foreign_scans.alignment import refined
 from recording.foreign_scans.importer import height_over_ground_m
+from tests import places
 
 TOP = SE3.from_pose([0, 0, 1.9, 0.02, -0.01, 0.3])
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import places
 import pytest
 from rich.console import Console
 
@@ -17,7 +16,10 @@ from recording.foreign_scans.agents import Source, agents_of
 from recording.foreign_scans.importer import ImportedScans
 from recording.run import Run
 from recording.tables import CountRow, DetectionRow, FrameRow, RequestRow
+from studies.box_files import write_boxes
 from studies.in_process import run_setup_in_process
+from studies.summary import print_report, summarise
+from tests import places
 
 pytest.importorskip("mcap", reason="needs the extra `mcap`")
 
@@ -49,13 +51,24 @@ def test_a_driving_cars_scans_show_the_vehicles_around_it(tmp_path):
     rows = [f"{7 + frame * 0.1:.3f},{1000 + frame},2000,52,{np.degrees(0.2)}" for frame in range(3)]
     table = tmp_path / "poses.csv"
     table.write_text("\n".join(["time_s,x_m,y_m,z_m,yaw_deg", *rows]))
-    run_dir = played(tmp_path / "run", Scans(Source(tmp_path / "drive", table), None, {}))
+    made = replay_of_scans(Scans(Source(tmp_path / "drive", table), None, {}), Pace(), Console())
+    run_dir = tmp_path / "run"
+    run_dir.mkdir()
+    run_setup_in_process(made.setup(run_dir), run_dir)
     with Run(run_dir) as run:
         frames = [*run.rows(FrameRow)]
         assert [frame.sim_time_ns for frame in frames] == [0, 100_000_000, 200_000_000]
         assert all(frame.complete and frame.agents == 1 for frame in frames)
         assert [*run.rows(CountRow)] == []
         assert {row.state for row in run.rows(RequestRow)} == {"G"}
+    assert made.sensor_poses is not None
+    assert write_boxes(run_dir, tmp_path / "boxes", made.sensor_poses) >= 6
+    assert sorted(path.name for path in (tmp_path / "boxes").iterdir())[-1] == "000002.txt"
+    summary = summarise(run_dir)
+    assert summary["found_per_frame"]["car"] >= 2
+    shown = Console(width=100, record=True)
+    print_report(summary, shown)
+    assert "detected a frame" in shown.export_text()
     for frame in range(3):  # the map's origin is the first pose
         assert max(near(run_dir, [(x, y) for x, y, _ in CARS], frame)) < 0.7
 
@@ -166,6 +179,12 @@ def test_a_folder_whose_name_no_agent_can_have_is_named(tmp_path):
     agents = agents_of(two_agents(tmp_path, "a,5,0,0,2\nb,5,9,0,2\n"))
     with pytest.raises(ConfigError, match="agent 'xxx.*must have 1 to 128 visible"):
         ImportedScans.of([replace(agents[0], name="x" * 200)], None, None)
+    with pytest.raises(ConfigError, match="agent 'lidar': boxes found in points are named so"):
+        ImportedScans.of([replace(agents[0], name="lidar")], None, None)
+    places.write_bin(tmp_path / "sensors" / "lidar" / "1.bin", np.ones((3, 3)))
+    (tmp_path / "one.txt").write_text("0 0 0 0 0 0\n")
+    (agent,) = agents_of(Source(tmp_path / "sensors" / "lidar", tmp_path / "one.txt"))
+    assert agent.name == "agent"
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the real car's scans are not on this machine")

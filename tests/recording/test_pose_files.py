@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from protocol.errors import ConfigError
 from protocol.geometry import SE3
+from recording.foreign_scans.agents import Source, agents_of
 from recording.foreign_scans.poses import read_extrinsics, read_poses, write_extrinsics
 
 numbers = st.floats(-900, 900, allow_subnormal=False)
@@ -103,7 +104,11 @@ def test_a_table_may_name_agents_and_times(written):
         ("p.csv", "x_m,y_m, x_m,z_m\n1,2,3,4\n", r"line 1: has the column x_m twice"),
         ("p.csv", "x_m,y_m,z_m\n1,2,3\n1,2,3,4\n", r"line 3: has more fields than the 3 columns"),
         ("p.csv", "time_s,x_m,y_m,z_m\n2,0,0,0\n1,0,0,0\n", r"line 3: time_s must ascend"),
-        ("p.txt", "1 2 3\n", r"p\.txt: line 1: has 3 numbers, needs 6, 12 or 30"),
+        (
+            "p.txt",
+            "1 2 3\n",
+            r"p\.txt: line 1: has 3 numbers, needs 6, 8 \(TUM\), 12 \(KITTI\) or 30",
+        ),
         ("p.txt", "1 2 3 4 5 6\n" + "0 " * 30, r"line 2: has 30 numbers, needs 6"),
         ("p.txt", "1 2 3 4 5 nan\n", r"line 1: 'nan' is no finite number"),
         ("p.txt", "1e9 0 0 0 0 0\n", r"line 1: a pose lies beyond 1e7 m"),
@@ -161,3 +166,42 @@ def test_opencalibs_devices_get_the_names_that_are_told(written):
 def test_what_is_wrong_with_extrinsics_is_said(written, text, names, said):
     with pytest.raises(ConfigError, match=said):
         read_extrinsics(written(text, "e.txt"), names)
+
+
+def test_lines_of_tum_and_a_table_of_argoverse_are_the_same_poses(tmp_path):
+    pl = pytest.importorskip("polars", reason="needs the extra `study`")
+    half = np.sqrt(0.5)
+    tum = tmp_path / "tum.txt"
+    tum.write_text(f"# time\n5.0 1 2 3 0 0 {half} {half}\n5.1 2 2 3 0 0 0 1\n")
+    table = tmp_path / "city_SE3_egovehicle.feather"
+    rows = {"qw": [half, 1], "qx": [0.0, 0], "qy": [0.0, 0], "qz": [half, 0]}
+    rows |= {"tx_m": [1.0, 2], "ty_m": [2.0, 2], "tz_m": [3.0, 3]}
+    pl.DataFrame({"timestamp_ns": [5_000_000_000, 5_100_000_000], **rows}).write_ipc(table)
+    for path in (tum, table):
+        track = read_poses(path)[""]
+        assert np.allclose(track.poses, [[1, 2, 3, 0, 0, np.pi / 2], [2, 2, 3, 0, 0, 0]])
+        assert track.times_s == pytest.approx([5.0, 5.1])
+    pl.read_ipc(table).drop("qz").write_ipc(table)
+    with pytest.raises(ConfigError, match="lacks a column qz of numbers; needs timestamp_ns, qw"):
+        read_poses(table)
+    tum.write_text("5.0 1 2 3 0 0 1 1\n")
+    with pytest.raises(ConfigError, match=r"line 1: the quaternion's length is 1.41421, must be 1"):
+        read_poses(tum)
+    tum.write_text("5.0 1 2 3 0 0 0 1\n4.0 1 2 3 0 0 0 1\n")
+    with pytest.raises(ConfigError, match="times must ascend"):
+        read_poses(tum)
+
+
+def test_of_poses_with_times_those_of_the_files_names_are_taken(tmp_path):
+    scans = tmp_path / "lidar"
+    scans.mkdir()
+    for stamp in ("1500000000100000000", "1500000000300000000"):
+        (scans / f"{stamp}.bin").write_bytes(np.ones(4, "<f4").tobytes())
+    tum = tmp_path / "tum.txt"
+    tum.write_text("".join(f"{1_500_000_000 + n / 10:.1f} {n} 0 0 0 0 0 1\n" for n in range(5)))
+    (agent,) = agents_of(Source(scans, tum))
+    assert [agent.pose(n)[0] for n in range(2)] == [1, 3]
+    assert np.diff(agent.times_s) == pytest.approx([0.2])
+    tum.write_text("1400000000 0 0 0 0 0 0 1\n1400000001 0 0 0 0 0 0 1\n1400000002 0 0 0 0 0 0 1\n")
+    with pytest.raises(ConfigError, match="3 poses for the 2 scans .* within 0.05 s"):
+        agents_of(Source(scans, tum))

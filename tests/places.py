@@ -28,9 +28,20 @@ def scene(cars: Sequence[tuple[float, float, float]] = (), *, walls: bool = True
     return np.concatenate(parts) + rng.normal(0, 0.01, (sum(map(len, parts)), 3))
 
 
+DIRECTION_DEG = 0.5
+DEEP_M = 0.6  # of what is seen in one direction
+
+
 def seen(points: Floats, map_SE3_sensor: SE3) -> Floats:
-    """Returns points of the map in a sensor's frame."""
-    return map_SE3_sensor.inverse().apply(points)
+    """Returns points of the map in a sensor's frame, without those that others hide."""
+    local = map_SE3_sensor.inverse().apply(points)
+    range_m = np.linalg.norm(local, axis=1)
+    up = np.arcsin(local[:, 2] / np.maximum(range_m, 1e-9))
+    angles = np.degrees(np.stack([np.arctan2(local[:, 1], local[:, 0]), up], -1))
+    _, direction = np.unique(np.floor(angles / DIRECTION_DEG), axis=0, return_inverse=True)
+    nearest_m = np.full(direction.max() + 1, np.inf)
+    np.minimum.at(nearest_m, direction, range_m)
+    return local[range_m <= nearest_m[direction] + DEEP_M]
 
 
 def write_bin(path: Path, points: Floats) -> None:

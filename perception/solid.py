@@ -1,0 +1,174 @@
+"""Boxes that are no vehicle by what the points in them, over them and behind them say.
+
+A detector that has only seen simulated streets takes rows of trees, walls and roofs on posts for
+lorries. But a vehicle is opaque and ends at its roof. Here points are counted, box by box, that
+speak against it: those that a sensor saw right through the box, and those that stand in a column
+over it, as a wall does; a tree's crown over a car leaves air between.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from perception.arrays import Bools, Bytes, Floats, Floats32, Ints
+from perception.detector import Cloud, Vehicles
+from perception.roadway import Roadway, merge
+from protocol.messages import ObjectClass
+
+LOW_M = 0.4  # over the road: lower points are of the ground and of kerbs
+OWN_M = 0.2  # points so near a box are its own
+AIR_M = (0.3, 1.3)  # over a roof, which a wall fills and a crown leaves free
+HIGHER_M = 0.8  # over a roof, from where on nothing can be the vehicle's
+CORE = 0.6  # of a box's length and width: rays through it go through the vehicle
+WINDOWS = 0.7  # of the height, from where on a vehicle may be looked through
+EYE_M = 1.5  # of a sensor over the road, at least: poses may be those of a wheel's axle
+BINS = 720  # of directions around a sensor
+LEAST = 5  # fewer points say nothing
+# Of a box's own points, what speaks against it: seen through, in the air over it, higher. Lorries
+# are long and closed, and walls taken for them hardly reach over the band of heights that is kept.
+MOST = {ObjectClass.CAR: (0.5, 0.3, 0.3), ObjectClass.TRUCK: (0.3, 0.05, 0.1)}
+SLENDER = (np.inf, np.inf, np.inf)  # what may be looked past
+
+
+def solid_of(found: Vehicles, cloud: Cloud, roadway: Roadway) -> Vehicles:
+    """Returns those vehicles of a cloud, map frame, whose boxes may be vehicles.
+
+    Boxes are taken to stand on the ground.
+    """
+    parts = [*cloud.near, *cloud.bare]
+    points, road_m = merge(parts)
+    boxes, sensors = found.boxes.copy(), cloud.sensors.astype(np.float64)
+    boxes[:, 2] = boxes[:, 5] / 2
+    sensors[:, 2] -= roadway.height_at(sensors)
+    sizes = np.array([len(part.points) for part in parts], np.int64)
+    height_m = points[:, 2] - road_m
+    return found.take(are_solid(boxes, found.classes, points, height_m, sizes, sensors))
+
+
+def are_solid(
+    boxes: Floats,
+    classes: Bytes,
+    points: Floats32,
+    height_m: Floats32,
+    sizes: Ints,
+    sensors: Floats,
+) -> Bools:
+    """Marks the boxes (N,) that may be vehicles.
+
+    Args:
+        boxes: x, y, z over the road, length, width, height, yaw (N, 7).
+        classes: of `ObjectClass` (N,).
+        points: map frame (P, 3), part by part.
+        height_m: of the points over the road (P,).
+        sizes: how many points each part has (K,).
+        sensors: the place that each part was seen from, z over the road (K, 3).
+    """
+    counts = counts_of(boxes, points, height_m, sizes, sensors)
+    most = np.array([MOST.get(ObjectClass(kind), SLENDER) for kind in classes]).reshape(-1, 3)
+    speaks = (counts[:, 1:] >= LEAST) & (counts[:, 1:] > most * np.maximum(counts[:, :1], 1))
+    return np.asarray(~(speaks[:, 0] | (speaks[:, 1] & speaks[:, 2])))
+
+
+def counts_of(
+    boxes: Floats, points: Floats32, height_m: Floats32, sizes: Ints, sensors: Floats
+) -> Ints:
+    """Counts points by box: in it, seen through it, in the air over it, and higher (N, 4)."""
+    result = np.zeros((len(boxes), 4), np.int64)
+    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    for part, sensor in enumerate(np.asarray(sensors, np.float64)):
+        own = slice(starts[part], starts[part + 1])
+        if starts[part + 1] > starts[part] and len(boxes):
+            eye = np.array([sensor[0], sensor[1], max(sensor[2], EYE_M)])
+            _count(np.ascontiguousarray(boxes), points[own], height_m[own], eye, result)
+    return result
+
+
+@njit("int64(float64, float64)", cache=True, nogil=True, inline="always")
+def _bin(x: float, y: float) -> int:
+    return int((np.arctan2(y, x) + np.pi) / (2 * np.pi) * BINS) % BINS
+
+
+@njit("Tuple((int64[::1], int64[::1]))(float32[:,::1], float64[::1])", cache=True, nogil=True)
+def _by_direction(points: Floats32, eye: Floats) -> tuple[Ints, Ints]:
+    """Returns the points' indices by direction (P,), and where each direction's begin."""
+    count = points.shape[0]
+    bin_of, starts = np.empty(count, np.int32), np.zeros(BINS + 1, np.int64)
+    for index in range(count):
+        bin_of[index] = _bin(points[index, 0] - eye[0], points[index, 1] - eye[1])
+        starts[bin_of[index] + 1] += 1
+    starts = np.cumsum(starts)
+    following, order = starts.copy(), np.empty(count, np.int64)
+    for index in range(count):
+        order[following[bin_of[index]]] = index
+        following[bin_of[index]] += 1
+    return order, starts
+
+
+@njit(
+    "boolean(UniTuple(float64, 3), UniTuple(float64, 3), UniTuple(float64, 3))",
+    cache=True,
+    nogil=True,
+)
+def _is_through(
+    eye: tuple[float, float, float],
+    point: tuple[float, float, float],
+    core: tuple[float, float, float],
+) -> bool:
+    """Whether the ray from eye to point goes through a core, all below its top and over the ground.
+
+    All are (3,) along a box, across it and over the road, from its middle; the core's are halves.
+    """
+    enter, leave = 0.0, 1.0
+    for axis in range(2):
+        step = point[axis] - eye[axis]
+        if abs(step) < 1e-9:
+            if abs(eye[axis]) > core[axis]:
+                return False
+            continue
+        one, other = (-core[axis] - eye[axis]) / step, (core[axis] - eye[axis]) / step
+        enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
+    if enter >= leave or leave >= 1.0 or enter <= 0.0:
+        return False
+    rise = point[2] - eye[2]
+    first, last = eye[2] + enter * rise, eye[2] + leave * rise
+    return bool(min(first, last) > LOW_M and max(first, last) < core[2])
+
+
+@njit(
+    "void(float64[:,::1], float32[:,::1], float32[::1], float64[::1], int64[:,::1])",
+    cache=True,
+    nogil=True,
+)
+def _count(boxes: Floats, points: Floats32, height_m: Floats32, eye: Floats, result: Ints) -> None:
+    """Adds what one sensor saw."""
+    order, starts = _by_direction(points, eye)
+    for box in range(boxes.shape[0]):
+        length, width = boxes[box, 3], boxes[box, 4]
+        top_m = boxes[box, 2] + boxes[box, 5] / 2
+        cos, sin = np.cos(boxes[box, 6]), np.sin(boxes[box, 6])
+        off_x, off_y = boxes[box, 0] - eye[0], boxes[box, 1] - eye[1]
+        reach_m, away_m = np.hypot(length, width) / 2 + OWN_M, np.hypot(off_x, off_y)
+        first, wide = 0, BINS
+        if away_m > reach_m:
+            half = int(np.arcsin(reach_m / away_m) / (2 * np.pi) * BINS) + 1
+            first, wide = _bin(off_x, off_y) - half, min(2 * half + 1, BINS)
+        eye_u, eye_v = -cos * off_x - sin * off_y, sin * off_x - cos * off_y
+        for step in range(wide):
+            at = (first + step) % BINS
+            for slot in range(starts[at], starts[at + 1]):
+                index = order[slot]
+                high_m = height_m[index]
+                x, y = points[index, 0] - boxes[box, 0], points[index, 1] - boxes[box, 1]
+                u, v = cos * x + sin * y, cos * y - sin * x
+                if abs(u) <= length / 2 + OWN_M and abs(v) <= width / 2 + OWN_M:
+                    over_m = high_m - top_m
+                    result[box, 0] += high_m > LOW_M and over_m <= OWN_M
+                    result[box, 2] += AIR_M[0] < over_m <= AIR_M[1]
+                    result[box, 3] += over_m > HIGHER_M
+                elif _is_through(
+                    (eye_u, eye_v, eye[2]),
+                    (u, v, high_m),
+                    (CORE / 2 * length, CORE / 2 * width, WINDOWS * top_m),
+                ):
+                    result[box, 1] += 1

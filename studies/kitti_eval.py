@@ -1,0 +1,213 @@
+"""Detectors on files with labels in KITTI's form, counted as KITTI's evaluation counts.
+
+Of a class asked for, what is alike (vans for cars, people who sit for people) is neither right nor
+wrong. Nor is a detection of which half or more, in the image, lies in a region DontCare, one on a
+box DontCare, or one out of the image, where nothing is labelled. What is harder than the level
+asked for, or beyond the range, need not be found.
+
+There is no map: the ground around the sensor is the road.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge_server.config import EdgeConfig
+from learning.dataset import SceneSample, SensorScan
+from learning.kitti_object import DONT_CARE, KittiFrame, KittiObject
+from perception.arrays import Bools, Floats, Floats32, Ints
+from perception.config import DetectorName
+from perception.detector import Cloud, Vehicles
+from perception.map_height import on_the_ground
+from protocol.geometry import SE3
+from recording.foreign_scans.importer import ground_of, height_over_ground_m, open_ground
+from sensing.point_files import read_points
+from studies.average_precision import Outcomes, Scene, average_precision, outcomes
+from studies.ecvpr import VISIBLE_POINTS
+from studies.evaluate import EVERYTHING, IOUS, OBJECTS, TRUTHS, VEHICLE, VIEWS, EvalRow, Site
+
+_KINDS = {
+    VEHICLE: (("Car", "Van", "Truck", "Cyclist"), ("Tram", "Misc", DONT_CARE)),
+    "car": (("Car",), ("Van", DONT_CARE)),
+    "truck": (("Truck",), ("Van", "Tram", DONT_CARE)),
+    "two_wheeler": (("Cyclist",), (DONT_CARE,)),
+    "pedestrian": (("Pedestrian",), ("Person_sitting", DONT_CARE)),
+}
+"""By object asked for: KITTI's kinds that must be found, and those that are neither."""
+_LEVELS = {"easy": (40.0, 0, 0.15), "moderate": (25.0, 1, 0.3), "hard": (25.0, 2, 0.5)}
+"""Least height in the image in pixels, most occlusion, most truncation."""
+LEVELS = (EVERYTHING, *_LEVELS)
+_DONT_CARE_SHARE = 0.5
+_OWN_M = (2.75, 1.25)  # half of the carrying vehicle's length and width
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JudgedFrame:
+    """A frame's detections (N,) beside its labels with boxes (M,), and the points in these (M,).
+
+    Of a learned detector, detections are listed down to a score that is none of a vehicle; from
+    `least_score` on they are.
+    """
+
+    frame: KittiFrame
+    found: Vehicles
+    objects: Sequence[KittiObject]
+    points: Ints
+    took_ms: float
+    least_score: float
+
+
+def evaluate_kitti(
+    frames: Iterable[KittiFrame],
+    detectors: Sequence[DetectorName],
+    config: EdgeConfig,
+    range_m: float,
+) -> list[EvalRow]:
+    """Returns rows of these detectors, for objects and levels of difficulty.
+
+    Raises:
+        ConfigError: a cloud cannot be read, or a detector cannot be had here.
+    """
+    judged: dict[DetectorName, list[JudgedFrame]] = {name: [] for name in detectors}
+    for number, frame in enumerate(frames):
+        for name, one in judge(frame, detectors, config, range_m, number).items():
+            judged[name].append(one)
+    return [row for name, scenes in judged.items() for row in _rows(name, scenes, range_m)]
+
+
+def judge(
+    frame: KittiFrame,
+    detectors: Sequence[DetectorName],
+    config: EdgeConfig,
+    range_m: float,
+    seed: int = 0,
+) -> dict[DetectorName, JudgedFrame]:
+    """Detects in a frame; what is found on the vehicle that carries the sensor is left out.
+
+    Raises:
+        ConfigError: the cloud cannot be read, or a detector cannot be had here.
+    """
+    config = config.model_copy(update={"solid_only": True})  # as a replay without a road map
+    cloud = read_points(frame.cloud)
+    height_m = height_over_ground_m(cloud, SE3.identity())
+    footprint = np.array([[0.0, 0.0, -height_m, 0.0, 0.0, 0.0]])
+    ways, scans = {frame.name: footprint}, [(cloud.points.astype(np.float64), SE3.identity())]
+    ground = ground_of(scans, ways, width_m=2 * range_m)
+    site = Site(open_ground(ways, ground, width_m=2 * range_m), config)
+    return {name: _judge(site, frame, cloud.points, name, seed) for name in detectors}
+
+
+def _judge(
+    site: Site, frame: KittiFrame, points: Floats32, name: DetectorName, number: int
+) -> JudgedFrame:
+    scan = SensorScan(frame.name, points, SE3.identity(), None)
+    no_boxes = np.zeros((0, 7)), np.zeros(0, np.uint8), np.zeros((1, 0), np.int64)
+    sample = SceneSample(frame.name, number, [scan], *no_boxes)
+    placed = site.place(sample, 0, geofence=True)
+    cloud = on_the_ground(Cloud([placed], [], np.zeros((1, 3))))
+    start = time.perf_counter()
+    found = site.detector(name, geofence=True).detect(cloud, np.random.default_rng(number))
+    took_ms = 1e3 * (time.perf_counter() - start)
+    is_own = np.asarray((np.abs(found.boxes[:, :2]) < _OWN_M).all(axis=1))
+    objects = [one for one in frame.objects if np.isfinite(one.box).all()]
+    counts = np.array([_points_in(points, one.box) for one in objects], np.int64)
+    least_score = site.least_score(name)
+    return JudgedFrame(frame, found.take(~is_own), objects, counts, took_ms, least_score)
+
+
+def _points_in(points: Floats32, box: Floats) -> int:
+    off = points - box[:3]
+    cos, sin = np.cos(box[6]), np.sin(box[6])
+    along, across = cos * off[:, 0] + sin * off[:, 1], cos * off[:, 1] - sin * off[:, 0]
+    local = np.stack([along, across, off[:, 2]], -1)
+    return int((np.abs(local) <= box[3:6] / 2).all(axis=1).sum())
+
+
+def _rows(detector: str, scenes: Sequence[JudgedFrame], range_m: float) -> Iterator[EvalRow]:
+    if not scenes:
+        return
+    median_ms = float(np.median([one.took_ms for one in scenes]))
+    for objects in OBJECTS:
+        for level in LEVELS:
+            compared = [_compared(one, objects, level, range_m) for one in scenes]
+            for truth in TRUTHS:
+                due = [
+                    one.due & (one.points >= VISIBLE_POINTS) if truth == "visible" else one.due
+                    for one in compared
+                ]
+                for view in VIEWS:
+                    for iou in IOUS:
+                        results: list[Outcomes] = [
+                            outcomes(one.scene, view, iou, must, one.fair)
+                            for one, must in zip(compared, due, strict=True)
+                        ]
+                        score = average_precision(
+                            results,
+                            [one.scene.scores for one in compared],
+                            sum(int(must.sum()) for must in due),
+                            scenes[0].least_score,
+                        )
+                        yield EvalRow(
+                            detector, "single", "none", truth, False, view, iou, level,
+                            scenes=len(scenes),
+                            vehicles=score.vehicles,
+                            ap40=score.ap40,
+                            recall=score.recall,
+                            precision=score.precision,
+                            detect_ms=median_ms,
+                            objects=objects,
+                        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Compared:
+    """Detections and labels of some classes: which labels are due (M,), which detections fair."""
+
+    scene: Scene
+    due: Bools
+    points: Ints
+    fair: Bools
+
+
+def _compared(one: JudgedFrame, objects: str, level: str, range_m: float) -> _Compared:
+    due_kinds, neither = _KINDS[objects]
+    known = [n for n, label in enumerate(one.objects) if label.kind in (*due_kinds, *neither)]
+    labels = [one.objects[n] for n in known]
+    truth = np.array([label.box for label in labels]).reshape(-1, 7)
+    due = np.array([label.kind in due_kinds and _is_of(label, level) for label in labels], np.bool_)
+    due &= np.hypot(truth[:, 0], truth[:, 1]) <= range_m
+    found = one.found.take(np.isin(one.found.classes, OBJECTS[objects]))
+    fair = np.hypot(found.boxes[:, 0], found.boxes[:, 1]) <= range_m
+    image, inside = one.frame.calibration.image_of(found.boxes)
+    fair &= inside & ~_not_cared_for(image, one.frame.objects)
+    if level in _LEVELS:
+        fair &= ~(image[:, 3] - image[:, 1] < _LEVELS[level][0])
+    scene = Scene.of(found.boxes, found.scores, truth)
+    return _Compared(scene, due, one.points[known], np.asarray(fair))
+
+
+def _is_of(label: KittiObject, level: str) -> bool:
+    """Whether a label is as easy as a level asks; what nobody told makes it no harder."""
+    if level not in _LEVELS:
+        return True
+    least_px, most_occluded, most_truncated = _LEVELS[level]
+    height_px = label.image[3] - label.image[1]
+    too_small = bool(np.isfinite(height_px) and height_px < least_px)
+    return not (too_small or label.occluded > most_occluded or label.truncated > most_truncated)
+
+
+def _not_cared_for(image: Floats, objects: Sequence[KittiObject]) -> Bools:
+    """Marks detections (N, 4) of which half or more lies in a region that nobody cares for."""
+    result = np.zeros(len(image), np.bool_)
+    area = np.prod(image[:, 2:] - image[:, :2], axis=1)
+    for label in objects:
+        if label.kind == DONT_CARE and np.isfinite(label.image).all():
+            low = np.maximum(image[:, :2], label.image[:2])
+            high = np.minimum(image[:, 2:], label.image[2:])
+            common = np.prod((high - low).clip(0), axis=1)
+            result |= common >= _DONT_CARE_SHARE * np.maximum(area, 1e-9)
+    return result
