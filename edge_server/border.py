@@ -61,6 +61,12 @@ class BorderStrips:
             sources=found.sources,
             position_std_m=found.position_std_m.astype(np.float32),
             sensors=state.sensors[self._is_near(state.sensors)],
+            track_sim_time_ns=0,
+            track_ids=np.zeros(0, np.int64),
+            track_boxes=np.zeros((0, 7), np.float32),
+            track_classes=np.zeros(0, np.uint8),
+            track_speeds_mps=np.zeros(0, np.float32),
+            track_coasted_s=np.zeros(0, np.float32),
         )
 
     def join(self, state: FrameState, config: FusionConfig) -> None:

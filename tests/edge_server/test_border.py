@@ -22,6 +22,7 @@ from protocol.roadmap import Lane, RoadMap
 from sim_host.netfile import read_net
 from sim_host.networks import write_corridor
 from sim_host.road_map import road_map
+from tests.messages import no_tracks
 
 CONFIG = EdgeConfig()
 NOWHERE = np.zeros((0, 2))
@@ -122,7 +123,7 @@ def test_what_a_neighbour_covers_is_covered_and_without_it_unknown():
     told = BorderObjects(
         frame=0, sim_time_ns=0, boxes=np.zeros((0, 7), np.float32), scores=np.zeros(0, np.float32),
         classes=np.zeros(0, np.uint8),
-        sources=[], position_std_m=np.zeros(0, np.float32), sensors=middle[None],
+        sources=[], position_std_m=np.zeros(0, np.float32), sensors=middle[None], **no_tracks(),
     )  # fmt: skip
     for received, is_covered in (({"east": told}, True), ({}, False)):
         state, _ = west.begin([])
@@ -144,7 +145,7 @@ def told_of(frame: int) -> BorderObjects:
     return BorderObjects(
         frame=frame, sim_time_ns=frame, boxes=np.zeros((0, 7), np.float32), scores=empty,
         classes=np.zeros(0, np.uint8),
-        sources=[], position_std_m=empty, sensors=NOWHERE,
+        sources=[], position_std_m=empty, sensors=NOWHERE, **no_tracks(),
     )  # fmt: skip
 
 
