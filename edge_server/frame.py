@@ -157,7 +157,8 @@ class FrameState:
     in this frame, wherever they are, `tracks` those followed over frames, on the road once they
     are counted, at their lane `positions`. `sensors` (S, 2) are the places of the sensors that
     were used, `counts` are by signal. `excluded` counts the agents that were excluded from it, by
-    reason, and `scores` and `alignments` are those to be published.
+    reason, `drops` what else was left out, and `scores` and `alignments` are those to be
+    published.
     """
 
     frame: Frame
@@ -165,6 +166,7 @@ class FrameState:
     scores: list[AgentScore] = field(default_factory=list)
     alignments: list[AgentAlignment] = field(default_factory=list)
     spans: list[Span] = field(default_factory=list)
+    drops: Counter[str] = field(default_factory=Counter)
     cloud: Cloud = field(init=False)
     found: Vehicles = field(init=False)
     fused: Vehicles = field(init=False)

@@ -38,13 +38,13 @@ from edge_server.fusion import fuse
 from edge_server.lanes import CoverageShares, LaneCoverage, LaneIndex
 from edge_server.misbehaviour import Check
 from edge_server.placing import Decode, Place, PlaceByReference
+from edge_server.tracking import Track
 from perception.arrays import Bools, Floats
 from perception.detector import LIDAR, Cloud, Detector, DetectorMaker, Vehicles
 from perception.map_height import on_the_ground
 from perception.object_classes import passenger_car_units
 from perception.registry import detector_of
 from perception.roadway import Roadway
-from perception.tracking.tracks import Tracks
 from protocol.messages import Detections, LaneCounts, ObjectClass, Scan, Span
 from protocol.regions import RegionMap
 
@@ -171,8 +171,8 @@ def stages_of(
         Detect(detector(config, roadway), seed),
         Fuse(region.centres, config.fusion, mounts),
         *([Border(strips, config.fusion)] if strips is not None else []),
-        Track(),
-        Count(region, lanes, config, has_lidars=has_lidars),
+        Track(region.surroundings, roadway, config.tracking, strips),
+        Count(region, lanes, config, has_lidars=has_lidars, strips=strips),
     ]
 
 
@@ -267,24 +267,21 @@ class Border(FrameStage):
         self._strips.join(state, self._config)
 
 
-class Track(FrameStage):
-    """Follows vehicles from frame to frame: who is where, how fast, and still there if hidden."""
-
-    name = "track"
-
-    def run(self, state: FrameState) -> None:
-        """See `FrameStage.run`."""
-        state.tracks = Tracks.untracked(state.fused, state.frame.sim_time_ns)
-
-
 class Count(FrameStage):
     """Keeps vehicles on the road; counts vehicles and queues per lane and what sensors cover."""
 
     name = "count"
 
     def __init__(
-        self, region: RegionMap, lanes: LaneIndex, config: EdgeConfig, *, has_lidars: bool
+        self,
+        region: RegionMap,
+        lanes: LaneIndex,
+        config: EdgeConfig,
+        *,
+        has_lidars: bool,
+        strips: BorderStrips | None = None,
     ) -> None:
+        self._strips = strips
         self._owned = {"", *region.area.by_tls}
         self._lanes = lanes
         self._config = config
@@ -304,6 +301,8 @@ class Count(FrameStage):
         on_road = positions.lane >= 0
         state.tracks, state.positions = tracks.take(on_road), positions.take(on_road)
         state.detections = self._detections(state)
+        if self._strips is not None:
+            self._strips.note(state.detections)
         counts = state.tracks.classes != ObjectClass.PEDESTRIAN
         state.tracks, state.positions = state.tracks.take(counts), state.positions.take(counts)
         state.counts = {tls: self._counts(state, tls) for tls in self._coverage}

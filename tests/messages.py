@@ -28,6 +28,7 @@ def no_tracks() -> dict[str, np.ndarray]:
         "track_classes": np.zeros(0, np.uint8),
         "track_speeds_mps": empty,
         "track_coasted_s": empty,
+        "track_ages_s": empty,
     }
 
 
@@ -230,6 +231,7 @@ EXAMPLES: list[m.Message] = [
         track_classes=np.zeros(1, np.uint8),
         track_speeds_mps=np.ones(1, np.float32),
         track_coasted_s=np.zeros(1, np.float32),
+        track_ages_s=np.ones(1, np.float32),
     ),
     m.TileBodies(
         frame=1,

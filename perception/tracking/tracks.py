@@ -75,7 +75,7 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.track_ids)
 
-    def take(self, chosen: Ints | Bools) -> Tracks:
+    def take(self, chosen: Ints | Bools | slice) -> Tracks:
         """Returns some of them, by index or mask, in the order of the indices."""
         indices = np.arange(len(self))[chosen]
         return Tracks(

@@ -227,12 +227,13 @@ class BorderObjects(Message):
     track_classes: ObjectClasses
     track_speeds_mps: Speeds
     track_coasted_s: Ages
+    track_ages_s: Ages
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
         check_lengths(self, "boxes", "scores", "classes", "sources", "position_std_m")
         check_lengths(self, "track_ids", "track_boxes", "track_classes", "track_speeds_mps")
-        check_lengths(self, "track_ids", "track_coasted_s")
+        check_lengths(self, "track_ids", "track_coasted_s", "track_ages_s")
         if len(self.sensors) > MAX_ITEMS:
             raise ValueError(f"{len(self.sensors)} sensors, limit {MAX_ITEMS}")
         if not ((self.position_std_m >= 0) & (self.position_std_m <= MAX_POSITION_STD_M)).all():
