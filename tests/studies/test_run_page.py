@@ -135,7 +135,7 @@ def test_no_table_needs_to_hold_anything(tmp_path: Path, table: str) -> None:
     kept = " WHERE key <> 'schema_version'" if table == "meta" else ""
     with closing(sqlite3.connect(tmp_path / FILE_NAME)) as connection, connection:
         connection.execute(f"DELETE FROM {table}{kept}")
-    assert len(run_page(tmp_path).sections) == 7
+    assert len(run_page(tmp_path).sections) == 8
 
 
 def test_a_run_without_its_setup_still_has_a_page(tmp_path: Path) -> None:
