@@ -203,8 +203,9 @@ class Tracker:
 
     def _bounded(self, observed: Vehicles) -> Vehicles:
         """Returns the detections in an order of their own, and no more than are allowed."""
-        keys = [*observed.boxes.T[::-1], np.array(observed.sources, object), -observed.scores]
-        order = np.lexsort([_ranks(key) for key in keys])
+        number = {source: rank for rank, source in enumerate(sorted(set(observed.sources)))}
+        sources = [number[source] for source in observed.sources]
+        order = np.lexsort([*observed.boxes.T[::-1], sources, -observed.scores])
         self.refused += max(len(order) - self._config.max_tracks, 0)
         return observed.take(order[: self._config.max_tracks])
 
@@ -250,7 +251,7 @@ class Tracker:
         kept = states.covariance.copy()
         self._loosen(pairs)
         self._pair(observed, std, pairs)
-        missed = ~np.isin(np.arange(len(states)), pairs)
+        missed = _unpaired(pairs, len(states))
         states.covariance[missed] = kept[missed]
         return pairs
 
@@ -258,7 +259,7 @@ class Tracker:
         """Fills in the tracks of detections that have none yet."""
         states = self._states
         boxes = np.flatnonzero(pairs < 0)
-        tracks = np.flatnonzero(~np.isin(np.arange(len(states)), pairs))
+        tracks = np.flatnonzero(_unpaired(pairs, len(states)))
         if not len(boxes) or not len(tracks):
             return
         seen, person = observed.take(boxes), is_person(states.votes[tracks].argmax(axis=1))
@@ -280,7 +281,7 @@ class Tracker:
         A box jumps when another side of the vehicle comes into view.
         """
         states = self._states
-        missed = ~np.isin(np.arange(len(states)), pairs)
+        missed = _unpaired(pairs, len(states))
         jumps = motion.JUMP_STD if self._lanes is not None else motion.JUMP_STD_OFF_MAP
         motion.loosen(states.mean, states.covariance, np.flatnonzero(missed), jumps)
 
@@ -477,6 +478,13 @@ def _std(observed: Vehicles, visible: SightLines | None) -> Floats:
     return np.ascontiguousarray(std)
 
 
+def _unpaired(pairs: Ints, tracks: int) -> Bools:
+    """Marks the tracks that no detection belongs to."""
+    result = np.ones(tracks, np.bool_)
+    result[pairs[pairs >= 0]] = False
+    return result
+
+
 def _nearest(apart: Floats, most: float) -> Ints:
     """Returns for each row (N, M) the column that is its own by pairs, nearest first, or -1."""
     result = np.full(len(apart), -1, np.int64)
@@ -487,11 +495,6 @@ def _nearest(apart: Floats, most: float) -> Ints:
         if result[row] < 0 and free[column]:
             result[row], free[column] = column, False
     return result
-
-
-def _ranks(key: np.ndarray) -> Ints:
-    """Returns the rank of each value, so that keys of all types can be sorted by."""
-    return np.unique(key, return_inverse=True)[1]
 
 
 def _within(std_m: Floats) -> Floats:
