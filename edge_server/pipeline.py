@@ -48,6 +48,9 @@ from perception.roadway import Roadway
 from protocol.messages import Detections, LaneCounts, ObjectClass, Scan, Span
 from protocol.regions import RegionMap
 
+SPEED_KNOWN_NS = 500_000_000
+"""So long after its first detection the speed of a track is worth something."""
+
 
 class Pipeline:
     """Runs stages in their order: those of chunks, then those of the frame."""
@@ -365,7 +368,7 @@ class Count(FrameStage):
     def _is_stationary(self, state: FrameState) -> Bools:
         """Marks the tracks slower than the limit; of a new one, the speed is not known yet."""
         tracks, limit_mps = state.tracks, self._config.stationary_mps
-        is_known = (tracks.track_ids > 0) & (tracks.speed_std_mps < limit_mps)
+        is_known = state.frame.sim_time_ns - tracks.first_seen_ns >= SPEED_KNOWN_NS
         return np.asarray(is_known & (np.abs(tracks.speeds_mps) < limit_mps))
 
     def _covered(self, state: FrameState, tls: str) -> tuple[CoverageShares, CoverageShares]:

@@ -47,14 +47,14 @@ def associate(
     limit = float(cost.max()) + gate + UNMATCHED_COST
     part = _parts(box, track, len(boxes), len(mean))
     order = np.argsort(part, kind="stable")
-    ends = np.flatnonzero(np.diff(part[order])) + 1
-    starts = np.concatenate([[0], ends])
-    alone = np.diff(np.concatenate([starts, [len(order)]])) == 1
-    single = order[starts[alone]]
+    starts = np.flatnonzero(np.diff(part[order], prepend=-1))
+    ends = np.append(starts[1:], len(order))
+    single = order[starts[ends - starts == 1]]
     result[box[single]] = track[single]
-    for chosen in (
-        p for p, is_alone in zip(np.split(order, ends), alone, strict=True) if not is_alone
-    ):
+    for start, end in zip(starts, ends, strict=True):
+        if end - start == 1:
+            continue
+        chosen = order[start:end]
         rows, row = np.unique(box[chosen], return_inverse=True)
         columns, column = np.unique(track[chosen], return_inverse=True)
         costs = np.full((len(rows), len(columns)), 4 * limit)

@@ -44,12 +44,11 @@ class TrackingConfig(Section):
     turn_std_rps: float = Field(
         0.3, gt=0, le=3, description="how much a vehicle changes its yaw rate in 1 s"
     )
-    empty_probability: float = Field(
-        0.8,
-        ge=0,
-        lt=1,
-        description="a vehicle would have been detected with this probability where a sensor sees "
-        "the ground through its place",
+    empty_life_s: float = Field(
+        0.3,
+        gt=0,
+        description="mean life of a track whose place a sensor sees to be empty; it is not "
+        "published meanwhile, and keeps its id if it was missed by mistake",
     )
     shadow_life_s: float = Field(
         120.0, gt=0, description="mean life of a track where no sensor looks"
@@ -58,7 +57,7 @@ class TrackingConfig(Section):
         1.0, gt=0, description="the same where nothing says what sensors have seen"
     )
     min_existence: float = Field(
-        0.05, gt=0, lt=1, description="a track that exists with less probability ends"
+        0.01, gt=0, lt=1, description="a track that exists with less probability ends"
     )
     publish_probability: float = Field(
         0.4,

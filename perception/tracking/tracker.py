@@ -9,12 +9,14 @@ from numba import njit
 
 from perception.arrays import Bools, Floats, Ints
 from perception.detector import LIDAR, Vehicles
+from perception.object_classes import MAX_LENGTH_M
 from perception.tracking import motion
 from perception.tracking.association import PERSON, associate, is_person
 from perception.tracking.config import TrackingConfig
 from perception.tracking.lane_graph import LaneGraph
 from perception.tracking.sightlines import SightLines
 from perception.tracking.tracks import Tracks
+from protocol.limits import MAX_POSITION_STD_M
 
 BOX_STD = np.array([0.35, 0.2, 0.08])  # of a detector's box near a sensor: along, across, heading
 FAR_STD = 0.015  # along, more for each metre beyond `FAR_M`: only an end of the vehicle is seen
@@ -26,12 +28,15 @@ FREE_SHARE = 0.9  # of a lane's speed: the likely speed of a new one alone
 POSE_STD = np.array([0.1, 0.1, 0.02])  # of an agent's own pose, beside what it says of itself
 UNKNOWN_MPS = 8.0  # deviation of the speed of who was seen once, off the map
 TURN_RPS = 0.2  # and of its yaw rate
+POSE_JUMP_M = 25.0  # an agent that is farther from its track is somewhere else: a new track
+FASTEST_MPS = 70.0
 LONG_GAP_S = 0.3  # over longer ones who is on a lane follows it, seen or not
 HALF_CAR_M = 2.5  # a position is known where its error is less
-FIRST_EXISTENCE = 0.6
+FIRST_EXISTENCE, MOST_EXISTENCE = 0.6, 0.99
 HIT_ODDS = 4.0  # of a detection of a vehicle to one of nothing
 SAME_ALONG, SAME_ACROSS_M = 0.6, 1.2  # boxes nearer, of their mean length, are of one vehicle
 ADOPTED_STD_MPS = 1.0  # of the speed that another tracker tells
+SURE_M = 8.0  # so far on, a lane is no longer mistaken for one that begins beside it
 UNSURE_LIFE_S = 0.5  # of a track that is not confirmed
 
 
@@ -40,8 +45,10 @@ class _States:
     """What is known of each track; see `motion` for `mean` and `covariance`.
 
     `dims` (N, 4) are z, length, width, height, `votes` (N, 4) detections by class. `lane`,
-    `along_m` and `off_m` are as of `LaneGraph.locate` in this frame. `owner` is the agent whose
-    poses a track follows, "lidar" for none; `seen` whether it was detected in this frame.
+    `along_m` and `off_m` are as of `LaneGraph.locate` in this frame; `origin` is the lane that a
+    track was on for sure before, -1 for none. `owner` is the agent whose
+    poses a track follows, "lidar" for none; `seen` whether it was detected in this frame, else
+    `in_view` how much of its place was seen to be empty.
     """
 
     ids: Ints
@@ -57,6 +64,8 @@ class _States:
     lane: Ints
     along_m: Floats
     off_m: Floats
+    origin: Ints
+    in_view: Floats
     seen: Bools
     owner: np.ndarray
 
@@ -77,6 +86,8 @@ class _States:
             lane=whole,
             along_m=real,
             off_m=real,
+            origin=whole,
+            in_view=real,
             seen=np.zeros(0, np.bool_),
             owner=np.zeros(0, object),
         )
@@ -192,8 +203,9 @@ class Tracker:
 
     def _bounded(self, observed: Vehicles) -> Vehicles:
         """Returns the detections in an order of their own, and no more than are allowed."""
-        keys = [*observed.boxes.T[::-1], np.array(observed.sources, object), -observed.scores]
-        order = np.lexsort([_ranks(key) for key in keys])
+        number = {source: rank for rank, source in enumerate(sorted(set(observed.sources)))}
+        sources = [number[source] for source in observed.sources]
+        order = np.lexsort([*observed.boxes.T[::-1], sources, -observed.scores])
         self.refused += max(len(order) - self._config.max_tracks, 0)
         return observed.take(order[: self._config.max_tracks])
 
@@ -227,13 +239,19 @@ class Tracker:
             return pairs
         own = {owner: n for n, owner in enumerate(states.owner.tolist()) if owner != LIDAR}
         for m, source in enumerate(observed.sources):
-            if source in own:
-                pairs[m] = own[source]
+            n = own.get(source, -1)
+            if n < 0:
+                continue
+            x, y = observed.boxes[m, :2] - states.mean[n, :2]
+            if np.hypot(x, y) <= POSE_JUMP_M + 2 * observed.position_std_m[m]:
+                pairs[m] = n
+            else:
+                states.owner[n] = LIDAR
         self._pair(observed, std, pairs)
         kept = states.covariance.copy()
         self._loosen(pairs)
         self._pair(observed, std, pairs)
-        missed = ~np.isin(np.arange(len(states)), pairs)
+        missed = _unpaired(pairs, len(states))
         states.covariance[missed] = kept[missed]
         return pairs
 
@@ -241,7 +259,7 @@ class Tracker:
         """Fills in the tracks of detections that have none yet."""
         states = self._states
         boxes = np.flatnonzero(pairs < 0)
-        tracks = np.flatnonzero(~np.isin(np.arange(len(states)), pairs))
+        tracks = np.flatnonzero(_unpaired(pairs, len(states)))
         if not len(boxes) or not len(tracks):
             return
         seen, person = observed.take(boxes), is_person(states.votes[tracks].argmax(axis=1))
@@ -263,13 +281,14 @@ class Tracker:
         A box jumps when another side of the vehicle comes into view.
         """
         states = self._states
-        missed = ~np.isin(np.arange(len(states)), pairs)
+        missed = _unpaired(pairs, len(states))
         jumps = motion.JUMP_STD if self._lanes is not None else motion.JUMP_STD_OFF_MAP
         motion.loosen(states.mean, states.covariance, np.flatnonzero(missed), jumps)
 
     def _correct(self, time_ns: int, observed: Vehicles, std: Floats, pairs: Ints) -> None:
         states = self._states
         states.seen[:] = False
+        states.in_view[:] = 0.0
         matched = np.flatnonzero(pairs >= 0)
         tracks = pairs[matched]
         if not len(tracks):
@@ -278,12 +297,14 @@ class Tracker:
         motion.correct(
             states.mean, states.covariance, tracks, np.ascontiguousarray(seen.boxes), std[matched]
         )
+        np.clip(states.mean[:, 3], -FASTEST_MPS, FASTEST_MPS, out=states.mean[:, 3])
         states.seen[tracks] = True
         states.hits[tracks] += 1
         states.last_ns[tracks] = time_ns
         states.score[tracks] = seen.scores
         odds = states.existence[tracks] * HIT_ODDS
-        states.existence[tracks] = np.minimum(odds / (odds + 1 - states.existence[tracks]), 0.999)
+        sure = odds / (odds + 1 - states.existence[tracks])
+        states.existence[tracks] = np.minimum(sure, MOST_EXISTENCE)
         new = 1 / np.minimum(states.hits[tracks], 10)[:, None]
         dims = seen.boxes[:, 2:6]
         states.dims[tracks, 1:] += new * (dims[:, 1:] - states.dims[tracks, 1:])
@@ -303,9 +324,10 @@ class Tracker:
         if visible is None:
             existence = existence * np.exp(-dt_s / config.blind_life_s)
         else:
-            detected = config.empty_probability * visible.empty(states.boxes[missed])
-            existence = existence * (1 - detected) / (1 - existence * detected)
-            existence = existence * np.exp(-dt_s / config.shadow_life_s)
+            empty = visible.empty(states.boxes[missed])
+            states.in_view[missed] = empty
+            lives_per_s = (1 - empty) / config.shadow_life_s + empty / config.empty_life_s
+            existence = existence * np.exp(-dt_s * lives_per_s)
         unsure = states.hits[missed] < config.confirm_hits
         existence = existence * np.where(unsure, np.exp(-dt_s / UNSURE_LIFE_S), 1.0)
         coasted_s = (self._now() - states.last_ns[missed]) / 1e9
@@ -325,6 +347,7 @@ class Tracker:
         new = pairs < 0
         known = self._states.boxes[self._states.seen]
         new[new] = ~_overlapping(observed.boxes[new], known)
+        new[new] = _first_of_each(observed.boxes[new])
         room = self._config.max_tracks - len(self._states)
         self.refused += max(int(new.sum()) - room, 0)
         new[np.flatnonzero(new)[max(room, 0) :]] = False
@@ -362,6 +385,8 @@ class Tracker:
             lane=number,
             along_m=np.zeros(count),
             off_m=np.zeros(count),
+            origin=number.copy(),
+            in_view=np.zeros(count),
             seen=np.ones(count, np.bool_),
             owner=np.array(new.sources, object),
         )
@@ -395,15 +420,17 @@ class Tracker:
         seen = np.flatnonzero(states.seen)
         if lanes is None or not len(seen):
             return
-        before = states.lane[seen]
         lane, along_m, off_m = lanes.locate(states.boxes[seen])
         is_person = states.votes[seen].argmax(axis=1) == PERSON
         lane[is_person] = -1
         states.lane[seen], states.along_m[seen], states.off_m[seen] = lane, along_m, off_m
-        for old, new in zip(before.tolist(), lane.tolist(), strict=True):
-            if old != new and old >= 0 and new >= 0:
+        sure = (lane >= 0) & (along_m > np.minimum(SURE_M, lanes.length_m[lane] / 2))
+        for n, new in zip(seen[sure].tolist(), lane[sure].tolist(), strict=True):
+            old = states.origin[n]
+            if old not in (-1, new):
                 ways = slice(lanes.leads[old], lanes.leads[old + 1])
                 self._trips[ways] += lanes.followers[ways] == new
+            states.origin[n] = new
 
     def _now(self) -> int:
         assert self._time_ns is not None
@@ -416,7 +443,7 @@ class Tracker:
         variance = p[:, 0, 0] * cos**2 + 2 * p[:, 0, 1] * cos * sin + p[:, 1, 1] * sin**2
         along_m = np.sqrt(np.maximum(variance, 0))
         confirmed = states.hits >= config.confirm_hits
-        known = states.existence * _within(along_m)
+        known = states.existence * (1 - states.in_view) * _within(along_m)
         coasts = confirmed & (known >= config.publish_probability)
         shown = np.where(states.seen, confirmed | (states.score >= config.birth_score), coasts)
         chosen = np.flatnonzero(shown)
@@ -427,8 +454,8 @@ class Tracker:
             boxes=states.boxes[chosen],
             speeds_mps=states.mean[chosen, 3],
             yaw_rates_rps=states.mean[chosen, 4],
-            position_std_m=along_m[chosen],
-            speed_std_mps=np.sqrt(p[chosen, 3, 3]),
+            position_std_m=np.minimum(along_m[chosen], MAX_POSITION_STD_M),
+            speed_std_mps=np.minimum(np.sqrt(p[chosen, 3, 3]), FASTEST_MPS),
             scores=np.where(states.seen, states.score, known)[chosen],
             existence=states.existence[chosen],
             first_seen_ns=states.first_ns[chosen],
@@ -451,6 +478,13 @@ def _std(observed: Vehicles, visible: SightLines | None) -> Floats:
     return np.ascontiguousarray(std)
 
 
+def _unpaired(pairs: Ints, tracks: int) -> Bools:
+    """Marks the tracks that no detection belongs to."""
+    result = np.ones(tracks, np.bool_)
+    result[pairs[pairs >= 0]] = False
+    return result
+
+
 def _nearest(apart: Floats, most: float) -> Ints:
     """Returns for each row (N, M) the column that is its own by pairs, nearest first, or -1."""
     result = np.full(len(apart), -1, np.int64)
@@ -463,11 +497,6 @@ def _nearest(apart: Floats, most: float) -> Ints:
     return result
 
 
-def _ranks(key: np.ndarray) -> Ints:
-    """Returns the rank of each value, so that keys of all types can be sorted by."""
-    return np.unique(key, return_inverse=True)[1]
-
-
 def _within(std_m: Floats) -> Floats:
     """Returns the probability (N,) of an error of less than half a car, normally distributed.
 
@@ -477,19 +506,35 @@ def _within(std_m: Floats) -> Floats:
     return np.asarray(2 / (1 + np.exp(-np.minimum(1.5976 * t + 0.07056 * t**3, 700.0))) - 1)
 
 
+@njit("boolean(float64[:], float64[:])", cache=True)
+def _is_same(box: Floats, other: Floats) -> bool:
+    """Whether two boxes lie so much in one place that they are of one vehicle."""
+    x, y = box[0] - other[0], box[1] - other[1]
+    cos, sin = np.cos(other[6]), np.sin(other[6])
+    reach_m = SAME_ALONG * (box[3] + other[3]) / 2
+    return bool(abs(cos * x + sin * y) < reach_m and abs(cos * y - sin * x) < SAME_ACROSS_M)
+
+
 @njit("boolean[::1](float64[:,:], float64[:,:])", cache=True)
 def _overlapping(boxes: Floats, others: Floats) -> Bools:
     """Whether each box (N, 7) lies where any of the others (M, 7) is."""
     result = np.zeros(boxes.shape[0], np.bool_)
     for n in range(boxes.shape[0]):
         for m in range(others.shape[0]):
-            x, y = boxes[n, 0] - others[m, 0], boxes[n, 1] - others[m, 1]
-            if abs(x) > 20.0 or abs(y) > 20.0:
-                continue
-            cos, sin = np.cos(others[m, 6]), np.sin(others[m, 6])
-            along, across = abs(cos * x + sin * y), abs(cos * y - sin * x)
-            reach = SAME_ALONG * (boxes[n, 3] + others[m, 3]) / 2
-            if along < reach and across < SAME_ACROSS_M:
+            if abs(boxes[n, 0] - others[m, 0]) < MAX_LENGTH_M and _is_same(boxes[n], others[m]):
                 result[n] = True
+                break
+    return result
+
+
+@njit("boolean[::1](float64[:,:])", cache=True)
+def _first_of_each(boxes: Floats) -> Bools:
+    """Marks the boxes (N, 7) that lie where none before them does that is marked."""
+    result = np.zeros(boxes.shape[0], np.bool_)
+    for n in range(boxes.shape[0]):
+        result[n] = True
+        for m in range(n):
+            if result[m] and _is_same(boxes[n], boxes[m]):
+                result[n] = False
                 break
     return result
