@@ -152,15 +152,16 @@ def _headways(found: pl.DataFrame) -> list[Block]:
                 "mean of all lanes",
                 tuple(means["position"].to_list()),
                 tuple(means["mean"].to_list()),
-                style="line+points",
             ),
         ),
+        "bar",
         notes="That of the first is its time since green.",
     )
     columns = (Column("lane"), Column("headways"), Column("vehicles per hour of green", ".0f"))
     flows = saturation_flows(found)
     if flows.is_empty():
-        return [chart, Text(f"No queue was longer than {STARTUP}: there is no saturation flow.")]
+        none = Text(f"No queue longer than {STARTUP} was followed: there is no saturation flow.")
+        return [SideBySide((chart, none))]
     caption = f"Saturation flow, behind the first {STARTUP} of a queue"
     table = Table(columns, tuple(flows.head(MAX_LANES).rows()), caption)
     return [SideBySide((chart, table))]
