@@ -1,7 +1,8 @@
 """`cpnet eval --tracks RUN`: the tracks of a run beside the truth, and the table of their measures.
 
 Vehicles in coverage are to be tracked: those in the area of E-CVPR (`studies.ecvpr`) within the
-range of a LiDAR, and there those that report themselves. Boxes of people are left aside.
+range of a LiDAR, and there those that report themselves. Boxes of people are left aside, and those
+of no vehicle outside the area.
 """
 
 from __future__ import annotations
@@ -19,7 +20,15 @@ from protocol.messages import VehicleType, is_bystander
 from recording.run import Run
 from recording.tables import DetectionRow, TruthRow
 from studies.coasting import CoastingScore, coasting_score
-from studies.ecvpr import EvaluationArea, PerceptionBounds, by_frame, parked_bodies, vehicles_of
+from studies.ecvpr import (
+    DOWNSTREAM_M,
+    UPSTREAM_M,
+    EvaluationArea,
+    PerceptionBounds,
+    by_frame,
+    parked_bodies,
+    vehicles_of,
+)
 from studies.over_time import FrameClock
 from studies.page.model import DASH
 from studies.tracking import (
@@ -147,7 +156,13 @@ def tracked_frames(run: Run) -> Iterator[TrackedFrame]:
             speeds_mps=np.array([one.speed_mps for one in boxes], np.float64),
             scores=np.array([one.score for one in boxes], np.float64),
             coasted_s=np.array([one.coasted_s for one in boxes], np.float64),
+            inside=np.array([_is_inside(one) for one in boxes], np.bool_),
         )
+
+
+def _is_inside(one: DetectionRow) -> bool:
+    """Whether a box is in the area of E-CVPR, or off the lanes, where no vehicle should be."""
+    return not one.lane or -DOWNSTREAM_M <= one.distance_m <= UPSTREAM_M
 
 
 def _bodies(vehicles: list[TruthRow], types: dict[str, VehicleType]) -> Floats:

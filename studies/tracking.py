@@ -37,7 +37,8 @@ class TrackedFrame:
     """The vehicles (N) of a frame, and the boxes (M) of tracks.
 
     Boxes are (N, 7) and (M, 7), as in `perception.detector.Vehicles`, speeds are in m/s. Those
-    vehicles that are `due` (N,) are to be tracked; a box of another one is neither true nor false.
+    vehicles that are `due` (N,) are to be tracked; a box of another one is neither true nor false,
+    nor is one of no vehicle unless it is `inside` (M,).
     `coasted_s` (M,) is the time since a sensor last saw a track's vehicle, 0 in a frame with it.
     """
 
@@ -51,6 +52,7 @@ class TrackedFrame:
     speeds_mps: Floats
     scores: Floats
     coasted_s: Floats
+    inside: Bools
 
 
 def centre_similarity(vehicles: Floats, boxes: Floats) -> Floats:
@@ -84,13 +86,15 @@ class Sequences:
 
     @classmethod
     def of(cls, frames: Iterable[TrackedFrame], similarity: Similarity) -> Sequences:
-        """Compares the vehicles that are due with all boxes but those of other vehicles."""
+        """Compares the vehicles that are due with the boxes that could be theirs."""
         numbers: dict[tuple[str, Hashable], int] = {}
         result = cls([], [], [], [])
         for frame in frames:
             near = centre_similarity(frame.vehicle_boxes, frame.boxes)
-            others = {box for vehicle, box in pairs_of(near) if not frame.due[vehicle]}
-            kept = [n for n in range(len(frame.boxes)) if n not in others]
+            counts = frame.inside.copy()
+            for vehicle, box in pairs_of(near):
+                counts[box] = frame.due[vehicle]
+            kept = np.flatnonzero(counts).tolist()
             due = np.flatnonzero(frame.due)
             for side, ids, chosen, found in (
                 ("vehicle", frame.vehicles, due.tolist(), result.vehicles),

@@ -46,6 +46,7 @@ def frame(
         speeds_mps=np.full(len(tracks), speed_mps),
         scores=np.full(len(tracks), score),
         coasted_s=np.full(len(tracks), coasted_s),
+        inside=np.ones(len(tracks), np.bool_),
     )
 
 
@@ -89,6 +90,13 @@ def test_what_follows_a_vehicle_that_is_not_due_is_neither_true_nor_false() -> N
     assert score_of([frame(0, {"a": 0}, {7: 0}, due=False)]).passages == 0
     mixed = [replace(frame(0, {"a": 0, "b": 20}, {7: 0, 8: 20}), due=np.array([True, False]))]
     assert score_of(mixed).mota == pytest.approx(1)
+
+
+def test_a_box_of_nothing_is_false_only_inside() -> None:
+    ghost = frame(0, {"a": 0}, {7: 0, 8: 30})
+    assert score_of([ghost]).mota == pytest.approx(0)
+    assert score_of([replace(ghost, inside=np.array([True, False]))]).mota == pytest.approx(1)
+    assert score_of([replace(ghost, inside=np.array([False, True]))]).mota == pytest.approx(0)
 
 
 def test_without_vehicles_nothing_is_measured() -> None:
