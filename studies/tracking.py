@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -106,6 +106,11 @@ class Sequences:
             result.scores.append(frame.scores[kept])
         return result
 
+    @property
+    def sides(self) -> tuple[list[list[int]], list[list[int]], list[list[list[float]]]]:
+        """What `motrics` takes: it reads arrays as it reads lists, in half the time."""
+        return self.vehicles, self.tracks, cast("list[list[list[float]]]", self.similarity)
+
     def above(self, score: float, by_track: dict[int, float]) -> Sequences:
         """Returns what is left of tracks with at least this score."""
         result = Sequences(self.vehicles, [], [], [])
@@ -145,7 +150,7 @@ class TrackScore:
         passages = len({one for ids in found.vehicles for one in ids})
         if not passages:
             return cls(None, None, None, None, None, None, None, 0, 0, 0)
-        sides = found.vehicles, found.tracks, [one.tolist() for one in found.similarity]
+        sides = found.sides
         hota = motrics.compute_hota_from_similarity(*sides)
         identity = motrics.compute_identity_from_similarity(*sides, threshold=least)
         clear = motrics.compute_clear_from_similarity(*sides, threshold=least)
@@ -177,8 +182,7 @@ class TrackScore:
 
         if not any(found.vehicles):
             return None
-        lists = [one.tolist() for one in found.similarity]
-        return motrics.compute_hota_from_similarity(found.vehicles, found.tracks, lists).hota
+        return motrics.compute_hota_from_similarity(*found.sides).hota
 
 
 def _over_recalls(found: Sequences, least: float) -> tuple[float, float]:
@@ -206,10 +210,7 @@ def _over_recalls(found: Sequences, least: float) -> tuple[float, float]:
         score = float(ranked[needed - 1])
         if score not in counted:
             part = found.above(score, by_track)
-            lists = [one.tolist() for one in part.similarity]
-            counted[score] = motrics.compute_clear_from_similarity(
-                part.vehicles, part.tracks, lists, threshold=least
-            )
+            counted[score] = motrics.compute_clear_from_similarity(*part.sides, threshold=least)
         clear, recall = counted[score], level / RECALLS
         wrong = clear.num_false_positives + clear.num_misses + clear.num_switches
         mota += 1 - wrong / total
