@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from edge_server.power_diagram import PLAIN, cells
+from edge_server.tracking import FRAME_BIT
 from perception.arrays import Floats
 from perception.detector import LIDAR
 from protocol.messages import Detections, LaneCounts, Plan, SignalState, Truth, VehicleType
@@ -115,7 +116,7 @@ class Trails:
             self._places[track] = [*known, (now_ns, place)]
             if known:
                 found.lines.append(np.stack([at for _, at in self._places[track]]))
-                found.names.append(f"#{track}")
+                found.names.append(short_name(track))
                 found.colours.append(rgb(palette.BOX))
         return found
 
@@ -242,10 +243,15 @@ def plan_cells(
     return found
 
 
+def short_name(track: int) -> str:
+    """Returns a track's id without its region and the edge's start; it is no long number then."""
+    return f"#{track % (1 << FRAME_BIT)}"
+
+
 def _label(message: Detections, number: int) -> str:
     """Returns the track's id or the agent, the lane, the speed, and since when nobody sees it."""
     source, track = message.sources[number], int(message.track_ids[number])
-    name = source if source != LIDAR else f"#{track or number}"
+    name = source if source != LIDAR else short_name(track) if track else f"#{number}"
     parts = [name, message.lanes[number] or "off the lanes"]
     if track:
         parts.append(f"{3.6 * float(message.speeds_mps[number]):.0f} km/h")

@@ -23,7 +23,7 @@ class TrackingConfig(Section):
         "others once they are confirmed",
     )
     confirm_hits: int = Field(
-        3, ge=1, le=100, description="detections after which a track is confirmed, and may coast"
+        2, ge=1, le=100, description="detections after which a track is confirmed, and may coast"
     )
     gate: float = Field(
         16.0,

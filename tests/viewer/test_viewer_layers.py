@@ -155,7 +155,7 @@ def test_boxes_are_named_by_their_track_its_speed_and_whether_somebody_sees_it()
     known = {
         "speeds_mps": np.array([10, 2], np.float32), "coasted_s": np.array([0, 1.5], np.float32),
     }  # fmt: skip
-    boxes = layers.detected(tracks_at(1, {7: 0.0, 9: 5.0}, **known), {})
+    boxes = layers.detected(tracks_at(1, {7 + (3 << 50): 0.0, 9: 5.0}, **known), {})
     assert boxes.labels == ["#7 · south_0 · 36 km/h", "#9 · south_0 · 7 km/h · unseen for 1.5 s"]
     assert boxes.colours == [rgb(palette.BOX), rgb(palette.FAINT)]
 
