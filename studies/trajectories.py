@@ -44,6 +44,9 @@ GREENS: dict[str, type[pl.DataType]] = {
     "end_s": pl.Float64,
 }
 QUEUED_MPS = 5 / 3.6  # who is slower before a stop bar is queued (5 km/h, as VISSIM counts)
+QUEUE_GAP_M = (
+    20.0  # between two vehicles of a queue, or the first and the bar, at most (VISSIM, too)
+)
 STARTUP = 4  # vehicles of a queue whose headways are longer, as they start (HCM)
 ARRIVAL_M = 100.0  # before the stop bar, where arrivals are counted
 GREEN = "Gg"
@@ -211,12 +214,18 @@ def _queues(
     for lane, start_s, end_s in greens.select("lane", "start_s", "end_s").iter_rows():
         at = times_s.search_sorted(start_s, "right") - 1
         here = by_place.get((times_s[at], lane)) if at >= 0 else None
-        queue = (
-            before.clear() if here is None else here.filter(pl.col("speed_mps").abs() < QUEUED_MPS)
-        )
-        queue = queue.with_columns((pl.col("distance_m") + pl.col("length_m") / 2).alias("end_m"))
-        result.append((lane, start_s, end_s, queue.sort("distance_m")))
-    return result  # fmt: skip
+        queue = _queue(before.clear() if here is None else here)
+        result.append((lane, start_s, end_s, queue))
+    return result
+
+
+def _queue(before: pl.DataFrame) -> pl.DataFrame:
+    """Returns those of a lane's vehicles that are queued, front first, with their `end_m`."""
+    half_m = pl.col("length_m") / 2
+    slow = before.filter(pl.col("speed_mps").abs() < QUEUED_MPS).sort("distance_m")
+    ends = slow.with_columns((pl.col("distance_m") + half_m).alias("end_m"))
+    gap_m = pl.col("distance_m") - half_m - pl.col("end_m").shift(1, fill_value=0.0)
+    return ends.filter((gap_m > QUEUE_GAP_M).cum_sum() == 0)
 
 
 def crossings(trajectories: pl.DataFrame, layout: Layout) -> pl.DataFrame:

@@ -150,11 +150,12 @@ def _headways(found: pl.DataFrame) -> list[Block]:
         (
             Series(
                 "mean of all lanes",
-                tuple(means["position"].to_list()),
+                tuple(range(len(means))),
                 tuple(means["mean"].to_list()),
             ),
         ),
         "bar",
+        x_categories=tuple(map(str, means["position"].to_list())),
         notes="That of the first is its time since green.",
     )
     columns = (Column("lane"), Column("headways"), Column("vehicles per hour of green", ".0f"))

@@ -117,7 +117,7 @@ class Trails:
             if known:
                 found.lines.append(np.stack([at for _, at in self._places[track]]))
                 found.names.append(short_name(track))
-                found.colours.append(rgb(palette.BOX))
+                found.colours.append(rgb(palette.FAINT))
         return found
 
 

@@ -96,11 +96,19 @@ def test_a_queue_reaches_to_the_end_of_the_last_that_stands() -> None:
     standing = queue_that_starts(4, 2.0)
     (row,) = queues_at_green(standing, ONE_GREEN, LAYOUT.approach).rows()
     assert row == ("in_0", 10.0, 4, 2 + 7 * 3 + 2)
-    moving = [(9, 10.0, 60.0, 8.0, "in_0", 0.0), (10, 10.0, 180.0, 0.0, "far_0", 0.0)]
-    (row,) = queues_at_green(
-        pl.concat([standing, table(moving)]), ONE_GREEN, LAYOUT.approach
-    ).rows()
-    assert row == ("in_0", 10.0, 5, 182.0)  # on the lane before, that leads to this one
+    moving = [(9, 10.0, 30.0, 8.0, "in_0", 0.0), (10, 10.0, 60.0, 0.0, "in_0", 0.0)]
+    both = pl.concat([standing, table(moving)])  # one that drives, one too far behind the others
+    assert queues_at_green(both, ONE_GREEN, LAYOUT.approach).rows() == [row]
+
+
+def test_a_queue_goes_on_over_lanes_that_lead_to_this_one() -> None:
+    places = [10.0 + 20 * n for n in range(9)]
+    rows = [
+        (n, 10.0, at_m, 0.0, "in_0" if at_m < 150 else "far_0", 0.0)
+        for n, at_m in enumerate(places, 1)
+    ]
+    found = queues_at_green(table(rows), ONE_GREEN, LAYOUT.approach).rows()
+    assert found == [("in_0", 10.0, 9, 172.0)]
 
 
 def test_a_green_without_a_queue_has_none() -> None:
