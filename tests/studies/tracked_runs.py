@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from recording.database import Database
-from recording.tables import DetectionRow, FrameRow, MetaRow, TruthRow
+from recording.tables import DetectionRow, FrameRow, MetaRow, PhaseRow, TruthRow
 from tests.studies.straight_runs import write_setup
 
 MS = 1_000_000
@@ -32,4 +32,37 @@ def make_run(run_dir: Path, *, track: int = 5, frames: int = 40) -> None:
         known = (track, 10.5, coasted_s)
         row = DetectionRow(n, "r0", 0, *place, 0.9, 0, "in", -x_m, "lidar", *known)
         database.add(DetectionRow, [row])
+    database.close()
+
+
+def make_queue_run(run_dir: Path) -> None:
+    """Seven cars stand 7 m apart until their light turns green at 10 s, then cross every 2 s.
+
+    One more green begins at 30 s; another car passes in between.
+    """
+    write_setup(run_dir)
+    database = Database(run_dir)
+    database.add(MetaRow, [("scenario", '{"frame_period_s": 0.5}')])
+    for n in range(90):
+        at_s = n / 2
+        database.add(FrameRow, [FrameRow(n, n * 500 * MS, 7, 0, 0, 1, 9, 7, 1, 0, 0, 0)])
+        state = "G" if 10 <= at_s < 28 or at_s >= 30 else "r"
+        stage = "green" if state == "G" else "all_red"
+        database.add(PhaseRow, [PhaseRow(n, "j", n * 500 * MS, state, stage, "G", "fixed")])
+        cars = []
+        for k in range(7):
+            cross_s, left_m = 12 + 2 * k, 2 + 7 * k
+            is_off = at_s > 10
+            distance_m = left_m * (cross_s - at_s) / (cross_s - 10) if is_off else left_m
+            cars.append((k + 1, distance_m, 5.0 if is_off else 0.0))
+        cars.append((8, 130.0 - 10 * (at_s - 14), 10.0))
+        rows = [
+            DetectionRow(
+                n, "r0", track, -5 - away_m, 0, 0.75, *SIZE, 0.0, 0.9, 0,
+                "in" if away_m >= 0 else "out", away_m, "lidar", track, speed_mps, 0.0,
+            )
+            for track, away_m, speed_mps in cars
+            if -80 <= away_m <= 150
+        ]  # fmt: skip
+        database.add(DetectionRow, rows)
     database.close()
