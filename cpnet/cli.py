@@ -28,7 +28,7 @@ from cpnet.cli_options import (
 from cpnet.cli_run import run_app
 from cpnet.cli_setup import doctor_app, keys_app
 from cpnet.cli_study import study_app
-from protocol.errors import CpnetError
+from protocol.errors import ConfigError, CpnetError
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -71,6 +71,9 @@ def report_command(
     html: Annotated[
         Path | None, typer.Option(metavar="FILE", help="write a page with charts; works offline")
     ] = None,
+    trajectories: Annotated[
+        Path | None, typer.Option(metavar="FILE.parquet", help="write where every track was, when")
+    ] = None,
 ) -> None:
     """Print the summary of a run, write it as a page, or compare its results with another run's."""
     from cpnet.reproduce import command_of
@@ -79,6 +82,9 @@ def report_command(
     from studies.run_page import run_page
     from studies.summary import print_report, summarise, to_json
 
+    if trajectories is not None:
+        _write_trajectories(run, trajectories)
+        return
     if html is not None:
         check_target(html, "--html")
         with Run(run) as recorded:
@@ -96,6 +102,15 @@ def report_command(
         typer.echo(to_json(summary))
     else:
         print_report(summary, console)
+
+
+def _write_trajectories(run: Path, file: Path) -> None:
+    try:
+        from studies.trajectories import write_trajectories
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"--trajectories needs {error.name} (extra `study`)") from None
+    number = write_trajectories(run, file)
+    console.print(f"wrote {number} tracks to {file}", highlight=False, soft_wrap=True)
 
 
 @app.command("draw")

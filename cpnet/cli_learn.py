@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Sequence
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.progress import (
@@ -23,6 +25,10 @@ from edge_server.config import EdgeConfig
 from perception.config import DETECTORS, DetectorName
 from perception.registry import check
 from protocol.errors import ConfigError
+
+if TYPE_CHECKING:
+    from studies.kitti_tracking import KittiScore
+    from studies.run_tracks import RunTracks
 
 learn_app = typer.Typer()
 MOST_RANGE_M = 90.0  # as far as `studies.evaluate` gives points
@@ -87,6 +93,13 @@ def train_command(
     console.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 
+class TrackFormat(StrEnum):
+    """Where tracks are read from."""
+
+    run = "run"
+    kitti = "kitti"
+
+
 @learn_app.command("eval")
 def eval_command(  # noqa: PLR0913 - one parameter per option of the command
     dataset: Annotated[
@@ -110,9 +123,26 @@ def eval_command(  # noqa: PLR0913 - one parameter per option of the command
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="a key of `edge`")
     ] = None,
+    tracks: Annotated[
+        Path | None,
+        typer.Option(metavar="RUN", help="instead: the tracks of a run, or of files, see --format"),
+    ] = None,
+    form: Annotated[
+        TrackFormat, typer.Option("--format", help="of --tracks: a run, or files as KITTI's")
+    ] = TrackFormat.run,
+    truth: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="label files of --format kitti")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure detectors beside the truth: AP40, recall, precision, beside the paper's."""
+    """Measure detectors beside the truth, AP40 and recall, or tracks, HOTA, IDF1 and MOTA."""
+    if tracks is not None:
+        if dataset is not None or net is not None:
+            raise ConfigError("--tracks measures a run: give neither a dataset nor --net")
+        _show_tracks(tracks, form, truth, as_json=as_json)
+        return
+    if truth is not None:
+        raise ConfigError("--truth goes with --tracks DIR --format kitti")
     from cpnet.evaluation import Source, detectors_of
     from studies.evaluate import evaluate
     from studies.evaluation_tables import print_evaluation
@@ -151,3 +181,53 @@ def _eval_kitti(
     frames = kitti_frames(folder)
     shown = track(frames, "measuring", console=errors, transient=True)
     show(evaluate_kitti(shown, names, config, range_m), print_kitti, as_json=as_json)
+
+
+def _show_tracks(tracks: Path, form: TrackFormat, truth: Path | None, *, as_json: bool) -> None:
+    """Measures tracks and prints the result."""
+    from studies.tracking import print_measures
+
+    found: RunTracks | KittiScore
+    if form is TrackFormat.kitti:
+        from studies.kitti_tracking import score_files
+
+        if truth is None:
+            raise ConfigError("--format kitti: give the folder of the labels, --truth DIR")
+        found = score_files(tracks, truth)
+    else:
+        from studies.run_tracks import evaluate_run
+
+        if truth is not None:
+            raise ConfigError("--truth goes with --format kitti; a run holds its own")
+        found = evaluate_run(tracks)
+    if as_json:
+        typer.echo(json.dumps(found.as_json(), indent=2))
+    else:
+        print_measures(found.as_text(), console)
+
+
+@learn_app.command("track")
+def track_command(
+    detections: Annotated[Path, typer.Argument(help="a folder with a .txt file a sequence")],
+    *,
+    form: Annotated[TrackFormat, typer.Option("--format", help="of the files")] = TrackFormat.kitti,
+    poses: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="the car's poses: a file a sequence")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="tracks; default DETECTIONS-tracks")
+    ] = None,
+    rate: Annotated[float, typer.Option(min=0.1, max=1000, help="frames a second")] = 10.0,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="of `edge.tracking`")
+    ] = None,
+) -> None:
+    """Track detections in KITTI's tracking format, without a map; tracks are in it, too."""
+    from studies.kitti_tracking import track_files
+
+    if form is not TrackFormat.kitti:
+        raise ConfigError("--format: must be kitti; the edge itself tracks a run's vehicles")
+    folder = out or detections.with_name(f"{detections.resolve().name}-tracks")
+    config = scenarios.load("t_junction", assigned(set_)).edge.tracking
+    written = track_files(detections, folder, poses, rate, config)
+    console.print(f"wrote {len(written)} files in {folder}", highlight=False, soft_wrap=True)

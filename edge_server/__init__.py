@@ -5,9 +5,8 @@
 - `decoding`: threads that decode and place chunks as they arrive
 - `assembler`: frame assembly; `completion`: when a frame needs no more, or is late
 - `frame`: chunks, frames, the state of a frame, and what a stage is
-- `pipeline`: the list of stages; the stages merge, detect, fuse and count
+- `pipeline`: the list of stages; the stages merge, detect, fuse and count; `tracking`: track
 - `placing`: the stages decode and place; `misbehaviour` (with `motion`, `map_consistency`): check
-- `fusion`: duplicates and agents' poses; `lanes`: positions, counts, sensor coverage;
-  `stationary`: queued vehicles
+- `fusion`: duplicates and agents' poses; `lanes`: positions, counts, sensor coverage
 - `planner`, `power_diagram`: which agent uploads which part of the scene
 """

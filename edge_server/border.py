@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from edge_server.fusion import join
 from perception.arrays import Bools, Floats
 from perception.detector import Vehicles
 from perception.roadway import Roadway
-from protocol.messages import BorderObjects, Span
+from protocol.messages import BorderObjects, Detections, Span
 from protocol.regions import RegionMap, shared_lanes
 from protocol.roadmap import RoadMap
 
@@ -40,6 +41,10 @@ class BorderStrips:
         self._strips = {n: Roadway.of(strip, margin_m=STRIP_M) for n, strip in lanes.items()}
         self._boxes = [_box(strip) for strip in lanes.values()]
         self._centres = own.centres
+        self._owned = {lane.id for lane in own.area.lanes if lane.tls in own.area.by_tls}
+        self._last = _nothing()
+        self.number = sorted(regions).index(own.id)
+        """The region's, in the city."""
 
     @property
     def neighbours(self) -> list[str]:
@@ -61,7 +66,30 @@ class BorderStrips:
             sources=found.sources,
             position_std_m=found.position_std_m.astype(np.float32),
             sensors=state.sensors[self._is_near(state.sensors)],
+            **self._tracks(),
         )
+
+    def note(self, last: Detections) -> None:
+        """Takes what the region published of the last frame, for the next message."""
+        self._last = last
+
+    def _tracks(self) -> dict[str, Any]:
+        """Returns the tracks on lanes in the strips whose owner is this region, by field."""
+        last = self._last
+        inside = np.zeros(len(last.boxes), np.bool_)
+        for strip in self._strips.values():
+            inside |= strip.contains(last.boxes)
+        owned = np.array([lane in self._owned for lane in last.lanes], np.bool_)
+        chosen = np.flatnonzero(inside & owned & (last.track_ids > 0))
+        return {
+            "track_sim_time_ns": last.sim_time_ns,
+            "track_ids": last.track_ids[chosen],
+            "track_boxes": last.boxes[chosen],
+            "track_classes": last.classes[chosen],
+            "track_speeds_mps": last.speeds_mps[chosen],
+            "track_coasted_s": last.coasted_s[chosen],
+            "track_ages_s": last.ages_s[chosen],
+        }
 
     def join(self, state: FrameState, config: FusionConfig) -> None:
         """Adds to a frame what was received of its neighbours; others' strips stay unknown."""
@@ -171,4 +199,26 @@ def _vehicles(message: BorderObjects) -> Vehicles:
         message.sources,
         message.position_std_m.astype(np.float64),
         message.classes,
+    )
+
+
+def _nothing() -> Detections:
+    """Returns the detections of an edge before its first frame."""
+    empty = np.zeros(0, np.float32)
+    return Detections(
+        frame=0,
+        sim_time_ns=0,
+        agents=[],
+        boxes=np.zeros((0, 7), np.float32),
+        scores=empty,
+        classes=np.zeros(0, np.uint8),
+        lanes=[],
+        distances_m=empty,
+        sources=[],
+        track_ids=np.zeros(0, np.int64),
+        speeds_mps=empty,
+        coasted_s=empty,
+        ages_s=empty,
+        position_std_m=empty,
+        speed_std_mps=empty,
     )

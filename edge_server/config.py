@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from perception.config import DetectionConfig
+from perception.tracking.config import TrackingConfig
 from protocol.config import Section
 
 MergeMethod = Literal["se3", "euler"]
@@ -100,6 +101,9 @@ class EdgeConfig(DetectionConfig):
     )
     plan: PlanConfig = Field(PlanConfig(), description="who uploads which part of the scene")
     fusion: FusionConfig = Field(FusionConfig(), description="duplicates")
+    tracking: TrackingConfig = Field(
+        TrackingConfig(), description="vehicles followed from frame to frame"
+    )
     misbehaviour: MisbehaviourConfig = Field(
         MisbehaviourConfig(), description="which agents are excluded"
     )

@@ -20,6 +20,7 @@ from edge_server.lanes import LanePositions
 from perception.arrays import Bytes, Floats, Floats32
 from perception.detector import Cloud, Vehicles
 from perception.roadway import Placed
+from perception.tracking.tracks import Tracks
 from protocol.messages import (
     AgentAlignment,
     AgentPose,
@@ -153,9 +154,11 @@ class FrameState:
 
     A field that no stage has filled in yet raises AttributeError. `frame` begins with all that
     arrived; `received` is what came from neighbouring regions, by region. `fused` are vehicles
-    wherever they are, `vehicles` those on the road, `sensors` (S, 2) the places of the sensors that
+    in this frame, wherever they are, `tracks` those followed over frames, on the road once they
+    are counted, at their lane `positions`. `sensors` (S, 2) are the places of the sensors that
     were used, `counts` are by signal. `excluded` counts the agents that were excluded from it, by
-    reason, and `scores` and `alignments` are those to be published.
+    reason, `drops` what else was left out, and `scores` and `alignments` are those to be
+    published.
     """
 
     frame: Frame
@@ -163,12 +166,13 @@ class FrameState:
     scores: list[AgentScore] = field(default_factory=list)
     alignments: list[AgentAlignment] = field(default_factory=list)
     spans: list[Span] = field(default_factory=list)
+    drops: Counter[str] = field(default_factory=Counter)
     cloud: Cloud = field(init=False)
     found: Vehicles = field(init=False)
     fused: Vehicles = field(init=False)
     sensors: Floats = field(init=False)
     received: dict[str, BorderObjects] = field(default_factory=dict)
-    vehicles: Vehicles = field(init=False)
+    tracks: Tracks = field(init=False)
     positions: LanePositions = field(init=False)
     detections: Detections = field(init=False)
     counts: dict[str, LaneCounts] = field(init=False)

@@ -38,15 +38,18 @@ from edge_server.fusion import fuse
 from edge_server.lanes import CoverageShares, LaneCoverage, LaneIndex
 from edge_server.misbehaviour import Check
 from edge_server.placing import Decode, Place, PlaceByReference
-from edge_server.stationary import StationaryVehicles
+from edge_server.tracking import Track
 from perception.arrays import Bools, Floats
-from perception.detector import Cloud, Detector, DetectorMaker, Vehicles
+from perception.detector import LIDAR, Cloud, Detector, DetectorMaker, Vehicles
 from perception.map_height import on_the_ground
 from perception.object_classes import passenger_car_units
 from perception.registry import detector_of
 from perception.roadway import Roadway
 from protocol.messages import Detections, LaneCounts, ObjectClass, Scan, Span
 from protocol.regions import RegionMap
+
+SPEED_KNOWN_NS = 500_000_000
+"""So long after its first detection the speed of a track is worth something."""
 
 
 class Pipeline:
@@ -171,7 +174,8 @@ def stages_of(
         Detect(detector(config, roadway), seed),
         Fuse(region.centres, config.fusion, mounts),
         *([Border(strips, config.fusion)] if strips is not None else []),
-        Count(region, lanes, config, has_lidars=has_lidars),
+        Track(region.surroundings, roadway, config.tracking, strips),
+        Count(region, lanes, config, has_lidars=has_lidars, strips=strips),
     ]
 
 
@@ -272,8 +276,15 @@ class Count(FrameStage):
     name = "count"
 
     def __init__(
-        self, region: RegionMap, lanes: LaneIndex, config: EdgeConfig, *, has_lidars: bool
+        self,
+        region: RegionMap,
+        lanes: LaneIndex,
+        config: EdgeConfig,
+        *,
+        has_lidars: bool,
+        strips: BorderStrips | None = None,
     ) -> None:
+        self._strips = strips
         self._owned = {"", *region.area.by_tls}
         self._lanes = lanes
         self._config = config
@@ -283,57 +294,57 @@ class Count(FrameStage):
             tls: LaneCoverage(region.surroundings, around, **reach)
             for tls, around in lanes.approaches.items()
         }
-        self._stationary = StationaryVehicles(config.stationary_mps)
 
     def run(self, state: FrameState) -> None:
         """See `FrameStage.run`."""
-        margin_m = self._config.geofence.margin_m + state.fused.position_std_m
-        positions = self._lanes.locate(state.fused.boxes, margin_m=margin_m)
+        tracks = state.tracks
+        reports_itself = np.array([source != LIDAR for source in tracks.sources], np.bool_)
+        margin_m = self._config.geofence.margin_m + tracks.position_std_m * reports_itself
+        positions = self._lanes.locate(tracks.boxes, margin_m=margin_m)
         on_road = positions.lane >= 0
-        state.vehicles, state.positions = state.fused.take(on_road), positions.take(on_road)
+        state.tracks, state.positions = tracks.take(on_road), positions.take(on_road)
         state.detections = self._detections(state)
-        counts = state.vehicles.classes != ObjectClass.PEDESTRIAN
-        state.vehicles, state.positions = state.vehicles.take(counts), state.positions.take(counts)
-        stationary = self._stationary.mark(state.frame.sim_time_ns, state.vehicles.boxes[:, :2])
-        state.counts = {tls: self._counts(state, tls, stationary) for tls in self._coverage}
+        if self._strips is not None:
+            self._strips.note(state.detections)
+        counts = state.tracks.classes != ObjectClass.PEDESTRIAN
+        state.tracks, state.positions = state.tracks.take(counts), state.positions.take(counts)
+        state.counts = {tls: self._counts(state, tls) for tls in self._coverage}
 
     def _detections(self, state: FrameState) -> Detections:
-        """Returns the vehicles on lanes of this region; their owners publish others."""
+        """Returns the tracks on lanes of this region; their owners publish others."""
         owners = self._lanes.owners(state.positions)
         own = np.array([tls in self._owned for tls in owners], np.bool_)
-        frame, vehicles, positions = (
-            state.frame,
-            state.vehicles.take(own),
-            state.positions.take(own),
-        )
+        frame, tracks, positions = state.frame, state.tracks.take(own), state.positions.take(own)
         return Detections(
             frame=frame.frame,
             sim_time_ns=frame.sim_time_ns,
             agents=frame.agents,
-            boxes=vehicles.boxes.astype(np.float32),
-            scores=vehicles.scores.astype(np.float32),
-            classes=vehicles.classes,
+            boxes=tracks.boxes.astype(np.float32),
+            scores=tracks.scores.astype(np.float32),
+            classes=tracks.classes,
             lanes=self._lanes.names(positions),
             distances_m=self._lanes.distances_m(positions).astype(np.float32),
-            sources=vehicles.sources,
+            sources=tracks.sources,
+            track_ids=tracks.track_ids,
+            speeds_mps=tracks.speeds_mps,
+            coasted_s=tracks.coasted_s,
+            ages_s=(frame.sim_time_ns - tracks.first_seen_ns) / 1e9,
+            position_std_m=tracks.position_std_m,
+            speed_std_mps=tracks.speed_std_mps,
         )
 
-    def _counts(self, state: FrameState, tls: str, stationary: Bools) -> LaneCounts:
-        frame, config = state.frame, self._config
-        (upstream, downstream), (stationary_upstream, stationary_downstream) = (
-            self._lanes.count(
-                part, tls, upstream_m=config.upstream_m, downstream_m=config.downstream_m
-            )
-            for part in (state.positions, state.positions.take(stationary))
+    def _counts(self, state: FrameState, tls: str) -> LaneCounts:
+        frame, config, positions = state.frame, self._config, state.positions
+        reach = {"upstream_m": config.upstream_m, "downstream_m": config.downstream_m}
+        upstream, downstream = self._lanes.count(positions, tls, **reach)
+        stationary_upstream, stationary_downstream = self._lanes.count(
+            positions.take(self._is_stationary(state)), tls, **reach
         )
-        units = passenger_car_units(state.vehicles.classes)
-        pcu_upstream, pcu_downstream = self._lanes.weigh(
-            state.positions,
-            units,
-            tls,
-            upstream_m=config.upstream_m,
-            downstream_m=config.downstream_m,
+        coasted_upstream, coasted_downstream = self._lanes.count(
+            positions.take(state.tracks.coasted_s > 0), tls, **reach
         )
+        units = passenger_car_units(state.tracks.classes)
+        pcu_upstream, pcu_downstream = self._lanes.weigh(positions, units, tls, **reach)
         coverage_upstream, coverage_downstream = self._covered(state, tls)
         return LaneCounts(
             frame=frame.frame,
@@ -347,10 +358,18 @@ class Count(FrameStage):
             stationary_downstream=stationary_downstream,
             pcu_upstream={lane: round(value, 1) for lane, value in pcu_upstream.items()},
             pcu_downstream={lane: round(value, 1) for lane, value in pcu_downstream.items()},
+            coasted_upstream=coasted_upstream,
+            coasted_downstream=coasted_downstream,
             coverage_upstream=coverage_upstream,
             coverage_downstream=coverage_downstream,
             delay_sim_ns=frame.delay_sim_ns,
         )
+
+    def _is_stationary(self, state: FrameState) -> Bools:
+        """Marks the tracks slower than the limit; of a new one, the speed is not known yet."""
+        tracks, limit_mps = state.tracks, self._config.stationary_mps
+        is_known = state.frame.sim_time_ns - tracks.first_seen_ns >= SPEED_KNOWN_NS
+        return np.asarray(is_known & (np.abs(tracks.speeds_mps) < limit_mps))
 
     def _covered(self, state: FrameState, tls: str) -> tuple[CoverageShares, CoverageShares]:
         """Returns how much of each lane was covered by sensors whose scan or boxes arrived.

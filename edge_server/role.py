@@ -186,7 +186,9 @@ class EdgeRole:
 
     def _finish(self, state: FrameState) -> None:
         """Runs the stages after the exchange with neighbours, and publishes."""
-        self._publish(self._pipeline.finish(state))
+        self._pipeline.finish(state)
+        self._assembler.drops.update(+state.drops)
+        self._publish(state)
 
     def close(self) -> None:
         """Ends the threads."""

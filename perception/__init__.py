@@ -7,5 +7,6 @@
 - `reference`: the paper's detector by Open3D; `pillars/`: PointPillars
 - `roadway`: raster of the road, points placed on it, lowest point of each square metre
 - `thin`: thinning of near beams before upload
+- `tracking/`: vehicles followed from frame to frame
 - `arrays`: array types; `parallel`: threads for the chunks of a cloud
 """

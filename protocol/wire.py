@@ -22,7 +22,7 @@ from protocol.limits import MAX_BODY_BYTES, MAX_CONTAINERS, MAX_SHOWN_CHARS
 from protocol.messages import MESSAGES, Message
 from protocol.messages.fields import Array
 
-VERSION = 3
+VERSION = 4
 MAGIC = b"CPNT"
 PREFIX = struct.Struct("<4sHHII")
 _ALIGN = 8

@@ -25,7 +25,7 @@ from recording.limits import MAX_END_TO_END_NS
 from recording.tables import LatencyRow
 
 SENDER_STAGES = ("sense", "select", "encode", "send")
-EDGE_STAGES = ("check", "merge", "ground", "detect", "fuse", "border", "count")
+EDGE_STAGES = ("check", "merge", "ground", "detect", "fuse", "border", "track", "count")
 SAME_CLOCK = (0, 0)
 Clocks = Mapping[str, tuple[int, int]]
 

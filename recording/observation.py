@@ -133,4 +133,10 @@ def joined_detections(one: Detections, other: Detections) -> Detections:
         lanes=one.lanes + other.lanes,
         distances_m=np.concatenate([one.distances_m, other.distances_m]),
         sources=one.sources + other.sources,
+        track_ids=np.concatenate([one.track_ids, other.track_ids]),
+        speeds_mps=np.concatenate([one.speeds_mps, other.speeds_mps]),
+        coasted_s=np.concatenate([one.coasted_s, other.coasted_s]),
+        ages_s=np.concatenate([one.ages_s, other.ages_s]),
+        position_std_m=np.concatenate([one.position_std_m, other.position_std_m]),
+        speed_std_mps=np.concatenate([one.speed_std_mps, other.speed_std_mps]),
     )

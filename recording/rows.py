@@ -66,19 +66,29 @@ def detection_rows(message: Detections, region: str) -> Iterator[DetectionRow]:
         lane=message.lanes,
         distance_m=message.distances_m.tolist(),
         source=message.sources,
+        track=message.track_ids.tolist(),
+        speed_mps=message.speeds_mps.tolist(),
+        coasted_s=message.coasted_s.tolist(),
+        position_std_m=message.position_std_m.tolist(),
+        speed_std_mps=message.speed_std_mps.tolist(),
     )
 
 
 def count_rows(message: LaneCounts) -> Iterator[CountRow]:
     """Returns a row per lane and side of the stop bar."""
     sides = {
-        "upstream": (message.upstream, message.stationary_upstream),
-        "downstream": (message.downstream, message.stationary_downstream),
+        "upstream": (message.upstream, message.stationary_upstream, message.coasted_upstream),
+        "downstream": (
+            message.downstream,
+            message.stationary_downstream,
+            message.coasted_downstream,
+        ),
     }
+    frame, tls = message.frame, message.tls
     return (
-        CountRow(message.frame, message.tls, lane, side, vehicles, queued.get(lane, 0))
-        for side, (lanes, queued) in sides.items()
-        for lane, vehicles in lanes.items()
+        CountRow(frame, tls, lane, side, number, queued.get(lane, 0), coasted.get(lane, 0))
+        for side, (lanes, queued, coasted) in sides.items()
+        for lane, number in lanes.items()
     )
 
 

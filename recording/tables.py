@@ -22,6 +22,7 @@ SCHEMA_DIGESTS = {
     13: "485343937043f86c",
     14: "204697a34aa7044b",
     15: "ddca9e6a84b5fb82",
+    16: "3204b3eff040081d",
 }
 """`schema_digest()` by schema version. Never change an entry: add one with the next number."""
 SCHEMA_VERSION = max(SCHEMA_DIGESTS)
@@ -123,6 +124,7 @@ class LatencyRow(NamedTuple):
     detect_ns: int
     fuse_ns: int
     border_ns: int
+    track_ns: int
     count_ns: int
     decide_ns: int
     actuate_ns: int
@@ -132,9 +134,12 @@ class LatencyRow(NamedTuple):
 
 
 class DetectionRow(NamedTuple):
-    """One vehicle detected by a region's edge: its box's centre, size, heading in the map frame.
+    """One vehicle known to a region's edge: its box's centre, size, heading in the map frame.
 
-    `object_class` is of `protocol.messages.ObjectClass`.
+    `object_class` is of `protocol.messages.ObjectClass`. `track` is the vehicle's id from frame to
+    frame, unique in the run's city, 0 where nothing tracks. `coasted_s` is the time since a sensor
+    last saw it, 0 if one did in this frame; of others the position is predicted, and `score` is the
+    probability that the vehicle is there.
     """
 
     frame: int
@@ -152,12 +157,17 @@ class DetectionRow(NamedTuple):
     lane: str
     distance_m: float
     source: str
+    track: int = 0
+    speed_mps: float = 0.0
+    coasted_s: float = 0.0
+    position_std_m: float = 0.0
+    speed_std_mps: float = 0.0
 
 
 class CountRow(NamedTuple):
     """Vehicles counted on a lane for a signal; `side` is "upstream" or "downstream" of its bar.
 
-    Those of them that stand still are `queued`.
+    Those of them that stand still are `queued`, those that no sensor saw in this frame `coasted`.
     """
 
     frame: int
@@ -166,6 +176,7 @@ class CountRow(NamedTuple):
     side: str
     vehicles: int
     queued: int
+    coasted: int = 0
 
 
 class PhaseRow(NamedTuple):

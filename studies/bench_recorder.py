@@ -260,6 +260,7 @@ class _City:
             lanes = m.LaneCounts(
                 **when, tls=tls, agents=agents, complete=True, upstream=counts, downstream=counts,
                 stationary_upstream=counts, stationary_downstream=counts,
+                coasted_upstream=counts, coasted_downstream=counts,
                 coverage_upstream=dict.fromkeys(counts, 0.9),
                 coverage_downstream=dict.fromkeys(counts, 0.9),
             )  # fmt: skip
@@ -283,6 +284,9 @@ class _City:
             scores=self._random.random(len(rows)), classes=np.zeros(len(rows), np.uint8),
             lanes=[self._lanes[n] for n in rows],
             distances_m=self._poses[rows, 0], sources=["lidar"] * len(rows),
+            track_ids=1 + np.array(rows), speeds_mps=self._poses[rows, 0] / 20,
+            coasted_s=np.zeros(len(rows)), ages_s=np.ones(len(rows)),
+            position_std_m=np.full(len(rows), 0.25), speed_std_mps=np.full(len(rows), 0.25),
         )  # fmt: skip
 
     def _near(self, tls: str) -> range:

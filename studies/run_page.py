@@ -65,11 +65,26 @@ def result_table(summary: Summary) -> Table:
         ("near the signal per frame", _rounded(seen["present"])),
         ("truly detected per frame", _rounded(seen["true"])),
         ("false detections per frame", _rounded(seen["false"])),
+        *_track_rows(summary["tracks"]),
         ("agents that sent", len(summary["agents"])),
         ("largest clock error, ms", _rounded(summary["clock_error_ms"])),
         ("messages dropped", summary["drops"]),
     )
     return Table((Column("result"), Column("")), rows)
+
+
+def _track_rows(tracks: Summary | None) -> tuple[tuple[str, Cell], ...]:
+    """Returns what coasting tracks add, where there are any."""
+    if tracks is None or tracks["precision"] is None:
+        return ()
+    e_cvpr, precision = tracks["e_cvpr"], tracks["precision"]
+    shown = (
+        ("E-CVPR without tracks that coast, %", e_cvpr["observed"]),
+        ("precision of observed boxes, %", precision["observed"]),
+        ("precision of boxes of tracks that coast, %", precision["coasted"]),
+    )
+    shares = tuple((name, _rounded(share and 100 * share)) for name, share in shown)
+    return (("tracks", tracks["tracks"]), *shares)
 
 
 def drop_table(summary: Summary) -> Table | None:
@@ -146,6 +161,8 @@ def run_page(run_dir: Path, command: str = "") -> Page:
     Raises:
         ConfigError: the folder is no run.
     """
+    from studies.trajectory_section import trajectory_section  # needs Polars, as a page does
+
     with Run(run_dir) as run:
         scores = scores_of(run)
         summary = summary_of(run, scores)
@@ -161,6 +178,7 @@ def run_page(run_dir: Path, command: str = "") -> Page:
             *_city(run, summary),
             vehicles_section(run, clock, scores),
             phases_section(run, clock),
+            trajectory_section(run),
             uplink_section(run, clock),
             latency_section(run, clock, summary["latency_ms"]),
             map_section(run),

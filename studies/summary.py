@@ -24,6 +24,7 @@ from protocol.messages import PEDESTRIAN, ObjectClass
 from recording.run import Run
 from recording.tables import DropRow
 from studies.by_region import Figures, junctions_of_run, regions_of_run
+from studies.coasting import coasting_score
 from studies.count_error import count_errors
 from studies.ecvpr import FrameScore, score
 from studies.latency import STAGES, clock_error_ms, latencies
@@ -94,6 +95,7 @@ def summary_of(run: Run, scores: list[FrameScore]) -> Summary:
         "clock_error_ms": clock_error_ms(run),
         **_perception(scores),
         "found_per_frame": _found(run),
+        "tracks": tracks_of(run),
         "unknown_share": _unknown_share(run),
         **traffic_of(run),
         "junctions": _junctions(run, scores, pace["sim_duration_s"]),
@@ -160,6 +162,18 @@ def _found(run: Run) -> dict[str, float] | None:
     if not frames:
         return None
     return {one.name.lower(): counts.get(int(one), 0) / frames for one in ObjectClass}
+
+
+def tracks_of(run: Run) -> Summary | None:
+    """Returns what coasting tracks add: precision and E-CVPR with and without; None without any."""
+    if not run.query("SELECT 1 FROM detections WHERE track > 0 LIMIT 1"):
+        return None
+    number = run.query("SELECT count(DISTINCT track) FROM detections WHERE track > 0")[0][0]
+    try:
+        score = coasting_score(run)
+    except ConfigError:  # killed before its setup was written, or moved without it
+        return {"tracks": number, "precision": None, "e_cvpr": None}
+    return {"tracks": number, "precision": score.precision, "e_cvpr": score.ecvpr}
 
 
 def _unknown_share(run: Run) -> float | None:
@@ -263,6 +277,18 @@ def _result_table(summary: Summary) -> Table:
         ]
     )
     facts += [
+        ("E-CVPR", _spread(e_cvpr, 100, 1, " %")),
+        ("delay per vehicle", _spread(delay, 1, 1, " s")),
+        ("vehicles at frame 0", str(vehicles["at_start"])),
+        ("  inserted", str(vehicles["inserted"])),
+        ("  finished", str(vehicles["finished"])),
+        ("  not inserted", _number(vehicles["waiting"], 0)),
+        ("  teleported", str(vehicles["teleported"])),
+        ("near the signal", _number(seen["present"], 1)),
+        ("  truly detected", _number(seen["true"], 1)),
+        ("  false detections", _number(seen["false"], 1)),
+        *_track_facts(summary["tracks"]),
+        ("with lanes unseen", _percent(summary["unknown_share"])),
         ("phase switches", str(summary["phases"]["switches"])),
         ("drops", str(summary["drops"])),
     ]
@@ -276,6 +302,19 @@ def _found_facts(found: dict[str, float]) -> list[tuple[str, str]]:
     """Returns what stands in place of the comparison with the truth, where there is none."""
     by_class = [(f"  {name.replace('_', '-')}", _number(n, 1)) for name, n in found.items()]
     return [("detected a frame", _number(sum(found.values()), 1)), *by_class]
+
+
+def _track_facts(tracks: Summary | None) -> list[tuple[str, str]]:
+    """Returns what is shown of tracks, where there are any."""
+    if tracks is None or tracks["precision"] is None:
+        return []
+    precision, e_cvpr = tracks["precision"], tracks["e_cvpr"]
+    return [
+        ("tracks", str(tracks["tracks"])),
+        ("  E-CVPR without coasting", _percent(e_cvpr["observed"])),
+        ("  precision, observed", _percent(precision["observed"])),
+        ("  precision, coasted", _percent(precision["coasted"])),
+    ]
 
 
 def _latency_table(summary: Summary) -> Table:

@@ -5,6 +5,33 @@ import numpy as np
 from protocol import messages as m
 from tests.roads import ONE_LANE
 
+
+def tracked(number: int) -> dict[str, np.ndarray]:
+    """Returns what `Detections` say of the tracks of so many boxes."""
+    column = np.full(number, 0.5, np.float32)
+    return {
+        "track_ids": np.arange(1, number + 1),
+        "speeds_mps": column,
+        "coasted_s": np.zeros(number, np.float32),
+        "ages_s": column,
+        "position_std_m": column,
+        "speed_std_mps": column,
+    }
+
+
+def no_tracks() -> dict[str, np.ndarray]:
+    """Returns what `BorderObjects` say of tracks where there are none."""
+    empty = np.zeros(0, np.float32)
+    return {
+        "track_ids": np.zeros(0, np.int64),
+        "track_boxes": np.zeros((0, 7), np.float32),
+        "track_classes": np.zeros(0, np.uint8),
+        "track_speeds_mps": empty,
+        "track_coasted_s": empty,
+        "track_ages_s": empty,
+    }
+
+
 SCAN = m.Scan(
     frame=7,
     sim_time_ns=700_000_000,
@@ -111,6 +138,7 @@ EXAMPLES: list[m.Message] = [
         lanes=["in_0"],
         distances_m=np.ones(1, np.float32),
         sources=["lidar"],
+        **tracked(1),
     ),
     m.LaneCounts(
         frame=1,
@@ -197,6 +225,13 @@ EXAMPLES: list[m.Message] = [
         sources=["lidar"],
         position_std_m=np.zeros(1, np.float32),
         sensors=np.ones((1, 2)),
+        track_sim_time_ns=1,
+        track_ids=np.ones(1, np.int64),
+        track_boxes=np.ones((1, 7), np.float32),
+        track_classes=np.zeros(1, np.uint8),
+        track_speeds_mps=np.ones(1, np.float32),
+        track_coasted_s=np.zeros(1, np.float32),
+        track_ages_s=np.ones(1, np.float32),
     ),
     m.TileBodies(
         frame=1,

@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from edge_server.power_diagram import PLAIN, cells
+from edge_server.tracking import FRAME_BIT
 from perception.arrays import Floats
+from perception.detector import LIDAR
 from protocol.messages import Detections, LaneCounts, Plan, SignalState, Truth, VehicleType
 from protocol.roadmap import Intersection, RoadMap
 from recording.observation import ObservedJunction
@@ -49,6 +51,7 @@ class Colours:
 CELLS_REACH_M = 120.0  # around the junctions' centres
 CELLS_ABOVE_M = 0.3
 TOTAL_ABOVE_M = 9.0  # over the signal heads
+TRAIL_S, TRAIL_ABOVE_M = 5.0, 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +74,7 @@ class Texts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lines:
-    """Closed lines, each (K, 3), with a name and a colour each."""
+    """Lines, each (K, 3), with a name and a colour each."""
 
     lines: list[Floats] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
@@ -81,11 +84,41 @@ class Lines:
 def detected(message: Detections, colours: Mapping[str, Rgb]) -> Boxes:
     """Returns the boxes that the edge found; what reports itself has its agent's colour and name.
 
-    Others are numbered as in the message.
+    Others have their track's id, without tracks their number in the message. Those that coast are
+    faint.
     """
     labels = [_label(message, number) for number in range(len(message.lanes))]
-    own = [_colour(source, colours) for source in message.sources]
+    coasted = (message.coasted_s > 0).tolist()
+    own = [
+        _colour(source, is_coasted=is_coasted, colours=colours)
+        for source, is_coasted in zip(message.sources, coasted, strict=True)
+    ]
     return Boxes(message.boxes.astype(np.float64), labels, own)
+
+
+class Trails:
+    """Remembers where tracks were in the last `TRAIL_S` seconds."""
+
+    def __init__(self) -> None:
+        self._places: dict[int, list[tuple[int, Floats]]] = {}
+
+    def of(self, message: Detections) -> Lines:
+        """Takes a frame; returns the trail of each of its tracks that was there before."""
+        now_ns, found = message.sim_time_ns, Lines()
+        before, self._places = self._places, {}
+        for track, box in zip(message.track_ids.tolist(), message.boxes.tolist(), strict=True):
+            if not track:
+                continue
+            place = np.array([box[0], box[1], box[2] - box[5] / 2 + TRAIL_ABOVE_M])
+            known = [
+                one for one in before.get(track, []) if now_ns - TRAIL_S * 1e9 <= one[0] < now_ns
+            ]
+            self._places[track] = [*known, (now_ns, place)]
+            if known:
+                found.lines.append(np.stack([at for _, at in self._places[track]]))
+                found.names.append(short_name(track))
+                found.colours.append(rgb(palette.FAINT))
+        return found
 
 
 def fronts(message: Detections) -> Texts:
@@ -98,7 +131,7 @@ def fronts(message: Detections) -> Texts:
     for number in sorted(range(len(ways_m)), key=ways_m.__getitem__):
         if ways_m[number] >= 0 and message.lanes[number]:
             first.setdefault(message.lanes[number], number)
-    numbers = sorted(n for n in first.values() if message.sources[n] == "lidar")
+    numbers = sorted(n for n in first.values() if message.sources[n] == LIDAR)
     tops = message.boxes[numbers].astype(np.float64)
     places = tops[:, :3] + np.outer(tops[:, 5], [0.0, 0.0, 0.5])
     texts = [_label(message, number) for number in numbers]
@@ -210,13 +243,25 @@ def plan_cells(
     return found
 
 
+def short_name(track: int) -> str:
+    """Returns a track's id without its region and the edge's start; it is no long number then."""
+    return f"#{track % (1 << FRAME_BIT)}"
+
+
 def _label(message: Detections, number: int) -> str:
-    source, lane = message.sources[number], message.lanes[number]
-    return f"{source if source != 'lidar' else f'#{number}'} · {lane or 'off the lanes'}"
+    """Returns the track's id or the agent, the lane, the speed, and since when nobody sees it."""
+    source, track = message.sources[number], int(message.track_ids[number])
+    name = source if source != LIDAR else short_name(track) if track else f"#{number}"
+    parts = [name, message.lanes[number] or "off the lanes"]
+    if track:
+        parts.append(f"{3.6 * float(message.speeds_mps[number]):.0f} km/h")
+    if message.coasted_s[number] > 0:
+        parts.append(f"unseen for {message.coasted_s[number]:.1f} s")
+    return " · ".join(parts)
 
 
-def _colour(source: str, colours: Mapping[str, Rgb]) -> Rgb:
-    return colours.get(source, rgb(palette.BOX))
+def _colour(source: str, *, is_coasted: bool, colours: Mapping[str, Rgb]) -> Rgb:
+    return rgb(palette.FAINT) if is_coasted else colours.get(source, rgb(palette.BOX))
 
 
 def _lamp(letters: Iterable[str]) -> Rgb:

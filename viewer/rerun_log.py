@@ -9,7 +9,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from studies import palette
-from viewer.layers import Boxes, Rgb, Texts, rgb
+from viewer.layers import Boxes, Lines, Rgb, Texts, rgb
 from viewer.road import camera, surface
 from viewer.scene import Picture, Scene
 from viewer.stages import GROUPS, FrameLatency
@@ -18,7 +18,7 @@ FRAME, TIME = "frame", "sim time"
 TRUTH, COUNTS, FRONTS = "/scene/truth", "/scene/counts", "/scene/boxes/front"
 _BARS, _HEADS = "/scene/signal/stop_bars", "/scene/signal/heads"
 _POINT_UI, _LINE_M, _BAR_M, _HEAD_M = -1.0, 0.05, 0.35, 0.6
-_EDGE_M, _CELL_M = 0.07, 0.15
+_EDGE_M, _CELL_M, _TRAIL_M = 0.07, 0.15, 0.06
 _FAR_HEAD_UI = -3.5  # as large on the screen from any distance
 
 
@@ -42,6 +42,8 @@ class Log:
             self._boxes("/scene/boxes", picture.boxes)
         if picture.fronts is not None:
             self._texts(FRONTS, picture.fronts)
+        if picture.trails is not None:
+            self._lines("/scene/trails", picture.trails, _TRAIL_M)
         if picture.truth is not None:
             self._boxes(TRUTH, picture.truth)
         if picture.lamps is not None:
@@ -50,7 +52,7 @@ class Log:
             self._texts(COUNTS, picture.counts)
         if picture.totals is not None and self._is_overview:
             self._texts("/scene/junctions", picture.totals)
-        self._cells(picture)
+        self._lines("/scene/cells", picture.cells, _CELL_M)
         self._figures(picture)
 
     def latency(self, latency: FrameLatency) -> None:
@@ -121,16 +123,15 @@ class Log:
         )
         self._to.log(path, drawn)
 
-    def _cells(self, picture: Picture) -> None:
-        cells = picture.cells
+    def _lines(self, path: str, lines: Lines, radius_m: float) -> None:
         drawn = rr.LineStrips3D(
-            cells.lines,
-            colors=cells.colours,
-            labels=cells.names,
-            radii=_CELL_M,
+            lines.lines,
+            colors=lines.colours,
+            labels=lines.names,
+            radii=radius_m,
             show_labels=False,
         )
-        self._to.log("/scene/cells", drawn)
+        self._to.log(path, drawn)
 
     def _style_plots(self, scene: Scene) -> None:
         stages = [*_cycle(len(GROUPS) - 1), rgb(palette.FAINT), rgb(palette.TEXT)]

@@ -211,6 +211,7 @@ class Picture:
     clouds: list[Cloud]
     boxes: Boxes | None
     fronts: Texts | None
+    trails: Lines | None
     truth: Boxes | None
     lamps: list[Rgb] | None
     counts: Texts | None
@@ -254,6 +255,7 @@ class Scene:
         self._types = {kind.name: kind for kind in setup.vehicle_types}
         self._judge = TruthScorer(self.road_map, self._types, parked_bodies(setup))
         self._colours = Colours()
+        self._trails = layers.Trails()
         self._rates = Rates(round(float(setup.scenario["frame_period_s"]) * 1e9))
 
     @property
@@ -287,6 +289,7 @@ class Scene:
             clouds=shown,
             boxes=layers.detected(found, colours) if found else None,
             fronts=layers.fronts(found) if found else None,
+            trails=self._trails.of(found) if found else None,
             truth=layers.true_boxes(moment.truth, self._types) if moment.truth else None,
             lamps=layers.lamps(states, road_map, self.heads.lanes) if states else None,
             counts=layers.lane_counts(counts.values(), self._places) if counts else None,

@@ -70,7 +70,7 @@ GROUPS = {
     "wait": ("wait",),
     "ground": ("check", "merge", "ground"),
     "detect": ("detect",),
-    "fuse to signal": ("fuse", "border", "count", "decide", "actuate"),
+    "fuse to signal": ("fuse", "border", "track", "count", "decide", "actuate"),
     "other": ("other",),
 }
 """Stages as they are drawn: in order, those together that are short or belong together."""

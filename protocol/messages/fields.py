@@ -18,16 +18,20 @@ from protocol.limits import (
     MAX_AGENT_ID_BYTES,
     MAX_ANGLE_RAD,
     MAX_BODIES,
+    MAX_COASTED_S,
     MAX_COUNT,
     MAX_DELAY_NS,
     MAX_HEADER_BYTES,
     MAX_ID_CHARS,
     MAX_ITEMS,
     MAX_POSITION_M,
+    MAX_POSITION_STD_M,
+    MAX_SPEED_MPS,
     MAX_TEXT_CHARS,
     MAX_TILE,
     MAX_TIME_NS,
     MAX_TOTAL,
+    MAX_TRACK_ID,
 )
 
 
@@ -82,6 +86,7 @@ BoxRows = Annotated[npt.NDArray[np.float32], Array("<f4", (None, 7))]
 Floats32 = Annotated[npt.NDArray[np.float32], Array("<f4", (None,))]
 Bytes = Annotated[npt.NDArray[np.uint8], Array("|u1", (None,))]
 Indices = Annotated[npt.NDArray[np.int32], Array("<i4", (None,))]
+Integers = Annotated[npt.NDArray[np.int64], Array("<i8", (None,))]
 Frames = Annotated[npt.NDArray[np.int64], Array("<i8", (None,))]
 Cells = Annotated[npt.NDArray[np.int32], Array("<i4", (None, 2))]
 Vertices = Annotated[npt.NDArray[np.float32], Array("<f4", (None, 3))]
@@ -132,6 +137,30 @@ def _on_the_map(sites: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return sites
 
 
+def _known_tracks(ids: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    if not ((ids >= 0) & (ids < MAX_TRACK_ID)).all():
+        raise ValueError("a track's id is not within 0 to 2^62")
+    return ids
+
+
+def _speeds(speeds_mps: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    if not (np.abs(speeds_mps) <= MAX_SPEED_MPS).all():
+        raise ValueError(f"a speed lies beyond {MAX_SPEED_MPS:g} m/s")
+    return speeds_mps
+
+
+def _ages(ages_s: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    if not ((ages_s >= 0) & (ages_s <= MAX_COASTED_S)).all():
+        raise ValueError(f"an age is not within 0 to {MAX_COASTED_S:g} s")
+    return ages_s
+
+
+def _deviations(std_m: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    if not ((std_m >= 0) & (std_m <= MAX_POSITION_STD_M)).all():
+        raise ValueError(f"a standard deviation is not within 0 to {MAX_POSITION_STD_M:g}")
+    return std_m
+
+
 def _moderate(weights_m2: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     if not (np.abs(weights_m2) <= MAX_POSITION_M**2).all():
         raise ValueError("a weight lies beyond 1e14 m^2")
@@ -173,6 +202,10 @@ Sites = Annotated[SiteRows, AfterValidator(_on_the_map)]
 Weights = Annotated[WeightRows, AfterValidator(_moderate)]
 Boxes = Annotated[BoxRows, AfterValidator(_plausible)]
 ObjectClasses = Annotated[Bytes, AfterValidator(_known_classes)]
+TrackIds = Annotated[Integers, AfterValidator(_known_tracks)]  # 0 is no track
+Speeds = Annotated[Floats32, AfterValidator(_speeds)]
+Ages = Annotated[Floats32, AfterValidator(_ages)]
+Deviations = Annotated[Floats32, AfterValidator(_deviations)]
 Pose = Annotated[PoseRow, AfterValidator(_within_reach)]
 Poses = Annotated[PoseRows, AfterValidator(_within_reach)]
 BOUNDED = (FailFast(), Field(max_length=MAX_ITEMS))  # one error will do, a million cost memory

@@ -19,11 +19,13 @@ from protocol.limits import (
 from protocol.messages.fields import (
     BOUNDED,
     AgentId,
+    Ages,
     Boxes,
     BoxRows,
     Bytes,
     Count,
     DelayNs,
+    Deviations,
     Equipment,
     Floats32,
     FrameNumber,
@@ -35,9 +37,11 @@ from protocol.messages.fields import (
     ObjectClasses,
     Pose,
     Sites,
+    Speeds,
     Text,
     Texts,
     TimeNs,
+    TrackIds,
     Weights,
     check_lengths,
 )
@@ -130,6 +134,12 @@ class Detections(Message):
     Boxes are x, y, z of the centre, length, width, height in m and yaw in rad. `distances_m` is
     the way to the stop bar, negative behind it. `sources` is "lidar" or the agent whose own pose
     it is. `lanes` holds an empty string where a box is on no lane.
+
+    Each box is that of a track (see docs/tracking.md): `track_ids` are unique in a run's city, 0
+    where nothing tracks. `speeds_mps` are along the heading, `ages_s` since the track's first
+    detection. A track that was not detected in this frame coasts: `coasted_s` is the time since it
+    last was, 0 for all others, and its score is the probability that the vehicle is still there.
+    Standard deviations are those of the position along the heading and of the speed.
     """
 
     kind: ClassVar[int] = 11
@@ -142,10 +152,18 @@ class Detections(Message):
     lanes: Texts
     distances_m: Floats32
     sources: Texts
+    track_ids: TrackIds
+    speeds_mps: Speeds
+    coasted_s: Ages
+    ages_s: Ages
+    position_std_m: Deviations
+    speed_std_mps: Deviations
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
         check_lengths(self, "boxes", "scores", "classes", "lanes", "distances_m", "sources")
+        check_lengths(self, "boxes", "track_ids", "speeds_mps", "coasted_s", "ages_s")
+        check_lengths(self, "boxes", "position_std_m", "speed_std_mps")
         return self
 
 
@@ -158,7 +176,8 @@ class LaneCounts(Message):
     """Vehicles per lane: within the reach upstream of the stop bar and downstream behind it.
 
     Stationary ones are counted once more, as `queued`, and all of them in passenger-car units (a
-    lorry is worth several cars), as `pcu`. `coverage` is the share of a lane's reach
+    lorry is worth several cars), as `pcu`. Those that no sensor saw in this frame, whose tracks
+    coast, are counted once more, as `coasted`. `coverage` is the share of a lane's reach
     within the range of a LiDAR whose scan was used, so that 0 is "not observed"; empty where it is
     unknown: agents send boxes of their own, or none has a LiDAR.
     """
@@ -175,6 +194,8 @@ class LaneCounts(Message):
     stationary_downstream: Counts = Field({})
     pcu_upstream: PassengerCarUnits = Field({})
     pcu_downstream: PassengerCarUnits = Field({})
+    coasted_upstream: Counts = Field({})
+    coasted_downstream: Counts = Field({})
     coverage_upstream: CoverageShares = Field({})
     coverage_downstream: CoverageShares = Field({})
     delay_sim_ns: DelayNs | None = None
@@ -186,6 +207,9 @@ class BorderObjects(Message):
     Boxes are as in `Detections`, before the owners of the lanes are known; `position_std_m` is as
     in `AgentPose`, 0 for boxes of LiDARs. `sensors` are the places of the sensors whose data were
     used, in m in the map frame: what is near none of them is unknown, not empty.
+
+    `tracks` are those in the strips after the edge's last frame, `track_sim_time_ns`, so that a
+    vehicle keeps its track's id from region to region.
     """
 
     kind: ClassVar[int] = 20
@@ -197,10 +221,19 @@ class BorderObjects(Message):
     sources: Texts
     position_std_m: Floats32
     sensors: Sites
+    track_sim_time_ns: TimeNs = 0
+    track_ids: TrackIds
+    track_boxes: Boxes
+    track_classes: ObjectClasses
+    track_speeds_mps: Speeds
+    track_coasted_s: Ages
+    track_ages_s: Ages
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
         check_lengths(self, "boxes", "scores", "classes", "sources", "position_std_m")
+        check_lengths(self, "track_ids", "track_boxes", "track_classes", "track_speeds_mps")
+        check_lengths(self, "track_ids", "track_coasted_s", "track_ages_s")
         if len(self.sensors) > MAX_ITEMS:
             raise ValueError(f"{len(self.sensors)} sensors, limit {MAX_ITEMS}")
         if not ((self.position_std_m >= 0) & (self.position_std_m <= MAX_POSITION_STD_M)).all():

@@ -20,7 +20,17 @@ LONG = "x" * 5000  # longer than the name of a file can be
 
 @pytest.mark.parametrize(
     "arguments",
-    ["up --net", "up --sumocfg", "up --out", "up --link", "report", "draw", "bench codec --points"],
+    [
+        "up --net",
+        "up --sumocfg",
+        "up --out",
+        "up --link",
+        "report",
+        "draw",
+        "bench codec --points",
+        "eval --tracks",
+        "track",
+    ],
 )
 def test_a_name_that_no_file_can_have(shell, arguments):
     assert "x" * 70 in refused(shell, *arguments.split(), LONG)
@@ -228,3 +238,27 @@ def test_weights_that_cannot_be_used_start_nothing(shell, tmp_path, arguments):
     output = refused(shell, *arguments, "--set=edge.pillars.weights=own")
     assert "weights own: is no whole safetensors file" in output
     assert not list(tmp_path.glob("runs/*"))
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("eval --tracks none", "none is not a run"),
+        ("eval data --tracks none", "give neither a dataset nor --net"),
+        ("eval data --truth none", "--truth goes with --tracks DIR --format kitti"),
+        ("eval --tracks none --truth none", "--truth goes with --format kitti"),
+        ("eval --tracks none --format kitti", "give the folder of the labels, --truth DIR"),
+        ("eval --tracks none --format kitti --truth none", "must be a folder with a .txt file"),
+        ("track none", "none: must be a folder with a .txt file"),
+        ("track files --out files", "--out files: must be another folder"),
+        ("track files", "files/0.txt: line 1: has 1 words, needs 15, 17 or 18"),
+        ("track files --format run", "--format: must be kitti"),
+        ("track files --poses none", "line 1: has 1 words"),
+        ("report none --trajectories a.csv", "a.csv: must be the name of a .parquet file"),
+        ("report none --trajectories a.parquet", "none is not a run"),
+    ],
+)
+def test_tracks_that_cannot_be_measured_or_made(shell, tmp_path, command, message):
+    (tmp_path / "files").mkdir()
+    (tmp_path / "files" / "0.txt").write_text("what")
+    assert message in refused(shell, *command.split())

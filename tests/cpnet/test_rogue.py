@@ -185,13 +185,13 @@ def test_an_agent_hears_neither_truth_nor_counts_nor_what_other_agents_upload(at
     rogue = attacked.member(V2X, "vehicle-1")
     seen, truth = Heard(), attacked.spy(WORLD)
     counts = attacked.spy(V2X)
-    for key in ("cpnet/v3/**", "**", "cpnet/v3/world/**"):
+    for key in ("cpnet/v4/**", "**", "cpnet/v4/world/**"):
         rogue.declare_subscriber(key, seen.take)
     for name in ("scan", "pose", "roster", "lanes", "detections", "request", "state"):
         rogue.declare_subscriber(TOPICS[name].key(), seen.take)
         rogue.declare_subscriber(TOPICS[name].key(region="r0", tls="J"), seen.take)
     world = attacked.member(WORLD, "vehicle-1")
-    world.declare_subscriber("cpnet/v3/**", seen.take)
+    world.declare_subscriber("cpnet/v4/**", seen.take)
     for name in ("truth", "sighting", "trips", "metrics", "clock", "tick"):
         world.declare_subscriber(TOPICS[name].key(), seen.take)
     # The tick, which it may hear, was asked for last: before it was granted all else was refused.

@@ -36,7 +36,8 @@ def replay() -> list[dict[str, object]]:
     for number, scans in groupby(recorded(), key=lambda scan: scan.frame):
         chunks = [pipeline.open(scan, 0) for scan in scans]
         agents = [chunk.agent for chunk in chunks]
-        frame = Frame(number, 0, agents, [], chunks, complete=True, first_ns=0, ready_ns=0)
+        time_ns = number * round(setup.scenario["frame_period_s"] * 1e9)
+        frame = Frame(number, time_ns, agents, [], chunks, complete=True, first_ns=0, ready_ns=0)
         result = pipeline.run(frame)
         results.append(
             {

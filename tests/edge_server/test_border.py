@@ -15,16 +15,20 @@ from edge_server.config import EdgeConfig
 from edge_server.frame import Frame, FrameState
 from edge_server.lanes import LaneIndex
 from edge_server.pipeline import Border, Count
+from edge_server.tracking import Track
 from perception.detector import Vehicles
+from perception.roadway import Roadway
 from protocol.messages import BorderObjects, Detections
 from protocol.regions import RegionMap, regions_of
 from protocol.roadmap import Lane, RoadMap
 from sim_host.netfile import read_net
 from sim_host.networks import write_corridor
 from sim_host.road_map import road_map
+from tests.messages import no_tracks
 
 CONFIG = EdgeConfig()
 NOWHERE = np.zeros((0, 2))
+ROADWAY = Roadway((0.0, 0.0), 1.0, np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32))
 
 
 @cache
@@ -41,11 +45,18 @@ class Edge:
         self.strips = BorderStrips(region, regions)
         lanes = LaneIndex(region.surroundings)
         self.stages = [
-            Border(self.strips, CONFIG.fusion), Count(region, lanes, CONFIG, has_lidars=True)
-        ]  # fmt: skip
+            Border(self.strips, CONFIG.fusion),
+            Track(region.surroundings, ROADWAY, CONFIG.tracking, self.strips),
+            Count(region, lanes, CONFIG, has_lidars=True, strips=self.strips),
+        ]
 
-    def begin(self, boxes: list[tuple[float, ...]]) -> tuple[FrameState, BorderObjects]:
-        state = FrameState(Frame(0, 0, [], [], [], complete=True, first_ns=0, ready_ns=0))
+    def begin(
+        self, boxes: list[tuple[float, ...]], number: int = 0
+    ) -> tuple[FrameState, BorderObjects]:
+        frame = Frame(
+            number, number * 10**8, ["rsu"], [], [], complete=True, first_ns=0, ready_ns=0
+        )
+        state = FrameState(frame)
         values = np.array(boxes, np.float64).reshape(-1, 7)
         state.fused = Vehicles.from_lidar(values, np.ones(len(values)))
         state.sensors = NOWHERE
@@ -101,6 +112,40 @@ def halves() -> dict[str, RegionMap]:
     return regions_of(corridor(), {"regions": regions, "edge": CONFIG.model_dump()})
 
 
+def test_a_vehicle_keeps_its_id_from_region_to_region():
+    """It drives from the west's last lane to the east's first, seen by both where both see."""
+    maps = halves()
+    edges = {name: Edge(region, maps) for name, region in maps.items()}
+    roads = corridor().by_id
+    ways = [
+        [first, roads[inside], roads[after]]
+        for first in corridor().lanes
+        for inside in first.successors
+        for after in roads[inside].successors
+        if not first.internal
+    ]
+    first, inside, after = next(
+        way for way in ways
+        if way[0].tls in maps["west"].area.by_tls and way[2].tls in maps["east"].area.by_tls
+    )  # fmt: skip
+    last_m = first.measured_m
+    way = [(first, along_m) for along_m in np.arange(last_m - 60, last_m, 1.0)]
+    way += [(inside, along_m) for along_m in np.arange(0.5, inside.measured_m, 1.0)]
+    way += [(after, along_m) for along_m in np.arange(0.5, after.measured_m, 1.0)]
+    ids: dict[str, set[int]] = {"west": set(), "east": set()}
+    for number, (one, along_m) in enumerate(way):
+        box = box_on(one, float(along_m))
+        states = {
+            name: edge.begin([box] if one.id in maps[name].area.by_id else [], number)
+            for name, edge in edges.items()
+        }
+        told = {name: message for name, (_, message) in states.items()}
+        for name, edge in edges.items():
+            ids[name].update(edge.finish(states[name][0], told).track_ids.tolist())
+    assert ids["west"] == ids["east"]
+    assert len(ids["west"]) == 1
+
+
 def test_regions_that_share_no_lane_are_no_neighbours():
     names = sorted(corridor().by_tls)
     regions = {"a": names[:1], "b": names[1:4], "c": names[4:]}
@@ -122,7 +167,7 @@ def test_what_a_neighbour_covers_is_covered_and_without_it_unknown():
     told = BorderObjects(
         frame=0, sim_time_ns=0, boxes=np.zeros((0, 7), np.float32), scores=np.zeros(0, np.float32),
         classes=np.zeros(0, np.uint8),
-        sources=[], position_std_m=np.zeros(0, np.float32), sensors=middle[None],
+        sources=[], position_std_m=np.zeros(0, np.float32), sensors=middle[None], **no_tracks(),
     )  # fmt: skip
     for received, is_covered in (({"east": told}, True), ({}, False)):
         state, _ = west.begin([])
@@ -144,7 +189,7 @@ def told_of(frame: int) -> BorderObjects:
     return BorderObjects(
         frame=frame, sim_time_ns=frame, boxes=np.zeros((0, 7), np.float32), scores=empty,
         classes=np.zeros(0, np.uint8),
-        sources=[], position_std_m=empty, sensors=NOWHERE,
+        sources=[], position_std_m=empty, sensors=NOWHERE, **no_tracks(),
     )  # fmt: skip
 
 

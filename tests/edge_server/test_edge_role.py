@@ -207,7 +207,7 @@ def test_a_whole_frame_gives_detections_counts_and_metrics(road_map: RoadMap) ->
     assert metrics.points == 200
     stages = [span.stage for span in metrics.spans]
     early = ["wait", "decode", "place", "decode", "place"]
-    assert stages == [*early, "check", "merge", "ground", "detect", "fuse", "count"]
+    assert stages == [*early, "check", "merge", "ground", "detect", "fuse", "track", "count"]
     assert metrics.drops == {}
 
 

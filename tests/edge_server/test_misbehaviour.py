@@ -240,7 +240,8 @@ def test_what_is_remembered_is_bounded(scene: Scene):
 def test_boxes_of_an_excluded_agent_do_not_count(road_map: RoadMap):
     boxes = np.array([[-30, -1.75, 0.75, 4.5, 1.8, 1.5, 0]], np.float32)
     counts = []
-    pipeline = Pipeline.of(RegionMap.whole(road_map), EdgeConfig(), seed=1)
+    config = EdgeConfig.model_validate({"tracking": {"enabled": False}})
+    pipeline = Pipeline.of(RegionMap.whole(road_map), config, seed=1)
     for number in range(10):
         off_m = 0.0 if number == 0 else 60.0 * (number % 2)
         pose = pose_of(number, "a", np.array([-60.0 - off_m, -1.75, 0, 0, 0, 0]))

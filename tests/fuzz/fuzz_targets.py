@@ -162,7 +162,7 @@ def _work_inbox(data: bytes) -> None:
         elif what % 4 == 1:
             inbox.put(Presence("edge", str(which), alive=True))
         elif what % 4 == 2:
-            inbox.put(RawMessage(topic, f"cpnet/v3/r/roster/{which >> 6}", bytes(which * 8), 0))
+            inbox.put(RawMessage(topic, f"cpnet/v4/r/roster/{which >> 6}", bytes(which * 8), 0))
         else:
             inbox.wake()
     while inbox.get() is not None or inbox._queue.qsize():
@@ -218,7 +218,7 @@ def _scan_target(form: Form) -> Target:
 _EXAMPLES: dict[type[Message], bytes] = {
     kind: (GOLDEN / f"{kind.__name__}.bin").read_bytes() for kind in MESSAGES.values()
 }
-_text = partial(shake_text, [b"cpnet/v3/", b"world/", b"roster/", b"alive/", b"/", b"*", b"%2F"])
+_text = partial(shake_text, [b"cpnet/v4/", b"world/", b"roster/", b"alive/", b"/", b"*", b"%2F"])
 _locator = partial(shake_text, [b"listen:", b"connect:", b"tcp/", b"127.0.0.1:7447", b"[::1]:"])
 _header = partial(
     shake_text,

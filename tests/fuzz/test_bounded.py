@@ -45,10 +45,11 @@ from sensing.limits import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES
 from sensing.uplink import PlanHistory
 from sim_host.limits import MAX_PROCESSES as MAX_HOSTS
 from sim_host.presence import Fleet, Readiness
+from tests.messages import tracked
 from tests.roads import no_road
 
 LONG = "x" * 120  # of an agent's id
-KEY = "cpnet/v3/r0/roster/p"
+KEY = "cpnet/v4/r0/roster/p"
 
 
 class Growth:
@@ -222,6 +223,7 @@ def test_what_is_said_of_the_fullest_frame_fits_into_its_messages():
         lanes=["approach_of_the_east_0"] * len(lidar + own),
         distances_m=np.zeros(len(lidar + own), np.float32),
         sources=lidar + own,
+        **tracked(len(lidar + own)),
     )
     assert len(encode(found)) > 1 << 17
 

@@ -68,7 +68,6 @@ PARTS = {
         ["edge_server/lanes.py"],
         ["tests/edge_server/test_lane_counts.py", "tests/edge_server/test_lane_coverage.py"],
     ),
-    "stationary": Part(["edge_server/stationary.py"], ["tests/edge_server/test_stationary.py"]),
     "misbehaviour": Part(
         ["edge_server/misbehaviour.py"], ["tests/edge_server/test_misbehaviour.py"]
     ),

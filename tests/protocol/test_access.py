@@ -106,7 +106,7 @@ def test_nobody_asks_for_everything():
     for bus in BusName:
         for process_id, _ in EVERYBODY:
             for message in ("declare_subscriber", "query", "liveliness_query", "put", "delete"):
-                for key in ("cpnet/v3/**", "**", "@/**"):
+                for key in ("cpnet/v4/**", "**", "@/**"):
                     assert not may(bus, process_id, "ingress", message, key)
 
 

@@ -76,9 +76,9 @@ def test_who_speaks_to_all_at_once_is_heard_by_nobody(router, locator, client, e
         buses._config(BusName.V2X, Endpoint(locator, listen=False), 10_000, buses.NOBODY)
     ) as hostile:
         tokens = [hostile.liveliness().declare_token(key) for key in ("**", f"{ALIVE}/**")]
-        for key in ("**", "cpnet/v3/**", "cpnet/v3/r0/*/*/*", "cpnet/v3/r0/roster/*"):
+        for key in ("**", "cpnet/v4/**", "cpnet/v4/r0/*/*/*", "cpnet/v4/r0/roster/*"):
             hostile.put(key, encode(roster))
-        hostile.put("cpnet/v3/r0/roster/p", encode(roster))
+        hostile.put("cpnet/v4/r0/roster/p", encode(roster))
         came: list[Envelope | Presence] = []
         until_s = time.monotonic() + WAIT_S
         while not (came and edge_inbox.drops["MessageError"] >= 7) and time.monotonic() < until_s:

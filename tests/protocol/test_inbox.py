@@ -15,7 +15,7 @@ ROSTER = Roster(frame=1, process="p", agents=[], scanning=[])
 
 
 def sealed(data: bytes) -> RawMessage:
-    return RawMessage(TOPICS["roster"], "cpnet/v3/r0/roster/p", data, 0)
+    return RawMessage(TOPICS["roster"], "cpnet/v4/r0/roster/p", data, 0)
 
 
 def test_a_bad_message_is_counted_logged_once_and_dropped(caplog: pytest.LogCaptureFixture):
@@ -28,7 +28,7 @@ def test_a_bad_message_is_counted_logged_once_and_dropped(caplog: pytest.LogCapt
         assert [inbox.get() for _ in range(4)] == [None] * 4
     assert inbox.drops == {"MessageError": 3, "VersionError": 1}
     assert len(caplog.records) == 2
-    assert "cpnet/v3/r0/roster/p" in caplog.text
+    assert "cpnet/v4/r0/roster/p" in caplog.text
 
 
 def test_who_keeps_messages_gets_them_closed_and_reads_what_it_needs():
@@ -97,7 +97,7 @@ def test_of_a_limited_topic_the_newest_of_each_key_wait_and_nobody_elses_are_los
     inbox.limit("roster", 2)
     for number in range(100):
         flood = ROSTER.model_copy(update={"frame": number})
-        inbox.put(RawMessage(TOPICS["roster"], "cpnet/v3/r0/roster/flood", encode(flood), 0))
+        inbox.put(RawMessage(TOPICS["roster"], "cpnet/v4/r0/roster/flood", encode(flood), 0))
     inbox.put(sealed(encode(ROSTER)))
     inbox.put(Presence("edge", "edge", alive=True))
     came = [inbox.get() for _ in range(5)]
@@ -175,7 +175,7 @@ def test_a_full_inbox_needs_no_wake():
     assert not inbox.drops
 
 
-EXPRESSIONS = ["cpnet/v3/**", "**", "cpnet/v3/r0/*/p", "cpnet/v3/r0/roster/*", "cpnet/v3/r0/ro$*/p"]
+EXPRESSIONS = ["cpnet/v4/**", "**", "cpnet/v4/r0/*/p", "cpnet/v4/r0/roster/*", "cpnet/v4/r0/ro$*/p"]
 
 
 @pytest.mark.parametrize("key", EXPRESSIONS)
@@ -190,7 +190,7 @@ def test_a_key_that_reaches_two_topics_is_one_place_in_each():
     inbox = Inbox()
     inbox.limit("roster", 1)
     for topic in ("roster", "pose", "roster", "pose"):
-        inbox.put(RawMessage(TOPICS[topic], "cpnet/v3/**", encode(ROSTER), 0))
+        inbox.put(RawMessage(TOPICS[topic], "cpnet/v4/**", encode(ROSTER), 0))
     assert [inbox.get() for _ in range(4)] == [None] * 4
     assert inbox.drops == {"overtaken": 1, "MessageError": 3}
 
@@ -205,7 +205,7 @@ def test_a_key_that_nobody_could_have_made_is_not_kept(caplog: pytest.LogCapture
 
 
 def test_what_others_write_breaks_no_line_of_the_log(caplog):
-    Inbox().refuse("a", MessageError("bad\rthing\udcc9"), "cpnet/v3/a\nERROR all is lost")
+    Inbox().refuse("a", MessageError("bad\rthing\udcc9"), "cpnet/v4/a\nERROR all is lost")
     (record,) = caplog.records
     assert record.getMessage().isprintable()
     assert "a\\x0aERROR all is lost: bad\\x0dthing\\xdcc9" in record.getMessage()
@@ -214,7 +214,7 @@ def test_what_others_write_breaks_no_line_of_the_log(caplog):
 def test_one_sender_of_garbage_gets_one_line_whatever_it_writes(caplog: pytest.LogCaptureFixture):
     inbox = Inbox()
     for n in range(5000):
-        inbox.put(RawMessage(TOPICS["roster"], f"cpnet/v3/r0/roster/p{n}", b"%016d" % n, 0))
+        inbox.put(RawMessage(TOPICS["roster"], f"cpnet/v4/r0/roster/p{n}", b"%016d" % n, 0))
         inbox.get()
     assert inbox.drops == {"MessageError": 5000}
     (record,) = caplog.records

@@ -12,7 +12,7 @@ def test_every_message_has_one_topic():
 
 
 def test_every_key_carries_the_protocol_version():
-    assert all(topic.key().startswith("cpnet/v3/") for topic in TOPICS.values())
+    assert all(topic.key().startswith("cpnet/v4/") for topic in TOPICS.values())
 
 
 def test_no_ground_truth_travels_on_the_v2x_bus():
@@ -25,12 +25,12 @@ def test_no_ground_truth_travels_on_the_v2x_bus():
 def test_a_key_gives_its_parts_back():
     topic = TOPICS["scan"]
     parts = {"region": "r0", "process": "vehicle-0", "agent": "main.3", "chunk": "0"}
-    assert topic.key(**parts) == "cpnet/v3/r0/scan/vehicle-0/main.3/0"
+    assert topic.key(**parts) == "cpnet/v4/r0/scan/vehicle-0/main.3/0"
     assert topic.parts(topic.key(**parts)) == parts
 
 
 def test_a_part_that_is_left_out_matches_everything():
-    assert TOPICS["scan"].key(region="r0") == "cpnet/v3/r0/scan/*/*/*"
+    assert TOPICS["scan"].key(region="r0") == "cpnet/v4/r0/scan/*/*/*"
 
 
 @given(st.text(min_size=1))
@@ -39,7 +39,7 @@ def test_a_part_that_is_left_out_matches_everything():
 @example("x ?#$%2F")
 def test_any_id_can_stand_in_a_key_and_comes_back(agent):
     key = TOPICS["pose"].key(region="r0", process="v", agent=agent)
-    assert not set(key.removeprefix("cpnet/v3/r0/pose/v/")) & set("/*$?# ")
+    assert not set(key.removeprefix("cpnet/v4/r0/pose/v/")) & set("/*$?# ")
     assert TOPICS["pose"].parts(key) == {"region": "r0", "process": "v", "agent": agent}
 
 
@@ -62,7 +62,7 @@ def test_whoever_shares_a_topic_with_others_has_a_key_of_its_own():
     }
 
 
-@pytest.mark.parametrize("key", ["**", "cpnet/v3/**", "cpnet/v3/r0/pose/*", "cpnet/v3/r0/pose/a"])
+@pytest.mark.parametrize("key", ["**", "cpnet/v4/**", "cpnet/v4/r0/pose/*", "cpnet/v4/r0/pose/a"])
 def test_what_is_no_key_of_a_topic_has_no_parts(key):
     with pytest.raises(MessageError, match="is no key of topic pose"):
         TOPICS["pose"].parts(key)

@@ -57,7 +57,7 @@ def test_a_time_that_takes_too_much_room_is_refused():
 
 
 @pytest.mark.parametrize("message", EXAMPLES, ids=lambda e: type(e).__name__)
-def test_the_bytes_of_a_message_are_those_of_version_3(message):
+def test_the_bytes_of_a_message_are_those_of_version_4(message):
     golden = (GOLDEN / f"{type(message).__name__}.bin").read_bytes()
     assert wire.encode(message) == golden
 
@@ -92,7 +92,7 @@ def test_a_damaged_message_decodes_or_raises_one_kind_of_error(data):
 def test_another_version_is_refused_with_both_named():
     data = bytearray(wire.encode(SCAN))
     struct.pack_into("<H", data, 4, 9)
-    with pytest.raises(VersionError, match="version 9, this side 3"):
+    with pytest.raises(VersionError, match="version 9, this side 4"):
         wire.decode(bytes(data), m.Scan)
 
 

@@ -28,6 +28,7 @@ from recording.mcap import foxglove_messages, writer
 from recording.mcap.format import next_file
 from recording.mcap.foxglove import FoxgloveFiles, export_foxglove
 from recording.mcap.reader import McapReader
+from tests.messages import tracked
 
 pytest.importorskip("mcap", reason="needs the extra `mcap`")
 
@@ -91,6 +92,7 @@ def messages_of(frame: int) -> dict[str, m.Message]:
         lanes=["in_0", ""],
         distances_m=np.ones(2, np.float32),
         sources=["lidar", "b"],
+        **tracked(2),
     )
     return {"truth": truth, "pose": pose, "scan": scan(frame), "detections": detections}
 

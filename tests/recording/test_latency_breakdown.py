@@ -67,9 +67,12 @@ def evidence(link_ms: Mapping[str, float] | None = None) -> FrameTimings:
                 span("place", came + 2, came + 3, agent),
             ]
     made.edge.append(span("wait", 20, 40))
-    ends = [40, 41, 42, 46, 51, 52, 53]
+    ends = [40, 41, 42, 46, 51, 52, 52.5, 53]
     for stage, start, end in zip(
-        ("check", "merge", "ground", "detect", "fuse", "count"), ends, ends[1:], strict=False
+        ("check", "merge", "ground", "detect", "fuse", "track", "count"),
+        ends,
+        ends[1:],
+        strict=False,
     ):
         made.edge.append(span(stage, start, end))
     made.signal.append(span("decide", 54, 55))
@@ -88,7 +91,8 @@ def test_the_stages_of_a_frame_sum_to_its_end_to_end_time() -> None:
     assert in_ms(a) == {
         "sense": 4, "select": 1, "encode": 4, "send": 2, "link": 12, "decode": 2, "place": 1,
         "wait": 12, "check": 1, "merge": 1, "ground": 4, "detect": 5, "fuse": 1, "border": 0,
-        "count": 1, "decide": 1, "actuate": 3, "other": 5, "end_to_end": 60, "clock_error": 0,
+        "track": 0.5, "count": 0.5, "decide": 1, "actuate": 3, "other": 5,
+        "end_to_end": 60, "clock_error": 0,
     }  # fmt: skip
     assert stage_sum_ns(b) == b.end_to_end_ns == 60 * MS
 

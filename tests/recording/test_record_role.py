@@ -30,7 +30,7 @@ from recording.tables import (
     TruthRow,
     UploadRow,
 )
-from tests.messages import tick_of
+from tests.messages import tick_of, tracked
 from tests.roads import no_road
 from tests.waiting import wait_until
 
@@ -116,6 +116,7 @@ class Rig:
             **common, agents=list(agents), boxes=np.ones((2, 7)), scores=np.ones(2),
             classes=np.zeros(2, np.uint8),
             lanes=["a_0", ""], distances_m=np.zeros(2), sources=["lidar", "lidar"],
+            **tracked(2),
         )  # fmt: skip
         self.v2x.publish("detections", detections, region="r0")
         counts = m.LaneCounts(

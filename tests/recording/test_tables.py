@@ -86,12 +86,19 @@ def test_every_value_of_a_detection_stands_in_its_own_column() -> None:
         distances_m=np.array([12.5], np.float32),
         sources=["lidar"],
         agents=["a"],
+        track_ids=np.array([9]),
+        speeds_mps=np.array([8.5], np.float32),
+        coasted_s=np.array([0.75], np.float32),
+        ages_s=np.array([3], np.float32),
+        position_std_m=np.array([0.375], np.float32),
+        speed_std_mps=np.array([0.625], np.float32),
     )
     (row,) = detection_rows(message, "r3")
     assert row._asdict() == {
         "frame": 7, "region": "r3", "detection": 0, "x_m": 1, "y_m": 2, "z_m": 3, "length_m": 4.5,
         "width_m": 1.75, "height_m": 1.5, "yaw_rad": 0.25, "score": 0.5, "object_class": 0,
-        "lane": "in_0", "distance_m": 12.5, "source": "lidar",
+        "lane": "in_0", "distance_m": 12.5, "source": "lidar", "track": 9, "speed_mps": 8.5,
+        "coasted_s": 0.75, "position_std_m": 0.375, "speed_std_mps": 0.625,
     }  # fmt: skip
     assert row == DetectionRow(*row)
 
@@ -116,7 +123,7 @@ def test_every_value_of_a_true_vehicle_stands_in_its_own_column() -> None:
     ]  # fmt: skip
 
 
-def test_stationary_vehicles_are_no_count_of_all() -> None:
+def test_stationary_and_coasted_vehicles_are_no_count_of_all() -> None:
     message = LaneCounts.model_construct(
         frame=7,
         tls="J",
@@ -124,10 +131,14 @@ def test_stationary_vehicles_are_no_count_of_all() -> None:
         stationary_upstream={"in_0": 2},
         downstream={"out_0": 3},
         stationary_downstream={},
+        coasted_upstream={"in_0": 1},
+        coasted_downstream={"out_0": 3},
     )
     assert list(count_rows(message)) == [
-        CountRow(frame=7, tls="J", lane="in_0", side="upstream", vehicles=5, queued=2),
-        CountRow(frame=7, tls="J", lane="out_0", side="downstream", vehicles=3, queued=0),
+        CountRow(frame=7, tls="J", lane="in_0", side="upstream", vehicles=5, queued=2, coasted=1),
+        CountRow(
+            frame=7, tls="J", lane="out_0", side="downstream", vehicles=3, queued=0, coasted=3
+        ),
     ]
 
 

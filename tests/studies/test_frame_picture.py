@@ -50,7 +50,11 @@ def run_dir(tmp_path: Path) -> Path:
         ],
     )
     database.add(
-        CountRow, [(FRAME, "t", "west", "upstream", 1, 0), (FRAME, "t", "east", "downstream", 0, 0)]
+        CountRow,
+        [
+            CountRow(FRAME, "t", "west", "upstream", 1, 0),
+            CountRow(FRAME, "t", "east", "downstream", 0, 0),
+        ],
     )
     database.add(PhaseRow, [PhaseRow(FRAME, "t", 7 * 10**8, "G", "green", "G", "plan")])
     database.add(FrameRow, [FrameRow(FRAME, 7 * 10**8, 1, 1, 0, 2, 1000, 1, 1, 0, 0, 50_000_000)])

@@ -72,7 +72,11 @@ def make_run(
             box = (at, 0, 0.7, 4.4, 1.8, 1.5, 0, 1.0, 0, "west", 20, "rsu")
             database.add(DetectionRow, [DetectionRow(n, "r0", 0, *box)])
         database.add(
-            CountRow, [(n, "t", "west", "upstream", seen, 0), (n, "t", "east", "downstream", 0, 0)]
+            CountRow,
+            [
+                CountRow(n, "t", "west", "upstream", seen, 0),
+                CountRow(n, "t", "east", "downstream", 0, 0),
+            ],
         )
         stage = "green" if n % 20 < 15 else "yellow"
         database.add(PhaseRow, [PhaseRow(n, "t", ns, "G", stage, "G", "max_pressure")])
@@ -131,7 +135,7 @@ def test_no_table_needs_to_hold_anything(tmp_path: Path, table: str) -> None:
     kept = " WHERE key <> 'schema_version'" if table == "meta" else ""
     with closing(sqlite3.connect(tmp_path / FILE_NAME)) as connection, connection:
         connection.execute(f"DELETE FROM {table}{kept}")
-    assert len(run_page(tmp_path).sections) == 7
+    assert len(run_page(tmp_path).sections) == 8
 
 
 def test_a_run_without_its_setup_still_has_a_page(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from protocol import messages as m
-from tests.messages import EXAMPLES, tick_of
+from tests.messages import EXAMPLES, tick_of, tracked
 from tests.roads import CROSSING
 
 CAR = m.VehicleType(name="car", mesh="car", length_m=4.0, width_m=2.0, height_m=1.5)
@@ -16,6 +16,7 @@ def detections(**changes: object) -> m.Detections:
         "scores": np.ones(2, np.float32), "classes": np.zeros(2, np.uint8),
         "lanes": ["south_0", ""],
         "distances_m": np.ones(2, np.float32), "sources": ["lidar", "a"],
+        **tracked(2),
     }  # fmt: skip
     return m.Detections(**(plain | changes))
 

@@ -7,7 +7,7 @@ from protocol import messages as m
 from protocol.codec import encode_cloud
 from protocol.scans import PointCloud
 from studies import palette
-from tests.messages import SCAN
+from tests.messages import SCAN, tracked
 from tests.roads import CROSSING
 from tests.viewer.shown import CAR, detections, truth
 from viewer import layers
@@ -18,7 +18,7 @@ from viewer.scene import Moment, TruthScorer, clouds, phase_names, pressures
 
 def test_boxes_are_labelled_with_who_and_where() -> None:
     boxes = layers.detected(detections(), {"a": (1, 2, 3)})
-    assert boxes.labels == ["#0 · south_0", "a · off the lanes"]
+    assert boxes.labels == ["#1 · south_0 · 2 km/h", "a · off the lanes · 2 km/h"]
     assert boxes.colours == [rgb(palette.BOX), (1, 2, 3)]
     assert boxes.values.shape == (2, 7)
 
@@ -28,9 +28,9 @@ def test_the_first_of_each_lane_bears_its_label() -> None:
         boxes=np.zeros((5, 7), np.float32), scores=np.ones(5, np.float32),
         classes=np.zeros(5, np.uint8),
         lanes=["a", "a", "b", "c", "d"], sources=["lidar", "lidar", "lidar", "self", "lidar"],
-        distances_m=np.array([9, 4, 7, 1, -2], np.float32),
+        distances_m=np.array([9, 4, 7, 1, -2], np.float32), **tracked(5),
     )  # fmt: skip
-    assert layers.fronts(message).texts == ["#1 · a", "#2 · b"]
+    assert layers.fronts(message).texts == ["#2 · a · 2 km/h", "#3 · b · 2 km/h"]
 
 
 def test_truth_stands_on_the_ground_and_unknown_types_are_left_out() -> None:
@@ -137,3 +137,34 @@ def test_the_score_of_a_moment_is_that_of_the_study() -> None:
     assert score is not None
     assert (score.present, score.true) == (2, 1)
     assert TruthScorer(CROSSING, {}).score(Moment(1)) is None
+
+
+def tracks_at(second: float, places: dict[int, float], **changes: object) -> m.Detections:
+    count = len(places)
+    boxes = np.array([[x, 0, 1, 4, 2, 1.5, 0] for x in places.values()], np.float32).reshape(-1, 7)
+    known = tracked(count) | {"track_ids": np.array(list(places), np.int64)}
+    plain = {
+        "sim_time_ns": round(second * 1e9), "boxes": boxes, "scores": np.ones(count, np.float32),
+        "classes": np.zeros(count, np.uint8), "lanes": ["south_0"] * count,
+        "distances_m": np.ones(count, np.float32), "sources": ["lidar"] * count,
+    }  # fmt: skip
+    return detections(**(plain | known | changes))
+
+
+def test_boxes_are_named_by_their_track_its_speed_and_whether_somebody_sees_it() -> None:
+    known = {
+        "speeds_mps": np.array([10, 2], np.float32), "coasted_s": np.array([0, 1.5], np.float32),
+    }  # fmt: skip
+    boxes = layers.detected(tracks_at(1, {7 + (3 << 50): 0.0, 9: 5.0}, **known), {})
+    assert boxes.labels == ["#7 · south_0 · 36 km/h", "#9 · south_0 · 7 km/h · unseen for 1.5 s"]
+    assert boxes.colours == [rgb(palette.BOX), rgb(palette.FAINT)]
+
+
+def test_trails_reach_back_five_seconds_and_end_with_their_track() -> None:
+    trails = layers.Trails()
+    assert trails.of(tracks_at(0, {7: 0.0})).lines == []
+    assert trails.of(tracks_at(1, {7: 1.0, 9: 50.0})).names == ["#7"]
+    (line,) = trails.of(tracks_at(5.5, {7: 2.0})).lines
+    assert line[:, 0].tolist() == [1.0, 2.0]  # that of 0 s is too old
+    assert line[:, 2].tolist() == pytest.approx([0.45, 0.45])
+    assert trails.of(tracks_at(6, {9: 51.0})).lines == []

@@ -1,0 +1,98 @@
+"""What sensors looked through: where a vehicle would have hidden ground that was seen.
+
+A vehicle that is not detected may be hidden or gone. It is gone where a sensor has seen the ground
+behind its place: a beam that ends there has passed where the vehicle would be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from perception.arrays import Bools, Floats, Floats32
+
+SECTORS = 360
+RINGS = 128
+RING_M = 1.0
+GROUND_M = 0.25  # over the road: what is lower is ground
+MARGIN_M = 0.5  # behind a box's middle, where the ground is no part of a wheel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SightLines:
+    """Polar maps of the ground that each of P sensors has seen, (P, `SECTORS`, `RINGS`).
+
+    `sensors` (P, 3) are their places in the map frame, `heights_m` (P,) those over the road.
+    """
+
+    sensors: Floats
+    heights_m: Floats
+    ground: Bools
+
+    @classmethod
+    def of(cls, sensors: Floats, lowest: Sequence[Floats32], heights_m: Floats) -> SightLines:
+        """Draws the maps.
+
+        Args:
+            sensors: their places (P, 3), map frame.
+            lowest: of each the lowest point of every square metre (V, 3): x, y, height over road.
+            heights_m: of each over the road (P,).
+        """
+        ground = np.zeros((len(sensors), SECTORS, RINGS), np.bool_)
+        for index, points in enumerate(lowest):
+            _draw(points, sensors[index], ground[index])
+        return cls(np.ascontiguousarray(sensors), heights_m, ground)
+
+    def empty(self, boxes: Floats) -> Floats:
+        """Returns the share (N,) of each box (N, 7) through which the ground was seen, 0 to 1."""
+        return np.asarray(
+            _empty(np.ascontiguousarray(boxes), self.sensors, self.heights_m, self.ground)
+        )
+
+
+@njit("void(float32[:,::1], float64[::1], boolean[:,::1])", cache=True, nogil=True)
+def _draw(points: Floats32, sensor: Floats, ground: Bools) -> None:
+    for index in range(points.shape[0]):
+        if abs(points[index, 2]) < GROUND_M:
+            x, y = points[index, 0] - sensor[0], points[index, 1] - sensor[1]
+            ring = int(np.hypot(x, y) / RING_M)
+            if ring < RINGS:
+                ground[int(np.arctan2(y, x) * (SECTORS / (2 * np.pi))) % SECTORS, ring] = True
+
+
+@njit(
+    "float64[::1](float64[:,::1], float64[:,::1], float64[::1], boolean[:,:,::1])",
+    cache=True,
+    nogil=True,
+)
+def _empty(boxes: Floats, sensors: Floats, heights_m: Floats, ground: Bools) -> Floats:
+    """Takes of all sensors the one that saw most through each box's middle part."""
+    shares = np.zeros(boxes.shape[0])
+    for index in range(boxes.shape[0]):
+        long_m, wide_m, high_m, yaw = boxes[index, 3:7]
+        for sensor in range(sensors.shape[0]):
+            x = boxes[index, 0] - sensors[sensor, 0]
+            y = boxes[index, 1] - sensors[sensor, 1]
+            range_m = np.hypot(x, y)
+            if range_m < 2.0 or range_m > RINGS * RING_M:
+                continue
+            bearing = np.arctan2(y, x)
+            turned = yaw - bearing
+            half_m = 0.35 * (abs(long_m * np.sin(turned)) + abs(wide_m * np.cos(turned)))
+            over_m = heights_m[sensor] - 0.7 * high_m
+            shadow_m = range_m * heights_m[sensor] / over_m if over_m > 0.1 else np.inf
+            first = int((range_m + MARGIN_M) / RING_M)
+            last = int(min(shadow_m, range_m + 25.0, RINGS * RING_M - 1) / RING_M)
+            low = int(np.floor((bearing - half_m / range_m) * (SECTORS / (2 * np.pi))))
+            high = int(np.floor((bearing + half_m / range_m) * (SECTORS / (2 * np.pi))))
+            through = 0
+            for sector in range(low, high + 1):
+                for ring in range(first, last + 1):
+                    if ground[sensor, sector % SECTORS, ring]:
+                        through += 1
+                        break
+            shares[index] = max(shares[index], through / (high - low + 1))
+    return shares

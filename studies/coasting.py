@@ -1,0 +1,70 @@
+"""What coasting tracks add to what sensors see: E-CVPR with and without them, and how many lie.
+
+Memory must not pass for sight: boxes of vehicles that a sensor saw in the frame, `observed`, are
+judged apart from those of tracks that coast.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from recording.run import Run
+from recording.tables import DetectionRow, TruthRow
+from studies.ecvpr import (
+    MARGIN_M,
+    EvaluationArea,
+    by_frame,
+    matches,
+    parked_bodies,
+    score_frame,
+    vehicles_of,
+)
+
+Shares = dict[str, float | None]
+
+
+@dataclass(frozen=True, slots=True)
+class CoastingScore:
+    """Shares from 0 to 1: `precision` of "observed", "coasted", "all", `ecvpr` of the outer two."""
+
+    precision: Shares
+    ecvpr: Shares
+
+
+def coasting_score(run: Run) -> CoastingScore:
+    """Returns the score over all frames that have truth and were perceived.
+
+    A box is true that lies on a vehicle, as E-CVPR matches them, wherever it is.
+
+    Raises:
+        ConfigError: the run folder lacks its setup.
+    """
+    area = EvaluationArea(run.setup.road_map)
+    types = {kind.name: kind for kind in run.setup.vehicle_types}
+    parked = parked_bodies(run.setup)
+    perceived = {n for (n,) in run.query("SELECT frame FROM frames WHERE detections IS NOT NULL")}
+    known = dict(by_frame(run.rows(DetectionRow)))
+    boxes, false = {True: 0, False: 0}, {True: 0, False: 0}
+    rates: dict[str, list[float]] = {"observed": [], "all": []}
+    for frame, vehicles in by_frame(run.rows(TruthRow)):
+        if frame not in perceived:
+            continue
+        found, bodies = known.get(frame, []), vehicles + parked
+        for one in vehicles_of(found):
+            boxes[one.coasted_s > 0] += 1
+        for one in matches(found, bodies, types)[1]:
+            false[one.coasted_s > 0] += 1
+        seen = [one for one in found if one.coasted_s == 0]
+        for name, part in (("observed", seen), ("all", found)):
+            rate = score_frame(frame, part, bodies, types, area, MARGIN_M).e_cvpr
+            rates[name] += [] if rate is None else [rate]
+    precision = {
+        "observed": _share(boxes[False] - false[False], boxes[False]),
+        "coasted": _share(boxes[True] - false[True], boxes[True]),
+        "all": _share(sum(boxes.values()) - sum(false.values()), sum(boxes.values())),
+    }
+    return CoastingScore(precision, {k: _share(sum(v), len(v)) for k, v in rates.items()})
+
+
+def _share(part: float, whole: int) -> float | None:
+    return part / whole if whole else None

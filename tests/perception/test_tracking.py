@@ -1,0 +1,360 @@
+"""Tracks: ids that stay, speeds, and what becomes of vehicles that nobody sees."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from perception.detector import LIDAR, Vehicles
+from perception.tracking.config import TrackingConfig
+from perception.tracking.lane_graph import LaneGraph
+from perception.tracking.sightlines import RINGS, SECTORS, SightLines
+from perception.tracking.tracker import Tracker
+from perception.tracking.tracks import Tracks
+from protocol.roadmap import Intersection, Lane, RoadMap, Signal
+
+S = 1_000_000_000
+DT = S // 10
+NOBODY = SightLines.of(np.zeros((0, 3)), [], np.zeros(0))
+CONFIG = TrackingConfig()
+
+
+def cars(*places: tuple[float, ...], source: str = LIDAR, score: float = 0.9) -> Vehicles:
+    """Returns cars at x, y and, if given, yaw."""
+    rows = [(*p[:2], 0.75, 4.5, 1.8, 1.5, p[2] if len(p) > 2 else 0.0) for p in places]
+    boxes = np.array(rows, np.float64).reshape(-1, 7)
+    found = Vehicles.from_lidar(boxes, np.full(len(boxes), score))
+    return Vehicles(
+        found.boxes, found.scores, [source] * len(boxes), found.position_std_m, found.classes
+    )
+
+
+def road(*lanes: Lane) -> LaneGraph:
+    signal = Signal(tls="J", links=[], conflicts=[], plan=[])
+    junction = Intersection(signal=signal, centre=(0, 0, 0), outline=[(0, 0), (1, 0), (1, 1)])
+    return LaneGraph.of(RoadMap(name="road", lanes=list(lanes), intersections=[junction]))
+
+
+def lane(name: str, *points: tuple[float, float], after: tuple[str, ...] = ()) -> Lane:
+    line = [(x, y, 0.0) for x, y in points]
+    length_m = float(np.linalg.norm(np.diff(np.array(points), axis=0), axis=1).sum())
+    return Lane(
+        id=name, edge=name, width_m=3.5, speed_mps=13.9, length_m=length_m, centreline=line,
+        successors=list(after),
+    )  # fmt: skip
+
+
+STRAIGHT = road(lane("a", (0, 0), (400, 0)))
+
+
+def follow(tracker: Tracker, speed_mps: float, steps: int, start_m: float = 0.0) -> Tracks:
+    tracks = Tracks.none()
+    for k in range(steps):
+        tracks = tracker.step(k * DT, cars((start_m + speed_mps * k / 10, 0)), NOBODY)
+    return tracks
+
+
+def plain_view(*sensors: tuple[float, float]) -> SightLines:
+    """Returns sensors 2.5 m high that see the ground everywhere."""
+    places = np.array([(x, y, 2.5) for x, y in sensors])
+    ground = np.ones((len(sensors), SECTORS, RINGS), np.bool_)
+    return SightLines(places, places[:, 2], ground)
+
+
+@pytest.mark.parametrize("lanes", [None, STRAIGHT], ids=["open", "lane"])
+@pytest.mark.parametrize("period_ns", [S // 20, S // 10, S])
+def test_a_vehicle_keeps_its_id_and_its_speed_is_found(lanes, period_ns) -> None:
+    tracker, ids = Tracker(CONFIG, lanes), set()
+    for k in range(3 * S // period_ns + 5):
+        place_m = 10.0 * k * period_ns / S
+        tracks = tracker.step(k * period_ns, cars((place_m, 0)), NOBODY)
+        ids.update(tracks.track_ids.tolist())
+    assert ids == {1}
+    assert tracks.speeds_mps[0] == pytest.approx(10.0, abs=0.5)
+    assert tracks.boxes[0, 0] == pytest.approx(place_m, abs=0.3)
+    assert tracks.coasted_s[0] == 0
+
+
+@st.composite
+def histories(draw: st.DrawFn) -> list[Vehicles]:
+    """Frames of a few cars that move, are missed now and then, and of false boxes."""
+    count = draw(st.integers(1, 6))
+    frames = []
+    for k in range(draw(st.integers(2, 6))):
+        seen = draw(st.lists(st.booleans(), min_size=count, max_size=count))
+        places = [(20.0 * n + n * k, 3.5 * n) for n in range(count) if seen[n]]
+        frames.append(cars(*places, *draw(st.lists(st.tuples(*[st.floats(-50, 150)] * 2)))))
+    return frames
+
+
+@settings(max_examples=40, deadline=None)
+@given(histories(), st.randoms(use_true_random=False))
+def test_the_order_of_detections_does_not_matter(frames, random) -> None:
+    one, other = Tracker(CONFIG, STRAIGHT), Tracker(CONFIG, STRAIGHT)
+    for k, frame in enumerate(frames):
+        order = list(range(len(frame)))
+        random.shuffle(order)
+        a = one.step(k * DT, frame, NOBODY)
+        b = other.step(k * DT, frame.take(np.array(order, np.int64)), NOBODY)
+        assert a.track_ids.tolist() == b.track_ids.tolist()
+        np.testing.assert_array_equal(a.boxes, b.boxes)
+
+
+@settings(max_examples=40, deadline=None)
+@given(histories())
+def test_a_frame_again_changes_nothing_and_time_that_runs_backwards_is_refused(frames) -> None:
+    one, other = Tracker(CONFIG, STRAIGHT), Tracker(CONFIG, STRAIGHT)
+    for k, frame in enumerate(frames):
+        a = one.step(S + k * DT, frame, NOBODY)
+        b = other.step(S + k * DT, frame, NOBODY)
+        again = other.step(S + k * DT, cars((1, 1), (60, 1)), NOBODY)
+        with pytest.raises(ValueError, match="follows one at"):
+            other.step(S + k * DT - 1, cars((2, 2)), NOBODY)
+        for tracks in (b, again):
+            assert a.track_ids.tolist() == tracks.track_ids.tolist()
+            np.testing.assert_array_equal(a.boxes, tracks.boxes)
+
+
+@given(st.floats(4.0, 15.0), st.floats(0.5, 2.6))
+@settings(max_examples=25, deadline=None)
+def test_two_vehicles_that_cross_do_not_swap(speed_mps, angle_rad) -> None:
+    tracker, ways = Tracker(CONFIG), [(1.0, 0.0), (np.cos(angle_rad), np.sin(angle_rad))]
+    held: list[int] = []
+    for k in range(41):
+        along_m = speed_mps * (k - 20) / 10
+        late_m = along_m - 6.0  # the second one passes behind the first
+        places = [
+            (along_m * ways[0][0], along_m * ways[0][1], 0.0),
+            (late_m * ways[1][0], late_m * ways[1][1], angle_rad),
+        ]
+        tracks = tracker.step(k * DT, cars(*places), NOBODY)
+        near = [
+            int(tracks.track_ids[np.linalg.norm(tracks.boxes[:, :2] - p[:2], axis=1).argmin()])
+            for p in np.array(places)
+        ]
+        held = held or near
+        assert near == held
+    assert len(set(held)) == 2
+
+
+def test_a_second_box_of_a_vehicle_makes_no_second_track() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(10):
+        tracks = tracker.step(k * DT, cars((k, 0), (k + 1.2, 0.3)), NOBODY)
+        assert len(tracks) <= 2
+    assert tracks.track_ids.tolist() == [1]
+
+
+def test_a_change_of_lane_in_one_frame_is_no_new_vehicle() -> None:
+    two = road(lane("a", (0, 0), (400, 0)), lane("b", (0, 3.5), (400, 3.5)))
+    tracker = Tracker(CONFIG, two)
+    for k in range(30):
+        tracks = tracker.step(k * DT, cars((k, 0.0 if k < 20 else 3.5)), NOBODY)
+    assert tracks.track_ids.tolist() == [1]
+
+
+def test_an_agent_keeps_its_track_however_far_it_is_off() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(10):
+        seen = cars((20 + k, 0)) + cars((100 + (12 if k == 7 else 0) + k, 0), source="cav")
+        tracks = tracker.step(k * DT, seen, NOBODY)
+    assert sorted(tracks.sources) == ["cav", LIDAR]
+    assert tracks.track_ids.tolist() == [1, 2]
+
+
+def test_a_vehicle_that_begins_to_report_itself_keeps_the_id_that_the_lidar_gave() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    follow(tracker, 8.0, 10)
+    tracks = tracker.step(10 * DT, cars((8.0, 0), source="cv"), NOBODY)
+    assert (tracks.track_ids.tolist(), tracks.sources) == ([1], ["cv"])
+
+
+@pytest.mark.parametrize("speed_mps", [0.0, 9.0])
+def test_a_vehicle_hidden_for_5_s_comes_back_under_its_id(speed_mps) -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    follow(tracker, speed_mps, 30, start_m=5.0)
+    for k in range(30, 80):
+        tracks = tracker.step(k * DT, cars(), NOBODY)
+        if len(tracks):
+            assert tracks.coasted_s[0] == pytest.approx((k - 29) / 10)
+    place_m = tracker._states.mean[0, 0]
+    tracks = tracker.step(80 * DT, cars((place_m + 3.0 * (speed_mps > 0), 0)), NOBODY)
+    assert (tracks.track_ids.tolist(), tracks.coasted_s.tolist()) == ([1], [0.0])
+
+
+def test_who_stands_unseen_stays_where_it_is() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    follow(tracker, 0.0, 30, start_m=50.0)
+    for k in range(30, 330):
+        tracks = tracker.step(k * DT, cars(), NOBODY)
+    assert tracks.boxes[0, 0] == pytest.approx(50.0, abs=0.3)
+    assert tracks.scores[0] < 0.9
+
+
+def test_an_empty_place_in_plain_view_ends_a_track_at_once_and_a_shadow_does_not() -> None:
+    seen, hidden = Tracker(CONFIG, STRAIGHT), Tracker(CONFIG, STRAIGHT)
+    for tracker in (seen, hidden):
+        follow(tracker, 0.0, 30, start_m=50.0)
+    assert len(seen.step(30 * DT, cars(), plain_view((30, 3)))) == 0
+    assert len(hidden.step(30 * DT, cars(), NOBODY)) == 1
+
+
+def test_where_nobody_knows_what_sensors_saw_a_track_ends_within_seconds() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    follow(tracker, 0.0, 30, start_m=50.0)
+    alive = [len(tracker.step((30 + k) * DT, cars(), None)) for k in range(50)]
+    assert (alive[0], alive[-1]) == (1, 0)
+
+
+def test_a_hidden_vehicle_follows_its_lane_round_a_bend() -> None:
+    arc = [(100 + 30 * np.sin(a), 30 - 30 * np.cos(a)) for a in np.linspace(0, np.pi / 2, 20)]
+    bend = road(
+        lane("in", (0, 0), (100, 0), after=("turn",)),
+        lane("turn", *arc, after=("out",)),
+        lane("out", (130, 30), (130, 300)),
+    )
+    tracker = Tracker(CONFIG.model_copy(update={"publish_probability": 0.01}), bend)
+    follow(tracker, 13.0, 70)
+    for k in range(70, 125):
+        tracks = tracker.step(k * DT, cars(), NOBODY)
+    assert tracks.boxes[0, 0] == pytest.approx(130, abs=0.5)
+    assert tracks.boxes[0, 1] > 35
+    assert tracks.boxes[0, 6] == pytest.approx(np.pi / 2, abs=0.05)
+
+
+def test_a_hidden_vehicle_stops_behind_a_queue() -> None:
+    tracker = Tracker(CONFIG.model_copy(update={"publish_probability": 0.01}), STRAIGHT)
+    for k in range(40):
+        tracker.step(k * DT, cars((k * 1.2, 0), (150, 0), (157, 0)), NOBODY)
+    for k in range(40, 240):
+        tracks = tracker.step(k * DT, cars((150, 0), (157, 0)), NOBODY)
+        (mine,) = np.flatnonzero(tracks.coasted_s > 0)
+        assert tracks.boxes[mine, 0] < 150 - 4.5
+    assert tracks.boxes[mine, 0] == pytest.approx(143, abs=1.5)
+    assert tracks.speeds_mps[mine] < 0.2
+
+
+def test_a_hidden_vehicle_leaves_the_map_where_its_lane_ends() -> None:
+    tracker = Tracker(CONFIG.model_copy(update={"publish_probability": 0.01}), STRAIGHT)
+    follow(tracker, 13.0, 30, start_m=340.0)
+    counts = [len(tracker.step(k * DT, cars(), NOBODY)) for k in range(30, 60)]
+    assert (counts[0], counts[-1]) == (1, 0)
+
+
+def test_most_vehicles_show_the_way_at_a_fork() -> None:
+    fork = road(
+        lane("in", (0, 0), (100, 0), after=("ahead", "left")),
+        lane("ahead", (100, 0), (300, 0)),
+        lane("left", (100, 0), (110, 5), (115, 15), (115, 200)),
+    )
+    tracker, k = Tracker(CONFIG.model_copy(update={"publish_probability": 0.01}), fork), 0
+    turn = [(100 + t, t / 2, 0.46) for t in range(10)] + [
+        (110 + t, 5 + 2 * t, 1.1) for t in range(5)
+    ]
+    for _ in range(8):  # vehicles that all turn left
+        for place in [(x, 0.0, 0.0) for x in range(60, 100)] + turn:
+            tracker.step(k * DT, cars(place), NOBODY)
+            k += 1
+    for x in np.arange(60, 95):
+        tracker.step(k * DT, cars((x, 0)), NOBODY)
+        k += 1
+    for _ in range(30):
+        tracks = tracker.step(k * DT, cars(), NOBODY)
+        k += 1
+    newest = tracks.track_ids.argmax()
+    assert tracks.boxes[newest, 1] > 5
+    assert tracks.existence[newest] < 0.95  # it may have gone straight on
+
+
+def test_a_gap_in_the_frames_is_no_end_of_tracks() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    follow(tracker, 10.0, 20)
+    tracks = tracker.step(19 * DT + 2 * S, cars((39, 0)), NOBODY)
+    assert tracks.track_ids.tolist() == [1]
+
+
+def test_who_forgets_begins_anew_and_gives_no_id_twice() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    follow(tracker, 10.0, 5)
+    tracker.forget()
+    assert tracker.step(0, cars((0, 0)), NOBODY).track_ids.tolist() == [2]
+    again = Tracker(CONFIG, STRAIGHT, first_id=1 << 20)
+    assert again.step(0, cars((0, 0)), NOBODY).track_ids.tolist() == [1 << 20]
+
+
+def test_a_false_box_of_one_frame_does_not_coast() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    tracker.step(0, cars((50, 0)), NOBODY)
+    assert len(tracker.step(DT, cars(), NOBODY)) == 0
+
+
+def test_a_doubtful_box_is_shown_once_it_is_confirmed() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    shown = [len(tracker.step(k * DT, cars((50, 0), score=0.05), NOBODY)) for k in range(4)]
+    assert shown == [0, 1, 1, 1]
+
+
+def test_people_are_no_cars_and_follow_no_lane() -> None:
+    walker = Vehicles.from_lidar(np.array([[50, 0, 0.85, 0.5, 0.6, 1.7, 0.0]]), np.ones(1))
+    tracker = Tracker(CONFIG, STRAIGHT)
+    tracker.step(0, cars((50, 0)), NOBODY)
+    tracks = tracker.step(DT, walker, NOBODY)
+    assert tracks.track_ids.tolist() == [2]
+    assert tracker._states.lane[tracker._states.ids == 2].tolist() == [-1]
+
+
+@pytest.mark.parametrize("in_one_place", [True, False])
+def test_ten_thousand_boxes_from_a_liar_end_in_bounded_memory_and_time(in_one_place) -> None:
+    rng = np.random.default_rng(1)
+    tracker = Tracker(CONFIG, STRAIGHT)
+    tracker.step(0, cars((0, 0)), NOBODY)
+    started_s = time.process_time()
+    for k in range(1, 4):
+        spread_m = 5.0 if in_one_place else 5000.0
+        lies = cars(*rng.uniform(-spread_m, spread_m, (10_000, 2)), score=0.5)
+        tracks = tracker.step(k * DT, cars((k, 0)) + lies, NOBODY)
+        assert len(tracker._states) <= CONFIG.max_tracks
+        assert 1 in tracks.track_ids
+    assert tracker.refused >= 3 * (10_000 - CONFIG.max_tracks)
+    assert time.process_time() - started_s < 20
+
+
+def known(ids: list[int], *places: tuple[float, float], coasted_s: float = 0.0) -> Tracks:
+    tracker = Tracker(CONFIG)
+    tracks = tracker.step(0, cars(*places), NOBODY)
+    order = np.argsort([places.index(tuple(b)) for b in tracks.boxes[:, :2].tolist()])
+    taken = tracks.take(order)
+    taken.track_ids[:] = ids
+    taken.coasted_s[:] = coasted_s
+    taken.speeds_mps[:] = 5.0
+    return taken
+
+
+def test_a_neighbours_ids_are_taken_over_and_what_it_knows_is_known() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    tracks = follow(tracker, 10.0, 10)
+    tracker.adopt(9 * DT, known([77, 78], (9.4, 0.1), (200.0, 0.0), coasted_s=1.0))
+    tracks = tracker.step(10 * DT, cars((10, 0)), NOBODY)
+    assert tracks.track_ids.tolist() == [77, 78]
+    assert tracks.boxes[1, 0] == pytest.approx(200.5, abs=0.3)
+    assert tracks.coasted_s[1] == pytest.approx(1.1)
+
+
+def test_what_a_neighbour_knew_at_another_time_is_not_taken_over() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    follow(tracker, 10.0, 10)
+    tracker.adopt(8 * DT, known([77], (9.4, 0.1)))
+    assert tracker.step(10 * DT, cars((10, 0)), NOBODY).track_ids.tolist() == [1]
+
+
+def test_an_id_that_is_known_is_not_given_to_a_second_track() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(10):
+        tracker.step(k * DT, cars((k, 0), (100, 0)), NOBODY)
+    first = tracker._states.ids[tracker._states.mean[:, 0] < 50][0]
+    tracker.adopt(9 * DT, known([int(first)], (100.0, 0.0)))
+    assert sorted(tracker.step(10 * DT, cars((10, 0), (100, 0)), NOBODY).track_ids) == [1, 2]
