@@ -87,6 +87,8 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     own = net or sumocfg
     if own is not None:
         named["name"] = _run_name(own)
+        if scenario == _DEFAULT_SCENARIO:  # whose policy is that of its paper
+            named["signal.policy"] = SignalConfig().policy
     overrides: dict[str, Any] = {k: v for k, v in named.items() if v is not None}
     overrides |= assigned(set_)
     places = listen or [], connect or []

@@ -17,7 +17,7 @@ class SignalConfig(Section):
     """The policy that chooses the phase; minimum green, yellow and all-red are the cabinet's."""
 
     policy: Annotated[str, AfterValidator(POLICIES.checked)] = Field(
-        "max_pressure",
+        "predictive",
         description="predictive: a plan over a rolling horizon, from where single vehicles are; "
         "max_pressure: the phase with most vehicles before it and fewest behind it, "
         "as in Chen et al. 2022; fixed: the net's own plan; or the name of a plug-in",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -48,7 +48,8 @@ class LaneVehicles:
     """Vehicles (N,) on lanes.
 
     `distances_m` is the way of the front bumper to the stop bar, negative behind it, as in
-    `Detections`; `speeds_mps` is NaN and an id an empty string where it is unknown.
+    `Detections`; `speeds_mps` is NaN where it is unknown. Ids are empty strings where nothing tells
+    who is who; then `places_m` (N, 2), x and y in the map frame, let `VehicleAssociation` do so.
     """
 
     lanes: list[str]
@@ -56,6 +57,7 @@ class LaneVehicles:
     speeds_mps: Floats
     lengths_m: Floats
     ids: list[str]
+    places_m: Floats | None = None
 
     def take(self, rows: npt.NDArray[np.int64]) -> Self:
         """Returns some of them, by index."""
@@ -65,6 +67,7 @@ class LaneVehicles:
             speeds_mps=self.speeds_mps[rows],
             lengths_m=self.lengths_m[rows],
             ids=[self.ids[i] for i in rows],
+            places_m=None if self.places_m is None else self.places_m[rows],
         )
 
     @classmethod
@@ -77,17 +80,18 @@ class LaneVehicles:
             )
             if lane and kind != ObjectClass.PEDESTRIAN
         ]
-        lengths_m = detections.boxes[keep, 3].astype(np.float64)
-        distances_m = detections.distances_m[keep].astype(np.float64) - lengths_m / 2
+        boxes = detections.boxes[keep].astype(np.float64)
         speeds_mps = getattr(detections, "speeds_mps", None)
         ids = getattr(detections, "track_ids", None)
+        is_tracked = ids is not None and speeds_mps is not None and bool(np.any(ids))
         unknown = np.full(len(keep), math.nan)
         return cls(
             lanes=[detections.lanes[index] for index in keep],
-            distances_m=distances_m,
-            speeds_mps=unknown if speeds_mps is None else np.asarray(speeds_mps, float)[keep],
-            lengths_m=lengths_m,
-            ids=[""] * len(keep) if ids is None else [str(ids[index]) for index in keep],
+            distances_m=detections.distances_m[keep].astype(np.float64) - boxes[:, 3] / 2,
+            speeds_mps=np.asarray(speeds_mps, float)[keep] if is_tracked else unknown,
+            lengths_m=boxes[:, 3],
+            ids=[str(ids[i] or "") for i in keep] if is_tracked else [""] * len(keep),
+            places_m=boxes[:, :2],
         )
 
 
@@ -105,3 +109,65 @@ class Observation:
     counts: LaneCounts
     shown: SignalState | None
     vehicles: LaneVehicles | None = None
+
+
+_GATE_M, _GATE_MPS = 3.0, 4.0  # how far off its prediction a vehicle may be, and per second
+_NEW_GATE_MPS = 16.0  # the same of one whose speed is not known yet
+_SMOOTHING_S = 0.5  # over which speeds are averaged
+_MAX_GAP_S = 2.0
+
+
+class VehicleAssociation:
+    """Tells from frame to frame which vehicle is which, by places alone, where nothing tracks.
+
+    The nearest pair of a prediction and a vehicle is the same vehicle, then the next nearest.
+    """
+
+    def __init__(self) -> None:
+        self._time_s = -math.inf
+        self._places_m = np.zeros((0, 2))
+        self._velocities_mps = np.zeros((0, 2))
+        self._is_new = np.zeros(0, np.bool_)
+        self._ids: list[str] = []
+        self._count = 0
+
+    def take(self, time_s: float, vehicles: LaneVehicles) -> LaneVehicles:
+        """Returns the vehicles with ids and speeds; those that have ids as they are."""
+        places_m = vehicles.places_m
+        if places_m is None or any(vehicles.ids):
+            return vehicles
+        passed_s = time_s - self._time_s
+        old = self._matches(places_m, passed_s) if 0 < passed_s <= _MAX_GAP_S else {}
+        velocities_mps, is_new = np.zeros_like(places_m), np.ones(len(places_m), np.bool_)
+        ids = []
+        for row in range(len(places_m)):
+            before = old.get(row)
+            if before is None:
+                self._count += 1
+                ids.append(f"~{self._count}")
+                continue
+            ids.append(self._ids[before])
+            is_new[row] = False
+            velocity_mps = (places_m[row] - self._places_m[before]) / passed_s
+            weight = 1.0 if self._is_new[before] else min(1.0, passed_s / _SMOOTHING_S)
+            known_mps = self._velocities_mps[before]
+            velocities_mps[row] = known_mps + weight * (velocity_mps - known_mps)
+        self._time_s, self._places_m, self._ids = time_s, places_m, ids
+        self._velocities_mps, self._is_new = velocities_mps, is_new
+        speeds_mps = np.where(is_new, math.nan, np.linalg.norm(velocities_mps, axis=1))
+        return replace(vehicles, ids=ids, speeds_mps=speeds_mps)
+
+    def _matches(self, places_m: Floats, passed_s: float) -> dict[int, int]:
+        """Returns the earlier row by the present row."""
+        expected_m = self._places_m + self._velocities_mps * passed_s
+        away_m = np.linalg.norm(places_m[:, None] - expected_m[None], axis=2)
+        gates_m = _GATE_M + np.where(self._is_new, _NEW_GATE_MPS, _GATE_MPS) * passed_s
+        rows, before = np.nonzero(away_m <= gates_m[None])
+        found: dict[int, int] = {}
+        taken: set[int] = set()
+        for index in np.argsort(away_m[rows, before], kind="stable"):
+            row, old = int(rows[index]), int(before[index])
+            if row not in found and old not in taken:
+                found[row] = old
+                taken.add(old)
+        return found

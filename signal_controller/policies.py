@@ -103,7 +103,11 @@ def pressure(
 
 
 class SignalPolicy(Protocol):
-    """Decides for one signal, frame by frame; may keep state."""
+    """Decides for one signal, frame by frame; may keep state.
+
+    One with an attribute `needs_vehicles` that is true gets the observation's `vehicles`: a frame
+    is decided on once they have arrived as well.
+    """
 
     def decide(self, observation: Observation) -> Decision:
         """Returns the green state to request; the cabinet keeps all times between greens."""
@@ -178,8 +182,10 @@ class MaxPressure:
 class Predictive:
     """The predictive planner, with estimates for lanes that no sensor covers.
 
-    As long as no lane is covered, for `estimator_timeout_s`, it requests the fixed plan.
+    When no lane has been covered for `estimator_timeout_s`, it requests the fixed plan.
     """
+
+    needs_vehicles = True
 
     def __init__(self, config: SignalConfig, site: SignalSite) -> None:
         self._site = site
@@ -217,6 +223,11 @@ class _CheckedPolicy:
     plugin: Plugin
     policy: SignalPolicy
     signal: Signal
+
+    @property
+    def needs_vehicles(self) -> bool:
+        """Whether the plug-in wants single vehicles."""
+        return bool(getattr(self.policy, "needs_vehicles", False))
 
     def decide(self, observation: Observation) -> Decision:
         """See `SignalPolicy.decide`.

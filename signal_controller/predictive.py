@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protocol.messages import SignalState
-from signal_controller.observation import LaneVehicles, Observation, SignalSite
+from signal_controller.observation import LaneVehicles, SignalSite, VehicleAssociation
 from signal_controller.predictive_model import (
     PERMITTED,
     PROTECTED,
@@ -58,7 +58,9 @@ class PredictivePlanner:
         self.model = JunctionModel(site, settings.pedestrian_green_s)
         self.memory = TrafficMemory(self.model, settings.inflow_vph, settings.saturation_vph)
         self.plan: Plan | None = None
+        self._association = VehicleAssociation()
         self._green_since_s: tuple[str, float] = "", 0.0
+        self._compile()
 
     def request(
         self,
@@ -75,7 +77,7 @@ class PredictivePlanner:
             shown: what the signal shows.
             estimated: vehicles on lanes before the stop bars that no sensor covers.
         """
-        vehicles = self._nearest(vehicles)
+        vehicles = self._association.take(time_s, self._nearest(vehicles))
         self.memory.take(time_s, vehicles, shown.state)
         model = self.model
         phase = model.phase_of(shown.green)
@@ -97,6 +99,11 @@ class PredictivePlanner:
             return model.phases[forced]
         after = [planned for planned, step in self.plan.phases if step == 0]
         return model.phases[after[-1]]
+
+    def _compile(self) -> None:
+        """Searches once, so that no decision waits for the compiler."""
+        nothing = np.zeros((len(self.model.lanes), 1))
+        search(self._problem(0.0, nothing, 0), self._settings.prices, 1)
 
     def _problem(self, time_s: float, arrivals: Floats, phase: int) -> Problem:
         model, memory = self.model, self.memory

@@ -32,8 +32,8 @@ class Prices:
         left_s: delay of a vehicle that waits at red when the plan ends, beside its queue's.
     """
 
-    stop: float = 3.0
-    switch: float = 1.0
+    stop: float = 6.0
+    switch: float = 2.0
     left_s: float = 12.0
 
 
