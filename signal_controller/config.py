@@ -9,7 +9,9 @@ from pydantic import AfterValidator, Field
 from protocol.config import Section
 from protocol.plugins import Catalogue, PluginSettings
 
-POLICIES = Catalogue("cpnet.signal_policies", "signal policy", ("predictive", "max_pressure", "fixed"))
+POLICIES = Catalogue(
+    "cpnet.signal_policies", "signal policy", ("predictive", "max_pressure", "fixed")
+)
 """Every policy by its name; `signal_controller.policies` defines what a plug-in must be."""
 
 

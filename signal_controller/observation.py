@@ -42,6 +42,11 @@ class SignalSite:
     upstream_m: float
     cabinet: CabinetTimes = CabinetTimes()
 
+    @property
+    def lanes(self) -> list[str]:
+        """Ids of the lanes before the stop bars, in link order."""
+        return self.road_map.by_tls[self.signal.tls].incoming
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaneVehicles:
@@ -81,16 +86,15 @@ class LaneVehicles:
             if lane and kind != ObjectClass.PEDESTRIAN
         ]
         boxes = detections.boxes[keep].astype(np.float64)
-        speeds_mps = getattr(detections, "speeds_mps", None)
-        ids = getattr(detections, "track_ids", None)
-        is_tracked = ids is not None and speeds_mps is not None and bool(np.any(ids))
-        unknown = np.full(len(keep), math.nan)
+        count = len(detections.lanes)
+        tracks: npt.NDArray[np.int64] = getattr(detections, "track_ids", np.zeros(count, np.int64))
+        speeds_mps: Floats = getattr(detections, "speeds_mps", np.full(count, math.nan))
         return cls(
             lanes=[detections.lanes[index] for index in keep],
             distances_m=detections.distances_m[keep].astype(np.float64) - boxes[:, 3] / 2,
-            speeds_mps=np.asarray(speeds_mps, float)[keep] if is_tracked else unknown,
+            speeds_mps=np.where(tracks == 0, math.nan, speeds_mps)[keep],
             lengths_m=boxes[:, 3],
-            ids=[str(ids[i] or "") for i in keep] if is_tracked else [""] * len(keep),
+            ids=[str(track) if track else "" for track in tracks[keep].tolist()],
             places_m=boxes[:, :2],
         )
 

@@ -60,7 +60,7 @@ def max_pressure(
     estimated = estimated or {}
     before = {**before, **estimated}
     pressures = [pressure(signal, green, before, behind) for green in greens]
-    state = _chosen(greens, pressures, shown)
+    state = phase_of_highest(greens, pressures, shown)
     return Decision(state, pressures, "max_pressure", tuple(estimated))
 
 
@@ -74,7 +74,8 @@ def fallback_plan(signal: Signal, sim_time_ns: int, unknown: Iterable[str]) -> D
     return Decision(signal.planned_green(sim_time_ns / 1e9), [], "plan", tuple(unknown))
 
 
-def _chosen(greens: list[str], pressures: list[float], shown: SignalState | None) -> str:
+def phase_of_highest(greens: list[str], pressures: list[float], shown: SignalState | None) -> str:
+    """Returns the green of highest pressure; see `max_pressure` for ties and changes."""
     present = shown.green if shown is not None and shown.green in greens else None
     if shown is not None and present is not None and shown.stage != "green":
         return present

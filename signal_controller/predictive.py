@@ -8,7 +8,7 @@ and durations of least cost, and the first of them is requested. In the spirit o
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -47,7 +47,7 @@ class PlannerSettings:
     pedestrian_green_s: float = 7.0
     inflow_vph: float = 500.0
     saturation_vph: float = 1900.0
-    prices: Prices = Prices()
+    prices: Prices = field(default_factory=Prices)
 
 
 class PredictivePlanner:
@@ -153,7 +153,8 @@ class PredictivePlanner:
             result[index, 0] += max(0.0, count - result[index].sum())
         seen_s = model.reach_m / model.speeds_mps
         unseen = np.arange(steps)[None, :] * STEP_S >= seen_s[:, None]
-        return result + unseen * memory.arrivals_per_s[:, None] * STEP_S
+        result += unseen * memory.arrivals_per_s[:, None] * STEP_S
+        return result
 
     def _overdue_phase(self, time_s: float, phase: int) -> int | None:
         """Returns the phase that must come next because somebody has waited too long."""

@@ -124,7 +124,21 @@ _FORCED_HEADWAY_S = 25.0  # through a dense one: at the end of green
 
 
 @njit(cache=True)
-def _run(queue, fresh, begin, row, phase, first, last, arrivals, protected, permitted, headway_s, foes, stop_price):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202, PLR0913, E501 - compiled loop
+def _run(
+    queue: Floats,
+    fresh: Floats,
+    begin: Floats,
+    row: int,
+    phase: int,
+    first: int,
+    last: int,
+    arrivals: Floats,
+    protected: Floats,
+    permitted: Floats,
+    headway_s: Floats,
+    foes: Ints,
+    stop_price: float,
+) -> float:
     """Lets lanes discharge by a row from step `first` to `last`; returns the cost."""
     cost = 0.0
     steps = arrivals.shape[1]
@@ -167,7 +181,15 @@ def _run(queue, fresh, begin, row, phase, first, last, arrivals, protected, perm
 
 
 @njit(cache=True)
-def _left(queue, fresh, row, protected, permitted, headway_s, left_s):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202 - compiled loop
+def _left(
+    queue: Floats,
+    fresh: Floats,
+    row: int,
+    protected: Floats,
+    permitted: Floats,
+    headway_s: Floats,
+    left_s: float,
+) -> float:
     """Estimates the delay of the vehicles that are still there."""
     cost = 0.0
     for lane in range(queue.shape[0]):
@@ -180,7 +202,17 @@ def _left(queue, fresh, row, protected, permitted, headway_s, left_s):  # type: 
 
 
 @njit(cache=True)
-def _turn_head(queue, fresh, last_open, old, new, phases, protected, permitted, head):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202, PLR0913, E501 - compiled loop
+def _turn_head(
+    queue: Floats,
+    fresh: Floats,
+    last_open: Ints,
+    old: int,
+    new: int,
+    phases: int,
+    protected: Floats,
+    permitted: Floats,
+    head: Floats,
+) -> None:
     """Turns the probability that a lane's first vehicle may go into that for the new phase.
 
     A vehicle that the last open phase did not hold up wants one of the movements open in it; one
@@ -209,7 +241,20 @@ def _turn_head(queue, fresh, last_open, old, new, phases, protected, permitted, 
 
 
 @njit(cache=True)
-def _search(arrivals, protected, permitted, head, headway_s, lost_s, begin0, foes, change_steps, min_green, start, prices):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202, C901, PLR0912, PLR0913, PLR0915, E501 - compiled loop
+def _search(
+    arrivals: Floats,
+    protected: Floats,
+    permitted: Floats,
+    head: Floats,
+    headway_s: Floats,
+    lost_s: Floats,
+    begin0: Floats,
+    foes: Ints,
+    change_steps: Ints,
+    min_green: Ints,
+    start: Ints,
+    prices: Floats,
+) -> tuple[Ints, float, int]:
     lanes, steps = arrivals.shape
     phases = min_green.shape[0]
     first_phase, before, ready, free, allowed, kept, max_nodes = start

@@ -10,9 +10,10 @@ from __future__ import annotations
 import multiprocessing
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -34,6 +35,7 @@ from sim_host.junctions import DEMAND_VPH_PER_LANE
 from sim_host.setup import OWN_CONFIG, SUMO_FOLDER, build_setup
 from sim_host.sumo import load_libsumo
 from studies.bench import JsonRow, empty_table, print_whole
+from studies.control_baselines import WeightedPressure, webster
 
 STEP_S = 0.1
 _STEPS_A_SECOND = round(1 / STEP_S)
@@ -41,23 +43,28 @@ _STATIONARY_MPS = 0.5
 _DEFAULT_LANE_VPH = 500.0
 
 OWN_PLAN = "plan"
+WEBSTER = "webster"
+PRESSURES = {"position_pressure": "position", "delay_pressure": "delay"}
+"""Kinds of `WeightedPressure` by what the bench calls them."""
 SUMO_TYPES = {"actuated": 3, "delay_based": 5}
 """SUMO's own kinds of control, by SUMO's numbers."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ControlCase:
     """One run.
 
     Attributes:
         net: `t_junction`, or a folder with one .sumocfg.
-        policy: of `POLICIES`, or what `signal.policy` may be.
+        policy: what `signal.policy` may be, or a baseline: `plan` (the net's own programme),
+            `webster`, `actuated`, `delay_based`, `position_pressure`, `delay_pressure`.
         demand: factor of the net's own demand; t_junction alone.
         seed: SUMO's.
         upstream_m: how far before the stop bars vehicles are known and count.
         downstream_m: how far behind them they count.
         settings: of the scenario's section `signal`.
         cabinet: its section `cabinet`.
+        flows_vph: by lane before a stop bar, for `webster`.
     """
 
     net: str
@@ -69,6 +76,7 @@ class ControlCase:
     downstream_m: float = 100.0
     settings: Mapping[str, Any] = field(default_factory=dict)
     cabinet: Mapping[str, Any] = field(default_factory=dict)
+    flows_vph: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +106,23 @@ def measure_control(cases: Sequence[ControlCase], processes: int = 1) -> Iterato
     """
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, mp_context=context, max_tasks_per_child=1) as pool:
-        yield from pool.map(run_case, cases)
+        timed = [case for case in cases if case.policy == WEBSTER]
+        flows = dict(zip(timed, pool.map(lane_flows_vph, timed), strict=True))
+        yield from pool.map(
+            run_case, [replace(case, flows_vph=flows.get(case, {})) for case in cases]
+        )
+
+
+def lane_flows_vph(case: ControlCase) -> dict[str, float]:
+    """Returns the vehicles per hour that pass each stop bar under the net's own plan.
+
+    Raises:
+        ConfigError: the net is none.
+    """
+    with tempfile.TemporaryDirectory(prefix="cpnet-control-") as folder:
+        run = _Run(replace(case, policy=OWN_PLAN), Path(folder))
+        run.row()
+        return {lane: count * 3600 / case.duration_s for lane, count in run.passed.items()}
 
 
 def run_case(case: ControlCase) -> ControlRow:
@@ -139,6 +163,8 @@ class _Run:
         self._sumo = load_libsumo()
         self._decide_ns: list[int] = []
         self._waited_s = 0.0
+        self.passed: Counter[str] = Counter()
+        self._lane_of: dict[str, str] = {}
 
     def row(self) -> ControlRow:
         """Runs it."""
@@ -190,8 +216,8 @@ class _Run:
             now_ns = round((begin_s + step * STEP_S) * 1e9)
             if step % _STEPS_A_SECOND == 0:
                 self._note_waits()
-                if controllers:
-                    truth.read(self._sumo)
+                truth.read(self._sumo)
+                self._note_passages(truth.vehicles)
                 for one in controllers:
                     self._decide_ns.append(one.decide(step, now_ns, truth))
             for one in controllers:
@@ -200,6 +226,14 @@ class _Run:
                     self._sumo.trafficlight.setRedYellowGreenState(one.tls, state)
                     shown[one.tls] = state
             self._sumo.simulationStep()
+
+    def _note_passages(self, vehicles: LaneVehicles) -> None:
+        incoming = set(self._road_map.incoming)
+        for name, lane in zip(vehicles.ids, vehicles.lanes, strict=True):
+            before = self._lane_of.get(name, lane)
+            if before in incoming and lane not in incoming:
+                self.passed[before] += 1
+            self._lane_of[name] = lane
 
     def _note_waits(self) -> None:
         vehicle = self._sumo.vehicle
@@ -273,7 +307,7 @@ class _Truth:
 
     def __init__(self, road_map: RoadMap, upstream_m: float, downstream_m: float) -> None:
         self._starts_m: dict[str, float] = {}
-        for side, bound_m in (("upstream", upstream_m), ("downstream", downstream_m)):
+        for side in ("upstream", "downstream"):
             for one in road_map.intersections:
                 for lane, reach in getattr(Approaches(road_map, one), side).items():
                     self._starts_m.setdefault(lane, reach.start_m)
@@ -335,12 +369,20 @@ def _controllers(case: ControlCase, road_map: RoadMap, sumo: Any) -> list[_Contr
         for one in road_map.intersections:
             _run_program(sumo, one.signal, case.policy, cabinet)
         return []
-    settings = SignalConfig.model_validate({"policy": case.policy, **case.settings})
     times = CabinetTimes(cabinet.min_green_s, cabinet.yellow_s, cabinet.all_red_s)
     sites = [
         SignalSite(one.signal, road_map, case.upstream_m, times) for one in road_map.intersections
     ]
-    return [_Controller(policy_of(settings, site), site, case) for site in sites]
+    return [_Controller(_policy(case, site), site, case) for site in sites]
+
+
+def _policy(case: ControlCase, site: SignalSite) -> SignalPolicy:
+    if case.policy == WEBSTER:
+        return webster(site, {lane: case.flows_vph.get(lane, 0.0) for lane in site.lanes})
+    if case.policy in PRESSURES:
+        return WeightedPressure(site, PRESSURES[case.policy], case.downstream_m)
+    settings = {"policy": case.policy, **case.settings}
+    return policy_of(SignalConfig.model_validate(settings), site)
 
 
 def _run_program(sumo: Any, signal: Signal, kind: str, cabinet: CabinetConfig) -> None:  # noqa: ANN401 - libsumo has no types
