@@ -86,10 +86,10 @@ class PredictivePlanner:
             return model.phases[phase]
         if self._green_since_s[0] != shown.green:
             self._green_since_s = shown.green, time_s
-        open_s = time_s - self._green_since_s[1]
-        left_s = max(
-            shown.earliest_change_ns / 1e9 - time_s, model.min_green_steps[phase] * STEP_S - open_s
-        )
+        left_s = shown.earliest_change_ns / 1e9 - time_s
+        least_s = model.min_green_steps[phase] * STEP_S
+        if least_s > model.site.cabinet.min_green_s:  # people walk: the cabinet knows nothing of it
+            left_s = max(left_s, self._green_since_s[1] + least_s - time_s)
         if left_s > 1e-6:
             return model.phases[phase]
         forced = self._overdue_phase(time_s, phase)

@@ -149,7 +149,7 @@ def test_max_pressure_weighs_queues_if_asked_to() -> None:
 
 @pytest.mark.parametrize(("unseen", "main"), [("alike", 10.0), ("empty", 5.0)])
 def test_max_pressure_extrapolates_covered_lanes_if_asked_to(unseen, main) -> None:
-    policy = policy_of(SignalConfig(unseen=unseen), SITE)
+    policy = policy_of(SignalConfig(policy="max_pressure", unseen=unseen), SITE)
     covered = {"coverage_upstream": {"main": 0.5, "side": 1.0}}
     assert policy.decide(Observation(counts(**covered), shown(1))).pressures == [main, 2.0]
 
