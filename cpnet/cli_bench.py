@@ -19,6 +19,7 @@ Frames = Annotated[
     int, typer.Option(help=f"frames of each run; the first {WARM_UP_FRAMES} do not count")
 ]
 _ALL_POLICIES = ",".join(POLICY_CHOICES)
+_CONTROL_POLICIES = "plan,webster,actuated,delay_based,max_pressure,predictive"
 
 
 @bench_app.command("codec")
@@ -152,3 +153,43 @@ def bench_recorder_command(
 
     bench = RecorderBench(junctions, regions, agents, frames)
     show([measure_recorder(bench)], print_recorder, as_json=as_json)
+
+
+@bench_app.command("control")
+def bench_control_command(  # noqa: PLR0913 - one parameter per option of the command
+    *,
+    net: Annotated[
+        list[str] | None,
+        typer.Option(help="t_junction or a folder with a .sumocfg; may be given several times"),
+    ] = None,
+    policies: Annotated[
+        str, typer.Option(metavar="NAME,...", help="signal policies, built in or of plug-ins")
+    ] = _CONTROL_POLICIES,
+    seeds: Annotated[int, typer.Option(min=1, max=100, help="of each, from 1 on")] = 1,
+    demand: Annotated[
+        float, typer.Option(min=0.1, max=3, help="factor of t_junction's demand")
+    ] = 1.0,
+    duration: Annotated[int, typer.Option(min=60, help="simulated seconds of each")] = 3600,
+    upstream: Annotated[float, typer.Option(help="m before stop bars that are known")] = 200,
+    downstream: Annotated[float, typer.Option(help="m behind them that count")] = 100,
+    processes: Annotated[int, typer.Option(min=1, max=64, help="runs at a time")] = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Measure signal policies on SUMO alone, with perfect positions near the signals."""
+    from studies.bench_control import ControlCase, measure_control, print_control
+
+    cases = [
+        ControlCase(
+            net=name,
+            policy=policy,
+            seed=seed,
+            demand=demand,
+            duration_s=duration,
+            upstream_m=upstream,
+            downstream_m=downstream,
+        )
+        for name in net or ["t_junction"]
+        for policy in policies.split(",")
+        for seed in range(1, seeds + 1)
+    ]
+    show_measured(measure_control(cases, processes), len(cases), print_control, as_json=as_json)

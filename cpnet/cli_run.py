@@ -29,11 +29,12 @@ from protocol.logs import LogStyle
 
 run_app = typer.Typer(pretty_exceptions_enable=False)
 _SCANS = "Scans from elsewhere"
+_DEFAULT = "t_junction"
 
 
 @run_app.command("up")
 def up_command(  # noqa: PLR0913 - one parameter per option of the command
-    scenario: Annotated[str, typer.Argument(help="built-in name or YAML file")] = "t_junction",
+    scenario: Annotated[str, typer.Argument(help="built-in name or YAML file")] = _DEFAULT,
     *,
     mode: Annotated[str | None, typer.Option(help="lockstep or realtime")] = None,
     duration: Annotated[float | None, typer.Option(help="simulated s after warm-up")] = None,
@@ -88,6 +89,8 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     own = net or sumocfg
     if own is not None:
         named["name"] = _run_name(own)
+        if scenario == _DEFAULT:  # the policy of which is that of its paper
+            named["signal.policy"] = "predictive"
     overrides: dict[str, Any] = {k: v for k, v in named.items() if v is not None}
     overrides |= assigned(set_)
     places = listen or [], connect or []

@@ -149,7 +149,7 @@ TOPICS = _table(
     ),
     Topic("objects", "{region}/objects/{process}/{agent}", m.Objects, _V, _P, _AGENTS, _EDGE),
     Topic("plan", "{region}/plan/{agent}", m.Plan, _V, _P, _EDGE, _AGENTS),
-    Topic("detections", "{region}/detections", m.Detections, _V, _P, _EDGE, _RECORD),
+    Topic("detections", "{region}/detections", m.Detections, _V, _P, _EDGE, _SIGNAL | _RECORD),
     Topic("border", "{region}/border", m.BorderObjects, _V, _P, _EDGE, _EDGE),
     Topic("lanes", "{region}/lanes/{tls}", m.LaneCounts, _V, _P, _EDGE, _SIGNAL | _RECORD),
     # Measuring must not load the network.

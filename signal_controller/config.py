@@ -9,7 +9,9 @@ from pydantic import AfterValidator, Field
 from protocol.config import Section
 from protocol.plugins import Catalogue, PluginSettings
 
-POLICIES = Catalogue("cpnet.signal_policies", "signal policy", ("max_pressure", "fixed"))
+POLICIES = Catalogue(
+    "cpnet.signal_policies", "signal policy", ("predictive", "max_pressure", "fixed")
+)
 """Every policy by its name; `signal_controller.policies` defines what a plug-in must be."""
 
 
@@ -17,9 +19,22 @@ class SignalConfig(Section):
     """The policy that chooses the phase; minimum green, yellow and all-red are the cabinet's."""
 
     policy: Annotated[str, AfterValidator(POLICIES.checked)] = Field(
-        "max_pressure",
-        description="max_pressure: the phase with most vehicles before it and fewest behind it, "
+        "predictive",
+        description="predictive: a plan over a rolling horizon, from where single vehicles are; "
+        "max_pressure: the phase with most vehicles before it and fewest behind it, "
         "as in Chen et al. 2022; fixed: the net's own plan; or the name of a plug-in",
+    )
+    horizon_s: float = Field(
+        60, ge=20, le=120, description="predictive: how far ahead it plans; whole seconds count"
+    )
+    max_red_s: float = Field(
+        120,
+        ge=30,
+        le=600,
+        description="predictive: a movement for which somebody has waited so long comes next",
+    )
+    pedestrian_green_s: float = Field(
+        7, ge=0, le=60, description="predictive: least green of a phase in which people walk"
     )
     plugin: PluginSettings = Field({})
     unseen: Literal["alike", "empty"] = Field(

@@ -13,6 +13,8 @@ from protocol.messages import LaneCounts, SignalState
 from protocol.plugins import Plugin
 from protocol.roadmap import Signal
 from signal_controller.config import POLICIES, SignalConfig
+from signal_controller.observation import Observation, SignalSite
+from signal_controller.predictive import PlannerSettings, PredictivePlanner
 from signal_controller.queue_estimator import (
     Lanes,
     QueueEstimator,
@@ -58,7 +60,7 @@ def max_pressure(
     estimated = estimated or {}
     before = {**before, **estimated}
     pressures = [pressure(signal, green, before, behind) for green in greens]
-    state = _chosen(greens, pressures, shown)
+    state = phase_of_highest(greens, pressures, shown)
     return Decision(state, pressures, "max_pressure", tuple(estimated))
 
 
@@ -72,7 +74,8 @@ def fallback_plan(signal: Signal, sim_time_ns: int, unknown: Iterable[str]) -> D
     return Decision(signal.planned_green(sim_time_ns / 1e9), [], "plan", tuple(unknown))
 
 
-def _chosen(greens: list[str], pressures: list[float], shown: SignalState | None) -> str:
+def phase_of_highest(greens: list[str], pressures: list[float], shown: SignalState | None) -> str:
+    """Returns the green of highest pressure; see `max_pressure` for ties and changes."""
     present = shown.green if shown is not None and shown.green in greens else None
     if shown is not None and present is not None and shown.stage != "green":
         return present
@@ -101,26 +104,24 @@ def pressure(
 
 
 class SignalPolicy(Protocol):
-    """Decides for one signal, frame by frame; may keep state."""
+    """Decides for one signal, frame by frame; may keep state.
 
-    def decide(self, counts: LaneCounts, shown: SignalState | None) -> Decision:
-        """Returns the green state to request; the cabinet keeps all times between greens.
+    One with an attribute `needs_vehicles` that is true gets the observation's `vehicles`: a frame
+    is decided on once they have arrived as well.
+    """
 
-        Args:
-            counts: vehicles by lane, `edge.upstream_m` before the stop bar and
-                `edge.downstream_m` behind it, with the covered share of each lane.
-            shown: what the signal shows at the time of the counts; None before its first state.
-        """
+    def decide(self, observation: Observation) -> Decision:
+        """Returns the green state to request; the cabinet keeps all times between greens."""
 
 
-PolicyMaker = Callable[[SignalConfig, Signal, float], SignalPolicy]
+PolicyMaker = Callable[[SignalConfig, SignalSite], SignalPolicy]
 """Makes the policy of a signal; the settings of a plug-in are `plugin` of the configuration.
 
-The last argument is `edge.upstream_m`. A ValueError refuses the settings.
+A ValueError refuses the settings.
 """
 
 
-def policy_of(config: SignalConfig, signal: Signal, upstream_m: float) -> SignalPolicy:
+def policy_of(config: SignalConfig, site: SignalSite) -> SignalPolicy:
     """Makes the policy that a configuration names, for a signal.
 
     Raises:
@@ -128,12 +129,14 @@ def policy_of(config: SignalConfig, signal: Signal, upstream_m: float) -> Signal
     """
     match config.policy:
         case "fixed":
-            return FixedPlan(signal)
+            return FixedPlan(site.signal)
         case "max_pressure":
-            return MaxPressure(config, signal, upstream_m)
+            return MaxPressure(config, site)
+        case "predictive":
+            return Predictive(config, site)
         case name:
             plugin = POLICIES.load(name)
-            return _CheckedPolicy(plugin, plugin.make("decide", config, signal, upstream_m), signal)
+            return _CheckedPolicy(plugin, plugin.make("decide", config, site), site.signal)
 
 
 def check_policy(config: SignalConfig) -> None:
@@ -152,21 +155,22 @@ class FixedPlan:
 
     signal: Signal
 
-    def decide(self, counts: LaneCounts, shown: SignalState | None) -> Decision:  # noqa: ARG002 - the clock alone decides
+    def decide(self, observation: Observation) -> Decision:
         """See `SignalPolicy.decide`."""
-        return fixed(self.signal, counts.sim_time_ns)
+        return fixed(self.signal, observation.counts.sim_time_ns)
 
 
 class MaxPressure:
     """Max pressure, with estimates for lanes that no sensor covers."""
 
-    def __init__(self, config: SignalConfig, signal: Signal, upstream_m: float) -> None:
+    def __init__(self, config: SignalConfig, site: SignalSite) -> None:
         self._config = config
-        self._signal = signal
-        self._estimator = QueueEstimator(signal, config, upstream_m)
+        self._signal = site.signal
+        self._estimator = QueueEstimator(site.signal, config, site.upstream_m)
 
-    def decide(self, counts: LaneCounts, shown: SignalState | None) -> Decision:
+    def decide(self, observation: Observation) -> Decision:
         """See `SignalPolicy.decide`."""
+        counts, shown = observation.counts, observation.shown
         config, estimated = self._config, {}
         if config.unseen == "alike":
             estimate = self._estimator.take(counts, shown)
@@ -174,6 +178,43 @@ class MaxPressure:
                 return fallback_plan(self._signal, counts.sim_time_ns, estimate.vehicles)
             estimated = estimate.vehicles
         return max_pressure(self._signal, counts, shown, config.weight, config.unseen, estimated)
+
+
+class Predictive:
+    """The predictive planner, with estimates for lanes that no sensor covers.
+
+    When no lane has been covered for `estimator_timeout_s`, it requests the fixed plan.
+    """
+
+    needs_vehicles = True
+
+    def __init__(self, config: SignalConfig, site: SignalSite) -> None:
+        self._site = site
+        self._estimator = QueueEstimator(
+            site.signal, config.model_copy(update={"weight": "vehicles"}), site.upstream_m
+        )
+        self._planner = PredictivePlanner(
+            site,
+            PlannerSettings(
+                horizon_s=config.horizon_s,
+                max_red_s=config.max_red_s,
+                pedestrian_green_s=config.pedestrian_green_s,
+                inflow_vph=config.estimator_inflow_vph,
+                saturation_vph=config.estimator_saturation_vph,
+            ),
+        )
+
+    def decide(self, observation: Observation) -> Decision:
+        """See `SignalPolicy.decide`."""
+        counts, shown = observation.counts, observation.shown
+        estimate = self._estimator.take(counts, shown)
+        unknown = tuple(estimate.vehicles)
+        if estimate.is_blind or observation.vehicles is None or shown is None:
+            return fallback_plan(self._site.signal, counts.sim_time_ns, unknown)
+        state = self._planner.request(
+            counts.sim_time_ns / 1e9, observation.vehicles, shown, estimate.vehicles
+        )
+        return Decision(state, [], "predictive", unknown)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,13 +225,18 @@ class _CheckedPolicy:
     policy: SignalPolicy
     signal: Signal
 
-    def decide(self, counts: LaneCounts, shown: SignalState | None) -> Decision:
+    @property
+    def needs_vehicles(self) -> bool:
+        """Whether the plug-in wants single vehicles."""
+        return bool(getattr(self.policy, "needs_vehicles", False))
+
+    def decide(self, observation: Observation) -> Decision:
         """See `SignalPolicy.decide`.
 
         Raises:
             ConfigError: what the plug-in returned is no decision for this signal.
         """
-        decision = self.policy.decide(counts, shown)
+        decision = self.policy.decide(observation)
         if not isinstance(decision, Decision):
             raise self.plugin.wrong(f"decided a {type(decision).__name__}, must decide a Decision")
         links = len(self.signal.plan[0].state)

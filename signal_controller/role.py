@@ -1,21 +1,32 @@
-"""The signal role: requests a green for each frame's lane counts, at each signal of a region."""
+"""The signal role: requests a green for each frame's observation, at each signal of a region."""
 
 from __future__ import annotations
 
 import time
 from collections import Counter
+from dataclasses import dataclass
 from typing import TypeVar
 
 from protocol.inbox import Envelope, Presence
 from protocol.instances import region_of
-from protocol.messages import LaneCounts, Metrics, SignalRequest, SignalState, Span
+from protocol.messages import Detections, LaneCounts, Metrics, SignalRequest, SignalState, Span
 from protocol.process import Context
 from protocol.sequence_window import SequenceWindow
 from signal_controller.config import SignalConfig
+from signal_controller.observation import CabinetTimes, LaneVehicles, Observation, SignalSite
 from signal_controller.policies import Decision, SignalPolicy, policy_of
 
 MAX_KEPT = 8  # counts and states that wait for each other: limits what others may send
-Kept = TypeVar("Kept", LaneCounts, SignalState)
+Kept = TypeVar("Kept", LaneCounts, SignalState, "FrameVehicles")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameVehicles:
+    """The vehicles of a region in a frame."""
+
+    frame: int
+    sim_time_ns: int
+    vehicles: LaneVehicles
 
 
 class SignalDecider:
@@ -23,8 +34,9 @@ class SignalDecider:
 
     Counts and states come from two processes, in any order. The counts of a frame wait for the
     state of the same frame, so that a run repeats exactly and no frame number is trusted on one
-    message alone; in realtime, before the first state, the newest counts suffice. Counts whose
-    time is too far from the state's get no request. `drops` counts what was not used, by reason.
+    message alone; in realtime, before the first state, the newest counts suffice. A policy that
+    needs single vehicles waits for those of the frame, too. Counts whose time is too far from the
+    state's get no request. `drops` counts what was not used, by reason.
     """
 
     def __init__(
@@ -36,6 +48,8 @@ class SignalDecider:
         self._horizon = SequenceWindow()
         self._shown: dict[int, SignalState] = {}
         self._counts: dict[int, LaneCounts] = {}
+        self._vehicles: dict[int, FrameVehicles] = {}
+        self.needs_vehicles = bool(getattr(policy, "needs_vehicles", False))
         self._decided = -1
         self._drops = drops
 
@@ -54,10 +68,18 @@ class SignalDecider:
             self._shown[shown.frame] = shown
             self._bound(self._shown)
 
+    def take_vehicles(self, vehicles: FrameVehicles) -> None:
+        """Takes a frame's vehicles, unless a later frame was decided on."""
+        if vehicles.frame <= self._decided:
+            self._drops["late"] += 1
+        elif self._is_near(vehicles.frame):
+            self._vehicles[vehicles.frame] = vehicles
+            self._bound(self._vehicles)
+
     def decide(self) -> tuple[LaneCounts, Decision | None] | None:
         """Returns the newest counts that are due, and the decision, None if they are not fresh.
 
-        None as long as counts or state of a frame are missing.
+        None as long as counts, state or vehicles of a frame are missing.
         """
         due = [frame for frame in self._counts if self._is_due(frame)]
         fresh = [frame for frame in due if self._is_fresh(self._counts[frame])]
@@ -69,7 +91,11 @@ class SignalDecider:
         if frame in self._shown:
             self._horizon.reach(frame)
         self._counts = {later: kept for later, kept in self._counts.items() if later > frame}
-        return counts, self._policy.decide(counts, self._shown_at(frame))
+        vehicles = self._vehicles.get(frame)
+        self._vehicles = {later: kept for later, kept in self._vehicles.items() if later > frame}
+        observed = vehicles.vehicles if vehicles is not None else None
+        observation = Observation(counts, self._shown_at(frame), observed)
+        return counts, self._policy.decide(observation)
 
     def _is_near(self, frame: int) -> bool:
         near = self._horizon.admits(frame)
@@ -81,9 +107,15 @@ class SignalDecider:
             del kept[self._horizon.farthest(kept)]
 
     def _is_due(self, frame: int) -> bool:
+        if self.needs_vehicles and not self._has_vehicles(frame):
+            return False
         if not self._shown:
             return not self._lockstep
         return frame in self._shown or frame <= max(self._decided, self._horizon.newest)
+
+    def _has_vehicles(self, frame: int) -> bool:
+        vehicles = self._vehicles.get(frame)
+        return vehicles is not None and vehicles.sim_time_ns == self._counts[frame].sim_time_ns
 
     def _is_fresh(self, counts: LaneCounts) -> bool:
         """Whether counts are recent; those that are not are counted by reason.
@@ -114,7 +146,15 @@ class SignalRole:
         signals = context.setup.road_map.by_tls
         self._deciders = {
             tls: SignalDecider(
-                policy_of(config, signals[tls].signal, scenario["edge"]["upstream_m"]),
+                policy_of(
+                    config,
+                    SignalSite(
+                        signals[tls].signal,
+                        context.setup.road_map,
+                        scenario["edge"]["upstream_m"],
+                        CabinetTimes.of(scenario["cabinet"]),
+                    ),
+                ),
                 config,
                 self._drops,
                 lockstep=scenario["mode"] == "lockstep",
@@ -127,16 +167,21 @@ class SignalRole:
         """Subscribes and announces the role."""
         role = cls(context)
         context.v2x.subscribe("lanes", region=role._region)
+        if any(decider.needs_vehicles for decider in role._deciders.values()):
+            context.v2x.subscribe("detections", region=role._region)
         for tls in role._deciders:
             context.v2x.subscribe("state", tls=tls)
         context.announce("signal")
         return role
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes counts or a signal's state; ignores what is older than the newest."""
+        """Takes counts, vehicles or a signal's state; ignores what is older than the newest."""
         if isinstance(item, Presence):
             return
         message = item.message
+        if isinstance(message, Detections):
+            self._take_detections(message)
+            return
         if not isinstance(message, LaneCounts | SignalState):
             return
         decider = self._deciders.get(message.tls)
@@ -146,6 +191,13 @@ class SignalRole:
             decider.take_counts(message)
         else:
             decider.take_state(message)
+
+    def _take_detections(self, detections: Detections) -> None:
+        vehicles = FrameVehicles(
+            detections.frame, detections.sim_time_ns, LaneVehicles.of(detections)
+        )
+        for decider in self._deciders.values():
+            decider.take_vehicles(vehicles)
 
     def poll(self) -> None:
         """Decides as soon as counts and state of a frame are there; metrics tell of each frame."""

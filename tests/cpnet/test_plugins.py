@@ -112,7 +112,7 @@ class Chooses:
 
 class Decides:
     def __init__(self, *_): pass
-    def decide(self, counts, shown): return Decision("GG", [], "bad")
+    def decide(self, observation): return Decision("GG", [], "bad")
 
 CHOICE = Policy("bad", chooser=Chooses)
 """

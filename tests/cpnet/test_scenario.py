@@ -17,7 +17,7 @@ def sections(model: type[Section]) -> list[type[Section]]:
 
 
 def test_the_built_in_scenario_is_valid_and_complete_without_a_file():
-    assert load("t_junction", {}) == Scenario()
+    assert load("t_junction", {}) == Scenario(signal=SignalConfig(policy="max_pressure"))
 
 
 def test_what_the_command_prints_can_be_read_again(tmp_path):

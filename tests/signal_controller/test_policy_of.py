@@ -10,9 +10,11 @@ from protocol.errors import ConfigError
 from protocol.messages import LaneCounts, SignalState
 from protocol.roadmap import Link, PlanPhase, Signal
 from signal_controller.config import SignalConfig
+from signal_controller.observation import Observation, SignalSite
 from signal_controller.policies import Decision, check_policy, fixed, policy_of, pressure
 from signal_controller.queue_estimator import MIN_COVERAGE, extrapolated
 from tests.example_plugins import pretend
+from tests.roads import lane, one_junction
 
 MAIN, SIDE = "Gr", "rg"
 SIGNAL = Signal(
@@ -28,19 +30,30 @@ SIGNAL = Signal(
         PlanPhase(duration_s=20, state=SIDE),
     ],
 )
+ROADS = one_junction(
+    "roads",
+    [
+        lane("main", [(-100, 0, 0), (0, 0, 0)], "out"),
+        lane("side", [(0, -100, 0), (0, 0, 0)], "out"),
+        lane("out", [(0, 0, 0), (100, 0, 0)]),
+    ],
+    SIGNAL,
+)
+SITE = SignalSite(SIGNAL, ROADS, 200.0)
 PLUGIN = """
 from signal_controller.policies import Decision
 
 class Echo:
-    def __init__(self, config, signal, upstream_m):
-        self.made_with = config.plugin.get("mark"), signal.tls, upstream_m
-    def decide(self, counts, shown):
-        return Decision("Gr", [float(counts.frame), float(shown.frame)], repr(self.made_with))
+    def __init__(self, config, site):
+        self.made_with = config.plugin.get("mark"), site.signal.tls, site.upstream_m
+    def decide(self, seen):
+        frames = [float(seen.counts.frame), float(seen.shown.frame)]
+        return Decision("Gr", frames, repr(self.made_with))
 
 class Wrong:
-    def __init__(self, config, signal, upstream_m):
+    def __init__(self, config, site):
         self.answer = config.plugin["answer"]
-    def decide(self, counts, shown):
+    def decide(self, seen):
         return Decision(self.answer, [], "wrong") if self.answer else 7
 """
 
@@ -79,8 +92,8 @@ def shown(frame: int, green: str = MAIN) -> SignalState:
 
 
 def test_a_plug_in_is_made_for_the_signal_and_gets_each_frames_counts_and_state(plugins) -> None:
-    policy = policy_of(SignalConfig(policy="echo", plugin={"mark": 9}), SIGNAL, 200.0)
-    decision = policy.decide(counts(frame=3), shown(frame=4))
+    policy = policy_of(SignalConfig(policy="echo", plugin={"mark": 9}), SITE)
+    decision = policy.decide(Observation(counts(frame=3), shown(frame=4)))
     assert decision == Decision("Gr", [3.0, 4.0], "(9, 'j', 200.0)")
 
 
@@ -98,15 +111,15 @@ def test_a_plug_in_is_made_for_the_signal_and_gets_each_frames_counts_and_state(
     ],
 )
 def test_a_decision_that_is_none_for_this_signal_is_refused(plugins, answer, why) -> None:
-    policy = policy_of(SignalConfig(policy="wrong", plugin={"answer": answer}), SIGNAL, 200.0)
+    policy = policy_of(SignalConfig(policy="wrong", plugin={"answer": answer}), SITE)
     with pytest.raises(ConfigError, match=why):
-        policy.decide(counts(), shown(1))
+        policy.decide(Observation(counts(), shown(1)))
 
 
 @pytest.mark.parametrize("answer", ["gr", "rG", "rr"])
 def test_any_green_for_each_link_is_a_decision(plugins, answer) -> None:
-    policy = policy_of(SignalConfig(policy="wrong", plugin={"answer": answer}), SIGNAL, 200.0)
-    assert policy.decide(counts(), shown(1)).state == answer
+    policy = policy_of(SignalConfig(policy="wrong", plugin={"answer": answer}), SITE)
+    assert policy.decide(Observation(counts(), shown(1))).state == answer
 
 
 def test_a_plug_in_that_cannot_be_imported_is_found_before_the_start(plugins) -> None:
@@ -118,8 +131,8 @@ def test_a_plug_in_that_cannot_be_imported_is_found_before_the_start(plugins) ->
 
 @pytest.mark.parametrize(("second", "green"), [(29.999_999_999, MAIN), (30, SIDE), (53.9, SIDE)])
 def test_the_fixed_plan_follows_the_clock_to_the_nanosecond(second, green) -> None:
-    policy = policy_of(SignalConfig(policy="fixed"), SIGNAL, 200.0)
-    assert policy.decide(counts(second=second), None) == Decision(green, [], "fixed")
+    policy = policy_of(SignalConfig(policy="fixed"), SITE)
+    assert policy.decide(Observation(counts(second=second), None)) == Decision(green, [], "fixed")
     assert fixed(SIGNAL, round(second * 1e9)).state == green
 
 
@@ -130,15 +143,15 @@ def test_a_permissive_green_opens_its_lane_too() -> None:
 def test_max_pressure_weighs_queues_if_asked_to() -> None:
     config = SignalConfig(policy="max_pressure", weight="queued")
     queued = {"stationary_upstream": {"main": 0, "side": 2}, "stationary_downstream": {"out": 1}}
-    decision = policy_of(config, SIGNAL, 200.0).decide(counts(**queued), shown(1))
+    decision = policy_of(config, SITE).decide(Observation(counts(**queued), shown(1)))
     assert (decision.state, decision.pressures) == (SIDE, [-1.0, 1.0])
 
 
 @pytest.mark.parametrize(("unseen", "main"), [("alike", 10.0), ("empty", 5.0)])
 def test_max_pressure_extrapolates_covered_lanes_if_asked_to(unseen, main) -> None:
-    policy = policy_of(SignalConfig(unseen=unseen), SIGNAL, 200.0)
+    policy = policy_of(SignalConfig(policy="max_pressure", unseen=unseen), SITE)
     covered = {"coverage_upstream": {"main": 0.5, "side": 1.0}}
-    assert policy.decide(counts(**covered), shown(1)).pressures == [main, 2.0]
+    assert policy.decide(Observation(counts(**covered), shown(1))).pressures == [main, 2.0]
 
 
 def test_a_lane_is_extrapolated_from_exactly_the_least_coverage_on() -> None:

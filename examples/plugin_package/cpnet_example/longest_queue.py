@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from protocol.messages import LaneCounts, SignalState
-from protocol.roadmap import Signal
+from protocol.messages import LaneCounts
 from signal_controller.config import SignalConfig
+from signal_controller.observation import Observation, SignalSite
 from signal_controller.policies import Decision
 
 
 class LongestQueue:
     """Made once, for a signal; called for every frame."""
 
-    def __init__(self, config: SignalConfig, signal: Signal, upstream_m: float) -> None:
-        self._signal = signal
+    def __init__(self, config: SignalConfig, site: SignalSite) -> None:
+        self._signal = site.signal
 
-    def decide(self, counts: LaneCounts, shown: SignalState | None) -> Decision:
+    def decide(self, observation: Observation) -> Decision:
         """Returns the green with the longest queue; the present one, if it is among them."""
-        greens = self._signal.greens
-        queues = [self._queued(green, counts) for green in greens]
+        greens, shown = self._signal.greens, observation.shown
+        queues = [self._queued(green, observation.counts) for green in greens]
         present = shown.green if shown is not None else None
         state = max(greens, key=lambda g: (queues[greens.index(g)], g == present))
         return Decision(state, queues, "longest-queue")

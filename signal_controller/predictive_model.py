@@ -1,0 +1,152 @@
+"""A signal as the predictive policy sees it: movements by lane, phases, and what conflicts.
+
+A movement is what leads from one incoming lane to one exit edge, over however many links.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from protocol.approaches import Approaches
+from protocol.roadmap import RoadMap
+from signal_controller.observation import CabinetTimes, SignalSite
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+Ints = npt.NDArray[np.int64]
+
+STEP_S = 1.0
+"""The planner's step in time."""
+RED, PERMITTED, PROTECTED = 0, 1, 2
+_SPEED_MPS = 13.9  # of a lane that the map lacks
+
+
+@dataclass(frozen=True, slots=True)
+class Movement:
+    """What leads from an incoming lane (its index) to the lanes of one exit edge."""
+
+    lane: int
+    exit_edge: str
+    exit_lanes: tuple[str, ...]
+    links: tuple[int, ...]
+
+
+class JunctionModel:
+    """Tables of one signal; L lanes, M movements, P phases.
+
+    Attributes:
+        status: (P, M) of `RED`, `PERMITTED`, `PROTECTED`.
+        lane_of: (M, L), 1 where a movement begins on a lane.
+        foes: (P, L, F) lanes with right of way over a lane's permitted movements, -1 for none.
+        change_steps: (P, P) from a green's end to the next green's begin.
+        min_green_steps: (P,).
+    """
+
+    def __init__(self, site: SignalSite, pedestrian_green_s: float) -> None:
+        self.site = site
+        self.phases = site.signal.greens
+        intersection = site.road_map.by_tls[site.signal.tls]
+        self.approaches = Approaches(site.road_map, intersection)
+        self.lanes = intersection.incoming
+        self.lane_index = {lane: index for index, lane in enumerate(self.lanes)}
+        self.movements = _movements(site, self.lane_index)
+        self.status = np.array(
+            [[_status(state, m.links) for m in self.movements] for state in self.phases], np.int64
+        )
+        self.lane_of = np.zeros((len(self.movements), len(self.lanes)))
+        for index, movement in enumerate(self.movements):
+            self.lane_of[index, movement.lane] = 1.0
+        self.speeds_mps = np.array([_speed_mps(site.road_map, lane) for lane in self.lanes])
+        self.reach_m = np.array([self._reach_m(lane) for lane in self.lanes])
+        self.foes = self._foes()
+        self.change_steps = np.array(
+            [[_change_steps(a, b, site.cabinet) for b in self.phases] for a in self.phases]
+        )
+        self.min_green_steps = self._min_green_steps(pedestrian_green_s)
+
+    @cached_property
+    def pair_status(self) -> Ints:
+        """Statuses (P + P * P + 1, M): of phases, of what stays green from p to q, of nothing."""
+        kept = np.minimum(self.status[:, None], self.status[None, :])
+        nothing = np.zeros((1, len(self.movements)), np.int64)
+        return np.concatenate([self.status, kept.reshape(-1, len(self.movements)), nothing])
+
+    def phase_of(self, green: str) -> int:
+        """Returns the phase that a green state is, or the one most like it."""
+        alike = [sum(a == b for a, b in zip(green, one, strict=False)) for one in self.phases]
+        return alike.index(max(alike))
+
+    def _reach_m(self, lane: str) -> float:
+        """Returns how far before the stop bar vehicles can be seen: the map may end before."""
+        starts_m = [a.start_m for a in self.approaches.upstream.values() if a.counts_for == lane]
+        return min(self.site.upstream_m, max(starts_m, default=0.0))
+
+    def _foes(self) -> Ints:
+        by_link = {link: m for m, one in enumerate(self.movements) for link in one.links}
+        found = [[set[int]() for _ in self.lanes] for _ in self.phases]
+        for a, b in self.site.signal.conflicts:
+            for link, other in ((a, b), (b, a)):
+                m, foe = by_link.get(link), by_link.get(other)
+                if m is None or foe is None:
+                    continue
+                lane, foe_lane = self.movements[m].lane, self.movements[foe].lane
+                for phase in range(len(self.phases)):
+                    yields = self.status[phase, m] == PERMITTED
+                    if yields and self.status[phase, foe] == PROTECTED and lane != foe_lane:
+                        found[phase][lane].add(foe_lane)
+        most = max((len(foes) for row in found for foes in row), default=0)
+        table = np.full((len(self.phases), len(self.lanes), max(1, most)), -1, np.int64)
+        for phase, row in enumerate(found):
+            for lane, foes in enumerate(row):
+                table[phase, lane, : len(foes)] = sorted(foes)
+        return table
+
+    def _min_green_steps(self, pedestrian_green_s: float) -> Ints:
+        """A phase that shows green where no vehicle passes lets people walk."""
+        links = {link.index for link in self.site.signal.links}
+        seconds = [
+            max(
+                self.site.cabinet.min_green_s,
+                pedestrian_green_s
+                if any(c in "Gg" and index not in links for index, c in enumerate(state))
+                else 0.0,
+            )
+            for state in self.phases
+        ]
+        return np.maximum(1, np.ceil(np.array(seconds) / STEP_S)).astype(np.int64)
+
+
+def _movements(site: SignalSite, lane_index: dict[str, int]) -> list[Movement]:
+    found: dict[tuple[int, str], list[tuple[str, int]]] = {}
+    for link in site.signal.links:
+        key = lane_index[link.from_lane], edge_of(site.road_map, link.to_lane)
+        found.setdefault(key, []).append((link.to_lane, link.index))
+    return [
+        Movement(lane, edge, tuple(lane for lane, _ in links), tuple(link for _, link in links))
+        for (lane, edge), links in found.items()
+    ]
+
+
+def edge_of(road_map: RoadMap, lane: str) -> str:
+    """Returns the edge of a lane; a lane that the map lacks is an edge of its own."""
+    known = road_map.by_id.get(lane)
+    return known.edge if known is not None else lane
+
+
+def _speed_mps(road_map: RoadMap, lane: str) -> float:
+    known = road_map.by_id.get(lane)
+    return max(1.0, known.speed_mps) if known is not None else _SPEED_MPS
+
+
+def _status(state: str, links: tuple[int, ...]) -> int:
+    shown = {state[link] for link in links}
+    return PROTECTED if "G" in shown else PERMITTED if "g" in shown else RED
+
+
+def _change_steps(before: str, after: str, times: CabinetTimes) -> int:
+    loses = any(a in "Gg" and b not in "Gg" for a, b in zip(before, after, strict=True))
+    return int(np.ceil((times.yellow_s + times.all_red_s) / STEP_S)) if loses else 0

@@ -1,0 +1,382 @@
+"""Search for the plan of least cost: phases, their order and durations, some 60 s ahead.
+
+Forward dynamic programming over time and phase, in the spirit of COP (Sen and Head 1997): of the
+plans that are in the same phase at the same time, the best few are kept, by their cost so far and
+an estimate of what their queues will still cost. Unlike COP, phases come in any order and queues
+are expectations: vehicles by lane, in steps of a second, with a fractional vehicle where turns or
+arrivals are uncertain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+MAX_STEPS = 120
+YELLOW_USED_STEPS = 2  # of yellow, in which vehicles still pass
+
+
+@dataclass(frozen=True, slots=True)
+class Prices:
+    """What else than delay a plan costs, in vehicle-seconds.
+
+    Attributes:
+        stop: of a vehicle that has to stop.
+        switch: of a change of phase.
+        left_s: delay of a vehicle that waits at red when the plan ends, beside its queue's.
+    """
+
+    stop: float = 6.0
+    switch: float = 2.0
+    left_s: float = 12.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """What is known at the time of planning; R = P + P * P + 1 rows as `pair_status`.
+
+    Attributes:
+        arrivals: (L, T) vehicles that reach the stop bar in each step if nothing holds them.
+        protected: (R, L) share of a lane's vehicles that may go, with right of way.
+        permitted: (R, L) share that may go and yields.
+        head: (P, L) probability that the first vehicle of a lane may go in a phase.
+        headway_s: (L,) between vehicles of a queue; `lost_s` (L,) from green to the first one.
+        begin: (L,) step from which on a lane discharges, in what is shown now.
+        foes, change_steps, min_green_steps: of `JunctionModel`.
+        phase: that is shown, or that the present change leads to.
+        before: row of what is green during the rest of the present change.
+        ready: step at which the present green begins; 0 if it has.
+        free: step from which on the present green may end.
+    """
+
+    arrivals: Floats
+    protected: Floats
+    permitted: Floats
+    head: Floats
+    headway_s: Floats
+    lost_s: Floats
+    begin: Floats
+    foes: Ints
+    change_steps: Ints
+    min_green_steps: Ints
+    phase: int
+    before: int
+    ready: int
+    free: int
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Phases with the step at which each begins to be asked for, the first at 0.
+
+    `cost` is in vehicle-seconds; `nodes` says how many partial plans were extended.
+    """
+
+    phases: tuple[tuple[int, int], ...]
+    cost: float
+    nodes: int
+
+
+def search(
+    problem: Problem, prices: Prices, max_nodes: int, allowed_first: int | None = None
+) -> Plan:
+    """Returns the best plan found; after `max_nodes` extended ones the best of those so far.
+
+    `allowed_first` is the phase that must come next, as soon as the present green may end.
+    """
+    phases = len(problem.min_green_steps)
+    kept = 4 if phases <= 4 else 2
+    path, cost, nodes = _search(
+        np.ascontiguousarray(problem.arrivals),
+        np.ascontiguousarray(problem.protected),
+        np.ascontiguousarray(problem.permitted),
+        np.ascontiguousarray(problem.head),
+        problem.headway_s,
+        problem.lost_s,
+        problem.begin,
+        problem.foes,
+        problem.change_steps,
+        problem.min_green_steps,
+        np.array(
+            [
+                problem.phase,
+                problem.before,
+                problem.ready,
+                problem.free,
+                -1 if allowed_first is None else allowed_first,
+                kept,
+                max_nodes,
+            ]
+        ),
+        np.array([prices.stop, prices.switch, prices.left_s]),
+    )
+    return Plan(tuple((int(phase), int(step)) for phase, step in path), float(cost), int(nodes))
+
+
+_GAP_HEADWAY_S = 2.5  # of permitted turns through a free opposing stream
+_FORCED_HEADWAY_S = 25.0  # through a dense one: at the end of green
+
+
+@njit(cache=True)
+def _run(
+    queue: Floats,
+    fresh: Floats,
+    begin: Floats,
+    row: int,
+    phase: int,
+    first: int,
+    last: int,
+    arrivals: Floats,
+    protected: Floats,
+    permitted: Floats,
+    headway_s: Floats,
+    foes: Ints,
+    stop_price: float,
+) -> float:
+    """Lets lanes discharge by a row from step `first` to `last`; returns the cost."""
+    cost = 0.0
+    steps = arrivals.shape[1]
+    for step in range(first, last):
+        for lane in range(queue.shape[0]):
+            come = arrivals[lane, step] if step < steps else 0.0
+            before = queue[lane]
+            open_share = protected[row, lane] + permitted[row, lane]
+            part = min(1.0, step + 1.0 - begin[lane])
+            if open_share <= 0.0 or part <= 0.0:
+                after = max(before, 0.0) + come
+                cost += stop_price * come
+                queue[lane] = after
+                cost += after
+                continue
+            need_s = protected[row, lane] * headway_s[lane]
+            if permitted[row, lane] > 0.0:
+                busy = 0.0
+                for index in range(foes.shape[2]):
+                    foe = foes[phase, lane, index]
+                    if foe < 0:
+                        break
+                    coming = max(queue[foe], 0.0)
+                    for ahead in range(step, min(step + 4, steps)):
+                        coming += arrivals[foe, ahead]
+                    busy = max(busy, min(1.0, coming))
+                gap_s = _GAP_HEADWAY_S + (_FORCED_HEADWAY_S - _GAP_HEADWAY_S) * busy
+                need_s += permitted[row, lane] * gap_s
+            rate = part * open_share / need_s
+            may = rate * fresh[lane]
+            after = max(before + come - may, fresh[lane] * (min(1.0, rate) - 1.0))
+            served = before + come - after
+            if before > 0.5:
+                cost += stop_price * come
+            if open_share < 1.0 and served > 0.0:
+                fresh[lane] *= max(0.0, 1.0 - (1.0 - open_share) * served)
+            queue[lane] = after
+            cost += max(after, 0.0)
+    return cost
+
+
+@njit(cache=True)
+def _left(
+    queue: Floats,
+    fresh: Floats,
+    row: int,
+    protected: Floats,
+    permitted: Floats,
+    headway_s: Floats,
+    left_s: float,
+) -> float:
+    """Estimates the delay of the vehicles that are still there."""
+    cost = 0.0
+    for lane in range(queue.shape[0]):
+        left = queue[lane]
+        if left <= 0.0:
+            continue
+        is_open = (protected[row, lane] + 0.3 * permitted[row, lane]) * fresh[lane]
+        cost += left * (left_s * (1.0 - is_open) + 0.5 * headway_s[lane] * left)
+    return cost
+
+
+@njit(cache=True)
+def _turn_head(
+    queue: Floats,
+    fresh: Floats,
+    last_open: Ints,
+    old: int,
+    new: int,
+    phases: int,
+    protected: Floats,
+    permitted: Floats,
+    head: Floats,
+) -> None:
+    """Turns the probability that a lane's first vehicle may go into that for the new phase.
+
+    A vehicle that the last open phase did not hold up wants one of the movements open in it; one
+    that it held up wants another.
+    """
+    for lane in range(fresh.shape[0]):
+        if protected[old, lane] + permitted[old, lane] > 0.0:
+            last_open[lane] = old
+        since = last_open[lane]
+        share = protected[new, lane] + permitted[new, lane]
+        if share <= 0.0:
+            continue  # whom the last open phase held up is still there in the next one
+        if since < 0:
+            fresh[lane] = head[new, lane]
+            continue
+        if queue[lane] <= 0.0:
+            fresh[lane] = share
+            continue
+        pair = phases + since * phases + new
+        was = protected[since, lane] + permitted[since, lane]
+        both = protected[pair, lane] + permitted[pair, lane]
+        value = fresh[lane] * both / was
+        if was < 1.0:
+            value += (1.0 - fresh[lane]) * max(0.0, share - both) / (1.0 - was)
+        fresh[lane] = min(1.0, value)
+
+
+@njit(cache=True)
+def _search(
+    arrivals: Floats,
+    protected: Floats,
+    permitted: Floats,
+    head: Floats,
+    headway_s: Floats,
+    lost_s: Floats,
+    begin0: Floats,
+    foes: Ints,
+    change_steps: Ints,
+    min_green: Ints,
+    start: Ints,
+    prices: Floats,
+) -> tuple[Ints, float, int]:
+    lanes, steps = arrivals.shape
+    phases = min_green.shape[0]
+    first_phase, before, ready, free, allowed, kept, max_nodes = start
+    stop_price, switch_price, left_s = prices
+    slots = (steps + 1) * phases * kept
+    queue = np.zeros((slots + 1, lanes))
+    fresh = np.zeros((slots + 1, lanes))
+    begin = np.zeros((slots + 1, lanes))
+    last_open = np.zeros((slots + 1, lanes), np.int64)
+    cost = np.zeros(slots)
+    value = np.zeros(slots)
+    parent = np.full(slots, -1)
+    asked = np.zeros(slots, np.int64)  # step at which the last phase was asked for
+    count = np.zeros((steps + 1, phases), np.int64)
+    work = slots  # the row of arrays that holds a plan while it is extended
+
+    # What is shown must go on until it may end.
+    queue[work] = 0.0
+    begin[work] = begin0
+    last_open[work] = -1
+    fresh[work] = head[first_phase]
+    paid = 0.0
+    ready, free = min(ready, steps), min(max(free, ready), steps)
+    if ready > 0:
+        paid += _run(queue[work], fresh[work], begin[work], before, first_phase, 0, ready,
+                     arrivals, protected, permitted, headway_s, foes, stop_price)  # fmt: skip
+        for lane in range(lanes):
+            if protected[before, lane] + permitted[before, lane] <= 0.0:
+                begin[work, lane] = ready + lost_s[lane]
+    paid += _run(queue[work], fresh[work], begin[work], first_phase, first_phase, ready, free,
+                 arrivals, protected, permitted, headway_s, foes, stop_price)  # fmt: skip
+    slot = (free * phases + first_phase) * kept
+    queue[slot], fresh[slot], begin[slot] = queue[work], fresh[work], begin[work]
+    last_open[slot] = last_open[work]
+    cost[slot] = paid
+    value[slot] = paid + _left(queue[work], fresh[work], first_phase, protected, permitted,
+                               headway_s, left_s)  # fmt: skip
+    count[free, first_phase] = 1
+    root = slot
+
+    nodes = 0
+    best = root
+    best_value = np.inf
+    for step in range(free, steps + 1):
+        for phase in range(phases):
+            for number in range(count[step, phase]):
+                slot = (step * phases + phase) * kept + number
+                if step == steps:
+                    if value[slot] < best_value:
+                        best_value = value[slot]
+                        best = slot
+                    continue
+                is_spent = nodes >= max_nodes  # then plans end in the phase that they are in
+                nodes += 1
+                for after in range(phases):
+                    is_kept = after == phase
+                    is_first = slot == root and allowed >= 0
+                    if (is_first and after != allowed) or (
+                        is_spent and not is_kept and not is_first
+                    ):
+                        continue
+                    queue[work], fresh[work], begin[work] = queue[slot], fresh[slot], begin[slot]
+                    last_open[work] = last_open[slot]
+                    paid = cost[slot]
+                    if is_kept:
+                        until = min(steps, step + (1 if step < 12 else 2 if step < 30 else 3))
+                        if is_spent:
+                            until = steps
+                        paid += _run(queue[work], fresh[work], begin[work], phase, phase,
+                                     step, until, arrivals, protected, permitted, headway_s,
+                                     foes, stop_price)  # fmt: skip
+                    else:
+                        change = change_steps[phase, after]
+                        used = min(change, YELLOW_USED_STEPS)
+                        pair = phases + phase * phases + after
+                        middle = min(steps, step + used)
+                        green = min(steps, step + change)
+                        until = min(steps, max(step + change + min_green[after], step + 1))
+                        paid += switch_price
+                        paid += _run(queue[work], fresh[work], begin[work], phase, phase,
+                                     step, middle, arrivals, protected, permitted, headway_s,
+                                     foes, stop_price)  # fmt: skip
+                        paid += _run(queue[work], fresh[work], begin[work], pair, phase,
+                                     middle, green, arrivals, protected, permitted, headway_s,
+                                     foes, stop_price)  # fmt: skip
+                        _turn_head(queue[work], fresh[work], last_open[work], phase, after,
+                                   phases, protected, permitted, head)  # fmt: skip
+                        for lane in range(lanes):
+                            if protected[pair, lane] + permitted[pair, lane] <= 0.0:
+                                begin[work, lane] = step + change + lost_s[lane]
+                        paid += _run(queue[work], fresh[work], begin[work], after, after,
+                                     green, until, arrivals, protected, permitted, headway_s,
+                                     foes, stop_price)  # fmt: skip
+                    worth = paid + _left(queue[work], fresh[work], after, protected, permitted,
+                                         headway_s, left_s)  # fmt: skip
+                    base = (until * phases + after) * kept
+                    place = base + count[until, after]
+                    if count[until, after] == kept:
+                        place = base
+                        for other in range(base + 1, base + kept):
+                            if value[other] > value[place]:
+                                place = other
+                        if value[place] <= worth:
+                            continue
+                    else:
+                        count[until, after] += 1
+                    queue[place], fresh[place] = queue[work], fresh[work]
+                    begin[place], last_open[place] = begin[work], last_open[work]
+                    cost[place], value[place] = paid, worth
+                    parent[place] = slot
+                    asked[place] = asked[slot] if is_kept else step
+
+    # Back from the best one to its first phase.
+    found = np.zeros((steps + 2, 2), np.int64)
+    length, slot = 0, best
+    while True:
+        phase = (slot // kept) % phases
+        if length == 0 or found[length - 1, 0] != phase:
+            found[length, 0] = phase
+            found[length, 1] = asked[slot]
+            length += 1
+        if parent[slot] < 0:
+            break
+        slot = parent[slot]
+    return found[:length][::-1], best_value, nodes

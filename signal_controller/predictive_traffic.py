@@ -1,0 +1,321 @@
+"""What the predictive policy learns from vehicles: turns, headways, arrivals, who waits for what.
+
+Everything is learnt from the vehicles that are given, by their ids; nothing from a simulator.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from protocol.approaches import Approaches
+from signal_controller.observation import LaneVehicles
+from signal_controller.predictive_model import (
+    PERMITTED,
+    PROTECTED,
+    RED,
+    Floats,
+    Ints,
+    JunctionModel,
+    edge_of,
+)
+
+STOPPED_MPS = 1.0
+_TURN_PRIOR = 2.0  # vehicles that an unseen share of turns is worth
+_OWN_LANE_PRIOR, _OTHER_LANE_PRIOR = 12.0, 2.0  # the same of the lane that one will stop in
+_RATE_WINDOW_S, _RATE_PRIOR_S = 600.0, 90.0
+_HEADWAY_S, _LOST_S = (1.0, 4.0), (0.0, 6.0)  # samples outside are no discharge of a queue
+_LEARNING = 0.05  # weight of a new sample
+_HEAD_M = 10.0  # a vehicle so near the stop bar is the first
+_REACTION_S = 3.0  # after which a first vehicle that may go has gone
+_PATIENCE_S = {PROTECTED: 1.5, PERMITTED: 15.0}  # how fast doubt grows that it wants to
+_STUCK_PRIOR = 0.02  # that it wants nothing: a ghost, a breakdown
+_ROOM_M = 8.0  # that an exit needs for one more vehicle
+_ACCELERATION_MPS2 = 2.0
+_LOST_AFTER_S = 2.0  # a vehicle unseen for so long is forgotten
+
+
+@dataclass(slots=True)
+class _Track:
+    """A vehicle as last seen; `passed` is the lane whose stop bar it has crossed."""
+
+    lane: str
+    incoming: int
+    distance_m: float
+    time_s: float
+    visited: set[str] = field(default_factory=set)
+    has_stopped: bool = False
+    passed: int = -1
+
+
+@dataclass(slots=True)
+class _Head:
+    """The first vehicle of a lane, and what it wants: movements of the lane, then nothing."""
+
+    id: str = ""
+    since_s: float = 0.0
+    belief: Floats = field(default_factory=lambda: np.zeros(0))
+
+
+class TrafficMemory:
+    """Learns from frame to frame.
+
+    Attributes:
+        headway_s: (L,) between vehicles of a discharging queue.
+        lost_s: (L,) from a green's begin to the first vehicle at the stop bar.
+        green_since_s: (M,) since when a movement has been green; inf while it is red.
+        served_s: (M,) when a movement last had its chance, see `waiting_s`.
+        has_room: (M,) whether its exit can take a vehicle.
+        watched_lanes: those whose vehicles matter.
+    """
+
+    def __init__(self, model: JunctionModel, inflow_vph: float, saturation_vph: float) -> None:
+        self._model = model
+        lanes, movements = len(model.lanes), len(model.movements)
+        self.headway_s = np.full(lanes, 3600 / saturation_vph)
+        self.lost_s = np.full(lanes, 1.5)
+        self.green_since_s = np.full(movements, math.inf)
+        self.served_s = np.full(movements, math.nan)
+        self.has_room = np.ones(movements, bool)
+        self._of_lane = [np.flatnonzero(model.lane_of[:, lane]) for lane in range(lanes)]
+        self._turns = np.full(movements, _TURN_PRIOR)
+        self._choice: dict[str, Floats] = {}
+        self._passed = np.zeros(lanes)
+        self._watched_s = 0.0
+        self._inflow_per_s = inflow_vph / 3600
+        self._last_passage_s = np.full(lanes, -math.inf)
+        self._heads = [_Head() for _ in range(lanes)]
+        self._tracks: dict[str, _Track] = {}
+        self._exits = _exit_starts(model)
+        self._has_protected = (model.status == PROTECTED).any(axis=0)
+        self._time_s: float | None = None
+
+        around = model.approaches
+        self.watched_lanes = {*around.upstream, *around.downstream, *around.inside, *self._exits}
+
+    @property
+    def lane_green_since_s(self) -> Floats:
+        """Since when any movement of a lane (L,) has been green; inf while all are red."""
+        return np.array([np.min(self.green_since_s[own]) for own in self._of_lane])
+
+    @property
+    def shares(self) -> Floats:
+        """Share of each movement (M,) among the vehicles of its lane."""
+        total = self._model.lane_of @ (self._model.lane_of.T @ self._turns)
+        return np.asarray(self._turns / total)
+
+    @property
+    def arrivals_per_s(self) -> Floats:
+        """Vehicles that come on each lane (L,), of the last ten minutes."""
+        known_s = _RATE_WINDOW_S * (1 - math.exp(-self._watched_s / _RATE_WINDOW_S))
+        prior = self._inflow_per_s * _RATE_PRIOR_S
+        return (self._passed + prior) / (known_s + _RATE_PRIOR_S)
+
+    def head_may_go(self, status: Ints) -> Floats:
+        """Returns the probability (P, L) that a lane's first vehicle goes, by status (P, M)."""
+        shares, result = self.shares, np.zeros((len(status), len(self._model.lanes)))
+        for lane, own in enumerate(self._of_lane):
+            belief = self._heads[lane].belief
+            wanted = belief[:-1] if len(belief) else shares[own]
+            result[:, lane] = ((status[:, own] != RED) & self.has_room[own]) @ wanted
+        return result
+
+    def chosen_lanes(self, lane: str) -> Floats:
+        """Returns the probability (L,) of each stop bar for a vehicle on a lane before them."""
+        counts = self._choice.get(lane)
+        if counts is None:
+            target = self._model.approaches.upstream[lane].counts_for
+            counts = np.zeros(len(self._model.lanes))
+            is_own = lane in self._model.lane_index
+            counts[self._model.lane_index[target]] = (
+                _OWN_LANE_PRIOR if is_own else _OTHER_LANE_PRIOR
+            )
+            self._choice[lane] = counts
+        return np.asarray(counts / counts.sum())
+
+    def arrival_s(self, distance_m: Floats, speed_mps: Floats, limit_mps: Floats) -> Floats:
+        """Returns how long vehicles (N,) take to the stop bar if nothing holds them."""
+        speed = np.minimum(np.where(np.isnan(speed_mps), limit_mps, speed_mps), limit_mps)
+        speed = np.maximum(speed, 0.0)
+        gain_s = (limit_mps - speed) / _ACCELERATION_MPS2
+        gain_m = (speed + limit_mps) / 2 * gain_s
+        reaches = distance_m >= gain_m
+        whole = gain_s + (distance_m - gain_m) / limit_mps
+        root = np.sqrt(speed**2 + 2 * _ACCELERATION_MPS2 * np.maximum(distance_m, 0.0))
+        return np.where(reaches, whole, (root - speed) / _ACCELERATION_MPS2)
+
+    def take(self, time_s: float, vehicles: LaneVehicles, state: str) -> None:
+        """Takes a frame's vehicles, with the state that the signal shows."""
+        passed_s = 0.0 if self._time_s is None else max(0.0, min(10.0, time_s - self._time_s))
+        self._time_s = time_s
+        self._watched_s += passed_s
+        self._passed *= math.exp(-passed_s / _RATE_WINDOW_S)
+        self.served_s[np.isnan(self.served_s)] = time_s
+        shown = self._note_signal(time_s, state)
+        self._note_room(vehicles)
+        self._follow(time_s, vehicles)
+        self._watch_heads(time_s, passed_s, vehicles, shown)
+        self._note_service(time_s, shown)
+
+    def _note_signal(self, time_s: float, state: str) -> Ints:
+        shown = np.array(
+            [
+                max(
+                    (PROTECTED if state[i : i + 1] == "G" else PERMITTED)
+                    if state[i : i + 1] in ("G", "g")
+                    else RED
+                    for i in movement.links
+                )
+                for movement in self._model.movements
+            ]
+        )
+        fresh = (shown != RED) & np.isinf(self.green_since_s)
+        self.green_since_s[fresh] = time_s
+        self.green_since_s[shown == RED] = math.inf
+        return shown
+
+    def _note_room(self, vehicles: LaneVehicles) -> None:
+        tails_m: dict[str, float] = {}
+        rows = zip(
+            vehicles.lanes,
+            vehicles.distances_m.tolist(),
+            vehicles.lengths_m.tolist(),
+            vehicles.speeds_mps.tolist(),
+            strict=True,
+        )
+        for lane, distance_m, length_m, speed_mps in rows:
+            if lane in self._exits and speed_mps < STOPPED_MPS:
+                tail_m = self._exits[lane] - distance_m - length_m
+                tails_m[lane] = min(tail_m, tails_m.get(lane, math.inf))
+        for index, movement in enumerate(self._model.movements):
+            room_m = [tails_m.get(lane, math.inf) for lane in movement.exit_lanes]
+            self.has_room[index] = max(room_m) >= _ROOM_M
+
+    def _follow(self, time_s: float, vehicles: LaneVehicles) -> None:
+        upstream, index_of = self._model.approaches.upstream, self._model.lane_index
+        rows = zip(
+            vehicles.ids,
+            vehicles.lanes,
+            vehicles.distances_m.tolist(),
+            vehicles.speeds_mps.tolist(),
+            strict=True,
+        )
+        for name, lane, distance_m, speed_mps in rows:
+            if not name:
+                continue
+            track = self._tracks.get(name)
+            if track is None:
+                track = self._tracks[name] = _Track(lane, -1, distance_m, time_s)
+            if lane in upstream:
+                track.incoming = index_of.get(lane, -1)
+                track.passed = -1
+                track.visited.add(lane)
+                track.has_stopped |= speed_mps < STOPPED_MPS
+            elif track.incoming >= 0:
+                late_s = min(1.0, -distance_m / speed_mps) if speed_mps > 1 > distance_m else 0.0
+                self._note_passage(track, time_s - max(0.0, late_s))
+            if track.passed >= 0:
+                self._note_exit(track, lane)
+            track.lane, track.distance_m, track.time_s = lane, distance_m, time_s
+        for name in [n for n, t in self._tracks.items() if time_s - t.time_s > _LOST_AFTER_S]:
+            track = self._tracks.pop(name)
+            if track.incoming >= 0 and track.distance_m < _HEAD_M:
+                self._note_passage(track, track.time_s)
+
+    def _note_passage(self, track: _Track, time_s: float) -> None:
+        lane, track.passed, track.incoming = track.incoming, track.incoming, -1
+        self._passed[lane] += 1
+        for visited in track.visited:
+            self.chosen_lanes(visited)
+            self._choice[visited][lane] += 1
+            if self._choice[visited].sum() > 100:
+                self._choice[visited] *= 0.5
+        since_s = float(np.min(self.green_since_s[self._of_lane[lane]]))
+        if track.has_stopped and math.isfinite(since_s):
+            is_first = self._last_passage_s[lane] < since_s
+            values, bounds = (self.lost_s, _LOST_S) if is_first else (self.headway_s, _HEADWAY_S)
+            sample_s = time_s - (since_s if is_first else self._last_passage_s[lane])
+            if bounds[0] <= sample_s <= bounds[1]:
+                values[lane] += _LEARNING * (sample_s - values[lane])
+        self._last_passage_s[lane] = time_s
+
+    def _note_exit(self, track: _Track, lane: str) -> None:
+        edge = edge_of(self._model.site.road_map, lane)
+        for index in self._of_lane[track.passed]:
+            if self._model.movements[index].exit_edge == edge:
+                own = self._of_lane[track.passed]
+                self._turns[index] += 1
+                if self._turns[own].sum() > 100:
+                    self._turns[own] *= 0.5
+                track.passed = -1
+                return
+
+    def _watch_heads(
+        self, time_s: float, passed_s: float, vehicles: LaneVehicles, shown: Ints
+    ) -> None:
+        """Doubts that a vehicle which does not go wants what it may do."""
+        firsts: dict[int, tuple[float, str, float]] = {}
+        rows = zip(
+            vehicles.lanes,
+            vehicles.distances_m.tolist(),
+            vehicles.ids,
+            vehicles.speeds_mps.tolist(),
+            strict=True,
+        )
+        for lane, distance_m, name, speed_mps in rows:
+            index = self._model.lane_index.get(lane)
+            if index is not None and distance_m < firsts.get(index, (_HEAD_M, "", 0.0))[0]:
+                firsts[index] = distance_m, name, speed_mps
+        shares = self.shares
+        for index, head in enumerate(self._heads):
+            first = firsts.get(index)
+            if first is None:
+                head.id, head.belief = "", np.zeros(0)
+                continue
+            _, name, speed_mps = first
+            own = self._of_lane[index]
+            if not len(head.belief) or name != head.id:
+                head.id, head.since_s = name, time_s
+                head.belief = np.append(shares[own] * (1 - _STUCK_PRIOR), _STUCK_PRIOR)
+            if speed_mps >= STOPPED_MPS:
+                continue
+            for place, movement in enumerate(own):
+                since_s = max(self.green_since_s[movement], head.since_s)
+                may_go = shown[movement] != RED and self.has_room[movement]
+                if may_go and time_s - since_s > _REACTION_S:
+                    patience_s = _PATIENCE_S[int(shown[movement])]
+                    head.belief[place] *= math.exp(-passed_s / patience_s)
+            head.belief /= head.belief.sum()
+
+    def _note_service(self, time_s: float, shown: Ints) -> None:
+        """Notes which movements had their chance: nobody waits, or a green long enough."""
+        min_green_s = self._model.site.cabinet.min_green_s
+        for index, movement in enumerate(self._model.movements):
+            lane = movement.lane
+            is_green = shown[index] != RED and time_s - self.green_since_s[index] >= min_green_s
+            is_right = shown[index] == PROTECTED or not self._has_protected[index]
+            has_moved = time_s - self._last_passage_s[lane] < min_green_s
+            is_empty = not len(self._heads[lane].belief)
+            if is_empty or (is_green and (is_right or has_moved)):
+                self.served_s[index] = time_s
+
+
+def _exit_starts(model: JunctionModel) -> dict[str, float]:
+    """Returns for each exit lane the distance of its start to the stop bar, as vehicles have it."""
+    road_map, own = model.site.road_map, model.site.signal.tls
+    others: dict[str, Approaches] = {}
+    found = {}
+    for lane in {name for one in model.movements for name in one.exit_lanes}:
+        known = road_map.by_id.get(lane)
+        if known is None:
+            continue
+        tls = known.tls or own
+        if tls != own and tls in road_map.by_tls and tls not in others:
+            others[tls] = Approaches(road_map, road_map.by_tls[tls])
+        around = others.get(tls, model.approaches)
+        side = around.upstream.get(lane) or around.downstream.get(lane)
+        if side is not None:
+            found[lane] = side.start_m
+    return found

@@ -1,0 +1,408 @@
+"""`cpnet bench control`: signal policies on SUMO alone, with perfect positions near the signals.
+
+No sensor, network or detector takes part: what is measured is the control. Delay is what SUMO's
+tripinfo calls time loss plus departure delay, of all vehicles: those still on the way at the end
+and those that found no room to enter as well.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from statistics import mean
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from rich.console import Console
+
+from protocol.approaches import Approaches
+from protocol.errors import ConfigError
+from protocol.messages import LaneCounts, SignalRequest
+from protocol.roadmap import RoadMap, Signal
+from signal_controller.config import SignalConfig
+from signal_controller.observation import CabinetTimes, LaneVehicles, Observation, SignalSite
+from signal_controller.policies import SignalPolicy, policy_of
+from sim_host.cabinet import SignalCabinet, programme
+from sim_host.config import CabinetConfig
+from sim_host.junctions import DEMAND_VPH_PER_LANE
+from sim_host.setup import OWN_CONFIG, SUMO_FOLDER, build_setup
+from sim_host.sumo import load_libsumo
+from studies.bench import JsonRow, empty_table, print_whole
+from studies.control_baselines import WeightedPressure, webster
+
+STEP_S = 0.1
+_STEPS_A_SECOND = round(1 / STEP_S)
+_STATIONARY_MPS = 0.5
+_DEFAULT_LANE_VPH = 500.0
+
+OWN_PLAN = "plan"
+WEBSTER = "webster"
+PRESSURES = {"position_pressure": "position", "delay_pressure": "delay"}
+"""Kinds of `WeightedPressure` by what the bench calls them."""
+SUMO_TYPES = {"actuated": 3, "delay_based": 5}
+"""SUMO's own kinds of control, by SUMO's numbers."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControlCase:
+    """One run.
+
+    Attributes:
+        net: `t_junction`, or a folder with one .sumocfg.
+        policy: what `signal.policy` may be, or a baseline: `plan` (the net's own programme),
+            `webster`, `actuated`, `delay_based`, `position_pressure`, `delay_pressure`.
+        demand: factor of the net's own demand; t_junction alone.
+        seed: SUMO's.
+        upstream_m: how far before the stop bars vehicles are known and count.
+        downstream_m: how far behind them they count.
+        settings: of the scenario's section `signal`.
+        cabinet: its section `cabinet`.
+        flows_vph: by lane before a stop bar, for `webster`.
+    """
+
+    net: str
+    policy: str
+    seed: int = 1
+    demand: float = 1.0
+    duration_s: int = 3600
+    upstream_m: float = 200.0
+    downstream_m: float = 100.0
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    cabinet: Mapping[str, Any] = field(default_factory=dict)
+    flows_vph: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class ControlRow(JsonRow):
+    """What a run gave; times in s, of all vehicles. `waited_s` is the longest wait in one go."""
+
+    net: str
+    policy: str
+    demand: float
+    seed: int
+    vehicles: int
+    arrived: int
+    delay_s: float
+    delay_p95_s: float
+    waited_s: float
+    decide_p50_ms: float
+    decide_p99_ms: float
+
+
+def measure_control(cases: Sequence[ControlCase], processes: int = 1) -> Iterator[ControlRow]:
+    """Yields the row of each case, in their order, from a process of its own.
+
+    libsumo keeps state from one run to the next, which changes the results of the second.
+
+    Raises:
+        ConfigError: a net or a policy is none.
+    """
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=context, max_tasks_per_child=1) as pool:
+        timed = [case for case in cases if case.policy == WEBSTER]
+        flows = dict(zip(timed, pool.map(lane_flows_vph, timed), strict=True))
+        yield from pool.map(
+            run_case, [replace(case, flows_vph=flows.get(case, {})) for case in cases]
+        )
+
+
+def lane_flows_vph(case: ControlCase) -> dict[str, float]:
+    """Returns the vehicles per hour that pass each stop bar under the net's own plan.
+
+    Raises:
+        ConfigError: the net is none.
+    """
+    with tempfile.TemporaryDirectory(prefix="cpnet-control-") as folder:
+        run = _Run(replace(case, policy=OWN_PLAN), Path(folder))
+        run.row()
+        return {lane: count * 3600 / case.duration_s for lane, count in run.passed.items()}
+
+
+def run_case(case: ControlCase) -> ControlRow:
+    """Runs a case; the first run of a process alone gives the same row every time.
+
+    Raises:
+        ConfigError: the net or the policy is none.
+    """
+    with tempfile.TemporaryDirectory(prefix="cpnet-control-") as folder:
+        return _Run(case, Path(folder)).row()
+
+
+def print_control(rows: list[ControlRow], console: Console) -> None:
+    """Prints a table of runs."""
+    heads = ("net", "policy", "demand", "seed", "vehicles", "arrived", "delay s", "p95", "wait s")
+    table = empty_table((*heads, "ms p50", "p99"), left=2)
+    for row in rows:
+        numbers = (row.delay_s, row.delay_p95_s, row.waited_s, row.decide_p50_ms, row.decide_p99_ms)
+        table.add_row(
+            row.net,
+            row.policy,
+            f"{row.demand:g}",
+            f"{row.seed}",
+            f"{row.vehicles}",
+            f"{row.arrived}",
+            *(f"{value:.1f}" for value in numbers),
+        )
+    print_whole(table, console)
+
+
+class _Run:
+    """One run of SUMO with a policy at each signal."""
+
+    def __init__(self, case: ControlCase, folder: Path) -> None:
+        self._case = case
+        self._folder = folder
+        self._config, self._road_map = _roads(case, folder)
+        self._sumo = load_libsumo()
+        self._decide_ns: list[int] = []
+        self._waited_s = 0.0
+        self.passed: Counter[str] = Counter()
+        self._lane_of: dict[str, str] = {}
+
+    def row(self) -> ControlRow:
+        """Runs it."""
+        trips = self._folder / "trips.xml"
+        options = {
+            "configuration-file": str(self._config),
+            "step-length": f"{STEP_S:g}",
+            "seed": str(self._case.seed),
+            "random": "false",
+            "no-step-log": "true",
+            "no-warnings": "true",
+            "duration-log.disable": "true",
+            "xml-validation": "never",
+            "time-to-teleport": "-1",
+            "tripinfo-output": str(trips),
+            "tripinfo-output.write-unfinished": "true",
+            "tripinfo-output.write-undeparted": "true",
+        }
+        command = ["sumo", *(word for k, v in options.items() for word in (f"--{k}", v))]
+        try:
+            self._sumo.start(command)
+        except (self._sumo.TraCIException, self._sumo.FatalTraCIError) as error:
+            raise ConfigError(f"SUMO refuses {self._config}: {error}") from None
+        try:
+            self._drive(_controllers(self._case, self._road_map, self._sumo))
+        finally:
+            self._sumo.close()
+        delays, arrived = _delays_s(trips)
+        decide_ms = np.array(self._decide_ns or [0]) / 1e6
+        return ControlRow(
+            net=Path(self._case.net).name,
+            policy=self._case.policy,
+            demand=self._case.demand,
+            seed=self._case.seed,
+            vehicles=len(delays),
+            arrived=arrived,
+            delay_s=mean(delays) if delays else 0.0,
+            delay_p95_s=float(np.quantile(delays, 0.95)) if delays else 0.0,
+            waited_s=self._waited_s,
+            decide_p50_ms=float(np.quantile(decide_ms, 0.5)),
+            decide_p99_ms=float(np.quantile(decide_ms, 0.99)),
+        )
+
+    def _drive(self, controllers: list[_Controller]) -> None:
+        begin_s = self._sumo.simulation.getTime()
+        truth = _Truth(self._road_map, self._case.upstream_m, self._case.downstream_m)
+        shown: dict[str, str] = {}
+        for step in range(self._case.duration_s * _STEPS_A_SECOND):
+            now_ns = round((begin_s + step * STEP_S) * 1e9)
+            if step % _STEPS_A_SECOND == 0:
+                self._note_waits()
+                truth.read(self._sumo)
+                self._note_passages(truth.vehicles)
+                for one in controllers:
+                    self._decide_ns.append(one.decide(step, now_ns, truth))
+            for one in controllers:
+                state = one.cabinet.advance(now_ns)
+                if shown.get(one.tls) != state:
+                    self._sumo.trafficlight.setRedYellowGreenState(one.tls, state)
+                    shown[one.tls] = state
+            self._sumo.simulationStep()
+
+    def _note_passages(self, vehicles: LaneVehicles) -> None:
+        incoming = set(self._road_map.incoming)
+        for name, lane in zip(vehicles.ids, vehicles.lanes, strict=True):
+            before = self._lane_of.get(name, lane)
+            if before in incoming and lane not in incoming:
+                self.passed[before] += 1
+            self._lane_of[name] = lane
+
+    def _note_waits(self) -> None:
+        vehicle = self._sumo.vehicle
+        for name in vehicle.getIDList():
+            self._waited_s = max(self._waited_s, vehicle.getWaitingTime(name))
+
+
+class _Controller:
+    """A policy and its cabinet."""
+
+    def __init__(self, policy: SignalPolicy, site: SignalSite, case: ControlCase) -> None:
+        cabinet = CabinetConfig.model_validate(dict(case.cabinet))
+        self.tls = site.signal.tls
+        self.cabinet = SignalCabinet(site.signal, cabinet)
+        self._policy = policy
+        self._case = case
+        self._approaches = Approaches(site.road_map, site.road_map.by_tls[self.tls])
+
+    def decide(self, frame: int, now_ns: int, truth: _Truth) -> int:
+        """Requests what the policy decides; returns the time that took, in ns."""
+        self.cabinet.advance(now_ns)
+        shown = self.cabinet.spat(frame, now_ns)
+        counts = self._counts(frame, now_ns, truth)
+        start_ns = time.monotonic_ns()
+        decision = self._policy.decide(Observation(counts, shown, truth.vehicles))
+        taken_ns = time.monotonic_ns() - start_ns
+        self.cabinet.request(
+            SignalRequest(
+                frame=frame,
+                sim_time_ns=now_ns,
+                tls=self.tls,
+                state=decision.state,
+                policy=decision.policy,
+            ),
+            now_ns,
+        )
+        return taken_ns
+
+    def _counts(self, frame: int, now_ns: int, truth: _Truth) -> LaneCounts:
+        around, case = self._approaches, self._case
+        incoming, outgoing = around.intersection.incoming, around.intersection.outgoing
+        before, waiting = dict.fromkeys(incoming, 0), dict.fromkeys(incoming, 0)
+        behind, standing = dict.fromkeys(outgoing, 0), dict.fromkeys(outgoing, 0)
+        for lane, along_m, speed_mps in truth.rows:
+            reach = around.upstream.get(lane)
+            if reach and reach.start_m - along_m <= case.upstream_m:
+                before[reach.counts_for] += 1
+                waiting[reach.counts_for] += speed_mps < _STATIONARY_MPS
+            reach = around.downstream.get(lane)
+            if reach and along_m - reach.start_m <= case.downstream_m:
+                behind[reach.counts_for] += 1
+                standing[reach.counts_for] += speed_mps < _STATIONARY_MPS
+        return LaneCounts(
+            frame=frame,
+            sim_time_ns=now_ns,
+            tls=self.tls,
+            agents=[],
+            complete=True,
+            upstream=before,
+            downstream=behind,
+            stationary_upstream=waiting,
+            stationary_downstream=standing,
+        )
+
+
+class _Truth:
+    """Where all vehicles are that somebody may know of, read once a decision.
+
+    `rows` are lane, metres along it and speed in m/s, in the order of `vehicles`.
+    """
+
+    def __init__(self, road_map: RoadMap, upstream_m: float, downstream_m: float) -> None:
+        self._starts_m: dict[str, float] = {}
+        for side in ("upstream", "downstream"):
+            for one in road_map.intersections:
+                for lane, reach in getattr(Approaches(road_map, one), side).items():
+                    self._starts_m.setdefault(lane, reach.start_m)
+        self._scale = {
+            lane.id: lane.measured_m / lane.length_m for lane in road_map.lanes if lane.length_m
+        }
+        self._reach_m = upstream_m, downstream_m
+        self.rows: list[tuple[str, float, float]] = []
+        self.vehicles = LaneVehicles([], np.zeros(0), np.zeros(0), np.zeros(0), [])
+
+    def read(self, sumo: Any) -> None:  # noqa: ANN401 - libsumo has no types
+        """Reads them from SUMO."""
+        vehicle, ids, rows, distances_m, lengths_m = sumo.vehicle, [], [], [], []
+        for name in sorted(vehicle.getIDList()):
+            lane = vehicle.getLaneID(name)
+            start_m = self._starts_m.get(lane)
+            if start_m is None:
+                continue
+            along_m = vehicle.getLanePosition(name) * self._scale.get(lane, 1.0)
+            if not -self._reach_m[1] <= start_m - along_m <= self._reach_m[0]:
+                continue
+            ids.append(name)
+            rows.append((lane, along_m, vehicle.getSpeed(name)))
+            distances_m.append(start_m - along_m)
+            lengths_m.append(vehicle.getLength(name))
+        self.rows = rows
+        self.vehicles = LaneVehicles(
+            lanes=[lane for lane, _, _ in rows],
+            distances_m=np.array(distances_m),
+            speeds_mps=np.array([speed_mps for _, _, speed_mps in rows]),
+            lengths_m=np.array(lengths_m),
+            ids=ids,
+        )
+
+
+def _roads(case: ControlCase, folder: Path) -> tuple[Path, RoadMap]:
+    """Returns the sumocfg of a case and its road map, with all its signals."""
+    if case.net == "t_junction":
+        sides = {"west_in": _DEFAULT_LANE_VPH, "east_in": _DEFAULT_LANE_VPH, **DEMAND_VPH_PER_LANE}
+        demand = {edge: vph * case.demand for edge, vph in sides.items()}
+        traffic: dict[str, Any] = {"demand_vph_per_lane": demand}
+        config = folder / SUMO_FOLDER / OWN_CONFIG
+    else:
+        found = sorted(Path(case.net).glob("*.sumocfg"))
+        if len(found) != 1:
+            raise ConfigError(f"--net {case.net}: must be t_junction or a folder with a .sumocfg")
+        config = found[0]
+        traffic = {"sumocfg": str(config)}
+    setup = build_setup({"traffic": traffic, "junctions": "all"}, folder)
+    return config, setup.road_map
+
+
+def _controllers(case: ControlCase, road_map: RoadMap, sumo: Any) -> list[_Controller]:  # noqa: ANN401 - libsumo has no types
+    """Returns what controls the signals; nothing where SUMO's own programs do."""
+    if case.policy == OWN_PLAN:
+        return []
+    cabinet = CabinetConfig.model_validate(dict(case.cabinet))
+    if case.policy in SUMO_TYPES:
+        for one in road_map.intersections:
+            _run_program(sumo, one.signal, case.policy, cabinet)
+        return []
+    times = CabinetTimes(cabinet.min_green_s, cabinet.yellow_s, cabinet.all_red_s)
+    sites = [
+        SignalSite(one.signal, road_map, case.upstream_m, times) for one in road_map.intersections
+    ]
+    return [_Controller(_policy(case, site), site, case) for site in sites]
+
+
+def _policy(case: ControlCase, site: SignalSite) -> SignalPolicy:
+    if case.policy == WEBSTER:
+        return webster(site, {lane: case.flows_vph.get(lane, 0.0) for lane in site.lanes})
+    if case.policy in PRESSURES:
+        return WeightedPressure(site, PRESSURES[case.policy], case.downstream_m)
+    settings = {"policy": case.policy, **case.settings}
+    return policy_of(SignalConfig.model_validate(settings), site)
+
+
+def _run_program(sumo: Any, signal: Signal, kind: str, cabinet: CabinetConfig) -> None:  # noqa: ANN401 - libsumo has no types
+    """Leaves a signal to a program of SUMO with the plan's greens and the cabinet's times."""
+    lights = sumo.trafficlight
+    try:
+        intervals = programme(signal, cabinet)
+    except ConfigError:
+        return  # with one green only there is nothing to decide
+    phases = [lights.Phase(i.least_s, i.state, i.least_s, i.most_s) for i in intervals]
+    lights.setProgramLogic(signal.tls, lights.Logic(kind, SUMO_TYPES[kind], 0, phases))
+    lights.setProgram(signal.tls, kind)
+
+
+def _delays_s(trips: Path) -> tuple[list[float], int]:
+    """Returns each vehicle's time loss plus departure delay, and how many arrived."""
+    delays, arrived = [], 0
+    for _, element in ElementTree.iterparse(trips):
+        if element.tag == "tripinfo":
+            delays.append(float(element.get("timeLoss", 0)) + float(element.get("departDelay", 0)))
+            arrived += float(element.get("arrival", -1)) >= 0
+            element.clear()
+    return delays, arrived
