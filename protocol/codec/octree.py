@@ -65,6 +65,7 @@ _COPIES_BITS = 20  # raw, of a count beyond the tokens
 # What one cell may read before the decoder looks whether it is there.
 _SYMBOLS_PER_CELL = 40  # four of the cell, four of each of eight points
 _SPARE = 24  # words of raw bits: three times 16 bits and 20 of each point, and one ahead
+_SYMBOLS_PER_BIT = 6000  # that a table must save
 _STACK = 7 * MAX_TREE_DEPTH + 8
 
 
@@ -411,7 +412,7 @@ def pack_tree(points: Floats, edge_m: float) -> tuple[list[bytes], npt.NDArray[n
     raw = np.empty(2 * len(points) + 2, np.uint32)
     counts, sizes = np.zeros((CONTEXTS, STRIDE), np.int64), np.zeros(2, np.int64)
     tree_to_symbols(keys, cells[order], depth, symbols, raw, counts, placed, sizes)
-    sections = pack_symbols(symbols, int(sizes[0]), counts)
+    sections = pack_symbols(symbols, int(sizes[0]), counts, sizes[0] / _SYMBOLS_PER_BIT)
     if sizes[0] > most_symbols(len(sections[1]) // 2):
         raise CodecError(f"{len(points)} points lie too regularly for a tree")
     bits = raw[: sizes[1]].astype("<u4", copy=False).tobytes()

@@ -31,7 +31,6 @@ from protocol.errors import CodecError
 LEVELS = 3 * 12 + 2
 MAX_TABLES = 255
 _WRITTEN_BITS = 3.0  # a level, roughly
-_SYMBOLS_PER_BIT = 6000  # that a table must save: each takes the decoder room in its caches
 _WEIGHTS = np.array([0] + [round(64 * 2 ** (k / 3)) for k in range(LEVELS - 1)], np.int64)
 
 
@@ -50,19 +49,19 @@ def _cost(counts: I8) -> float:
     return float(bits + total * np.log2(total) + 6 + _WRITTEN_BITS * (last + 1))
 
 
-@njit("int64(int64[:,::1], uint8[::1], uint8[:,::1])", cache=True, nogil=True)
-def choose_tables(counts: I8, table_of: U1, levels: U1) -> int:
+@njit("int64(int64[:,::1], float64, uint8[::1], uint8[:,::1])", cache=True, nogil=True)
+def choose_tables(counts: I8, worth: float, table_of: U1, levels: U1) -> int:
     """Fills the table of each context and the levels of each table; returns how many tables.
 
     Args:
         counts: (contexts, stride), how often each token occurred in each context.
+        worth: bits that a further table must save.
         table_of: (contexts,).
         levels: (contexts, stride); only the first rows are filled.
     """
     contexts, stride = counts.shape
     run, joined = np.zeros(stride, np.int64), np.zeros(stride, np.int64)
     run_cost, table = 0.0, 0
-    worth = counts.sum() / _SYMBOLS_PER_BIT
     for context in range(contexts + 1):
         alone = 0.0
         if context < contexts:
@@ -218,18 +217,19 @@ class SymbolStream:
     place: U4
 
 
-def pack_symbols(symbols: U4, count: int, counts: I8) -> list[bytes]:
+def pack_symbols(symbols: U4, count: int, counts: I8, worth: float = 0.0) -> list[bytes]:
     """Returns the sections of the first `count` symbols.
 
     Args:
         symbols: `state << TURN_SHIFT | context * stride + token`.
         count: how many of them.
         counts: (contexts, stride), how often each occurs.
+        worth: bits that a further table must save: each takes the decoder room in its caches.
     """
     contexts, stride = counts.shape
     table_of = np.zeros(contexts, np.uint8)
     levels = np.zeros((contexts, stride), np.uint8)
-    tables = choose_tables(counts, table_of, levels)
+    tables = choose_tables(counts, worth, table_of, levels)
     written = np.zeros(contexts + tables * 2 * stride, np.uint8)
     length = write_tables(table_of, levels, tables, written)
     shares = np.zeros((tables, stride), np.uint16)
