@@ -16,17 +16,18 @@ decide: rings are whole numbers, and neither ring nor reflectance is below 0.
 from __future__ import annotations
 
 import ast
-import io
 import operator
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from perception.arrays import Floats
 from protocol.config import is_file, is_folder
 from protocol.errors import ConfigError
 from protocol.scans import PointCloud
+from sensing.feather import read_feather
 from sensing.limits import MAX_CLOUD_FILE_BYTES, MAX_RECORD_BYTES
 from sensing.pcd import AXES, Columns, read_pcd
 from sensing.ply import read_ply
@@ -71,7 +72,7 @@ def read_points(path: Path) -> PointCloud:
     """
     readers = {
         ".bin": _read_nuscenes if path.name.lower().endswith(_NUSCENES) else _read_bin,
-        ".feather": _read_feather,
+        ".feather": lambda data: _named(read_feather(data)),
         ".npy": _read_npy,
         ".pcd": read_pcd,
         ".ply": read_ply,
@@ -179,21 +180,9 @@ def _npy_header(data: bytes) -> tuple[tuple[int, ...], bool, np.dtype[np.generic
         raise ValueError(f"is no array of NumPy: {error!s:.80}") from None
 
 
-def _read_feather(data: bytes) -> Columns:
-    try:
-        import polars as pl
-    except ImportError:
-        raise ValueError("to read .feather needs polars (extra `study`)") from None
-    try:
-        table = pl.read_ipc(io.BytesIO(data))
-    except (pl.exceptions.PolarsError, OSError) as error:
-        raise ValueError(f"is no table of Feather: {error!s:.200}") from None
-    return _named({name: table[name].to_numpy() for name in table.columns})
-
-
-def _named(fields: dict[str, np.ndarray]) -> Columns:
+def _named(fields: Mapping[str, npt.NDArray[np.generic]]) -> Columns:
     if missing := [axis for axis in AXES if axis not in fields]:
-        raise ValueError(f"no column {missing[0]}; it has {', '.join(fields):.200}")
+        raise ValueError(f"no column {missing[0]} of numbers; it has {', '.join(fields):.200}")
     names = [name for name in (*AXES, "intensity") if name in fields]
     for name in names:
         if fields[name].dtype.kind not in "fiu":
