@@ -3,7 +3,8 @@
 Scene:    `terrain`, `road`, `mesh`, `scene` build the static world; `embree` casts rays into it,
           `candidates` at vehicles; `lidar` makes scans of the hits.
 Sources:  `source` chooses where scans come from: `lidar`, a CARLA server (`carla`) or
-          `recorded_scans`. `point_files`, `pcd` and `ply` read clouds of other people.
+          `recorded_scans`. `point_files`, `pcd`, `ply`, `feather` read
+          clouds of other people.
 Uploads:  `upload_policies` names what may be sent; `upload_filters` and `upload_selection` choose
           beams and chunks; `uplink` and `lidar_uplink` encode and send them.
 Links:    `link_profile` and `link_config` describe a link, `link_channel` computes its rate and

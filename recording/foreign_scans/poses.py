@@ -35,6 +35,7 @@ from protocol.errors import ConfigError
 from protocol.geometry import SE3, Floats
 from recording.foreign_scans.folder import by_agent
 from recording.limits import MAX_POSE_FILE_BYTES
+from sensing.feather import read_feather
 
 
 def lines_of(path: Path) -> list[str]:
@@ -230,33 +231,28 @@ def _check_times(times_s: Floats, where: str) -> None:
 
 def _feather_track(path: Path) -> Track:
     """Reads the poses of Argoverse 2's ego vehicle."""
-    try:
-        import polars as pl
-    except ImportError:
-        raise ConfigError(f"{path}: to read .feather needs polars (extra `study`)") from None
     if not is_file(path):
         raise ConfigError(f"{path} does not exist")
     if path.stat().st_size > MAX_POSE_FILE_BYTES:
         raise ConfigError(f"{path} has {path.stat().st_size} bytes, limit {MAX_POSE_FILE_BYTES}")
     try:
-        table = pl.read_ipc(path.read_bytes())
-    except (pl.exceptions.PolarsError, OSError) as error:
-        raise ConfigError(f"{path}: is no table of Feather: {error!s:.200}") from None
+        columns = read_feather(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: {error}") from None
     wanted = (_AV2_TIME, *_AV2)
-    numeric = [name for name in wanted if name in table.columns and table[name].dtype.is_numeric()]
-    if missing := [name for name in wanted if name not in numeric]:
+    if missing := [name for name in wanted if name not in columns]:
         raise ConfigError(
             f"{path}: lacks a column {missing[0]} of numbers; needs {', '.join(wanted)}"
         )
-    table = table.select(wanted).drop_nulls().sort(_AV2_TIME)
-    if not len(table):
+    order = np.argsort(columns[_AV2_TIME], kind="stable")
+    if not len(order):
         raise ConfigError(f"{path}: holds no pose")
-    rows = table.select(_AV2).to_numpy().astype(np.float64)
+    rows = np.stack([columns[name].astype(np.float64)[order] for name in _AV2], axis=1)
     poses = [
         _checked(_turned(row[4:7], row[[1, 2, 3, 0]], f"{path}: row {n}"), f"{path}: row {n}")
         for n, row in enumerate(rows)
     ]
-    times_s = table[_AV2_TIME].to_numpy().astype(np.float64) / 1e9
+    times_s = columns[_AV2_TIME].astype(np.float64)[order] / 1e9
     _check_times(times_s, str(path))
     return Track(np.stack(poses), times_s, clock=True)
 
