@@ -27,9 +27,9 @@ from protocol.codec.rans import (
     unfold,
 )
 from protocol.errors import CodecError
+from protocol.limits import MAX_TABLES
 
 LEVELS = 3 * 12 + 2
-MAX_TABLES = 255
 _WRITTEN_BITS = 3.0  # a level, roughly
 _WEIGHTS = np.array([0] + [round(64 * 2 ** (k / 3)) for k in range(LEVELS - 1)], np.int64)
 

@@ -12,9 +12,10 @@ from protocol.codec import decode, encode_cloud
 from protocol.codec.lattice import fill_nodes, lattice_edge_m, sort_keys
 from protocol.codec.octree import pack_tree, unpack_tree
 from protocol.codec.payload import Form, Head, read_payload
-from protocol.codec.symbols import MAX_TABLES, read_tables
+from protocol.codec.symbols import read_tables
 from protocol.codec.tree_contexts import CONTEXTS, STRIDE
 from protocol.errors import CodecError
+from protocol.limits import MAX_TABLES
 from protocol.scans import PointCloud
 
 
