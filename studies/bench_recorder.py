@@ -36,7 +36,7 @@ PERIOD_S = 1.0
 VEHICLES, LANES = 15, 8  # of a junction; as many lanes lead to it as away
 SEEN = 28  # vehicles on which points of an agent's scan lie: those of `grid` at 80 % of saturation
 STAGES = ("sense", "select", "encode", "send")
-EDGE_STAGES = ("wait", "check", "merge", "ground", "detect", "fuse", "border", "count")
+EDGE_STAGES = ("wait", "check", "merge", "ground", "detect", "fuse", "border", "track", "count")
 MS = 1_000_000
 
 

@@ -21,9 +21,9 @@ from protocol.limits import MAX_POSITION_STD_M
 BOX_STD = np.array([0.35, 0.2, 0.08])  # of a detector's box near a sensor: along, across, heading
 FAR_STD = 0.015  # along, more for each metre beyond `FAR_M`: only an end of the vehicle is seen
 FAR_M = 40.0
-NEAR_STD, NEAR_M = 1.5, 8.0  # along, nearer to a sensor, which sees over a part of the vehicle
+NEAR_STD, NEAR_M = 1.5, 6.0  # along, nearer to a sensor, which sees over a part of the vehicle
 NEIGHBOUR_M = 40.0  # who is nearer on a lane tells how fast a new one is likely to be
-NEIGHBOUR_STD_MPS = 4.0
+NEIGHBOUR_STD_MPS = 6.0
 FREE_SHARE = 0.9  # of a lane's speed: the likely speed of a new one alone
 POSE_STD = np.array([0.1, 0.1, 0.02])  # of an agent's own pose, beside what it says of itself
 UNKNOWN_MPS = 8.0  # deviation of the speed of who was seen once, off the map

@@ -71,6 +71,10 @@ PARTS = {
     "misbehaviour": Part(
         ["edge_server/misbehaviour.py"], ["tests/edge_server/test_misbehaviour.py"]
     ),
+    "tracker": Part(
+        ["perception/tracking/tracker.py", "perception/tracking/association.py"],
+        ["tests/perception/test_tracking.py"],
+    ),
     "rows": Part(["recording/rows.py"], ["tests/recording/test_tables.py"]),
     "codec": Part(
         ["protocol/codec/forms.py"],

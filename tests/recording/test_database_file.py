@@ -34,9 +34,9 @@ def record(run_dir: Path, counts: list[CountRow], clock_ns: int = 0) -> None:
 
 def _write_until_killed(run_dir: Path, ready: Connection) -> None:
     database = Database(run_dir)
-    database.add(CountRow, [(0, "J", "a", "upstream", 1, 0)])
+    database.add(CountRow, [(0, "J", "a", "upstream", 1, 0, 0)])
     database.commit()
-    database.add(CountRow, [(1, "J", "a", "upstream", 1, 0)])
+    database.add(CountRow, [(1, "J", "a", "upstream", 1, 0, 0)])
     ready.send(None)
     signal.pause()
 
@@ -56,12 +56,12 @@ def test_a_killed_writer_leaves_all_that_it_committed(tmp_path: Path) -> None:
     kill_a_writer(tmp_path)
     assert (tmp_path / f"{FILE_NAME}-wal").exists()
     with Run(tmp_path) as run:
-        assert list(run.rows(CountRow)) == [(0, "J", "a", "upstream", 1, 0)]
+        assert list(run.rows(CountRow)) == [(0, "J", "a", "upstream", 1, 0, 0)]
 
 
 def test_a_running_recording_can_be_read(tmp_path: Path) -> None:
     database = Database(tmp_path)
-    database.add(CountRow, [(0, "J", "a", "upstream", 1, 0)])
+    database.add(CountRow, [(0, "J", "a", "upstream", 1, 0, 0)])
     database.commit()
     with Run(tmp_path) as run:
         assert len(list(run.rows(CountRow))) == 1
@@ -92,11 +92,13 @@ def test_a_row_with_the_same_keys_is_replaced(tmp_path: Path) -> None:
 
 def test_a_row_that_does_not_fit_costs_itself_alone(tmp_path: Path) -> None:
     database = Database(tmp_path)
-    database.add(CountRow, [(0, "J", "a", "upstream", 1 << 70, 0), (1, "J", "a", "upstream", 1, 0)])
+    database.add(
+        CountRow, [(0, "J", "a", "upstream", 1 << 70, 0, 0), (1, "J", "a", "upstream", 1, 0, 0)]
+    )
     database.close()
     assert database.refused_rows == 1
     with Run(tmp_path) as run:
-        assert list(run.rows(CountRow)) == [(1, "J", "a", "upstream", 1, 0)]
+        assert list(run.rows(CountRow)) == [(1, "J", "a", "upstream", 1, 0, 0)]
 
 
 def test_runs_that_differ_only_in_clocks_have_the_same_results(tmp_path: Path) -> None:

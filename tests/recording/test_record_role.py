@@ -175,8 +175,8 @@ def test_every_table_holds_what_was_said(rig: Rig, tmp_path: Path) -> None:
         assert upload.received_ns - upload.sent_ns == MS
         assert len(list(run.rows(DetectionRow))) == 6
         assert list(run.rows(CountRow))[:2] == [
-            (0, "t", "a_0", "upstream", 2, 0),
-            (0, "t", "b_0", "downstream", 1, 0),
+            (0, "t", "a_0", "upstream", 2, 0, 0),
+            (0, "t", "b_0", "downstream", 1, 0, 0),
         ]
         assert [r.state for r in run.rows(PhaseRow)] == ["Gr"] * 3
         assert json.loads(next(run.rows(RequestRow)).pressures) == [1.0, 2.0]
@@ -217,7 +217,7 @@ def test_contradictory_messages_are_counted_and_dropped(rig: Rig, tmp_path: Path
     crooked = m.Detections.model_construct(
         frame=0, sim_time_ns=0, agents=[], boxes=np.ones((2, 7), np.float32),
         scores=np.ones(1, np.float32), classes=np.zeros(1, np.uint8),
-        lanes=[], distances_m=np.zeros(0, np.float32), sources=[],
+        lanes=[], distances_m=np.zeros(0, np.float32), sources=[], **tracked(2),
     )  # fmt: skip
     rig.v2x.publish("detections", crooked, region="r0")
     rig.metrics("edge-r0", 1 << 35)

@@ -16,9 +16,9 @@ def detections(**changes: object) -> m.Detections:
         "scores": np.ones(2, np.float32), "classes": np.zeros(2, np.uint8),
         "lanes": ["south_0", ""],
         "distances_m": np.ones(2, np.float32), "sources": ["lidar", "a"],
-        **tracked(2),
     }  # fmt: skip
-    return m.Detections(**(plain | changes))
+    made = plain | changes
+    return m.Detections(**(tracked(len(made["boxes"])) | made))
 
 
 def truth() -> m.Truth:

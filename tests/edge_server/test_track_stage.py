@@ -1,0 +1,79 @@
+"""The stage that tracks: when it begins, ids of the city, what it counts, what sensors saw."""
+
+import numpy as np
+import pytest
+
+from edge_server.frame import Chunk, Frame, FrameState
+from edge_server.tracking import FRAME_BIT, Track
+from perception.detector import Vehicles
+from perception.roadway import Placed, Roadway
+from perception.tracking.config import TrackingConfig
+from protocol.roadmap import RoadMap
+
+S = 1_000_000_000
+
+
+@pytest.fixture
+def stage(road_map: RoadMap) -> Track:
+    return Track(road_map, Roadway.of(road_map, margin_m=0.5), TrackingConfig())
+
+
+def run(stage: Track, number: int, *x_m: float, agents: tuple[str, ...] = ("a",), **parts: object):
+    time_ns = number * S // 10
+    frame = Frame(
+        number, time_ns, [*agents], [], [], complete=True, first_ns=0, ready_ns=0, **parts
+    )
+    state = FrameState(frame)
+    boxes = np.array([(x, -1.75, 0.75, 4.5, 1.8, 1.5, 0.0) for x in x_m]).reshape(-1, 7)
+    state.fused = Vehicles.from_lidar(boxes, np.full(len(boxes), 0.9))
+    stage.run(state)
+    return state
+
+
+def test_ids_bear_the_frame_in_which_the_edge_began_so_that_a_restart_gives_others(road_map):
+    roadway = Roadway.of(road_map, margin_m=0.5)
+    ids = []
+    for start in (3, 90):
+        edge = Track(road_map, roadway, TrackingConfig())
+        run(edge, 0, agents=())  # the warm-up
+        ids += run(edge, start, -50.0, -30.0).tracks.track_ids.tolist()
+    assert ids == [(3 << FRAME_BIT) + 1, (3 << FRAME_BIT) + 2, (90 << FRAME_BIT) + 1,
+                   (90 << FRAME_BIT) + 2]  # fmt: skip
+
+
+def test_time_that_runs_backwards_is_counted_and_begins_anew(stage):
+    for number in range(5, 10):
+        run(stage, number, -50.0)
+    state = run(stage, 1, -50.0)
+    assert state.drops["time_backwards"] == 1
+    assert state.tracks.track_ids.tolist() == [(5 << FRAME_BIT) + 2]
+    assert run(stage, 2, -50.0).drops["time_backwards"] == 0
+
+
+def test_more_detections_than_are_tracked_are_counted(stage):
+    most = TrackingConfig().max_tracks
+    places = np.linspace(-5000, 5000, most + 10)
+    assert run(stage, 0, *places).drops["untracked"] == 10
+
+
+def test_without_tracking_each_frame_stands_for_itself(road_map):
+    off = TrackingConfig(enabled=False)
+    stage = Track(road_map, Roadway.of(road_map, margin_m=0.5), off)
+    run(stage, 0, -50.0)
+    tracks = run(stage, 1, -50.0, -30.0).tracks
+    assert (tracks.track_ids.tolist(), tracks.coasted_s.tolist()) == ([0, 0], [0, 0])
+
+
+@pytest.mark.parametrize("is_seen_through", [True, False])
+def test_a_scan_that_shows_the_ground_behind_a_place_says_that_it_is_empty(stage, is_seen_through):
+    for number in range(5):
+        run(stage, number, -50.0)
+    ground = [(-44.0, y, 0.0) for y in np.arange(-4, 2, 0.25)] if is_seen_through else []
+    empty = np.zeros((0, 3), np.float32)
+    lowest = np.array([(-69.0, 0.0, 0.0), *ground], np.float32)
+    placed = Placed(empty, empty[:, 0], lowest)
+    scan = Chunk(5, 0, "a", 0, 1, np.array([-70.0, -1.75, 2.5, 0, 0, 0]), empty, 0, placed=placed)
+    state = FrameState(Frame(5, S // 2, ["a"], [], [scan], complete=True, first_ns=0, ready_ns=0))
+    state.fused = Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
+    stage.run(state)
+    assert len(state.tracks) == (0 if is_seen_through else 1)
