@@ -6,6 +6,7 @@ from cpnet.scenario import Scenario, load, parse_assignment
 from protocol.config import Section
 from protocol.errors import ConfigError
 from sensing.link_profile import VaryingRate
+from signal_controller.config import SignalConfig
 
 
 def sections(model: type[Section]) -> list[type[Section]]:
