@@ -59,12 +59,12 @@ def webster_signal(
         losing = "".join(
             "y" if a in "Gg" and b not in "Gg" else a for a, b in zip(green, after, strict=True)
         )
-        plan += [
-            PlanPhase(duration_s=round(green_s), state=green),
-            PlanPhase(duration_s=times.yellow_s, state=losing),
-            PlanPhase(duration_s=times.all_red_s, state=losing.replace("y", "r")),
-        ]
-    return signal.model_copy(update={"plan": [phase for phase in plan if phase.duration_s > 0]})
+        plan.append(PlanPhase(duration_s=round(green_s), state=green))
+        if (
+            "y" in losing
+        ):  # yellow and all-red in one: what stays green in it is no green to ask for
+            plan.append(PlanPhase(duration_s=change_s, state=losing))
+    return signal.model_copy(update={"plan": plan})
 
 
 def _serving(greens: list[str], links: list[int]) -> list[int]:
