@@ -91,11 +91,15 @@ def pressure(
     """Returns vehicles before minus vehicles behind, over the lanes that a phase opens.
 
     A lane counts once, however many exits it has; behind it counts the mean over the exits that
-    this phase opens to it. A lane without a count has none.
+    this phase opens to it. A lane without a count has none. A permitted green (`g`) opens nothing
+    where another phase gives right of way: who waits for a gap would hold the phase that cannot
+    discharge him, until nobody moves.
     """
     exits: dict[str, list[str]] = {}
+    greens = signal.greens
     for link in signal.links:
-        if green[link.index] in "Gg":
+        is_protected = any(one[link.index] == "G" for one in greens)
+        if green[link.index] in ("G" if is_protected else "Gg"):
             exits.setdefault(link.from_lane, []).append(link.to_lane)
     return sum(
         upstream.get(lane, 0) - sum(downstream.get(name, 0) for name in names) / len(names)

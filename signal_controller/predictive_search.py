@@ -33,7 +33,7 @@ class Prices:
     """
 
     stop: float = 6.0
-    switch: float = 2.0
+    switch: float = 1.0
     left_s: float = 12.0
 
 

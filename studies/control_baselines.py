@@ -30,8 +30,9 @@ def webster_signal(
 ) -> Signal:
     """Returns the signal with the cycle and the splits of Webster (1958).
 
-    A lane's flow counts for the phases that give it right of way, or else let it pass, in equal
-    parts; a phase's critical lane is the one with the highest flow.
+    A lane's flow counts in equal parts for the phases in which all of its turns have right of way,
+    else for those in which all may go, else for those in which any may; a phase's critical lane is
+    the one with the highest flow.
 
     Args:
         signal: with the phases in the order of its own plan.
@@ -43,9 +44,7 @@ def webster_signal(
     ratios = [0.0] * len(greens)
     for lane, flow_vph in flows_vph.items():
         links = [link.index for link in signal.links if link.from_lane == lane]
-        serving = [n for n, green in enumerate(greens) if any(green[i] == "G" for i in links)]
-        if not serving:
-            serving = [n for n, green in enumerate(greens) if any(green[i] == "g" for i in links)]
+        serving = _serving(greens, links)
         for phase in serving:
             ratios[phase] = max(ratios[phase], flow_vph / saturation_vph / len(serving))
     lost_s = len(greens) * (times.yellow_s + times.all_red_s + _LOST_S - 2.0)
@@ -60,12 +59,23 @@ def webster_signal(
         losing = "".join(
             "y" if a in "Gg" and b not in "Gg" else a for a, b in zip(green, after, strict=True)
         )
-        plan += [
-            PlanPhase(duration_s=round(green_s), state=green),
-            PlanPhase(duration_s=times.yellow_s, state=losing),
-            PlanPhase(duration_s=times.all_red_s, state=losing.replace("y", "r")),
-        ]
-    return signal.model_copy(update={"plan": [phase for phase in plan if phase.duration_s > 0]})
+        plan.append(PlanPhase(duration_s=round(green_s), state=green))
+        if (
+            "y" in losing
+        ):  # yellow and all-red in one: what stays green in it is no green to ask for
+            plan.append(PlanPhase(duration_s=change_s, state=losing))
+    return signal.model_copy(update={"plan": plan})
+
+
+def _serving(greens: list[str], links: list[int]) -> list[int]:
+    for served in (
+        [all(green[i] == "G" for i in links) for green in greens],
+        [all(green[i] in "Gg" for i in links) for green in greens],
+        [any(green[i] in "Gg" for i in links) for green in greens],
+    ):
+        if any(served):
+            return [phase for phase, is_served in enumerate(served) if is_served]
+    return []
 
 
 def webster(site: SignalSite, flows_vph: Mapping[str, float]) -> FixedPlan:

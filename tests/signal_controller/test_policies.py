@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.messages import LaneCounts, SignalState
+from protocol.roadmap import Link, PlanPhase, Signal
 from signal_controller.policies import fixed, max_pressure, pressure
 from signal_controller.queue_estimator import MIN_COVERAGE, extrapolated
 from tests.signal_controller.two_phases import MAIN, SIDE, SIGNAL
@@ -111,3 +112,15 @@ def test_a_lorry_presses_as_two_cars_where_that_is_asked_for():
     given_counts = counts(3, 2).model_copy(update=units)
     assert max_pressure(SIGNAL, given_counts, None).state == MAIN
     assert max_pressure(SIGNAL, given_counts, None, "pcu").state == SIDE
+
+
+def test_a_permitted_green_presses_only_where_no_phase_gives_right_of_way() -> None:
+    plan = [
+        PlanPhase(duration_s=30, state="Grg"),
+        PlanPhase(duration_s=10, state="rrG"),
+        PlanPhase(duration_s=10, state="rgr"),
+    ]
+    links = [Link(index=n, from_lane=f"in_{n}", to_lane="out") for n in range(3)]
+    turns = Signal(tls="j", links=links, conflicts=[], plan=plan)
+    before = {"in_0": 3, "in_1": 4, "in_2": 5}
+    assert [pressure(turns, green, before, {}) for green in turns.greens] == [3, 5, 4]

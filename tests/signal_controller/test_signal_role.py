@@ -63,6 +63,21 @@ class Rig:
         )
         self.others.publish("lanes", counts, region="r0", tls="j")
 
+    def say_detections(self, frame: int, *distances_m: float, age_ns: int = 0) -> None:
+        count = len(distances_m)
+        detections = m.Detections(
+            frame=frame,
+            sim_time_ns=frame * 10**8 - age_ns,
+            agents=[],
+            boxes=np.tile(np.array([0, 0, 1, 4.5, 1.8, 1.5, 0], np.float32), (count, 1)),
+            scores=np.ones(count, np.float32),
+            classes=np.zeros(count, np.uint8),
+            lanes=["side"] * count,
+            distances_m=np.array(distances_m, np.float32),
+            sources=["lidar"] * count,
+        )
+        self.others.publish("detections", detections, region="r0")
+
     def say_state(self, frame: int, green: str, stage: str = "green") -> None:
         state = m.SignalState(
             frame=frame,
@@ -223,3 +238,44 @@ def test_what_is_not_seen_is_empty_where_that_is_asked_for() -> None:
         rig.say_state(frame, "Gr")
         rig.say_counts(frame, 0, 1, seen=0.0)
         assert decided(rig) == ("rG", "max_pressure", [])
+
+
+@pytest.mark.parametrize("detections_first", [True, False])
+def test_a_policy_that_needs_vehicles_waits_for_those_of_the_frame(detections_first: bool) -> None:
+    rig = Rig(policy="predictive")
+    for frame in range(60, 63):
+        rig.say_state(frame, "Gr")
+        if detections_first:
+            rig.say_detections(frame, 4.0, 11.0)
+            assert requests(rig.turn()) == []
+            rig.say_counts(frame, main=0, side=2)
+        else:
+            rig.say_counts(frame, main=0, side=2)
+            assert requests(rig.turn()) == []
+            rig.say_detections(frame, 4.0, 11.0)
+        assert requests(rig.turn()) == [(frame, frame * 10**8, "rG", "predictive")]
+
+
+def test_vehicles_of_another_time_or_far_frames_are_not_used() -> None:
+    rig = Rig(policy="predictive")
+    rig.say_state(60, "Gr")
+    rig.say_counts(60, main=0, side=2)
+    rig.say_detections(60, 4.0, age_ns=5)
+    rig.say_detections(1 << 35, 4.0)
+    assert requests(rig.turn()) == []
+    rig.say_detections(60, 4.0)
+    assert [request[0] for request in requests(rig.turn())] == [60]
+    rig.say_detections(60, 4.0)
+    rig.say_state(61, "Gr")
+    rig.say_counts(61, main=0, side=2)
+    rig.say_detections(61, 4.0)
+    (metrics,) = [message for message in rig.turn() if isinstance(message, m.Metrics)]
+    assert metrics.drops == {"far_frame": 1, "late": 1}
+
+
+def test_policies_of_counts_alone_get_no_vehicles() -> None:
+    rig = Rig()
+    rig.say_state(4, "Gr")
+    rig.say_detections(4, 4.0)
+    rig.say_counts(4, main=1, side=3)
+    assert requests(rig.turn()) == [(4, 4 * 10**8, "rG", "max_pressure")]

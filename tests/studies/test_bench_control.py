@@ -1,0 +1,77 @@
+"""`cpnet bench control`: baselines, and runs on SUMO alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from protocol.errors import ConfigError
+from signal_controller.observation import CabinetTimes, Observation
+from sim_host.cabinet import SignalCabinet
+from sim_host.config import CabinetConfig
+from studies.bench_control import ControlCase, measure_control, run_case
+from studies.control_baselines import WeightedPressure, webster_signal
+from tests.signal_controller.crossing import LANES, PHASES, SIGNAL, SITE, S, counts, green, vehicles
+
+TIMES = CabinetTimes()
+
+
+def greens_s(flows_vph: dict[str, float]) -> dict[str, float]:
+    plan = webster_signal(SIGNAL, flows_vph, 1900, TIMES).plan
+    return {phase.state: phase.duration_s for phase in plan if phase.is_green}
+
+
+def test_websters_greens_are_in_the_ratio_of_the_critical_flows() -> None:
+    found = greens_s({"n_0": 300, "s_0": 600, "e_0": 300, "w_0": 100})
+    assert found[PHASES[0]] > found[PHASES[2]] >= TIMES.min_green_s
+    assert min(found.values()) == TIMES.min_green_s
+
+
+def test_websters_cycle_grows_with_the_load_up_to_its_bound() -> None:
+    light, heavy = (
+        sum(
+            p.duration_s
+            for p in webster_signal(SIGNAL, dict.fromkeys(LANES, vph), 1900, TIMES).plan
+        )
+        for vph in (50, 700)
+    )
+    assert light < heavy <= 130
+
+
+def test_websters_plan_is_one_that_the_cabinet_can_show() -> None:
+    SignalCabinet(webster_signal(SIGNAL, {}, 1900, TIMES), CabinetConfig())
+
+
+@pytest.mark.parametrize("kind", ["position", "delay"])
+def test_weighted_pressures_choose_where_the_nearest_or_longest_waiting_are(kind: str) -> None:
+    policy = WeightedPressure(SITE, kind, 100)
+    far = [("n_0", 180.0, 10.0), ("n_0", 190.0, 10.0)]
+    found = vehicles(*far, ("e_0", 2.0, 0.0))
+    for second in range(3):
+        state = green(PHASES[0], second * S)
+        decision = policy.decide(Observation(counts(second, second * S), state, found))
+    assert decision.state in (PHASES[2], PHASES[6])
+
+
+def test_a_net_that_is_none_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="must be t_junction or a folder"):
+        run_case(ControlCase(str(tmp_path), "predictive"))
+
+
+@pytest.mark.slow
+def test_runs_repeat_exactly_and_count_every_vehicle() -> None:
+    cases = [ControlCase("t_junction", policy, duration_s=90) for policy in ("predictive",) * 2]
+    first, second = measure_control([*cases])
+    stable = [name for name in first.as_json() if not name.startswith("decide")]
+    assert [first.as_json()[n] for n in stable] == [second.as_json()[n] for n in stable]
+    assert first.vehicles > first.arrived > 0
+    assert 0 < first.delay_s < 60
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", ["plan", "webster", "actuated", "delay_based", "delay_pressure"])
+def test_each_baseline_runs(policy: str) -> None:
+    (row,) = measure_control([ControlCase("t_junction", policy, duration_s=90)])
+    assert row.arrived > 20
+    assert row.waited_s < 90
