@@ -11,6 +11,8 @@ from perception.arrays import Floats, Ints
 from protocol.roadmap import RoadMap
 
 CELL_M = 20.0
+MOST_CELLS = 1 << 20  # of a map; one that reaches farther has larger cells
+SHORTEST_M = 1e-6
 REACH_M = 4.0  # beyond a lane's middle: a box farther from it is on no lane
 TURNED_RAD = 0.7  # a box at a larger angle to a lane is not on it
 LEVEL_M = 3.5  # nor is one so far above or below it
@@ -45,12 +47,14 @@ class LaneGraph:
         number = {lane.id: index for index, lane in enumerate(road_map.lanes)}
         rows, owner, first, lengths_m = [], [], [0], []
         for index, lane in enumerate(road_map.lanes):
-            steps = np.diff(lane.points, axis=0)
-            long_m = np.linalg.norm(steps[:, :2], axis=1)
-            kept = long_m > 1e-6
+            points = lane.points if len(lane.points) > 1 else np.repeat(lane.points, 2, axis=0)
+            steps = np.diff(points, axis=0)
+            long_m = np.maximum(np.linalg.norm(steps[:, :2], axis=1), SHORTEST_M)
+            kept = long_m > SHORTEST_M
+            kept[0] |= not kept.any()  # each lane has a place
             before_m = np.concatenate([[0.0], np.cumsum(long_m)[:-1]])
             heading = np.arctan2(steps[:, 1], steps[:, 0])
-            ends = [lane.points[:-1], lane.points[1:], before_m, long_m, heading]
+            ends = [points[:-1], points[1:], before_m, long_m, heading]
             rows.append(np.column_stack(ends)[kept])
             owner += [index] * int(kept.sum())
             first.append(len(owner))
@@ -105,10 +109,12 @@ def _cells(segments: Floats) -> tuple[Floats, Ints, Ints]:
     """Returns a grid and the segments near each of its cells."""
     low = np.minimum(segments[:, 0:2], segments[:, 3:5]) - REACH_M
     high = np.maximum(segments[:, 0:2], segments[:, 3:5]) + REACH_M
-    origin = np.floor(low.min(axis=0) / CELL_M) * CELL_M
-    columns, rows = (np.floor((high.max(axis=0) - origin) / CELL_M) + 1).astype(int).tolist()
-    first = np.floor((low - origin) / CELL_M).astype(int)
-    last = np.floor((high - origin) / CELL_M).astype(int)
+    span_m = high.max(axis=0) - low.min(axis=0)
+    side_m = max(CELL_M, float(np.sqrt(np.prod(span_m) / MOST_CELLS)))
+    origin = np.floor(low.min(axis=0) / side_m) * side_m
+    columns, rows = (np.floor((high.max(axis=0) - origin) / side_m) + 1).astype(int).tolist()
+    first = np.floor((low - origin) / side_m).astype(int)
+    last = np.floor((high - origin) / side_m).astype(int)
     inside: list[list[int]] = [[] for _ in range(columns * rows)]
     for segment in range(len(segments)):
         for row in range(first[segment, 1], last[segment, 1] + 1):
@@ -116,7 +122,7 @@ def _cells(segments: Floats) -> tuple[Floats, Ints, Ints]:
                 inside[row * columns + column].append(segment)
     cells = np.concatenate([[0], np.cumsum([len(one) for one in inside])]).astype(np.int64)
     near = np.array([segment for one in inside for segment in one], np.int64)
-    return np.array([*origin, CELL_M, columns, rows]), cells, near
+    return np.array([*origin, side_m, columns, rows]), cells, near
 
 
 @njit(

@@ -358,3 +358,16 @@ def test_an_id_that_is_known_is_not_given_to_a_second_track() -> None:
     first = tracker._states.ids[tracker._states.mean[:, 0] < 50][0]
     tracker.adopt(9 * DT, known([int(first)], (100.0, 0.0)))
     assert sorted(tracker.step(10 * DT, cars((10, 0), (100, 0)), NOBODY).track_ids) == [1, 2]
+
+
+def test_a_lane_without_length_is_passed() -> None:
+    broken = road(
+        lane("a", (0, 0), (50, 0), after=("b",)),
+        lane("b", (50, 0), (50, 0), after=("c",)),
+        lane("c", (50, 0), (300, 0)),
+    )
+    tracker = Tracker(CONFIG.model_copy(update={"publish_probability": 0.01}), broken)
+    follow(tracker, 10.0, 40)
+    for k in range(40, 60):
+        tracks = tracker.step(k * DT, cars(), NOBODY)
+    assert tracks.boxes[0, 0] > 55
