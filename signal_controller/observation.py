@@ -86,15 +86,13 @@ class LaneVehicles:
             if lane and kind != ObjectClass.PEDESTRIAN
         ]
         boxes = detections.boxes[keep].astype(np.float64)
-        count = len(detections.lanes)
-        tracks: npt.NDArray[np.int64] = getattr(detections, "track_ids", np.zeros(count, np.int64))
-        speeds_mps: Floats = getattr(detections, "speeds_mps", np.full(count, math.nan))
+        tracks = detections.track_ids[keep]
         return cls(
             lanes=[detections.lanes[index] for index in keep],
             distances_m=detections.distances_m[keep].astype(np.float64) - boxes[:, 3] / 2,
-            speeds_mps=np.where(tracks == 0, math.nan, speeds_mps)[keep],
+            speeds_mps=np.where(tracks == 0, math.nan, detections.speeds_mps[keep]),
             lengths_m=boxes[:, 3],
-            ids=[str(track) if track else "" for track in tracks[keep].tolist()],
+            ids=[str(track) if track else "" for track in tracks.tolist()],
             places_m=boxes[:, :2],
         )
 

@@ -207,7 +207,7 @@ def test_a_world_of_another_version_is_named_at_once(place, host, console, monke
     host.announce("sim", "sim")
     with (
         connected_to_world(place, console, wait_forever=True) as world,
-        pytest.raises(BusError, match="they speak version 0 of the protocol, this side 3: install"),
+        pytest.raises(BusError, match="they speak version 0 of the protocol, this side 4: install"),
     ):
         world.setup()
 

@@ -75,6 +75,11 @@ class Rig:
             lanes=["side"] * count,
             distances_m=np.array(distances_m, np.float32),
             sources=["lidar"] * count,
+            track_ids=np.zeros(count, np.int64),
+            **{
+                name: np.zeros(count, np.float32)
+                for name in ("speeds_mps", "coasted_s", "ages_s", "position_std_m", "speed_std_mps")
+            },
         )
         self.others.publish("detections", detections, region="r0")
 
