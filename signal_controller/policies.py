@@ -215,8 +215,10 @@ class Predictive:
         unknown = tuple(estimate.vehicles)
         if estimate.is_blind or observation.vehicles is None or shown is None:
             return fallback_plan(self._site.signal, counts.sim_time_ns, unknown)
+        # Without coverage vehicles report themselves alone: then no lane is known to be empty.
+        unseen = unknown if counts.coverage_upstream else tuple(self._site.lanes)
         state = self._planner.request(
-            counts.sim_time_ns / 1e9, observation.vehicles, shown, estimate.vehicles
+            counts.sim_time_ns / 1e9, observation.vehicles, shown, estimate.vehicles, unseen
         )
         return Decision(state, [], "predictive", unknown)
 

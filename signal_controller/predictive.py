@@ -7,7 +7,7 @@ and durations of least cost, and the first of them is requested. In the spirit o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -68,6 +68,7 @@ class PredictivePlanner:
         vehicles: LaneVehicles,
         shown: SignalState,
         estimated: Mapping[str, float],
+        unseen: Collection[str] = (),
     ) -> str:
         """Returns the green to request, and keeps the `plan` that it belongs to.
 
@@ -76,9 +77,10 @@ class PredictivePlanner:
             vehicles: on the lanes of the signal and others.
             shown: what the signal shows.
             estimated: vehicles on lanes before the stop bars that no sensor covers.
+            unseen: lanes before the stop bars where there may be others than the `vehicles`.
         """
         vehicles = self._association.take(time_s, self._nearest(vehicles))
-        self.memory.take(time_s, vehicles, shown.state)
+        self.memory.take(time_s, vehicles, shown.state, unseen)
         model = self.model
         phase = model.phase_of(shown.green)
         if shown.stage != "green":

@@ -6,6 +6,7 @@ Everything is learnt from the vehicles that are given, by their ids; nothing fro
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -146,8 +147,13 @@ class TrafficMemory:
         root = np.sqrt(speed**2 + 2 * _ACCELERATION_MPS2 * np.maximum(distance_m, 0.0))
         return np.where(reaches, whole, (root - speed) / _ACCELERATION_MPS2)
 
-    def take(self, time_s: float, vehicles: LaneVehicles, state: str) -> None:
-        """Takes a frame's vehicles, with the state that the signal shows."""
+    def take(
+        self, time_s: float, vehicles: LaneVehicles, state: str, unseen: Collection[str] = ()
+    ) -> None:
+        """Takes a frame's vehicles, with the state that the signal shows.
+
+        On `unseen` lanes before the stop bars there may be others.
+        """
         passed_s = 0.0 if self._time_s is None else max(0.0, min(10.0, time_s - self._time_s))
         self._time_s = time_s
         self._watched_s += passed_s
@@ -157,7 +163,7 @@ class TrafficMemory:
         self._note_room(vehicles)
         self._follow(time_s, vehicles)
         self._watch_heads(time_s, passed_s, vehicles, shown)
-        self._note_service(time_s, shown)
+        self._note_service(time_s, shown, unseen)
 
     def _note_signal(self, time_s: float, state: str) -> Ints:
         shown = np.array(
@@ -289,7 +295,7 @@ class TrafficMemory:
                     head.belief[place] *= math.exp(-passed_s / patience_s)
             head.belief /= head.belief.sum()
 
-    def _note_service(self, time_s: float, shown: Ints) -> None:
+    def _note_service(self, time_s: float, shown: Ints, unseen: Collection[str]) -> None:
         """Notes which movements had their chance: nobody waits, or a green long enough."""
         min_green_s = self._model.site.cabinet.min_green_s
         for index, movement in enumerate(self._model.movements):
@@ -297,7 +303,7 @@ class TrafficMemory:
             is_green = shown[index] != RED and time_s - self.green_since_s[index] >= min_green_s
             is_right = shown[index] == PROTECTED or not self._has_protected[index]
             has_moved = time_s - self._last_passage_s[lane] < min_green_s
-            is_empty = not len(self._heads[lane].belief)
+            is_empty = not len(self._heads[lane].belief) and self._model.lanes[lane] not in unseen
             if is_empty or (is_green and (is_right or has_moved)):
                 self.served_s[index] = time_s
 

@@ -296,6 +296,8 @@ class _Controller:
             downstream=behind,
             stationary_upstream=waiting,
             stationary_downstream=standing,
+            coverage_upstream=dict.fromkeys(incoming, 1.0),
+            coverage_downstream=dict.fromkeys(outgoing, 1.0),
         )
 
 

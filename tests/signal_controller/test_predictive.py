@@ -316,3 +316,22 @@ def test_a_planner_says_which_phases_it_plans() -> None:
     planner.request(60.0, vehicles(*queue("e_0", 5)), state, {})
     assert planner.plan is not None
     assert [phase for phase, _ in planner.plan.phases][:2] == [0, 2]
+
+
+@pytest.mark.parametrize("coverage", [{}, dict.fromkeys(LANES, 1.0) | {"e_1": 0.0}])
+def test_no_approach_starves_because_nobody_reports_from_it(coverage) -> None:
+    known, cabinet = policy(), SignalCabinet(SIGNAL, CabinetConfig())
+    reporting = vehicles(*queue("n_0", 9), *queue("s_0", 9))
+    reds, red = [], 0
+    for second in range(400):
+        now_ns = second * S
+        state = cabinet.advance(now_ns)
+        red = 0 if state[LANES.index("e_1")] == "G" else red + 1
+        reds.append(red)
+        spat = cabinet.spat(second, now_ns)
+        decision = known.decide(Observation(counts(second, now_ns, **coverage), spat, reporting))
+        request = SignalRequest(
+            frame=second, sim_time_ns=now_ns, tls="j", state=decision.state, policy="p"
+        )
+        cabinet.request(request, now_ns)
+    assert max(reds) <= 180
