@@ -128,7 +128,7 @@ def _row_pose(line: dict[str, str | None], where: str) -> Floats:
     return np.array([*numbers[:3], *np.radians(numbers[3:])])
 
 
-MAX_TIME_S = 1e10
+LATEST_S = 1e10
 MAX_POSE = np.array([1e7, 1e7, 1e7, 1e3, 1e3, 1e3])  # m, rad: as messages take
 _EARTH_M = 6_378_137.0
 _EMP, _TUM, _MATRIX, _OXTS = 6, 8, 12, 30
@@ -189,7 +189,7 @@ def _table_tracks(path: Path) -> dict[str, Track]:
         if "time_s" in row.others:
             (time_s,) = numbers_of([row.others["time_s"]], row.where)
             before = times_s.setdefault(agent, [])
-            if abs(time_s) > MAX_TIME_S or (before and time_s <= before[-1]):
+            if abs(time_s) > LATEST_S or (before and time_s <= before[-1]):
                 raise ConfigError(f"{row.where}: time_s must ascend, and be 1e10 at most")
             before.append(time_s)
     if not poses:
@@ -225,8 +225,8 @@ def _text_track(files: Sequence[Path]) -> Track:
 
 
 def _check_times(times_s: Floats, where: str) -> None:
-    if (np.abs(times_s) > MAX_TIME_S).any() or (np.diff(times_s) <= 0).any():
-        raise ConfigError(f"{where}: times must ascend, and be {MAX_TIME_S:g} s at most")
+    if (np.abs(times_s) > LATEST_S).any() or (np.diff(times_s) <= 0).any():
+        raise ConfigError(f"{where}: times must ascend, and be {LATEST_S:g} s at most")
 
 
 def _feather_track(path: Path) -> Track:
