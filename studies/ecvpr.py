@@ -142,7 +142,7 @@ def _nearest_first(
     return pairs
 
 
-VISIBLE_POINTS = 5  # in the scans of all agents together, as in Chen et al. 2022
+VISIBLE_POINTS = 5  # ours: in the scans of all agents together
 
 
 class PerceptionBounds:
