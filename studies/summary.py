@@ -250,35 +250,30 @@ def _headline(summary: Summary) -> str:
 
 
 def _result_table(summary: Summary) -> Table:
-    vehicles, seen = summary["vehicles"], summary["detections_per_frame"]
     found = summary["found_per_frame"]
-    e_cvpr, delay = summary["e_cvpr"], summary["delay_s"]
     facts = [
         ("frames", str(summary["frames"])),
         ("  incomplete", str(summary["frames_incomplete"])),
         ("simulated time", f"{summary['sim_duration_s']:.1f} s"),
         ("real-time factor", _number(summary["real_time_factor"], 2)),
     ]
-    facts += (
-        _found_facts(found)
-        if found is not None
-        else [
-            ("E-CVPR", _spread(e_cvpr, 100, 1, " %")),
-            ("delay per vehicle", _spread(delay, 1, 1, " s")),
-            ("vehicles at frame 0", str(vehicles["at_start"])),
-            ("  inserted", str(vehicles["inserted"])),
-            ("  finished", str(vehicles["finished"])),
-            ("  not inserted", _number(vehicles["waiting"], 0)),
-            ("  teleported", str(vehicles["teleported"])),
-            ("near the signal", _number(seen["present"], 1)),
-            ("  truly detected", _number(seen["true"], 1)),
-            ("  false detections", _number(seen["false"], 1)),
-            ("with lanes unseen", _percent(summary["unknown_share"])),
-        ]
-    )
+    facts += _found_facts(found) if found is not None else _truth_facts(summary)
     facts += [
-        ("E-CVPR", _spread(e_cvpr, 100, 1, " %")),
-        ("delay per vehicle", _spread(delay, 1, 1, " s")),
+        ("phase switches", str(summary["phases"]["switches"])),
+        ("drops", str(summary["drops"])),
+    ]
+    table = _numeric("result", "")
+    for name, value in facts:
+        table.add_row(name, value)
+    return table
+
+
+def _truth_facts(summary: Summary) -> list[tuple[str, str]]:
+    """Returns traffic, and what perception made of it."""
+    vehicles, seen = summary["vehicles"], summary["detections_per_frame"]
+    return [
+        ("E-CVPR", _spread(summary["e_cvpr"], 100, 1, " %")),
+        ("delay per vehicle", _spread(summary["delay_s"], 1, 1, " s")),
         ("vehicles at frame 0", str(vehicles["at_start"])),
         ("  inserted", str(vehicles["inserted"])),
         ("  finished", str(vehicles["finished"])),
@@ -289,13 +284,7 @@ def _result_table(summary: Summary) -> Table:
         ("  false detections", _number(seen["false"], 1)),
         *_track_facts(summary["tracks"]),
         ("with lanes unseen", _percent(summary["unknown_share"])),
-        ("phase switches", str(summary["phases"]["switches"])),
-        ("drops", str(summary["drops"])),
     ]
-    table = _numeric("result", "")
-    for name, value in facts:
-        table.add_row(name, value)
-    return table
 
 
 def _found_facts(found: dict[str, float]) -> list[tuple[str, str]]:
