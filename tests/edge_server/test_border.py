@@ -28,7 +28,8 @@ from tests.messages import no_tracks
 
 CONFIG = EdgeConfig()
 NOWHERE = np.zeros((0, 2))
-ROADWAY = Roadway((0.0, 0.0), 1.0, np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32))
+LEVEL, NO_DECKS = np.zeros((1, 1), np.float32), np.zeros((0, 1, 1), np.float32)
+ROADWAY = Roadway((0.0, 0.0), 1.0, LEVEL, LEVEL, NO_DECKS, NO_DECKS)
 
 
 @cache
