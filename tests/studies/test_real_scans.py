@@ -72,9 +72,9 @@ def counts(one: JudgedFrame) -> tuple[int, int]:
     return int(match.any(axis=0).sum()), int((~match.any(axis=1)).sum())
 
 
-# Before boxes were asked whether they are solid, on level ground: 50, 7, 25 and 15. On the ground that
-# fits the scans more of the hedges' and walls' feet are over it: 41, 1, 10 and 13, on level ground 21, 2,
-# 10 and 10.
+# Before boxes were asked whether they are solid, on level ground: 50, 7, 25 and 15. Now 41, 1, 10
+# and 13 on the ground that fits the scans, over which are more of the feet of hedges and walls, and
+# 21, 2, 10 and 10 on level ground.
 MOST_WRONG = {
     ("car_three_lidars", "fast"): 42,
     ("car_three_lidars", "pointpillars"): 3,
