@@ -223,7 +223,7 @@ _LIST = (
         "python -c 'import json, pyarrow.parquet as p; "
         'print(json.dumps(p.read_table("realism/results.parquet").to_pylist()))\'; '
         "printf ', \"accuracy\": '; "
-        "python $ROOT/docs/figures/accuracy_by_part.py $ROOT/docs/figures/realism.yaml 20; "
+        "python $ROOT/docs/figures/accuracy_by_part.py $ROOT/docs/figures/realism.yaml 10; "
         "echo '}'",
         (*STUDY, "cpnet/realism", "docs/figures/accuracy_by_part.py"),
         30,
