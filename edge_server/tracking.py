@@ -91,8 +91,8 @@ class Track(FrameStage):
         """Returns how high sensors are over the road that is nearest to each of them (P,)."""
         nearest = np.zeros((len(sensors), 2))
         for index, points in enumerate(lowest):
-            apart = np.linalg.norm(points[:, :2] - sensors[index, :2], axis=1)
-            nearest[index] = points[apart.argmin(), :2]
+            x, y = points[:, 0] - sensors[index, 0], points[:, 1] - sensors[index, 1]
+            nearest[index] = points[(x * x + y * y).argmin(), :2]
         return np.asarray(sensors[:, 2] - self._roadway.height_at(nearest))
 
 

@@ -154,13 +154,20 @@ def _middles(
     """
     members, starts = np.zeros(count, np.int64), np.zeros(count + 1, np.int64)
     sums, floor_m = np.zeros((count, 3)), np.zeros(count)
-    for index in range(labels.size):
-        label = labels[index]
+    first = 0
+    while first < labels.size:  # points of a cluster come in runs
+        label, end = labels[first], first
+        x = y = z = below_m = 0.0
+        while end < labels.size and labels[end] == label:
+            x, y, z = x + points[end, 0], y + points[end, 1], z + points[end, 2]
+            below_m += ground_m[end]
+            end += 1
         if label >= 0:
-            members[label] += 1
-            floor_m[label] += ground_m[index]
-            for axis in range(3):
-                sums[label, axis] += points[index, axis]
+            members[label] += end - first
+            floor_m[label] += below_m
+            sums[label, 0], sums[label, 1] = sums[label, 0] + x, sums[label, 1] + y
+            sums[label, 2] += z
+        first = end
     for label in range(count):
         starts[label + 1] = starts[label] + members[label]
         floor_m[label] /= members[label]

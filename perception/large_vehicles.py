@@ -34,8 +34,19 @@ def join_parts(points: Floats32, ground_m: Floats32, labels: Ints32, *, roadway:
     yaws = roadway.yaw_at(middles)
     extents = _extents(points, labels, middles, yaws)
     owner = _join(middles, yaws, extents, top_m)
-    joined = np.where(labels >= 0, owner[labels], labels).astype(np.int32)
+    if (owner == np.arange(count)).all():
+        return labels
+    joined = _joined(labels, owner)
     renumber(joined)
+    return joined
+
+
+@njit("int32[::1](int32[::1], int64[::1])", cache=True, nogil=True)
+def _joined(labels: Ints32, owner: Ints) -> Ints32:
+    joined = labels.copy()
+    for index in range(labels.size):
+        if labels[index] >= 0:
+            joined[index] = owner[labels[index]]
     return joined
 
 
@@ -49,13 +60,20 @@ def _outline(
 ) -> tuple[Floats, Floats]:
     """Returns the clusters' means (C, 3) and how high they reach over the ground (C,)."""
     sums, members, top_m = np.zeros((count, 3)), np.zeros(count), np.zeros(count)
-    for index in range(labels.size):
-        label = labels[index]
+    first = 0
+    while first < labels.size:  # points of a cluster come in runs
+        label, end = labels[first], first
+        x = y = z = highest_m = 0.0
+        while end < labels.size and labels[end] == label:
+            x, y, z = x + points[end, 0], y + points[end, 1], z + points[end, 2]
+            highest_m = max(highest_m, points[end, 2] - ground_m[end])
+            end += 1
         if label >= 0:
-            members[label] += 1
-            top_m[label] = max(top_m[label], points[index, 2] - ground_m[index])
-            for axis in range(3):
-                sums[label, axis] += points[index, axis]
+            members[label] += end - first
+            top_m[label] = max(top_m[label], highest_m)
+            sums[label, 0], sums[label, 1] = sums[label, 0] + x, sums[label, 1] + y
+            sums[label, 2] += z
+        first = end
     for label in range(count):
         sums[label] /= max(members[label], 1)
     return sums, top_m
@@ -73,16 +91,25 @@ def _extents(points: Floats32, labels: Ints32, middles: Floats, yaws: Floats) ->
     """
     extents = np.zeros((middles.shape[0], 4))
     cos, sin = np.cos(yaws), np.sin(yaws)
-    for index in range(labels.size):
-        label = labels[index]
-        if label >= 0:
-            x = points[index, 0] - middles[label, 0]
-            y = points[index, 1] - middles[label, 1]
-            along, across = cos[label] * x + sin[label] * y, cos[label] * y - sin[label] * x
-            extents[label, 0] = min(extents[label, 0], along)
-            extents[label, 1] = max(extents[label, 1], along)
-            extents[label, 2] = min(extents[label, 2], across)
-            extents[label, 3] = max(extents[label, 3], across)
+    first = 0
+    while first < labels.size:  # points of a cluster come in runs
+        label, end = labels[first], first
+        if label < 0:
+            first += 1
+            continue
+        ahead, aside = cos[label], sin[label]
+        back = front = right = left = 0.0
+        while end < labels.size and labels[end] == label:
+            x, y = points[end, 0] - middles[label, 0], points[end, 1] - middles[label, 1]
+            along, across = ahead * x + aside * y, ahead * y - aside * x
+            back, front = min(back, along), max(front, along)
+            right, left = min(right, across), max(left, across)
+            end += 1
+        extents[label, 0] = min(extents[label, 0], back)
+        extents[label, 1] = max(extents[label, 1], front)
+        extents[label, 2] = min(extents[label, 2], right)
+        extents[label, 3] = max(extents[label, 3], left)
+        first = end
     return extents
 
 

@@ -45,7 +45,7 @@ from studies.bench_traffic import (
 TOTAL = "total"
 MOST_AGENTS = 16
 WARM_UP = 3  # frames: loops are read from their cache, buffers grow
-STAGES = ("decode", "place", "check", "merge", "ground", "detect", "fuse", "count", TOTAL)
+STAGES = ("decode", "place", "check", "merge", "ground", "detect", "fuse", "track", "count", TOTAL)
 
 
 @dataclass(frozen=True, slots=True)
