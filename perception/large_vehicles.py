@@ -36,7 +36,7 @@ def join_parts(points: Floats32, ground_m: Floats32, labels: Ints32, *, roadway:
     owner = _join(middles, yaws, extents, top_m)
     if (owner == np.arange(count)).all():
         return labels
-    joined = _joined(labels, owner)
+    joined: Ints32 = _joined(labels, owner)
     renumber(joined)
     return joined
 

@@ -9,7 +9,7 @@ import os
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from importlib.metadata import version
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -23,6 +23,10 @@ if TYPE_CHECKING:  # a study's file is read and refused without loading all role
 
 SCHEMA = 2
 """To be raised when `worker.measure` gives other figures for the same run: all is run anew."""
+_DECIDING = (
+    *("protocol", "sensing", "vehicle_agent", "infra_agent", "sim_host", "link_relay"),
+    *("perception", "edge_server", "signal_controller", "recording", "learning"),
+)
 PartKind: TypeAlias = Literal["junctions", "regions"]
 Scenario = dict[str, Any]
 Resolve = Callable[[Settings], Scenario]
@@ -82,14 +86,29 @@ def _check_network(grid: Grid, point: Point, scenario: Scenario) -> None:
 
 
 def identify(scenario: Scenario) -> str:
-    """Returns a cell's id: of its scenario, of the files this names, of this version."""
+    """Returns a cell's id: of its scenario, of the files this names, of the code that runs it."""
     decides = {
         "scenario": scenario,
         "files": {name: _digest(Path(name)) for name in sorted(set(_files(scenario)))},
-        "version": version("cpnet-edge"),
+        "code": _own_code(),
         "schema": SCHEMA,
     }
     return hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def code_digest(root: Path) -> str:
+    """Returns a hash of the packages below `root` that decide a run's rows, weights included."""
+    found = hashlib.sha256()
+    for package in _DECIDING:
+        for path in sorted(p for p in (root / package).rglob("*") if p.is_file()):
+            if "__pycache__" not in path.parts:
+                found.update(f"{path.relative_to(root)} {_digest(path)}\n".encode())
+    return found.hexdigest()
+
+
+@cache
+def _own_code() -> str:
+    return code_digest(Path(__file__).resolve().parents[2])
 
 
 def _files(value: object) -> Iterator[str]:

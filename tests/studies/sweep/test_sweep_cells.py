@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from protocol.errors import ConfigError
-from studies.sweep.cells import cells_of, identify
+from studies.sweep.cells import cells_of, code_digest, identify
 from studies.sweep.study_file import Study, points
 from tests.studies.sweep.made_cells import cell
 
@@ -67,10 +67,22 @@ def test_a_cell_is_known_by_its_scenario_alone():
     assert cell(1, "one").id == cell(1, "two").id != cell(2, "one").id
 
 
-def test_another_version_is_another_cell(monkeypatch):
+def test_other_code_makes_another_cell(monkeypatch):
     before = identify({})
-    monkeypatch.setattr("studies.sweep.cells.version", lambda _: "9.9")
+    monkeypatch.setattr("studies.sweep.cells._own_code", lambda: "other")
     assert identify({}) != before
+
+
+def test_code_is_another_when_a_role_changed_and_not_when_it_was_compiled(tmp_path):
+    (tmp_path / "perception" / "__pycache__").mkdir(parents=True)
+    source = tmp_path / "perception" / "fusion.py"
+    source.write_text("radius_m = 1")
+    before = code_digest(tmp_path)
+    (tmp_path / "perception" / "__pycache__" / "fusion.pyc").write_text("compiled")
+    (tmp_path / "README.md").write_text("changed")
+    assert code_digest(tmp_path) == before
+    source.write_text("radius_m = 2")
+    assert code_digest(tmp_path) != before
 
 
 def test_another_content_of_a_file_that_a_scenario_names_is_another_cell(tmp_path):
