@@ -144,7 +144,7 @@ def _check_cabinet(scenario: scenarios.Scenario) -> None:
         )
 
 
-_CASTING = ("lidar", "pose", "scene")
+_CASTING = ("realism", "lidar", "pose", "scene")
 _ENCODING = ("upload.max_error_m", "upload.profile", "upload.intensity")
 _FREE = {"traffic.cav_rate", "mode", "edge.solid_only"}
 EXTRINSICS = "extrinsics.csv"

@@ -198,8 +198,11 @@ def _over_realism(data: dict[str, Any]) -> dict[str, Any]:
     name = data.get("realism", Scenario.model_fields["realism"].default)
     if name not in get_args(Realism):
         return data  # which is refused
-    preset = resources.files("cpnet").joinpath(f"realism/{name}.yaml").read_text("utf-8")
-    return _laid_over(yaml.safe_load(preset) or {}, data)
+    preset: dict[str, Any] = {}
+    for layer in ("clear", "hard") if name == "hard" else (name,):
+        text = resources.files("cpnet").joinpath(f"realism/{layer}.yaml").read_text("utf-8")
+        preset = _laid_over(preset, yaml.safe_load(text) or {})
+    return _laid_over(preset, data)
 
 
 def _laid_over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:

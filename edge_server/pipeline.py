@@ -1,13 +1,15 @@
 """The way of a frame, from payloads to counts per lane (Chen et al. 2022), as a list of stages.
 
     decode, place      each chunk by itself, in any thread, as soon as it has arrived
+    sample             where poses are aligned: thins a chunk's points, as decode does
     check              excludes agents whose data cannot be so; remembers scores
     align              where asked for: corrects agents' poses; remembers the scene and offsets
     merge              one cloud of all that are left
     detect             a detector's vehicles; it names parts of its own, such as ground
     fuse               with agents' poses and detections; no duplicates
     border             with what neighbouring regions found on the lanes that both know
-    count              on the road, per lane; remembers where vehicles were: which are stationary?
+    track              gives vehicles ids and speeds; remembers those that nobody sees now
+    count              on the road, per lane
 
 `begin` runs the stages up to what neighbours are sent, `finish` those after it. Each stage is
 entered once and fills in its part of the frame's state. A stage is added by adding it to the list;

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,17 @@ from sensing.config import LidarConfig, Mount, PoseErrorConfig, SceneConfig
 from sensing.lidar import Lidar
 from sensing.mesh import VehicleShapes
 from sensing.noise import stream
-from sensing.pose import PoseEstimator, installed_pose, mount_pose, pose_above
+from sensing.pose import (
+    PoseEstimator,
+    clock_error_s,
+    driven,
+    installed_pose,
+    mount_pose,
+    pose_above,
+)
 from sensing.reflectivity import paints_of
 from sensing.scene import scene_of
+from sensing.terrain import believed_map
 from sim_host.config import TrafficConfig
 from sim_host.junctions import write_junction
 from sim_host.setup import build_setup, traffic_config
@@ -70,7 +78,8 @@ class JunctionScanner:
             scene = scene_of(setup, site.scene, site.seed)
             states = sample_traffic(setup, folder, scene.terrain, site.seed, self._steps(samples))
             self._states = [state.with_parked(setup) for state in states]
-        self.road_map: RoadMap = setup.road_map
+        self.road_map: RoadMap = believed_map(setup.road_map, site.scene, site.seed)
+        self._true_map = setup.road_map
         self._sensors = sensors or Sensors.drawn(site)
         given = self._sensors.mounts
         self.mounts: list[Mount] = draw_mounts(site, setup.road_map) if given is None else [*given]
@@ -86,14 +95,23 @@ class JunctionScanner:
         """Yields every sample's scans: roadside units first, then CAVs."""
         for frame, bodies in enumerate(self._states):
             sizes_m = self._shapes.bodies(bodies.types).size_m
+            boxes_m = _boxes(bodies.poses, sizes_m)
             for mount in self.mounts:
-                pose = mount_pose(mount, self.road_map, self._terrain)
+                pose = mount_pose(mount, self._true_map, self._terrain)
                 true = installed_pose(pose, self._sensors.pose, self.site.seed, mount.id)
-                yield self._scan((frame, mount.id, "roadside"), (true, pose), bodies, sizes_m)
+                then = self._at_clock(bodies, mount.id)
+                yield self._scan((frame, mount.id, "roadside"), (true, pose), then, boxes_m)
             for own in self._cavs(frame, bodies):
                 name = bodies.ids[own]
-                poses = self._on_roof(frame, name, bodies.poses[own], float(sizes_m[own, 2]))
-                yield self._scan((frame, name, "vehicle"), poses, bodies, sizes_m)
+                then = self._at_clock(bodies, name)
+                poses = self._on_roof(frame, name, then.poses[own], float(sizes_m[own, 2]))
+                yield self._scan((frame, name, "vehicle"), poses, then, boxes_m)
+
+    def _at_clock(self, bodies: TrafficState, agent: str) -> TrafficState:
+        """Returns the bodies when an agent scans: its clock is off."""
+        late_s = clock_error_s(self._sensors.pose, self.site.seed, agent)
+        ahead_m = bodies.speeds_mps.astype(np.float64) * late_s
+        return replace(bodies, poses=driven(bodies.poses, ahead_m)) if late_s else bodies
 
     def _traffic(self, folder: Path) -> TrafficConfig:
         """Returns the traffic, on the site's own junction if it has one."""
@@ -131,8 +149,9 @@ class JunctionScanner:
         source: tuple[int, str, Kind],
         poses: tuple[SE3, SE3],
         bodies: TrafficState,
-        sizes_m: Floats,
+        boxes_m: Floats,
     ) -> LabelledScan:
+        """Casts a scan of the bodies where they are then; labels are the frame's boxes (N, 7)."""
         frame, agent, kind = source
         true, believed = poses
         own = bodies.ids.index(agent) if kind == "vehicle" else None
@@ -143,7 +162,7 @@ class JunctionScanner:
             true, bodies.poses, bodies.types, own, rng, paint, bodies.speeds_mps
         )
         range_m, intensity = seen.scan.range_m, seen.scan.intensity
-        boxes = into_sensor(_boxes(bodies.poses, sizes_m), true)
+        boxes = into_sensor(boxes_m, true)
         near = np.linalg.norm(boxes[:, :3], axis=1) <= REACH_M
         if own is not None:
             near[own] = False

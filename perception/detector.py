@@ -16,6 +16,7 @@ from perception.arrays import Bools, Bytes, Floats, Ints
 from perception.config import DetectionConfig
 from perception.object_classes import classes_by_size
 from perception.roadway import Placed, Roadway
+from protocol.messages import ObjectClass
 from protocol.plugins import Plugin
 
 LIDAR = "lidar"
@@ -136,4 +137,11 @@ class PluginDetector:
             )
         if not (np.isfinite(found.boxes).all() and np.isfinite(found.scores).all()):
             raise self.plugin.wrong("found a box or a score that is no finite number")
+        if not ((found.scores >= 0) & (found.scores <= 1)).all():
+            raise self.plugin.wrong("found a score outside 0 to 1")
+        if not np.isin(found.classes, list(ObjectClass)).all():
+            raise self.plugin.wrong(
+                f"found classes {np.unique(found.classes).tolist()}; those of ObjectClass are "
+                f"0 to {len(ObjectClass) - 1}"
+            )
         return found

@@ -365,8 +365,8 @@ class RecordRole:
         region = item.parts["region"]
         record = self._aggregator.region(detections.frame, region)
         self._database.add(tables.DetectionRow, rows.detection_rows(detections, region))
-        record.detections = len(detections.boxes)
-        self._progress.detected(region, len(detections.boxes))
+        record.detections = observed = int((detections.coasted_s == 0).sum())
+        self._progress.detected(region, observed)
 
     def _on_lanes(self, lanes: m.LaneCounts, _: Envelope) -> None:
         self._aggregator.signal_region(lanes.frame, lanes.tls).counted(lanes)

@@ -35,6 +35,7 @@ _QUANTILES = 256
 _OF_DROP = 2.0 * np.pi / _LIDAR_RATIO_SR
 WEAK = 0.01  # of reflectivity: a step of a sensor that reports per cent
 _FILTERED_M = 20.0
+_LEAST_CHANCE = 1e-7  # a point in a hundred scans
 _DRAW_UNITS = np.float32(4096.0)
 
 
@@ -72,14 +73,17 @@ class Backscatter:
 
 
 def backscatter(config: LidarConfig) -> Backscatter | None:
-    """Returns what the air sends back; None in clear air."""
+    """Returns what the air sends back; None in clear air, and where nothing of it is detected."""
     if not config.rain_mm_h and config.fog_visibility_m is None:
         return None
     range_m = np.arange(_NEAREST_M, _FARTHEST_M, _STEP_M)
     expected = np.cumsum(_drops_per_m(range_m, config) + _fog_per_m(range_m, config)) * _STEP_M
     reached = 1.0 - np.exp(-expected)
-    reached = reached[reached <= _NEARLY_ALL * reached[-1]]
+    within = max(int(np.searchsorted(reached, _NEARLY_ALL * reached[-1], side="right")), 1)
+    reached = reached[:within]
     chance = float(reached[-1])
+    if chance < _LEAST_CHANCE:
+        return None
     shares = np.linspace(0, chance, _QUANTILES + 1)
     quantiles_m = np.interp(shares, reached, range_m[: len(reached)])
     table = np.zeros((_QUANTILES + 1, 3), np.float32)

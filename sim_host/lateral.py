@@ -36,7 +36,7 @@ class LateralPositions:
         self._drawn: dict[str, Floats] = {}
 
     @property
-    def are_off(self) -> bool:
+    def all_centred(self) -> bool:
         """Whether all vehicles drive in the middle."""
         config = self._config
         return not (config.offset_std_m or config.wander_std_m or config.bicycle_edge_m)

@@ -208,7 +208,7 @@ class World:
         if self._traffic.lateral.lane_change_s:
             yaw = self._headings.yaws_rad(names, lanes, 2 * half, yaw)
         x, y = fronts[near, :2].T - half * np.array([np.cos(yaw), np.sin(yaw)])
-        if not self._lateral.are_off:
+        if not self._lateral.all_centred:
             x, y, yaw = self._beside_the_middle(names, journeys, lanes, (x, y, yaw))
         return TrafficState(
             ids=[journey.name for journey in journeys],

@@ -49,13 +49,14 @@ def check_boxes(path: Path) -> None:
 
 
 def count_boxes(run_dir: Path) -> int:
-    """Returns how many boxes were detected in the points of a run."""
+    """Returns how many boxes were detected in the points of a run; coasting ones are not."""
     return len(_rows_of(run_dir))
 
 
 def _rows_of(run_dir: Path) -> list[DetectionRow]:
     with Run(run_dir) as run:
-        return [row for row in run.rows(DetectionRow) if row.source == LIDAR]
+        rows = run.rows(DetectionRow)
+        return [row for row in rows if row.source == LIDAR and row.coasted_s == 0]
 
 
 def write_boxes(run_dir: Path, path: Path, sensor_poses: Floats) -> int:

@@ -95,9 +95,13 @@ class PerceptionTally:
         counts: list[CountRow],
         vehicles: list[TruthRow],
     ) -> None:
-        """Adds a frame: the visible vehicles, detections, counts, and the truth."""
+        """Adds a frame: the visible vehicles, detections, counts, and the truth.
+
+        Coasting boxes count as counted, not as detected.
+        """
         here = {v.vehicle for v in vehicles if self._area.contains(v.lane, v.lane_position_m)}
-        matched, wrong = matched_vehicles(detections, vehicles + self._parked, self._types)
+        observed = [row for row in detections if row.coasted_s == 0]
+        matched, wrong = matched_vehicles(observed, vehicles + self._parked, self._types)
         self._seen += len(visible & here)
         self._found += len(visible & here & matched)
         self._false += wrong

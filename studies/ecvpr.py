@@ -233,7 +233,7 @@ class FrameScore:
 
     @property
     def visible_share(self) -> float | None:
-        """The share that is visible: what no detector can exceed."""
+        """The share that is visible: what detection alone hardly exceeds; coasting tracks may."""
         return self._share(self.visible)
 
     @property

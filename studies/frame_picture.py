@@ -200,7 +200,7 @@ class _SideBar:
         self._line(0.5)
         if score.present:
             self._row("vehicles near the signal", str(score.present))
-            self._row("detected", str(score.true))
+            self._row("detected or coasting", str(score.true))
             self._row("false detections", str(score.false))
         if snapshot.row.end_to_end_ns is not None:
             self._row("sensing to signal", f"{snapshot.row.end_to_end_ns / 1e6:.0f} ms")
@@ -223,7 +223,7 @@ class _SideBar:
         self._row("all together", _grouped(points), f"{payload_bytes / 1e3:.1f}", indent_in=0.2)
 
     def _symbols(self, *, has_truth: bool) -> None:
-        handles = [Line2D([], [], color=palette.BOX, lw=1.8, label="detected vehicle")]
+        handles = [Line2D([], [], color=palette.BOX, lw=1.8, label="detected or coasting")]
         if has_truth:
             handles.append(Line2D([], [], color=palette.TRUTH, lw=0.9, ls="--", label="truth"))
         counted = (("upstream", palette.TEXT), ("downstream", palette.FAINT))

@@ -15,7 +15,8 @@ from studies.uplink import MAX_ROWS, most_active, omitted_agents
 
 STAGES = (
     "sense", "select", "encode", "send", "link", "decode", "place", "wait", "check", "merge",
-    "ground", "detect", "fuse", "count", "decide", "actuate", "other", "end_to_end",
+    "ground", "detect", "fuse", "border", "track", "count", "decide", "actuate", "other",
+    "end_to_end",
 )  # fmt: skip
 """Stages of a frame in order; a summary lists all of them, then others that were measured."""
 
@@ -77,7 +78,7 @@ STAGE_GROUPS = {
     "uplink": ("send", "link"),
     "decoding": ("decode", "place"),
     "waiting for other agents": ("wait",),
-    "perception": ("check", "merge", "ground", "detect", "fuse", "count"),
+    "perception": ("check", "merge", "ground", "detect", "fuse", "border", "track", "count"),
     "decision": ("decide", "actuate"),
     "other": ("other",),
 }

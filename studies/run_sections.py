@@ -89,10 +89,10 @@ def _over_time(counted: Counted, clock: FrameClock) -> Chart:
 def _rate(scores: list[FrameScore], clock: FrameClock) -> Chart:
     x = [clock[one.frame] for one in scores]
     shares = {
-        "detected": [one.e_cvpr for one in scores],
+        "detected or coasting": [one.e_cvpr for one in scores],
         "visible": [one.visible_share for one in scores],
     }
-    colours = {"detected": palette.GOOD, "visible": palette.QUIET}
+    colours = {"detected or coasting": palette.GOOD, "visible": palette.QUIET}
     series = tuple(
         thinned_series(
             name, x, [None if share is None else 100 * share for share in values], colours[name]
@@ -251,6 +251,7 @@ MAX_POINTS = 4000
 _MARGIN_M = 8.0
 _CLASSES: tuple[tuple[str, float, Mark, str], ...] = (
     ("detected", 4.5, "disc", palette.GOOD),
+    ("coasting", 4.5, "disc", palette.QUIET),
     ("reports itself", 4.5, "disc", palette.PLAIN),
     ("missed", 4.5, "disc", palette.BAD),
     ("false detection", 6.0, "cross", palette.INK),
@@ -288,16 +289,19 @@ def _thinned(run: Run, frames: list[int]) -> list[int]:
 def _vehicle_points(
     run: Run, frames: list[int], types: dict[str, VehicleType], area: EvaluationArea
 ) -> list[Points]:
-    """Returns where vehicles were detected, reported themselves or were missed, by class."""
+    """Returns where vehicles were detected, coasted, reported themselves or were missed."""
     classes: dict[str, list[tuple[float, float]]] = defaultdict(list)
     parked = parked_bodies(run.setup)
     for frame in frames:
         detections, vehicles = run.of_frame(DetectionRow, frame), run.of_frame(TruthRow, frame)
         found, false = matches(detections, vehicles + parked, types)
+        observed = [one for one in detections if one.coasted_s == 0]
+        seen, _ = matches(observed, vehicles + parked, types)
         reporting = {one.source for one in detections}
         for one in vehicles:
             if area.contains(one.lane, one.lane_position_m):
-                detected = "detected" if one.vehicle in found else "missed"
+                known = "coasting" if one.vehicle in found else "missed"
+                detected = "detected" if one.vehicle in seen else known
                 name = "reports itself" if one.vehicle in reporting else detected
                 classes[name].append((one.x_m, one.y_m))
         classes["false detection"] += [(one.x_m, one.y_m) for one in false]

@@ -155,7 +155,8 @@ def _found(run: Run) -> dict[str, float] | None:
     frames = run.query("SELECT count(*) FROM frames WHERE detections IS NOT NULL")[0][0]
     counts = dict(
         run.query(
-            "SELECT object_class, count(*) FROM detections WHERE source = ? GROUP BY object_class",
+            "SELECT object_class, count(*) FROM detections WHERE source = ? "
+            "AND coasted_s = 0 GROUP BY object_class",
             LIDAR,
         )
     )

@@ -217,7 +217,7 @@ def _plots(scene: Scene) -> rrb.Vertical:
         _plot("/uplink", "upload of each agent, Mbit/s"),
         _plot("/latency", "from sensing to signal by stage, ms"),
         _plot(*control),
-        _plot("/e_cvpr", "E-CVPR: vehicles truly detected, %", axis=share, has_legend=False),
+        _plot("/e_cvpr", "E-CVPR: vehicles detected or coasting, %", axis=share, has_legend=False),
         row_shares=_ROWS,
     )
 

@@ -37,6 +37,7 @@ MAX_POINTS = 30_000  # enough to see by
 _FLOAT32 = PackedElementField.FLOAT32
 _XYZ = [PackedElementField(name=n, offset=4 * i, type=_FLOAT32) for i, n in enumerate("xyz")]
 _SEEN, _REPORTED = Color(r=1.0, g=0.55, b=0.1, a=0.6), Color(r=0.2, g=0.7, b=1.0, a=0.6)
+_COASTING = Color(r=1.0, g=0.55, b=0.1, a=0.25)
 _TRUE = Color(r=0.2, g=0.9, b=0.3, a=0.35)
 _LANE = Color(r=0.5, g=0.5, b=0.5, a=0.8)
 _TEXT = Color(r=1.0, g=1.0, b=1.0, a=1.0)
@@ -83,13 +84,14 @@ def transforms(poses: Mapping[str, Floats], stamp_ns: int) -> FrameTransforms:
 
 
 def detections(message: Detections, stamp_ns: int) -> SceneUpdate:
-    """Returns a box for each vehicle that the edge knows of, with its lane above it."""
+    """Returns a box for each vehicle that the edge knows of, faint if it coasts, with its lane."""
     entity = _entity("detections", stamp_ns)
     boxes = message.boxes.astype(np.float64).tolist()
-    for (x, y, z, *size, yaw), lane, source in zip(
-        boxes, message.lanes, message.sources, strict=True
+    for (x, y, z, *size, yaw), lane, source, coasted_s in zip(
+        boxes, message.lanes, message.sources, message.coasted_s, strict=True
     ):
-        color = _SEEN if source == "lidar" else _REPORTED
+        seen = _SEEN if coasted_s == 0 else _COASTING
+        color = seen if source == "lidar" else _REPORTED
         entity.cubes.append(_cube((x, y, z, 0.0, 0.0, yaw), size, color))
         if lane:
             above = Pose(

@@ -8,16 +8,21 @@ from typing import Any
 import pytest
 import yaml
 
-from cpnet.scenario import load
+from cpnet.scenario import _laid_over, load
 from protocol.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]
 NAMES = ("paper", "clear", "hard")
 
 
-def preset(name: str) -> dict[str, Any]:
+def layer(name: str) -> dict[str, Any]:
     text = (ROOT / "cpnet" / "realism" / f"{name}.yaml").read_text("utf-8")
     return yaml.safe_load(text) or {}
+
+
+def preset(name: str) -> dict[str, Any]:
+    """Returns the keys that a preset sets, nested: `hard` lies over `clear`."""
+    return _laid_over(layer("clear"), layer("hard")) if name == "hard" else layer(name)
 
 
 def dotted(data: dict[str, Any], depth: int = 9, before: str = "") -> dict[str, Any]:

@@ -71,6 +71,19 @@ def test_the_air_returns_near_weak_points_where_nothing_else_does(
     assert np.mean(intensity[range_m > 0] < WEAK) > 0.9
 
 
+@pytest.mark.parametrize(
+    "air",
+    [
+        *({"fog_visibility_m": visibility_m} for visibility_m in (11_000.0, 20_000.0, 100_000.0)),
+        *({"rain_mm_h": rain_mm_h} for rain_mm_h in (1e-12, 1e-6, 1e-3)),
+    ],
+)
+def test_air_that_is_nearly_clear_returns_points_close_by_at_most(air: dict[str, float]) -> None:
+    range_m, _ = returns(SKY, with_air(**air), stream(3))
+    assert np.mean(range_m > 0) < 0.1
+    assert range_m.max() < 5.0
+
+
 def test_more_rain_and_thicker_fog_return_more_and_from_farther_off() -> None:
     light, heavy = (backscatter(with_air(rain_mm_h=rain)) for rain in (2.0, 25.0))
     thin, thick = (backscatter(with_air(fog_visibility_m=fog)) for fog in (2000.0, 100.0))

@@ -9,8 +9,14 @@ from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from recording.tables import DetectionRow
 from studies import box_files
+from tests.studies.tracked_runs import make_run
 
 BOXES = np.array([[5, 2, -1, 4.5, 1.8, 1.5, 0.3], [-9, 4, 0.2, 9, 2.5, 3.2, 3.0]])
+
+
+def test_a_box_that_coasts_was_not_found(tmp_path):
+    make_run(tmp_path)  # 20 of its 40 frames coast
+    assert box_files.count_boxes(tmp_path) == 20
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ from recording.tables import (
     TruthRow,
     UploadRow,
 )
-from studies.latency import STAGES
+from studies.latency import STAGE_GROUPS, STAGES
 from studies.summary import print_report, summarise, to_json
 from tests.studies.straight_runs import write_setup
 
@@ -202,3 +202,10 @@ def test_a_report_tells_by_how_much_agents_were_off_when_last_aligned(tmp_path: 
     print_report(summary, Console(file=out, width=120))
     assert "off m" in out.getvalue()
     assert "0.50" in out.getvalue()
+
+
+def test_every_measured_stage_of_an_agents_way_stands_in_a_group_and_in_the_summary() -> None:
+    columns = {name.removesuffix("_ns") for name in LatencyRow._fields if name.endswith("_ns")}
+    stages = columns - {"end_to_end", "clock_error"}
+    assert {stage for group in STAGE_GROUPS.values() for stage in group} == stages
+    assert stages <= set(STAGES)
