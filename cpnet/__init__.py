@@ -1,4 +1,6 @@
-"""The command line `cpnet`: starts the processes of a run, follows it, and prints its results.
+"""The command line `cpnet`, and its Python API: `cpnet.run`, `simulate`, `study`, `Run`.
+
+- For programs: `python_api` (runs, frames, studies), `environments` (Gymnasium, PettingZoo).
 
 - Commands: `cli` (report, draw, scenario), `cli_run` (up, replay), `cli_setup` (doctor, keys),
   `cli_learn`, `cli_study`, `cli_bench`, `cli_options` (what they share) and those of observers.
@@ -10,3 +12,23 @@
 - Recordings: `replay`; `reproduce` (the command that repeats a run).
 - `limits`: bounds on what others may send.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cpnet.python_api import Run as Run
+    from cpnet.python_api import run as run
+    from cpnet.python_api import simulate as simulate
+    from cpnet.python_api import study as study
+
+__all__ = ["Run", "run", "simulate", "study"]  # noqa: RUF022
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - the API loads all roles: when it is asked for
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from cpnet import python_api
+
+    return getattr(python_api, name)
