@@ -7,6 +7,7 @@
 - A run: `scenario` (all keys, defaults, renamed keys), `processes` (the process table),
   `preparation` and `run_folder` (before the first frame), `up`, `supervisor`, `fork_server`,
   `exit_report`, `run_monitor` (progress, stalls, failures, exit status), `watch` (the world bus).
+- Installed: `compiling` (Numba's functions, once), `shadowing` (a user's `protocol.py`).
 - Other machines: `endpoints` (where buses are), `discovery` (RUN/buses.json, joining a run),
   `security` (TLS or loopback), `keys` (certificates), `doctor` (checks), `metrics_page`.
 - Recordings: `replay`; `reproduce` (the command that repeats a run).
@@ -29,6 +30,12 @@ __all__ = ["Run", "run", "simulate", "study"]  # noqa: RUF022
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - the API loads all roles: when it is asked for
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from cpnet.shadowing import check_packages
+
+    check_packages()
+    from cpnet.compiling import compile_ahead
+
+    compile_ahead()
     from cpnet import python_api
 
     return getattr(python_api, name)

@@ -55,6 +55,15 @@ def doctor_command(
     raise typer.Exit(0 if all(finding.is_well for finding in findings) else 1)
 
 
+@doctor_app.command("compile")
+def compile_command() -> None:
+    """Compile what runs need, once, on all cores; runs do so themselves if it was not done."""
+    from cpnet.compiling import compile_ahead
+
+    if not compile_ahead(console):
+        console.print("all is compiled")
+
+
 keys_app = typer.Typer()
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cpnet.cli_options import AsJson, Override, assigned, console, errors, junctions_of
+from cpnet.compiling import compile_ahead
 from cpnet.study_cells import planned, resolved
 from protocol.errors import ConfigError
 from studies.page.model import Page, Section
@@ -67,6 +68,7 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
     settings = {key: value for key, value in own.items() if value is not None} | assigned(set_)
     if markdown is not None:
         check_target(markdown, "--markdown")
+    compile_ahead(errors)
     study, cells = planned(file, settings, _seeds(seeds))
     with _explained_if_missing():
         from studies.sweep.results import parts_table, table, write_table
