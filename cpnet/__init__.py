@@ -19,12 +19,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cpnet.python_api import Run as Run
     from cpnet.python_api import run as run
     from cpnet.python_api import simulate as simulate
     from cpnet.python_api import study as study
+    from studies.run_frames import Run as Run
 
-__all__ = ["Run", "run", "simulate", "study"]  # noqa: RUF022
+__all__ = ["Run", "run", "simulate", "study"]
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - the API loads all roles: when it is asked for

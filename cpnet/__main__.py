@@ -13,7 +13,8 @@ def main() -> None:
     try:
         check_packages()
     except ImportError as error:
-        sys.exit(f"error {error}")
+        sys.stderr.write(f"error {error}\n")
+        sys.exit(2)
     try:
         from cpnet.cli import main as run
 

@@ -18,6 +18,7 @@ from cpnet.cli_options import AsJson, Override, assigned, console, errors, junct
 from cpnet.compiling import compile_ahead
 from cpnet.study_cells import planned, resolved
 from protocol.errors import ConfigError
+from protocol.extras import to_install
 from studies.page.model import Page, Section
 from studies.page.write import check_target, save_html, save_markdown
 from studies.sweep.cells import Cell, PartKind, ResultStore
@@ -45,7 +46,9 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
         str | None, typer.Option(metavar="N,...", help="instead of the file's; 1-10 is a range")
     ] = None,
     net: Annotated[Path | None, typer.Option(help="your own .net.xml")] = None,
-    tls: Annotated[str | None, typer.Option(help="id of the signal in that net")] = None,
+    tls: Annotated[
+        list[str] | None, typer.Option(metavar="ID,...|all", help="the signals of that net")
+    ] = None,
     set_: Override = None,
     markdown: Annotated[
         Path | None, typer.Option(help="the report as Markdown too, figures beside it")
@@ -63,7 +66,7 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
     file = read_study(what)
     own = {
         "traffic.net": net and str(net.resolve()),
-        "junctions": junctions_of(None if tls is None else [tls]),
+        "junctions": junctions_of(tls),
     }
     settings = {key: value for key, value in own.items() if value is not None} | assigned(set_)
     if markdown is not None:
@@ -227,8 +230,7 @@ def _explained_if_missing() -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         raise ConfigError(
-            f"studies need {error.name} (extra `study`): "
-            f"{sys.executable} -m pip install 'cpnet-edge[study]'"
+            f"studies need {error.name} (extra `study`): {to_install('study')}"
         ) from None
 
 

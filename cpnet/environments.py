@@ -209,7 +209,7 @@ class SignalEnv(gymnasium.Env[Values, np.int64]):
         self._episodes.wanted[self.junction.signal.tls] = int(action)
         frames = self._episodes.advance()
         self._last = frames[-1] if frames else self._last
-        assert self._last is not None  # noqa: S101 - `advance` needs a reset
+        assert self._last is not None
         reward = -float(np.mean([self.junction.queued(one) for one in frames or [self._last]]))
         observed = self.junction.observe(self._last)
         return observed, reward, False, self._episodes.is_over, self._info(self._last)
@@ -256,9 +256,7 @@ class JunctionsEnv(ParallelEnv[str, Values, int]):
         self.possible_agents = sorted(self.junctions)
         self.agents: list[str] = []
         self.observation_spaces = {tls: one.space() for tls, one in self.junctions.items()}
-        self.action_spaces = {
-            tls: Discrete(len(one.greens)) for tls, one in self.junctions.items()
-        }
+        self.action_spaces = {tls: Discrete(len(one.greens)) for tls, one in self.junctions.items()}
         self._seeds = np.random.default_rng()
         self._last: SimulatedFrame | None = None
 
@@ -271,7 +269,9 @@ class JunctionsEnv(ParallelEnv[str, Values, int]):
         return self.action_spaces[agent]
 
     def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None  # noqa: ARG002
+        self,
+        seed: int | None = None,
+        options: dict[str, Any] | None = None,  # noqa: ARG002
     ) -> tuple[dict[str, Values], dict[str, dict[str, Any]]]:
         """Begins an episode; see `pettingzoo.ParallelEnv.reset`."""
         if seed is not None:
@@ -294,9 +294,11 @@ class JunctionsEnv(ParallelEnv[str, Values, int]):
         self._episodes.wanted.update({tls: int(green) for tls, green in actions.items()})
         frames = self._episodes.advance()
         self._last = frames[-1] if frames else self._last
-        assert self._last is not None  # noqa: S101 - `advance` needs a reset
+        assert self._last is not None
         rewards = {
-            tls: -float(np.mean([self.junctions[tls].queued(one) for one in frames or [self._last]]))
+            tls: -float(
+                np.mean([self.junctions[tls].queued(one) for one in frames or [self._last]])
+            )
             for tls in self.agents
         }
         ended = dict.fromkeys(self.agents, self._episodes.is_over)

@@ -172,7 +172,9 @@ def _folder(out: Path | str | None, name: str) -> Path:
 
 
 @contextmanager
-def _removed_if(temporary: bool, run_dir: Path, *, after_error_only: bool = False) -> Iterator[None]:
+def _removed_if(
+    temporary: bool, run_dir: Path, *, after_error_only: bool = False
+) -> Iterator[None]:
     """Removes a temporary folder at the end, or where the run fails."""
     try:
         yield

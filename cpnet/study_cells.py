@@ -13,6 +13,7 @@ from cpnet import scenario as scenarios
 from edge_server.config import EdgeConfig
 from perception.registry import check
 from protocol.errors import ConfigError, CpnetError
+from protocol.extras import to_install
 from studies.sweep.cells import Cell, ResultStore, cells_of
 from studies.sweep.study_file import Study, StudyFile, read_study, study_of
 
@@ -71,7 +72,9 @@ def run_study(
     try:
         from studies.sweep.results import table
     except ModuleNotFoundError as error:
-        raise ConfigError(f"studies need {error.name} (extra `study`)") from None
+        raise ConfigError(
+            f"studies need {error.name} (extra `study`): {to_install('study')}"
+        ) from None
     if jobs < 1:
         raise ConfigError(f"jobs is {jobs}, must be 1 or more")
     file = study_of(what) if isinstance(what, Mapping) else read_study(str(what))

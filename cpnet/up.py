@@ -93,7 +93,9 @@ def print_results(run_dir: Path, console: Console) -> None:
     is_found = shutil.which("cpnet") is not None or called.name == "__main__.py"
     command = "cpnet" if is_found else _relative(called)
     console.print(
-        f"next: {command} draw {shown}    {command} report {shown} --json", soft_wrap=True
+        f"next: {command} report {shown} --html report.html    {command} draw {shown}",
+        highlight=False,
+        soft_wrap=True,
     )
 
 

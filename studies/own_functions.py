@@ -15,7 +15,7 @@ import numpy as np
 from edge_server.config import FUSIONS, FusionConfig
 from edge_server.fusion import FusionMaker
 from perception.arrays import Bools, Bytes, Floats
-from perception.config import DETECTORS, DetectionConfig
+from perception.config import DETECTORS
 from perception.detector import Cloud, DetectorMaker, Stage, Vehicles, untimed
 from perception.roadway import Roadway
 from protocol.errors import ConfigError

@@ -6,7 +6,6 @@ have `sim_time_s`, the time of the simulation with its warm-up.
 
 from __future__ import annotations
 
-import sys
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
@@ -15,6 +14,7 @@ import numpy as np
 
 from perception.arrays import Floats
 from protocol.errors import ConfigError
+from protocol.extras import to_install
 from recording import run as recorded
 from recording.tables import (
     TABLES,
@@ -47,8 +47,7 @@ class Run(recorded.Run):
             import polars  # noqa: F401
         except ModuleNotFoundError:
             raise ConfigError(
-                f"tables of runs need polars (extra `study`): {sys.executable} -m pip install "
-                "polars"
+                f"tables of runs need polars (extra `study`): {to_install('study')}"
             ) from None
         super().__init__(Path(run_dir))
 
@@ -131,7 +130,9 @@ class Run(recorded.Run):
     @cached_property
     def scan_frames(self) -> list[int]:
         """The frames of which scans were kept; see the scenario key `record.snapshot_period_s`."""
-        return [frame for (frame,) in self.query("SELECT DISTINCT frame FROM clouds ORDER BY frame")]
+        return [
+            frame for (frame,) in self.query("SELECT DISTINCT frame FROM clouds ORDER BY frame")
+        ]
 
     def scans(self, frame: int) -> list[UploadedScan]:
         """Returns the uploads of a frame, by region, agent and chunk.
@@ -164,4 +165,4 @@ def _polars_type(hint: object) -> Any:  # noqa: ANN401 - Polars' are untyped her
     import polars as pl
 
     kind = next(k for k in get_args(hint) or (hint,) if k is not type(None))
-    return {int: pl.Int64, float: pl.Float64, str: pl.String, bytes: pl.Binary}[kind]  # type: ignore[index]
+    return {int: pl.Int64, float: pl.Float64, str: pl.String, bytes: pl.Binary}[kind]

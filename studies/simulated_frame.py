@@ -168,7 +168,7 @@ class FrameCollector:
 
     def _frame_of(self, parts: _Parts) -> SimulatedFrame:
         truth = parts.truth
-        assert truth is not None  # noqa: S101 - `_is_whole`
+        assert truth is not None
         return SimulatedFrame(
             number=self._frame,
             sim_time_s=truth.sim_time_ns / 1e9,
