@@ -113,8 +113,8 @@ def study(
 ) -> Any:  # noqa: ANN401 - a polars.DataFrame
     """Runs what is not done yet of a study; returns its table, a `polars.DataFrame`.
 
-    A row for each cell and seed: `grid`, a column for each axis, `seed`, then the measures, of which
-    `Run.figures` has the same names. Cells that failed have no row.
+    A row for each cell and seed: `grid`, a column for each axis, `seed`, then measures, which
+    are called as in `Run.figures`. Cells that failed have no row.
 
     Args:
         what: a built-in name, a YAML file, or what such a file holds.

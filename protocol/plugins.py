@@ -24,6 +24,9 @@ from pydantic import Field, JsonValue
 
 from protocol.errors import ConfigError, CpnetError
 
+OWN = "own:"
+"""With this begin the names of what a program provides: a run's record still names it later."""
+
 PluginSettings = Annotated[
     dict[str, JsonValue],
     Field(
@@ -73,9 +76,8 @@ class Catalogue:
 
     def has(self, name: str) -> bool:
         """Whether there is such a one, built in or installed."""
-        return (
-            name in self.builtin or (self.group, name) in _provided or bool(self._installed(name))
-        )
+        is_known = name in self.builtin or name.startswith(OWN)
+        return is_known or bool(self._installed(name))
 
     def checked(self, name: str) -> str:
         """Returns the name if there is such a one.
@@ -102,6 +104,10 @@ class Catalogue:
         """
         if (self.group, name) in _provided:
             return Plugin(f"the {self.noun} {name} of this program", _provided[self.group, name])
+        if name.startswith(OWN):
+            raise ConfigError(
+                f"{self.noun} {name!r} was a part of the program that ran this: run that program"
+            )
         points = self._installed(name)
         if not points:
             raise ConfigError(f"{self.noun} {name!r}: must be one of {self.listed()}")

@@ -21,6 +21,7 @@ from perception.roadway import Roadway
 from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from protocol.messages import AgentPose
+from protocol.plugins import OWN
 from protocol.roadmap import Signal
 from protocol.scans import RangeScan, ScanPattern
 from sensing.config import UploadConfig
@@ -79,10 +80,10 @@ def _is_maker(part: object) -> bool:
 
 
 def _name(key: str, part: object) -> str:
-    """Returns the name by which a scenario calls it; none that is built in has a colon."""
+    """Returns the name by which a scenario calls it."""
     if not callable(part) and not isinstance(part, Policy):
         raise ConfigError(f"{key}: a {type(part).__name__} was given, must be a function")
-    return f"own:{getattr(part, '__name__', type(part).__name__)}"
+    return f"{OWN}{getattr(part, '__name__', type(part).__name__)}"
 
 
 def _detector_maker(function: Callable[[Cloud], Floats | Vehicles]) -> DetectorMaker:
