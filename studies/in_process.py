@@ -65,6 +65,11 @@ class _RoleSlot:
         self._role.poll()
         return delivered > 0
 
+    def wait(self) -> None:
+        """Waits until something comes in, such as from threads of the role, or for `IDLE_S`."""
+        if (item := self._context.inbox.get(IDLE_S)) is not None:
+            deliver(self._role, self._context.inbox, item)
+
     def close(self) -> None:
         """Closes the role and its buses, once."""
         if not self.is_closed:
@@ -210,6 +215,7 @@ def _run_until_done(
     """
     record = next(slot for slot in roles if slot.name == "record")
     controllers = [slot for slot in roles if role_of(slot.name) == "signal"]
+    decoding = [slot for slot in roles if role_of(slot.name) == "edge"]
     others = [slot for slot in (sim, *roles) if slot not in controllers]
     busy_ns = time.monotonic_ns()
     while not (sim.is_done and record.is_closed):
@@ -228,7 +234,7 @@ def _run_until_done(
         elif time.monotonic_ns() - busy_ns > STALL_NS:
             raise BusError("no role received a message for two minutes: they wait for each other")
         else:
-            time.sleep(IDLE_S)
+            next((slot for slot in decoding if not slot.is_closed), sim).wait()
 
 
 def _take_turns(slots: list[_RoleSlot], sim: _RoleSlot) -> bool:
