@@ -53,16 +53,14 @@ def train(env: SignalEnv, seconds: float, rng: np.random.Generator) -> tuple[np.
     """Returns weights (4,) after so much time, and how many episodes that were."""
     mean, std = np.zeros(4), np.ones(4)
     until_s, episodes = time.monotonic() + seconds, 0
-    while True:
+    while time.monotonic() < until_s:
         seed = int(rng.integers(1_000, 2**31))  # below are those of the test
-        tried, rewards = rng.normal(mean, std, (POPULATION, 4)), []
-        for weights in tried:
-            rewards.append(play(env, linear(env, weights), seed))
-            episodes += 1
-            if time.monotonic() > until_s and episodes >= POPULATION:
-                return mean, episodes
+        tried = rng.normal(mean, std, (POPULATION, 4))
+        rewards = [play(env, linear(env, weights), seed) for weights in tried]
         best = tried[np.argsort(rewards)[-KEPT:]]
         mean, std = best.mean(axis=0), best.std(axis=0) + 0.1
+        episodes += POPULATION
+    return mean, episodes
 
 
 def delay_s(env: SignalEnv, policy: Policy, seeds: list[int]) -> float:
