@@ -39,7 +39,7 @@ def run(
     scenario: Scenario = "t_junction",
     *,
     detector: OwnDetector | None = None,
-    upload: OwnUpload | None = None,
+    upload_policy: OwnUpload | None = None,
     fusion: OwnFusion | None = None,
     controller: OwnController | None = None,
     processes: bool = False,
@@ -51,7 +51,7 @@ def run(
     Args:
         scenario: a built-in name, a YAML file, or keys and values over `t_junction`.
         detector: a function in the place of the edge's, see `studies.own_functions`.
-        upload: the same of what agents send.
+        upload_policy: the same of what agents send.
         fusion: the same of how detections and poses are joined.
         controller: the same of the signals' policy.
         processes: a process for each role, over Zenoh on loopback, as `cpnet up`; else all in this
@@ -64,7 +64,7 @@ def run(
         ConfigError: the scenario cannot be run.
         BusError: the roles wait for each other.
     """
-    own = OwnParts(detector, upload, fusion, controller)
+    own = OwnParts(detector, upload_policy, fusion, controller)
     if processes:
         return _run_processes(scenario, own, out, overrides)
     with provided(own.plugins()):
@@ -79,7 +79,7 @@ def simulate(
     scenario: Scenario = "t_junction",
     *,
     detector: OwnDetector | None = None,
-    upload: OwnUpload | None = None,
+    upload_policy: OwnUpload | None = None,
     fusion: OwnFusion | None = None,
     controller: OwnController | None = None,
     out: Path | str | None = None,
@@ -94,7 +94,7 @@ def simulate(
         ConfigError: the scenario cannot be run, or another run of this process has not ended.
         BusError: the roles wait for each other.
     """
-    own = OwnParts(detector, upload, fusion, controller)
+    own = OwnParts(detector, upload_policy, fusion, controller)
     with provided(own.plugins()):
         resolved = resolve(scenario, overrides | own.settings())
         run_dir = _folder(out, resolved.name)

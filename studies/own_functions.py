@@ -49,7 +49,7 @@ class OwnParts:
     """Parts of the calling program; those that are None are as the scenario says."""
 
     detector: OwnDetector | None = None
-    upload: OwnUpload | None = None
+    upload_policy: OwnUpload | None = None
     fusion: OwnFusion | None = None
     controller: OwnController | None = None
 
@@ -64,7 +64,7 @@ class OwnParts:
     def _rows(self) -> list[tuple[str, str, str, Any]]:
         parts: Mapping[str, tuple[str, Any, Callable[[Any], Any]]] = {
             "edge.detector": (DETECTORS.group, self.detector, _detector_maker),
-            "upload.policy": (NAMES.group, self.upload, _upload_policy),
+            "upload.policy": (NAMES.group, self.upload_policy, _upload_policy),
             "edge.fusion.rule": (FUSIONS.group, self.fusion, _fusion_maker),
             "signal.policy": (POLICIES.group, self.controller, _policy_maker),
         }

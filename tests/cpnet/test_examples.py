@@ -26,16 +26,6 @@ def run_example(name: str, *arguments: str, cwd: Path) -> str:
     return done.stdout
 
 
-def test_the_script_compares_two_upload_policies_on_the_same_traffic(tmp_path) -> None:
-    printed = run_example("upload_policies.py", "--duration", "3", "--channels", "16", cwd=tmp_path)
-    full, foreground = (line.split() for line in printed.splitlines())
-    assert [full[0], foreground[0]] == ["full", "foreground"]
-    for e_cvpr_percent in (float(full[3]), float(foreground[3])):
-        assert 50 < e_cvpr_percent <= 100
-    full_mbps, foreground_mbps = float(full[5]), float(foreground[5])
-    assert 0 < foreground_mbps < full_mbps / 3
-
-
 def test_the_sweep_prints_what_each_policy_and_link_gives(tmp_path) -> None:
     options = ["--duration", "2", "--channels", "16", "--links", "1mbit,20ms", "10mbit,20ms"]
     printed = run_example("bandwidth_sweep.py", *options, cwd=tmp_path)

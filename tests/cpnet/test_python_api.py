@@ -113,7 +113,7 @@ def test_functions_take_the_place_of_the_parts(tmp_path) -> None:
         assert set(requests["policy"]) == {"own:second_green"}
         assert requests["state"].n_unique() == 1
         assert made.figures["e_cvpr"] is not None  # who reads it later needs no function
-    with cpnet.run(SMALL, upload=nothing, fusion=poses_alone) as made:
+    with cpnet.run(SMALL, upload_policy=nothing, fusion=poses_alone) as made:
         assert made.uploads["points"].sum() == 0
         assert made.detections.is_empty()
 
@@ -122,7 +122,10 @@ def test_functions_take_the_place_of_the_parts(tmp_path) -> None:
     ("part", "said"),
     [
         ({"detector": lambda cloud: np.zeros((2, 3))}, r"returned \(2, 3\), must return boxes"),
-        ({"upload": lambda scan, pose: scan.range_m}, r"returned float32, must return a mask"),
+        (
+            {"upload_policy": lambda scan, pose: scan.range_m},
+            r"returned float32, must return a mask",
+        ),
         ({"fusion": lambda found, poses: 1}, r"found a int, must find Vehicles"),
         ({"controller": lambda observation, signal: 7}, r"chose green 7 of J, which has 0 to 1"),
         ({"controller": 7}, r"signal\.policy: a int was given, must be a function"),
