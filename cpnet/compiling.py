@@ -9,6 +9,7 @@ the user's cache says which files have been compiled.
 from __future__ import annotations
 
 import ast
+import fcntl
 import hashlib
 import json
 import multiprocessing
@@ -38,7 +39,7 @@ _LATER = ("perception.pillars", "edge_server.alignment", "edge_server.static_map
 """Modules that few runs import; they are compiled when one does."""
 _MARK = b"njit("
 _MOST_PROCESSES = 8
-_STAMP = "compiled.json"
+_LOCK = "compiling.lock"
 
 
 def compile_ahead(console: Console | None = None) -> int:
@@ -54,6 +55,14 @@ def compile_ahead(console: Console | None = None) -> int:
     console = console or Console(stderr=True)
     folder = _cache_folder()
     stamps = _stamps()
+    if not _missing(folder, stamps):
+        return 0
+    with (folder / _LOCK).open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # another start may be compiling the same
+        return _compile_missing(folder, stamps, console)
+
+
+def _compile_missing(folder: Path, stamps: dict[str, str], console: Console) -> int:
     todo = _missing(folder, stamps)
     if not todo:
         return 0
@@ -152,8 +161,8 @@ def _file_of(module: str) -> Path:
     return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
 
 
-def _stamp_key() -> str:
-    """Returns what compiled code depends on besides its source: where it is, and for what."""
+def _stamp_file(folder: Path) -> Path:
+    """Returns where the stamp is: one for all that compiled code depends on besides its source."""
     import llvmlite.binding as llvm  # names the CPU as Numba does
 
     facts = [
@@ -165,21 +174,22 @@ def _stamp_key() -> str:
         llvm.get_host_cpu_features().flatten(),
         os.environ.get("NUMBA_CPU_NAME", ""),
     ]
-    return hashlib.sha256("\n".join(facts).encode()).hexdigest()[:16]
+    digest = hashlib.sha256("\n".join(facts).encode()).hexdigest()[:16]
+    return folder / f"compiled-{digest}.json"
 
 
 def _read_stamp(folder: Path) -> dict[str, str]:
     try:
-        found = json.loads((folder / _STAMP).read_text("utf-8"))[_stamp_key()]
+        found = json.loads(_stamp_file(folder).read_text("utf-8"))
         return {str(name): str(stamp) for name, stamp in found.items()}
-    except (OSError, ValueError, LookupError, AttributeError, TypeError):
+    except (OSError, ValueError, AttributeError):
         return {}
 
 
 def _write_stamp(folder: Path, stamps: dict[str, str]) -> None:
-    path = folder / _STAMP
-    partial = path.with_name(f".{_STAMP}.{os.getpid()}")
-    partial.write_text(json.dumps({_stamp_key(): stamps}), "utf-8")
+    path = _stamp_file(folder)
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    partial.write_text(json.dumps(stamps), "utf-8")
     partial.replace(path)
 
 

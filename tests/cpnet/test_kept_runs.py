@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from cpnet.cli import app
 from cpnet.run_folder import newest_run, prune, recorded_runs
 from protocol.errors import ConfigError
+from recording.database import Database
+from recording.tables import MetaRow
 
 DAY_S = 86_400
 NOW = datetime(2026, 1, 31, tzinfo=UTC)
@@ -34,6 +39,20 @@ def test_the_newest_is_that_written_last_whatever_its_name(tmp_path, monkeypatch
     (tmp_path / "runs" / "study-x").mkdir()
     assert newest_run() == Path("runs/a")
     assert [run.name for run in recorded_runs(Path("runs"))] == ["a", "b", "c"]
+
+
+def test_a_report_without_a_run_is_of_the_newest(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, seed in (("older", 1), ("newer", 2)):
+        (tmp_path / "runs" / name).mkdir(parents=True)
+        database = Database(tmp_path / "runs" / name)
+        scenario = {"name": name, "seed": seed, "frame_period_s": 0.1}
+        database.add(MetaRow, {"scenario": json.dumps(scenario)}.items())
+        database.close()
+        os.utime(tmp_path / "runs" / name / "run.sqlite", (seed, seed))
+    done = CliRunner().invoke(app, ["report", "--json"])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.output)["scenario"] == "newer"
 
 
 def test_the_newest_stay_whatever_their_age(tmp_path) -> None:
