@@ -13,7 +13,8 @@ import json
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from types import NoneType
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel
@@ -25,6 +26,7 @@ from cpnet.scenario import Scenario
 from protocol.messages import MESSAGES, Part
 from protocol.messages.fields import Array
 from protocol.topics import PREFIX, QUERIED, ROLES, TOPICS, Delivery, Roles, Topic
+from recording.tables import TABLES
 
 ROOT = Path(__file__).parent.parent
 _OUTSIDE = re.compile(r"\]\(\.\./([^)#\s]+)")
@@ -279,6 +281,41 @@ def _copy(path: str) -> str:
     return f"source/{path}.txt"  # which browsers show, whatever the file is
 
 
+_UNITS = {
+    "m": "m", "mps": "m/s", "rad": "rad", "s": "s", "ns": "ns", "bytes": "bytes", "sim_ns": "ns",
+}  # fmt: skip
+
+
+def tables_page() -> str:
+    """Returns the columns of each table of a run, with their types and units."""
+    parts = [
+        "# Tables of a run",
+        "Tables of `run.sqlite`; `cpnet.Run` gives them as [Polars frames](../python.md). A "
+        "column's unit is the end of its name; positions are in the map frame, which is the net's: "
+        "x east, y north, z up. `_ns` is a process's monotonic clock, but for `sim_time_ns`.",
+    ]
+    for table in TABLES.values():
+        keys, hints = set(table.columns[: table.keys]), get_type_hints(table.row)
+        rows = [
+            _row([f"`{name}`", _kind(hints[name]), _unit(name), "key" if name in keys else ""])
+            for name in table.columns
+        ]
+        head = [_row(["column", "type", "unit", ""]), "|---|---|---|---|"]
+        about = _paragraphs(inspect.getdoc(table.row) or "")
+        parts += [f"## {table.name}", about, "\n".join(head + rows)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _kind(hint: object) -> str:
+    kinds = get_args(hint) or (hint,)
+    names = [kind.__name__ for kind in kinds if isinstance(kind, type) and kind is not NoneType]
+    return " or ".join([*names, *(["null"] if NoneType in kinds else [])])
+
+
+def _unit(column: str) -> str:
+    return _UNITS.get(column.rsplit("_", 1)[-1], "") if "_" in column else ""
+
+
 GENERATED = {
     "index.md": _of_root("README.md"),
     "contributing.md": _of_root("CONTRIBUTING.md"),
@@ -286,4 +323,5 @@ GENERATED = {
     "reference/scenario.md": scenario_page,
     "reference/topics.md": topics_page,
     "reference/messages.md": messages_page,
+    "reference/tables.md": tables_page,
 }

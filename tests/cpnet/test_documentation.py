@@ -17,6 +17,7 @@ import yaml
 from cpnet.scenario import Scenario
 from protocol.messages import MESSAGES
 from protocol.topics import TOPICS
+from recording.tables import TABLES
 from sensing.upload_policies import POLICIES
 from studies.bench import POLICY_CHOICES
 
@@ -74,6 +75,18 @@ def test_the_pages_of_the_protocol_have_every_topic_and_message(generate) -> Non
         for name in message.model_fields:
             assert f"| `{name}` |" in section
     assert "| `poses` | array of float64, (N, 6) |" in messages
+
+
+def test_the_page_of_tables_has_every_column_with_its_unit(generate) -> None:
+    page = generate.tables_page()
+    for table in TABLES.values():
+        _, _, section = page.partition(f"\n## {table.name}\n")
+        section, _, _ = section.partition("\n## ")
+        for name in table.columns:
+            assert f"| `{name}` | " in section
+    assert "| `speed_mps` | float | m/s |  |" in page
+    assert "| `link_sim_ns` | int or null | ns |  |" in page
+    assert "| `frame` | int |  | key |" in page
 
 
 def test_every_page_is_in_the_navigation(generate) -> None:

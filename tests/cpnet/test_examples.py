@@ -26,14 +26,40 @@ def run_example(name: str, *arguments: str, cwd: Path) -> str:
     return done.stdout
 
 
-def test_the_script_compares_two_upload_policies_on_the_same_traffic(tmp_path) -> None:
-    printed = run_example("upload_policies.py", "--duration", "3", "--channels", "16", cwd=tmp_path)
-    full, foreground = (line.split() for line in printed.splitlines())
-    assert [full[0], foreground[0]] == ["full", "foreground"]
-    for e_cvpr_percent in (float(full[3]), float(foreground[3])):
-        assert 50 < e_cvpr_percent <= 100
-    full_mbps, foreground_mbps = float(full[5]), float(foreground[5])
-    assert 0 < foreground_mbps < full_mbps / 3
+def test_the_sweep_prints_what_each_policy_and_link_gives(tmp_path) -> None:
+    options = ["--duration", "2", "--channels", "16", "--links", "1mbit,20ms", "10mbit,20ms"]
+    printed = run_example("bandwidth_sweep.py", *options, cwd=tmp_path)
+    rows = [line.split("┆") for line in printed.splitlines() if "mbit" in line]
+    assert [row[1].strip() for row in rows] == ["1mbit,20ms", "10mbit,20ms"] * 2
+    full, foreground = (float(rows[index][3]) for index in (1, 3))
+    assert 0 < foreground < full / 3
+
+
+def test_a_detector_of_ones_own_sees_vehicles(tmp_path) -> None:
+    printed = run_example("own_detector.py", "--duration", "2", "--channels", "16", cwd=tmp_path)
+    *frames, own, fast = printed.splitlines()
+    assert len(frames) == 4
+    assert own.split()[0] == "squares"
+    for line in (own, fast):
+        assert float(line.split()[2]) > 50
+
+
+def test_a_controller_of_ones_own_is_compared(tmp_path) -> None:
+    options = ["--duration", "10", "--seeds", "1", "--channels", "16"]
+    printed = run_example("own_controller.py", *options, cwd=tmp_path)
+    assert [line.split()[0] for line in printed.splitlines()] == [
+        "soonest",
+        "max_pressure",
+        "fixed",
+    ]
+
+
+def test_an_agent_is_trained_and_beats_chance(tmp_path) -> None:
+    pytest.importorskip("gymnasium")
+    options = ["--seconds", "6", "--episode", "60", "--seeds", "1"]
+    printed = run_example("train_signal.py", *options, cwd=tmp_path)
+    _, chance, trained = printed.splitlines()
+    assert float(trained.split()[1]) < float(chance.split()[1])
 
 
 def test_every_script_is_run_by_a_test_of_this_file() -> None:

@@ -1,15 +1,18 @@
 """The wheel that `pip install .` makes: all that cpnet needs, run from another folder."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 import sysconfig
+import tomllib
 import venv
 import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).parents[2]
 
@@ -34,6 +37,22 @@ def test_the_wheel_has_every_source_file_of_every_package_and_its_types(wheel) -
     }
     with zipfile.ZipFile(wheel) as archive:
         assert wanted <= set(archive.namelist())
+
+
+def test_the_citation_is_of_this_version() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert citation["version"] == project["version"]
+    assert citation["license"] == project["license"]
+    assert {"cff-version", "message", "title", "authors"} <= citation.keys()
+
+
+def test_no_text_tells_to_install_from_an_index_where_the_package_is_not() -> None:
+    """Neither the docs nor any error; what is installed in a clone or by its file is fine."""
+    sources = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *ROOT.glob("*/**/*.py")]
+    own = [path for path in sources if "tests" not in path.parts and ".venv" not in path.parts]
+    pattern = re.compile(r"pip install [^\n]*(?<![\w-])cpnet-(edge|example)")
+    assert [str(path) for path in own if pattern.search(path.read_text("utf-8"))] == []
 
 
 def test_every_package_of_the_project_is_typed() -> None:

@@ -41,6 +41,21 @@ def test_a_sumocfg_that_is_not_what_its_name_says(shell, tmp_path):
     assert "own.sumocfg.gz cannot be read" in refused(shell, "up", "--sumocfg", "own.sumocfg.gz")
 
 
+def test_routes_without_their_net(shell):
+    assert "--routes needs --net" in refused(shell, "up", "--routes", "own.rou.xml")
+
+
+@pytest.mark.parametrize("command", ["top --once", "view", "eval"])
+def test_two_signals_for_a_command_that_takes_one(shell, command):
+    output = refused(shell, *command.split(), "--tls", "A", "--tls", "B")
+    assert "--tls: A, B were given; this command takes one signal" in output
+
+
+def test_a_report_where_there_is_no_run(shell):
+    assert "there is no run in runs/" in refused(shell, "report")
+    assert "there is no run in runs/" in refused(shell, "draw")
+
+
 def test_an_unknown_key(shell):
     output = refused(shell, "up", "--set", "edge.cluster.epsilon_m=1")
     assert "unknown key edge.cluster.epsilon_m" in output

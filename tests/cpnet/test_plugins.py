@@ -1,4 +1,4 @@
-"""A package with a detector, an upload policy and a signal policy is installed and used by name."""
+"""A package with a plug-in of each kind is installed and used by name."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 
 from cpnet import scenario as scenarios
 from cpnet.evaluation import detectors_of
+from edge_server.config import check_fusion
 from perception.registry import check
 from protocol.errors import ConfigError
 from recording.run import Run
@@ -33,6 +34,7 @@ SMALL = {
 BY_NAME = {
     "edge.detector": "grid",
     "upload.policy": "near-first",
+    "edge.fusion.rule": "sure-ones",
     "signal.policy": "longest-queue",
 }
 
@@ -54,7 +56,7 @@ def played(folder: Path, **settings: Any) -> Path:
     return folder
 
 
-def test_all_three_kinds_by_name_in_one_run(installed, tmp_path) -> None:
+def test_all_kinds_by_name_in_one_run(installed, tmp_path) -> None:
     run_dir = played(tmp_path / "a", **BY_NAME, **{"upload.plugin.near_m": 25})
     assert measure(run_dir).row["e_cvpr"] > 0.2
     with Run(run_dir) as run:
@@ -75,6 +77,7 @@ def test_settings_reach_the_detector(installed, tmp_path) -> None:
     ("settings", "said"),
     [
         ({"edge.plugin.side_m": 3}, r"detector grid of cpnet-example 0\.1\.0 .*\n?.*side_m"),
+        ({"edge.fusion.plugin.least_score": 2}, r"fusion sure-ones of .*least_score is 2"),
         ({"upload.plugin.near_m": -1}, r"policy near-first of cpnet-example 0\.1\.0 .*near_m is"),
     ],
 )
@@ -110,6 +113,10 @@ class Chooses:
     def __init__(self, *_): pass
     def choose(self, scan, map_SE3_sensor): return np.full(scan.range_m.shape, 2, np.uint8)
 
+class Fuses:
+    def __init__(self, *_): pass
+    def fuse(self, found, poses): return found.boxes
+
 class Decides:
     def __init__(self, *_): pass
     def decide(self, observation): return Decision("GG", [], "bad")
@@ -123,6 +130,7 @@ def bad(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     points = {
         "cpnet.detectors": {"bad": "cpnet_test_bad:Sees"},
         "cpnet.upload_policies": {"bad": "cpnet_test_bad:CHOICE", "none": "cpnet_test_bad:Sees"},
+        "cpnet.fusions": {"bad": "cpnet_test_bad:Fuses", "lost": "cpnet_test_lost:X"},
         "cpnet.signal_policies": {"bad": "cpnet_test_bad:Decides", "lost": "cpnet_test_lost:X"},
     }
     pretend(tmp_path / "bad", "bad-package", points, cpnet_test_bad=BAD)
@@ -133,6 +141,7 @@ def bad(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ("key", "said"),
     [
         ("edge.detector", "found a ndarray, must find Vehicles"),
+        ("edge.fusion.rule", "found a ndarray, must find Vehicles"),
         ("upload.policy", "chose chunk 2: it has 0 to 0, 255 is not sent"),
         ("signal.policy", "decided 'GG', must be a G, g or r for each of"),
     ],
@@ -153,6 +162,14 @@ def test_a_plugin_that_cannot_be_imported_stops_before_the_start(bad, installed)
 
     with pytest.raises(ConfigError, match=r"lost of bad-package 1\.0 cannot be imported"):
         check_policy(scenarios.load("t_junction", {"signal.policy": "lost"}).signal)
+    with pytest.raises(ConfigError, match=r"fusion lost of bad-package 1\.0 cannot be imported"):
+        check_fusion(scenarios.load("t_junction", {"edge.fusion.rule": "lost"}).edge.fusion)
+
+
+def test_a_part_of_a_program_that_has_ended_is_named_but_cannot_be_had() -> None:
+    config = scenarios.load("t_junction", {"edge.detector": "own:squares"}).edge
+    with pytest.raises(ConfigError, match="'own:squares' was a part of the program that ran this"):
+        check(config)
 
 
 def test_every_process_finds_plugins(packages: Path, shell: Shell, monkeypatch) -> None:

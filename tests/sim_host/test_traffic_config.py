@@ -14,6 +14,8 @@ from tests.waiting import PATIENCE_S
     ("fields", "text"),
     [
         ({"net": "a", "sumocfg": "b"}, "not both"),
+        ({"routes": "r"}, "routes needs net"),
+        ({"net": "a", "routes": "r", "demand_vph_per_lane": {"e": 1}}, "not both"),
         ({"cav_rate": 0.7, "cv_rate": 0.7}, "more than 1"),
         ({"demand_vph_per_lane": {"e": -1}}, "demand_vph_per_lane.e"),
         ({"vehicles": [{"name": "a"}, {"name": "a"}]}, "each may stand once"),

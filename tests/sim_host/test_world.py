@@ -127,6 +127,49 @@ def test_a_users_own_sumocfg_runs_with_its_types(
     assert bodies.equipment.tolist() == [Equipment.CAV, Equipment.NONE, Equipment.CAV]
 
 
+def test_routes_alone_run_on_a_net_and_begin_with_their_first_vehicle(
+    setup: Setup, run_dir: Path, tmp_path: Path, flat: Ground
+) -> None:
+    assert setup.road_map.intersections[0].signal.tls == "J"
+    routes = tmp_path / "own.rou.xml"
+    routes.write_text(
+        '<routes><vType id="line5" vClass="bus"/>'
+        '<vehicle id="b" type="line5" depart="25200.50"><route edges="west_in east_out"/></vehicle>'
+        '<flow id="f" begin="25201" end="25300" number="9" from="east_in" to="west_out"/></routes>'
+    )
+    net = run_dir / "sumo" / "t_junction.net.xml"
+    own = build_setup({"traffic": {"net": str(net), "routes": str(routes)}}, tmp_path / "run")
+    world = World(own, tmp_path / "run", flat)
+    world.start(1)
+    try:
+        assert world.time_ns == 25_200_000_000_000
+        for _ in range(20):
+            world.step()
+        types = world.bodies().types
+    finally:
+        world.close()
+    assert sorted(set(types)) == ["DEFAULT_VEHTYPE", "line5"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("<routes>", "cannot be read as XML"),
+        ('<routes><trip id="a" depart="noon"/></routes>', "times must be in seconds"),
+    ],
+)
+def test_routes_that_cannot_be_read_are_named(
+    run_dir: Path, tmp_path: Path, text: str, said: str
+) -> None:
+    (tmp_path / "own.rou.xml").write_text(text)
+    traffic = {
+        "net": str(run_dir / "sumo" / "t_junction.net.xml"),
+        "routes": str(tmp_path / "own.rou.xml"),
+    }
+    with pytest.raises(ConfigError, match=rf"own\.rou\.xml.* {said}"):
+        build_setup({"traffic": traffic}, tmp_path / "run")
+
+
 def test_a_demand_that_sumo_refuses_is_a_configuration_error(
     setup: Setup, run_dir: Path, tmp_path: Path, flat: Ground
 ) -> None:

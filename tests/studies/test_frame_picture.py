@@ -1,7 +1,9 @@
 """Pictures of recorded frames."""
 
 import builtins
+import sqlite3
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -62,12 +64,20 @@ def run_dir(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_the_last_kept_frame_is_drawn_by_default(run_dir: Path) -> None:
+def test_a_kept_frame_is_drawn_by_default(run_dir: Path) -> None:
     pytest.importorskip("matplotlib")
     png = run_dir / "frame.png"
     draw_frame(run_dir, None, png)
     assert png.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert png.stat().st_size > 20_000
+
+
+def test_of_the_kept_frames_the_fullest_is_chosen(run_dir: Path) -> None:
+    """Frame 2, the first, has a cloud and no detection; a later one without any is no better."""
+    with closing(sqlite3.connect(run_dir / "run.sqlite")) as database, database:
+        database.execute("UPDATE clouds SET frame = 9 WHERE chunk = 1")
+    with Run(run_dir) as run:
+        assert load_snapshot(run, None).row.frame == FRAME
 
 
 def test_a_frame_with_nothing_but_a_cloud_is_drawn(run_dir: Path) -> None:

@@ -28,6 +28,7 @@ from recording.tables import (
     TruthRow,
     UploadRow,
 )
+from studies.comparison import print_comparison
 from studies.latency import STAGE_GROUPS, STAGES
 from studies.summary import print_report, summarise, to_json
 from tests.studies.straight_runs import write_setup
@@ -134,6 +135,26 @@ def test_the_report_fits_on_a_screen(tmp_path: Path, is_empty: bool) -> None:
     assert any("end to end" in line for line in lines)
     assert any("E-CVPR" in line for line in lines)
     assert is_empty == ("cut off" in lines[0])
+
+
+def test_two_runs_stand_side_by_side_with_the_difference(tmp_path: Path) -> None:
+    for name in ("one", "other", "empty"):
+        (tmp_path / name).mkdir()
+    whole_run(tmp_path / "one")
+    whole_run(tmp_path / "other")
+    Database(tmp_path / "empty").close()
+
+    def compared(a: str, b: str) -> dict[str, list[str]]:
+        text = io.StringIO()
+        print_comparison(tmp_path / a, tmp_path / b, Console(file=text, width=100))
+        rows = [line.split("  ") for line in text.getvalue().splitlines()]
+        return {row[0].strip(): [cell.strip() for cell in row[1:] if cell] for row in rows}
+
+    same = compared("one", "other")
+    assert same["frames"] == ["10", "10", "0"]
+    assert same["end-to-end latency, p50 in ms"] == ["44.5", "44.5", "0"]
+    assert compared("one", "empty")["frames"] == ["10", "0", "+10"]
+    assert "-100.0 %" in compared("empty", "one")["frames"]
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
