@@ -25,7 +25,7 @@ from rich.console import Console
 from protocol.approaches import Approaches
 from protocol.errors import ConfigError
 from protocol.messages import LaneCounts, SignalRequest
-from protocol.roadmap import RoadMap, Signal
+from protocol.roadmap import RoadMap
 from signal_controller.config import SignalConfig
 from signal_controller.observation import CabinetTimes, LaneVehicles, Observation, SignalSite
 from signal_controller.policies import SignalPolicy, policy_of
@@ -35,7 +35,15 @@ from sim_host.junctions import DEMAND_VPH_PER_LANE
 from sim_host.setup import OWN_CONFIG, SUMO_FOLDER, build_setup
 from sim_host.sumo import load_libsumo
 from studies.bench import JsonRow, empty_table, print_whole
-from studies.control_baselines import WeightedPressure, webster
+from studies.control_baselines import (
+    OWN_SETTINGS,
+    PRESSURES,
+    SUMO_TYPES,
+    HeldGreens,
+    Tuning,
+    WeightedPressure,
+    webster,
+)
 
 STEP_S = 0.1
 _STEPS_A_SECOND = round(1 / STEP_S)
@@ -44,10 +52,6 @@ _DEFAULT_LANE_VPH = 500.0
 
 OWN_PLAN = "plan"
 WEBSTER = "webster"
-PRESSURES = {"position_pressure": "position", "delay_pressure": "delay"}
-"""Kinds of `WeightedPressure` by what the bench calls them."""
-SUMO_TYPES = {"actuated": 3, "delay_based": 5}
-"""SUMO's own kinds of control, by SUMO's numbers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,14 +60,15 @@ class ControlCase:
 
     Attributes:
         net: `t_junction`, or a folder with one .sumocfg.
-        policy: what `signal.policy` may be, or a baseline: `plan` (the net's own programme),
-            `webster`, `actuated`, `delay_based`, `position_pressure`, `delay_pressure`.
+        policy: what `signal.policy` may be, or a baseline: `plan` (the net's own programme) or
+            one of `OWN_SETTINGS`.
         demand: factor of the net's own demand; t_junction alone.
         seed: SUMO's.
         upstream_m: how far before the stop bars vehicles are known and count.
         downstream_m: how far behind them they count.
         settings: of the scenario's section `signal`.
         cabinet: its section `cabinet`.
+        own: of a baseline, see `OWN_SETTINGS`.
         flows_vph: by lane before a stop bar, for `webster`.
     """
 
@@ -76,7 +81,18 @@ class ControlCase:
     downstream_m: float = 100.0
     settings: Mapping[str, Any] = field(default_factory=dict)
     cabinet: Mapping[str, Any] = field(default_factory=dict)
+    own: Mapping[str, float] = field(default_factory=dict)
     flows_vph: Mapping[str, float] = field(default_factory=dict)
+
+    def tuned(self, tuning: Tuning) -> ControlCase:
+        """Returns the case with what the advocate of its policy sets."""
+        fence = {
+            "upstream_m": tuning.upstream_m,
+            "downstream_m": tuning.downstream_m,
+        }
+        given = {name: value for name, value in fence.items() if value is not None}
+        cabinet = {**self.cabinet, **tuning.cabinet}
+        return replace(self, **given, own={**self.own, **tuning.own}, cabinet=cabinet)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,8 +145,13 @@ def run_case(case: ControlCase) -> ControlRow:
     """Runs a case; the first run of a process alone gives the same row every time.
 
     Raises:
-        ConfigError: the net or the policy is none.
+        ConfigError: the net or the policy is none, or the policy is told what it does not know.
     """
+    known = OWN_SETTINGS.get(case.policy, ())
+    unknown = sorted(set(case.own) - set(known))
+    if unknown:
+        allowed = ", ".join(known) or "nothing"
+        raise ConfigError(f"policy {case.policy}: {unknown[0]} is no setting, allowed: {allowed}")
     with tempfile.TemporaryDirectory(prefix="cpnet-control-") as folder:
         return _Run(case, Path(folder)).row()
 
@@ -183,13 +204,17 @@ class _Run:
             "tripinfo-output.write-unfinished": "true",
             "tripinfo-output.write-undeparted": "true",
         }
+        if self._case.policy in SUMO_TYPES:
+            options["additional-files"] = _write_programs(
+                self._case, self._config, self._road_map, self._folder
+            )
         command = ["sumo", *(word for k, v in options.items() for word in (f"--{k}", v))]
         try:
             self._sumo.start(command)
         except (self._sumo.TraCIException, self._sumo.FatalTraCIError) as error:
             raise ConfigError(f"SUMO refuses {self._config}: {error}") from None
         try:
-            self._drive(_controllers(self._case, self._road_map, self._sumo))
+            self._drive(_controllers(self._case, self._road_map))
         finally:
             self._sumo.close()
         delays, arrived = _delays_s(trips)
@@ -362,15 +387,11 @@ def _roads(case: ControlCase, folder: Path) -> tuple[Path, RoadMap]:
     return config, setup.road_map
 
 
-def _controllers(case: ControlCase, road_map: RoadMap, sumo: Any) -> list[_Controller]:  # noqa: ANN401 - libsumo has no types
+def _controllers(case: ControlCase, road_map: RoadMap) -> list[_Controller]:
     """Returns what controls the signals; nothing where SUMO's own programs do."""
-    if case.policy == OWN_PLAN:
+    if case.policy == OWN_PLAN or case.policy in SUMO_TYPES:
         return []
     cabinet = CabinetConfig.model_validate(dict(case.cabinet))
-    if case.policy in SUMO_TYPES:
-        for one in road_map.intersections:
-            _run_program(sumo, one.signal, case.policy, cabinet)
-        return []
     times = CabinetTimes(cabinet.min_green_s, cabinet.yellow_s, cabinet.all_red_s)
     sites = [
         SignalSite(one.signal, road_map, case.upstream_m, times) for one in road_map.intersections
@@ -379,24 +400,48 @@ def _controllers(case: ControlCase, road_map: RoadMap, sumo: Any) -> list[_Contr
 
 
 def _policy(case: ControlCase, site: SignalSite) -> SignalPolicy:
+    kind = PRESSURES.get(case.policy)
     if case.policy == WEBSTER:
-        return webster(site, {lane: case.flows_vph.get(lane, 0.0) for lane in site.lanes})
-    if case.policy in PRESSURES:
-        return WeightedPressure(site, PRESSURES[case.policy], case.downstream_m)
-    settings = {"policy": case.policy, **case.settings}
-    return policy_of(SignalConfig.model_validate(settings), site)
+        flows_vph = {lane: case.flows_vph.get(lane, 0.0) for lane in site.lanes}
+        return webster(site, flows_vph, case.own.get("cycle_factor", 1.0))
+    if kind is None:
+        return policy_of(SignalConfig.model_validate({"policy": case.policy, **case.settings}), site)
+    policy: SignalPolicy
+    if kind in ("vehicles", "queued"):
+        settings = {"policy": "max_pressure", "weight": kind, **case.settings}
+        policy = policy_of(SignalConfig.model_validate(settings), site)
+    else:
+        policy = WeightedPressure(site, kind, case.downstream_m)
+    return HeldGreens(policy, case.own.get("hold_s", 0.0))
 
 
-def _run_program(sumo: Any, signal: Signal, kind: str, cabinet: CabinetConfig) -> None:  # noqa: ANN401 - libsumo has no types
-    """Leaves a signal to a program of SUMO with the plan's greens and the cabinet's times."""
-    lights = sumo.trafficlight
-    try:
-        intervals = programme(signal, cabinet)
-    except ConfigError:
-        return  # with one green only there is nothing to decide
-    phases = [lights.Phase(i.least_s, i.state, i.least_s, i.most_s) for i in intervals]
-    lights.setProgramLogic(signal.tls, lights.Logic(kind, SUMO_TYPES[kind], 0, phases))
-    lights.setProgram(signal.tls, kind)
+def _write_programs(case: ControlCase, config: Path, road_map: RoadMap, folder: Path) -> str:
+    """Writes the programs of SUMO's own control; returns all additional files of the run.
+
+    They have the plan's greens and the cabinet's times. SUMO takes their parameters from a file
+    alone.
+    """
+    cabinet = CabinetConfig.model_validate(dict(case.cabinet))
+    root = ElementTree.Element("additional")
+    for one in road_map.intersections:
+        try:
+            intervals = programme(one.signal, cabinet)
+        except ConfigError:
+            continue  # with one green only there is nothing to decide
+        logic = ElementTree.SubElement(
+            root, "tlLogic", id=one.signal.tls, type=case.policy, programID="own", offset="0"
+        )
+        for name, value in case.own.items():
+            ElementTree.SubElement(logic, "param", key=name, value=f"{value:g}")
+        for i in intervals:
+            least, most = f"{i.least_s:g}", f"{i.most_s:g}"
+            times = {"duration": least, "minDur": least, "maxDur": most}
+            ElementTree.SubElement(logic, "phase", state=i.state, **times)
+    path = folder / "programs.add.xml"
+    ElementTree.ElementTree(root).write(path)
+    found = ElementTree.parse(config).getroot().iter("additional-files")
+    given = [name for one in found for name in one.get("value", "").split(",") if name.strip()]
+    return ",".join([*(str(config.parent / name.strip()) for name in given), str(path)])
 
 
 def _delays_s(trips: Path) -> tuple[list[float], int]:
