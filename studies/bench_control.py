@@ -7,6 +7,7 @@ and those that found no room to enter as well.
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import tempfile
 import time
@@ -44,6 +45,7 @@ from studies.control_baselines import (
     WeightedPressure,
     webster,
 )
+from studies.control_file import NETS
 
 STEP_S = 0.1
 _STEPS_A_SECOND = round(1 / STEP_S)
@@ -59,10 +61,10 @@ class ControlCase:
     """One run.
 
     Attributes:
-        net: `t_junction`, or a folder with one .sumocfg.
+        net: of `NETS`, or a folder with one .sumocfg.
         policy: what `signal.policy` may be, or a baseline: `plan` (the net's own programme) or
             one of `OWN_SETTINGS`.
-        demand: factor of the net's own demand; t_junction alone.
+        demand: factor of the net's own demand; of `NETS` alone.
         seed: SUMO's.
         upstream_m: how far before the stop bars vehicles are known and count.
         downstream_m: how far behind them they count.
@@ -372,7 +374,7 @@ class _Truth:
 
 def _roads(case: ControlCase, folder: Path) -> tuple[Path, RoadMap]:
     """Returns the sumocfg of a case and its road map, with all its signals."""
-    if case.net == "t_junction":
+    if case.net in NETS:
         sides = {"west_in": _DEFAULT_LANE_VPH, "east_in": _DEFAULT_LANE_VPH, **DEMAND_VPH_PER_LANE}
         demand = {edge: vph * case.demand for edge, vph in sides.items()}
         traffic: dict[str, Any] = {"demand_vph_per_lane": demand}
@@ -380,11 +382,46 @@ def _roads(case: ControlCase, folder: Path) -> tuple[Path, RoadMap]:
     else:
         found = sorted(Path(case.net).glob("*.sumocfg"))
         if len(found) != 1:
-            raise ConfigError(f"--net {case.net}: must be t_junction or a folder with a .sumocfg")
+            raise ConfigError(
+                f"--net {case.net}: must be {' or '.join(NETS)} or a folder with a .sumocfg"
+            )
         config = found[0]
         traffic = {"sumocfg": str(config)}
     setup = build_setup({"traffic": traffic, "junctions": "all"}, folder)
+    if case.net == "moving_peak":
+        _move_peak(config.parent / "demand.rou.xml", case.duration_s)
     return config, setup.road_map
+
+
+_PEAKS = {"north_in": (0.75, 2.2), "": (0.25, 1.0)}
+"""By the edge that vehicles come from, else of all: when in the run its peak is, and how high."""
+_BASE, _PEAK_WIDTH = 0.6, 0.13  # demand far from a peak; its standard deviation, of the run
+_SLICES = 24
+
+
+def _move_peak(routes: Path, duration_s: int) -> None:
+    """Lets the demand peak on the main road early in the run, and late on the side road."""
+    tree = ElementTree.parse(routes)
+    root = tree.getroot()
+    slices: list[ElementTree.Element] = []
+    for flow in root.findall("flow"):
+        root.remove(flow)
+        at, height = _PEAKS.get(flow.get("id", "").partition("-to-")[0], _PEAKS[""])
+        per_s = float(flow.get("period", "").removeprefix("exp(").removesuffix(")"))
+        for number in range(_SLICES):
+            away = ((number + 0.5) / _SLICES - at) / _PEAK_WIDTH
+            rate = per_s * (_BASE + height * math.exp(-(away**2) / 2))
+            begin_s, end_s = (n * duration_s / _SLICES for n in (number, number + 1))
+            own = {
+                "id": f"{flow.get('id')}.{number}",
+                "begin": f"{begin_s:g}",
+                "end": f"{end_s:g}",
+                "period": f"exp({rate:.9f})",
+            }
+            slices.append(ElementTree.Element("flow", {**flow.attrib, **own}))
+    slices.sort(key=lambda one: float(one.get("begin", 0)))
+    root.extend(slices)
+    tree.write(routes)
 
 
 def _controllers(case: ControlCase, road_map: RoadMap) -> list[_Controller]:
@@ -405,7 +442,9 @@ def _policy(case: ControlCase, site: SignalSite) -> SignalPolicy:
         flows_vph = {lane: case.flows_vph.get(lane, 0.0) for lane in site.lanes}
         return webster(site, flows_vph, case.own.get("cycle_factor", 1.0))
     if kind is None:
-        return policy_of(SignalConfig.model_validate({"policy": case.policy, **case.settings}), site)
+        return policy_of(
+            SignalConfig.model_validate({"policy": case.policy, **case.settings}), site
+        )
     policy: SignalPolicy
     if kind in ("vehicles", "queued"):
         settings = {"policy": "max_pressure", "weight": kind, **case.settings}

@@ -122,10 +122,11 @@ class WeightedPressure:
     """Max pressure whose vehicles weigh by where they are or by how long they have waited.
 
     `wave`: a vehicle before the stop bar, queued or approaching, weighs 1, one behind it nothing
-    (MAXWAVE of Ault and Sharon 2021). `position`: a vehicle weighs 1 at the stop bar and 0 at the far end of what is known before it,
-    and 1 right behind it and 0 at the far end there (position-weighted back-pressure, Li and Jabari
-    2019). `delay`: a vehicle before the stop bar weighs the seconds that it has stood still
-    (delay-based back-pressure, Wu, Ghosal, Zhang and Chuah 2018), one behind it nothing.
+    (MAXWAVE of Ault and Sharon 2021). `position`: a vehicle weighs 1 at the stop bar and 0 at the
+    far end of what is known before it, and 1 right behind it and 0 at the far end there
+    (position-weighted back-pressure, Li and Jabari 2019). `delay`: a vehicle before the stop bar
+    weighs the seconds that it has stood still (delay-based back-pressure, Wu, Ghosal, Zhang and
+    Chuah 2018), one behind it nothing.
     """
 
     needs_vehicles = True
