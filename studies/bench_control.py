@@ -88,13 +88,14 @@ class ControlCase:
 
     def tuned(self, tuning: Tuning) -> ControlCase:
         """Returns the case with what the advocate of its policy sets."""
-        fence = {
-            "upstream_m": tuning.upstream_m,
-            "downstream_m": tuning.downstream_m,
-        }
-        given = {name: value for name, value in fence.items() if value is not None}
-        cabinet = {**self.cabinet, **tuning.cabinet}
-        return replace(self, **given, own={**self.own, **tuning.own}, cabinet=cabinet)
+        upstream_m, downstream_m = tuning.upstream_m, tuning.downstream_m
+        return replace(
+            self,
+            upstream_m=self.upstream_m if upstream_m is None else upstream_m,
+            downstream_m=self.downstream_m if downstream_m is None else downstream_m,
+            own={**self.own, **tuning.own},
+            cabinet={**self.cabinet, **tuning.cabinet},
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -474,8 +475,9 @@ def _write_programs(case: ControlCase, config: Path, road_map: RoadMap, folder: 
             ElementTree.SubElement(logic, "param", key=name, value=f"{value:g}")
         for i in intervals:
             least, most = f"{i.least_s:g}", f"{i.most_s:g}"
-            times = {"duration": least, "minDur": least, "maxDur": most}
-            ElementTree.SubElement(logic, "phase", state=i.state, **times)
+            ElementTree.SubElement(
+                logic, "phase", state=i.state, duration=least, minDur=least, maxDur=most
+            )
     path = folder / "programs.add.xml"
     ElementTree.ElementTree(root).write(path)
     found = ElementTree.parse(config).getroot().iter("additional-files")
