@@ -53,7 +53,8 @@ class JunctionModel:
         foes: (P, L, F) lanes with right of way over a lane's permitted movements, -1 for none.
         change_steps: (P, P) from a green's end to the next green's begin.
         min_green_steps: (P,).
-        reach_s: (L,) from where vehicles can be seen to the stop bar, if nothing holds them.
+        reach_m: (L,) from where vehicles can be known to the stop bar: the map may end before.
+        reach_s: (L,) how long they take from there, if nothing holds them.
     """
 
     def __init__(self, site: SignalSite, pedestrian_green_s: float) -> None:
@@ -71,7 +72,7 @@ class JunctionModel:
         for index, movement in enumerate(self.movements):
             self.lane_of[index, movement.lane] = 1.0
         self._ways = {lane: self._way(lane) for lane in self.approaches.upstream}
-        self.reach_s = np.array([self._reach_s(lane) for lane in self.lanes])
+        self.reach_m, self.reach_s = np.array([self._reach(lane) for lane in self.lanes]).T
         self.foes = self._foes()
         self.change_steps = np.array(
             [[_change_steps(a, b, site.cabinet) for b in self.phases] for a in self.phases]
@@ -114,15 +115,15 @@ class JunctionModel:
             end_s += by_id[at].measured_m / _speed_mps(self.site.road_map, at)
         return _Way(end_m, end_s, _speed_mps(self.site.road_map, lane))
 
-    def _reach_s(self, lane: str) -> float:
-        """Returns the time from the farthest place that can be seen: the map may end before."""
+    def _reach(self, lane: str) -> tuple[float, float]:
         upstream = self.approaches.upstream
         starts_m = {name: a.start_m for name, a in upstream.items() if a.counts_for == lane}
         within = {n: m for n, m in starts_m.items() if self._ways[n].end_m <= self.site.upstream_m}
         if not within:
-            return 0.0
+            return 0.0, 0.0
         farthest = max(within, key=lambda name: within[name])
-        return self.free_flow_s(farthest, min(self.site.upstream_m, within[farthest]))
+        reach_m = min(self.site.upstream_m, within[farthest])
+        return reach_m, self.free_flow_s(farthest, reach_m)
 
     def _foes(self) -> Ints:
         by_link = {link: m for m, one in enumerate(self.movements) for link in one.links}

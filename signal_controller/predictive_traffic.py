@@ -33,6 +33,7 @@ _HEAD_M = 10.0  # a vehicle so near the stop bar is the first
 _REACTION_S = 3.0  # after which a first vehicle that may go has gone
 _PATIENCE_S = {PROTECTED: 1.5, PERMITTED: 15.0}  # how fast doubt grows that it wants to
 _STUCK_PRIOR = 0.02  # that it wants nothing: a ghost, a breakdown
+_GREENS = (PROTECTED, PERMITTED)
 _ROOM_M = 8.0  # that an exit needs for one more vehicle
 _ACCELERATION_MPS2 = 2.0
 _LOST_AFTER_S = 2.0  # a vehicle unseen for so long is forgotten
@@ -176,8 +177,15 @@ class TrafficMemory:
         self._watch_heads(time_s, passed_s, vehicles, shown)
         self._note_service(time_s, shown, unseen)
 
-    def _note_signal(self, time_s: float, state: str) -> Ints:
-        shown = np.array(
+    def open_shares(self, state: str) -> Floats:
+        """Returns which share of a lane may go, with right of way and yielding (L, 2)."""
+        shown, lane_of = self._shown(state), self._model.lane_of
+        parts = [np.where(shown == kind, self.shares, 0.0) @ lane_of for kind in _GREENS]
+        return np.array(parts).T
+
+    def _shown(self, state: str) -> Ints:
+        """Returns the status of each movement (M,)."""
+        return np.array(
             [
                 max(
                     (PROTECTED if state[i : i + 1] == "G" else PERMITTED)
@@ -188,6 +196,9 @@ class TrafficMemory:
                 for movement in self._model.movements
             ]
         )
+
+    def _note_signal(self, time_s: float, state: str) -> Ints:
+        shown = self._shown(state)
         fresh = (shown != RED) & np.isinf(self.green_since_s)
         self.green_since_s[fresh] = time_s
         self.green_since_s[shown == RED] = math.inf

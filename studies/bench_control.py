@@ -29,7 +29,7 @@ from protocol.messages import LaneCounts, SignalRequest
 from protocol.roadmap import RoadMap
 from signal_controller.config import SignalConfig
 from signal_controller.observation import CabinetTimes, LaneVehicles, Observation, SignalSite
-from signal_controller.policies import SignalPolicy, policy_of
+from signal_controller.policies import Predictive, SignalPolicy, policy_of
 from sim_host.cabinet import SignalCabinet, programme
 from sim_host.config import CabinetConfig
 from sim_host.junctions import DEMAND_VPH_PER_LANE
@@ -51,6 +51,8 @@ STEP_S = 0.1
 _STEPS_A_SECOND = round(1 / STEP_S)
 _STATIONARY_MPS = 0.5
 _DEFAULT_LANE_VPH = 500.0
+_SETTLED_S = 300  # from when on estimates are judged
+_QUEUED_MPS = 1.0  # who has been slower before the stop bar queues until he has passed it
 
 OWN_PLAN = "plan"
 WEBSTER = "webster"
@@ -70,6 +72,8 @@ class ControlCase:
         downstream_m: how far behind them they count.
         settings: of the scenario's section `signal`.
         cabinet: its section `cabinet`.
+        reporting: share of the vehicles that are known; with less than all of them, no policy is
+            told of any lane that it is covered.
         own: of a baseline, see `OWN_SETTINGS`.
         flows_vph: by lane before a stop bar, for `webster`.
     """
@@ -83,6 +87,7 @@ class ControlCase:
     downstream_m: float = 100.0
     settings: Mapping[str, Any] = field(default_factory=dict)
     cabinet: Mapping[str, Any] = field(default_factory=dict)
+    reporting: float = 1.0
     own: Mapping[str, float] = field(default_factory=dict)
     flows_vph: Mapping[str, float] = field(default_factory=dict)
 
@@ -100,7 +105,11 @@ class ControlCase:
 
 @dataclass(frozen=True, slots=True)
 class ControlRow(JsonRow):
-    """What a run gave; times in s, of all vehicles. `waited_s` is the longest wait in one go."""
+    """What a run gave; times in s, of all vehicles. `waited_s` is the longest wait in one go.
+
+    Of lanes whose queues a policy had to estimate, `queue_error` is the mean absolute error in
+    vehicles, `queue_inside` how often the interval that is to hold it by 90 % did.
+    """
 
     net: str
     policy: str
@@ -113,6 +122,8 @@ class ControlRow(JsonRow):
     waited_s: float
     decide_p50_ms: float
     decide_p99_ms: float
+    queue_error: float | None = None
+    queue_inside: float | None = None
 
 
 def measure_control(cases: Sequence[ControlCase], processes: int = 1) -> Iterator[ControlRow]:
@@ -187,6 +198,7 @@ class _Run:
         self._sumo = load_libsumo()
         self._decide_ns: list[int] = []
         self._waited_s = 0.0
+        self._queues: list[tuple[float, bool]] = []
         self.passed: Counter[str] = Counter()
         self._lane_of: dict[str, str] = {}
 
@@ -234,20 +246,24 @@ class _Run:
             waited_s=self._waited_s,
             decide_p50_ms=float(np.quantile(decide_ms, 0.5)),
             decide_p99_ms=float(np.quantile(decide_ms, 0.99)),
+            queue_error=mean(off for off, _ in self._queues) if self._queues else None,
+            queue_inside=mean(is_in for _, is_in in self._queues) if self._queues else None,
         )
 
     def _drive(self, controllers: list[_Controller]) -> None:
         begin_s = self._sumo.simulation.getTime()
-        truth = _Truth(self._road_map, self._case.upstream_m, self._case.downstream_m)
+        truth = _Truth(self._road_map, self._case)
         shown: dict[str, str] = {}
         for step in range(self._case.duration_s * _STEPS_A_SECOND):
             now_ns = round((begin_s + step * STEP_S) * 1e9)
             if step % _STEPS_A_SECOND == 0:
                 self._note_waits()
                 truth.read(self._sumo)
-                self._note_passages(truth.vehicles)
+                self._note_passages(truth.all)
                 for one in controllers:
                     self._decide_ns.append(one.decide(step, now_ns, truth))
+                    if step >= _SETTLED_S * _STEPS_A_SECOND:
+                        self._queues += one.queue_errors(truth)
             for one in controllers:
                 state = one.cabinet.advance(now_ns)
                 if shown.get(one.tls) != state:
@@ -300,6 +316,25 @@ class _Controller:
         )
         return taken_ns
 
+    def queue_errors(self, truth: _Truth) -> list[tuple[float, bool]]:
+        """Returns how far off each estimated queue is, and whether its interval holds it."""
+        queues = self._policy.planner.queues if isinstance(self._policy, Predictive) else None
+        if queues is None or queues.is_seen.all():
+            return []
+        incoming = self._approaches.intersection.incoming
+        standing = dict.fromkeys(incoming, 0)
+        for lane, name, distance_m in zip(
+            truth.all.lanes, truth.all.ids, truth.all.distances_m.tolist(), strict=True
+        ):
+            side = self._approaches.upstream.get(lane)
+            if side is not None and distance_m <= self._case.upstream_m:
+                standing[side.counts_for] += name in truth.queued
+        found = []
+        for index in np.flatnonzero(~queues.is_seen).tolist():
+            queue, number = queues.queue(index), standing[incoming[index]]
+            found.append((abs(queue.mean - number), queue.low <= number <= queue.high))
+        return found
+
     def _counts(self, frame: int, now_ns: int, truth: _Truth) -> LaneCounts:
         around, case = self._approaches, self._case
         incoming, outgoing = around.intersection.incoming, around.intersection.outgoing
@@ -324,18 +359,19 @@ class _Controller:
             downstream=behind,
             stationary_upstream=waiting,
             stationary_downstream=standing,
-            coverage_upstream=dict.fromkeys(incoming, 1.0),
-            coverage_downstream=dict.fromkeys(outgoing, 1.0),
+            coverage_upstream=dict.fromkeys(incoming if case.reporting == 1 else [], 1.0),
+            coverage_downstream=dict.fromkeys(outgoing if case.reporting == 1 else [], 1.0),
         )
 
 
 class _Truth:
     """Where all vehicles are that somebody may know of, read once a decision.
 
-    `rows` are lane, metres along it and speed in m/s, in the order of `vehicles`.
+    `rows` are lane, metres along it and speed in m/s, in the order of `vehicles`: those that are
+    known of `all`. `queued` are the names of those that have stood before a stop bar.
     """
 
-    def __init__(self, road_map: RoadMap, upstream_m: float, downstream_m: float) -> None:
+    def __init__(self, road_map: RoadMap, case: ControlCase) -> None:
         self._starts_m: dict[str, float] = {}
         for side in ("upstream", "downstream"):
             for one in road_map.intersections:
@@ -344,9 +380,14 @@ class _Truth:
         self._scale = {
             lane.id: lane.measured_m / lane.length_m for lane in road_map.lanes if lane.length_m
         }
-        self._reach_m = upstream_m, downstream_m
+        self._reach_m = case.upstream_m, case.downstream_m
+        self._reporting = case.reporting
+        self._draw = np.random.default_rng(case.seed)
+        self._reports: dict[str, bool] = {}
+        self.queued: set[str] = set()
         self.rows: list[tuple[str, float, float]] = []
         self.vehicles = LaneVehicles([], np.zeros(0), np.zeros(0), np.zeros(0), [])
+        self.all = self.vehicles
 
     def read(self, sumo: Any) -> None:  # noqa: ANN401 - libsumo has no types
         """Reads them from SUMO."""
@@ -363,14 +404,21 @@ class _Truth:
             rows.append((lane, along_m, vehicle.getSpeed(name)))
             distances_m.append(start_m - along_m)
             lengths_m.append(vehicle.getLength(name))
-        self.rows = rows
-        self.vehicles = LaneVehicles(
+        self.all = LaneVehicles(
             lanes=[lane for lane, _, _ in rows],
             distances_m=np.array(distances_m),
             speeds_mps=np.array([speed_mps for _, _, speed_mps in rows]),
             lengths_m=np.array(lengths_m),
             ids=ids,
         )
+        slow = self.all.speeds_mps < _QUEUED_MPS
+        self.queued |= {name for name, stands in zip(ids, slow.tolist(), strict=True) if stands}
+        for name in ids:
+            if name not in self._reports:
+                self._reports[name] = bool(self._draw.random() < self._reporting)
+        known = [index for index, name in enumerate(ids) if self._reports[name]]
+        self.rows = [rows[index] for index in known]
+        self.vehicles = self.all.take(np.array(known, np.int64))
 
 
 def _roads(case: ControlCase, folder: Path) -> tuple[Path, RoadMap]:
