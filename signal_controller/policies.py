@@ -20,6 +20,7 @@ from signal_controller.queue_estimator import (
     QueueEstimator,
     Weight,
     extrapolated,
+    uncovered_lanes,
     weighted_counts,
 )
 
@@ -185,19 +186,17 @@ class MaxPressure:
 
 
 class Predictive:
-    """The predictive planner, with estimates for lanes that no sensor covers.
+    """The predictive planner, which estimates what no sensor covers.
 
-    When no lane has been covered for `estimator_timeout_s`, it requests the fixed plan.
+    When nothing has been known of any lane for `estimator_timeout_s`, it requests the fixed plan.
     """
 
     needs_vehicles = True
 
     def __init__(self, config: SignalConfig, site: SignalSite) -> None:
         self._site = site
-        self._estimator = QueueEstimator(
-            site.signal, config.model_copy(update={"weight": "vehicles"}), site.upstream_m
-        )
-        self._planner = PredictivePlanner(
+        self._timeout_s = config.estimator_timeout_s
+        self.planner = PredictivePlanner(
             site,
             PlannerSettings(
                 horizon_s=config.horizon_s,
@@ -211,15 +210,14 @@ class Predictive:
     def decide(self, observation: Observation) -> Decision:
         """See `SignalPolicy.decide`."""
         counts, shown = observation.counts, observation.shown
-        estimate = self._estimator.take(counts, shown)
-        unknown = tuple(estimate.vehicles)
-        if estimate.is_blind or observation.vehicles is None or shown is None:
+        unknown = tuple(uncovered_lanes(self._site.lanes, counts.coverage_upstream))
+        if observation.vehicles is None or shown is None:
             return fallback_plan(self._site.signal, counts.sim_time_ns, unknown)
-        # Without coverage vehicles report themselves alone: then no lane is known to be empty.
-        unseen = unknown if counts.coverage_upstream else tuple(self._site.lanes)
-        state = self._planner.request(
-            counts.sim_time_ns / 1e9, observation.vehicles, shown, estimate.vehicles, unseen
+        state = self.planner.request(
+            counts.sim_time_ns / 1e9, observation.vehicles, shown, counts.coverage_upstream
         )
+        if self.planner.queues.blind_s >= self._timeout_s:
+            return fallback_plan(self._site.signal, counts.sim_time_ns, unknown)
         return Decision(state, [], "predictive", unknown)
 
 

@@ -7,7 +7,7 @@ and durations of least cost, and the first of them is requested. In the spirit o
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,6 +23,8 @@ from signal_controller.predictive_model import (
 )
 from signal_controller.predictive_search import Plan, Prices, Problem, search
 from signal_controller.predictive_traffic import TrafficMemory
+from signal_controller.queue_estimator import uncovered_lanes
+from signal_controller.queue_filter import QueueFilter
 
 MAX_VEHICLES = 1000
 """Vehicles that one decision looks at: the nearest."""
@@ -57,6 +59,7 @@ class PredictivePlanner:
         self._settings = settings
         self.model = JunctionModel(site, settings.pedestrian_green_s)
         self.memory = TrafficMemory(self.model, settings.inflow_vph, settings.saturation_vph)
+        self.queues = QueueFilter(self.model, settings.inflow_vph, settings.saturation_vph)
         self.plan: Plan | None = None
         self._association = VehicleAssociation()
         self._green_since_s: tuple[str, float] = "", 0.0
@@ -67,8 +70,7 @@ class PredictivePlanner:
         time_s: float,
         vehicles: LaneVehicles,
         shown: SignalState,
-        estimated: Mapping[str, float],
-        unseen: Collection[str] = (),
+        coverage: Mapping[str, float],
     ) -> str:
         """Returns the green to request, and keeps the `plan` that it belongs to.
 
@@ -76,12 +78,16 @@ class PredictivePlanner:
             time_s: of the vehicles and of what is shown.
             vehicles: on the lanes of the signal and others.
             shown: what the signal shows.
-            estimated: vehicles on lanes before the stop bars that no sensor covers.
-            unseen: lanes before the stop bars where there may be others than the `vehicles`.
+            coverage: share of each lane before the stop bars that sensors cover, 1 where it is not
+                named; empty where vehicles report themselves alone.
         """
         vehicles = self._association.take(time_s, self._nearest(vehicles))
-        self.memory.take(time_s, vehicles, shown.state, unseen)
-        model = self.model
+        model, memory = self.model, self.memory
+        unseen = uncovered_lanes(model.lanes, coverage) if coverage else model.lanes
+        memory.take(time_s, vehicles, shown.state, unseen)
+        self.queues.take(
+            time_s, vehicles, memory.open_shares(shown.state), memory.arrivals_per_s, coverage
+        )
         phase = model.phase_of(shown.green)
         if shown.stage != "green":
             self._green_since_s = "", 0.0
@@ -95,7 +101,7 @@ class PredictivePlanner:
         if left_s > 1e-6:
             return model.phases[phase]
         forced = self._overdue_phase(time_s, phase)
-        problem = self._problem(time_s, self.arrivals(vehicles, estimated), phase)
+        problem = self._problem(time_s, self.arrivals(vehicles), phase)
         self.plan = search(problem, self._settings.prices, self._settings.max_nodes, forced)
         if forced is not None:
             return model.phases[forced]
@@ -130,10 +136,10 @@ class PredictivePlanner:
             free=0,
         )
 
-    def arrivals(self, vehicles: LaneVehicles, estimated: Mapping[str, float]) -> Floats:
+    def arrivals(self, vehicles: LaneVehicles) -> Floats:
         """Returns (L, T): vehicles expected at each stop bar in each step.
 
-        Those estimated and not seen stand at the stop bar.
+        Those that queue unseen stand at the stop bar; from where nobody is seen, others may come.
         """
         model, memory = self.model, self.memory
         steps = round(self._settings.horizon_s / STEP_S)
@@ -142,20 +148,24 @@ class PredictivePlanner:
         chosen = [i for i, lane in enumerate(vehicles.lanes) if lane in upstream]
         if chosen:
             lanes = [vehicles.lanes[i] for i in chosen]
-            targets = [model.lane_index[upstream[lane].counts_for] for lane in lanes]
-            after_s = memory.arrival_s(
-                vehicles.distances_m[chosen], vehicles.speeds_mps[chosen], model.speeds_mps[targets]
+            distances_m = vehicles.distances_m[chosen]
+            free_s = np.array(
+                [model.free_flow_s(*of) for of in zip(lanes, distances_m.tolist(), strict=True)]
             )
+            limits_mps = np.maximum(1.0, distances_m / np.maximum(free_s, 0.1))
+            after_s = memory.arrival_s(distances_m, vehicles.speeds_mps[chosen], limits_mps)
             at = np.minimum(after_s / STEP_S, steps).astype(np.int64)
             for lane, step in zip(lanes, at.tolist(), strict=True):
                 if step < steps:
                     result[:, step] += memory.chosen_lanes(lane)
-        for lane, count in estimated.items():
-            index = model.lane_index[lane]
-            result[index, 0] += max(0.0, count - result[index].sum())
-        seen_s = model.reach_m / model.speeds_mps
-        unseen = np.arange(steps)[None, :] * STEP_S >= seen_s[:, None]
-        result += unseen * memory.arrivals_per_s[:, None] * STEP_S
+        queues = self.queues
+        result[:, 0] += np.maximum(0.0, queues.expected() - queues.queued())
+        inflow_per_s = np.where(queues.is_seen, memory.arrivals_per_s, queues.arrivals_per_s)
+        at_s = np.arange(steps)[None, :] * STEP_S
+        seen_s = np.where(queues.is_seen, queues.shares, 0.0) * model.reach_s
+        is_beyond = at_s >= model.reach_s[:, None]
+        reported = np.where(is_beyond, 0.0, queues.reporting)
+        result += (at_s >= seen_s[:, None]) * (1 - reported) * inflow_per_s[:, None] * STEP_S
         return result
 
     def _overdue_phase(self, time_s: float, phase: int) -> int | None:

@@ -1,0 +1,299 @@
+"""Queues that nobody sees whole: a histogram filter over a point queue with Poisson arrivals.
+
+For each lane before a stop bar it holds the joint probability of the arrival rate and of the number
+of vehicles that queue: those that have stood and have not passed the stop bar. Unseen vehicles
+arrive as a Poisson process and leave one by one while the lane is green. What is seen corrects it,
+after Comert and Cetin (2009): who stops joins at the end of the queue, so that his distance tells
+how many stand before him; who passes the stop bar has nobody of them before him any more; who still
+drives is behind the last one. So a few vehicles that report themselves tell of all others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from signal_controller.observation import LaneVehicles
+from signal_controller.predictive_model import Bools, Floats, JunctionModel
+from signal_controller.queue_estimator import MIN_COVERAGE, SPACING_M
+
+STOPPED_MPS = 1.0
+_FREE_MPS = 5.0  # who drives so fast does not stand in the queue
+_RATE_FACTORS = np.array([0.1, 0.25, 0.5, 0.75, 1.0, 1.5, 2.2, 3.0])  # of the expected inflow
+_RATE_MEMORY_S = 900.0  # after which a rate may have become another
+_RATE_SPREAD = 0.35  # of the logarithm of a rate that was counted
+_MOST_QUEUED = 60
+_LOST_S = 2.0  # from the begin of green to the first vehicle that leaves
+_YIELDING = 0.4  # of the saturation flow, of turns that yield
+_REPORTING_PRIOR = 0.3, 2.7  # vehicles that report themselves and others, of the share's prior
+_REPORTING_MEMORY = 400.0
+_PLACE_M, _PLACE_SHARE = 3.0, 0.08  # how far off its place in the queue one stands, by distance
+_MISTAKE = 1e-3  # likelihood of what cannot be: places are not exact, lanes are changed
+_LOST_AFTER_S = 2.0
+_HEAD_M = 10.0  # who vanishes so near the stop bar has passed it
+_FULL = 0.9  # of the seen part of a lane: a queue so long may go on beyond
+_INSIDE = 0.9  # of the probability, in the interval
+
+
+@dataclass(frozen=True, slots=True)
+class LaneQueue:
+    """Vehicles that queue on a lane: expectation, and the shortest interval that holds 90 %."""
+
+    mean: float
+    low: float
+    high: float
+
+
+@dataclass(slots=True)
+class _Seen:
+    """A vehicle before a stop bar, as last seen; `joined_s` is when it first stood."""
+
+    lane: int
+    distance_m: float
+    time_s: float
+    joined_s: float = math.nan
+
+
+class QueueFilter:
+    """Follows the queues of a signal's lanes from frame to frame.
+
+    Attributes:
+        shares: (L,) part of each lane, from the stop bar on, that sensors see.
+        reporting: share of all vehicles that report themselves.
+    """
+
+    def __init__(self, model: JunctionModel, inflow_vph: float, saturation_vph: float) -> None:
+        self._model = model
+        lanes = len(model.lanes)
+        self._rates_per_s = inflow_vph / 3600 * _RATE_FACTORS
+        self._saturation_per_s = saturation_vph / 3600
+        self._reach_m = np.maximum(SPACING_M, model.reach_m)
+        self._most = np.minimum(_MOST_QUEUED, np.ceil(self._reach_m / SPACING_M)).astype(int)
+        self._numbers = np.arange(self._most.max(initial=1) + 1)
+        self._joint = np.zeros((lanes, len(_RATE_FACTORS), len(self._numbers)))
+        self._joint[:, :, 0] = _rate_weights(self._rates_per_s, inflow_vph / 3600)
+        self._report_counts = np.array(_REPORTING_PRIOR)
+        self._seen: dict[str, _Seen] = {}
+        self._green_s = np.zeros(lanes)
+        self._time_s: float | None = None
+        self._was_seen = np.zeros(lanes, np.bool_)
+        self.shares = np.ones(lanes)
+        self._unseen_s = 0.0
+
+    @property
+    def reporting(self) -> float:
+        """See the class."""
+        return float(self._report_counts[0] / self._report_counts.sum())
+
+    @property
+    def arrivals_per_s(self) -> Floats:
+        """Expected rate of arrival (L,), of lanes that are not seen."""
+        return np.asarray(self._joint.sum(axis=2) @ self._rates_per_s)
+
+    @property
+    def is_seen(self) -> Bools:
+        """Whether a lane (L,) is seen at least before the stop bar."""
+        return self.shares >= MIN_COVERAGE
+
+    @property
+    def blind_s(self) -> float:
+        """Since when no lane has been seen and nobody has reported himself."""
+        return self._unseen_s
+
+    def queued(self) -> Floats:
+        """Returns the vehicles (L,) of those given that queue."""
+        found = np.zeros(len(self.shares))
+        for one in self._seen.values():
+            found[one.lane] += not math.isnan(one.joined_s)
+        return found
+
+    def queue(self, lane: int) -> LaneQueue:
+        """Returns what is known of a lane's queue."""
+        numbers = self._joint[lane].sum(axis=0)
+        below = np.append(0.0, np.cumsum(numbers))
+        ends = np.minimum(np.searchsorted(below, below[:-1] + _INSIDE - 1e-9), len(numbers))
+        widths = np.where(below[ends] - below[:-1] >= _INSIDE - 1e-6, ends, np.inf) - self._numbers
+        low = int(np.argmin(widths))
+        return LaneQueue(float(numbers @ self._numbers), low, int(ends[low]) - 1)
+
+    def expected(self) -> Floats:
+        """Returns the expected queues (L,)."""
+        return np.asarray(self._joint.sum(axis=1) @ self._numbers)
+
+    def take(
+        self,
+        time_s: float,
+        vehicles: LaneVehicles,
+        open_shares: Floats,
+        counted_per_s: Floats,
+        coverage: Mapping[str, float],
+    ) -> None:
+        """Takes a frame.
+
+        Args:
+            time_s: of the frame.
+            vehicles: all that are known, with ids.
+            open_shares: (L, 2) of a lane's vehicles that may go, with right of way and yielding.
+            counted_per_s: (L,) rate of arrival as counted where lanes are seen.
+            coverage: share by lane that sensors cover; without any, vehicles report themselves.
+        """
+        passed_s = 0.0 if self._time_s is None else max(0.0, min(10.0, time_s - self._time_s))
+        self._time_s = time_s
+        self.shares = np.array(
+            [coverage.get(lane, 1.0) if coverage else 0.0 for lane in self._model.lanes]
+        )
+        is_blind = not self.is_seen.any() and not len(vehicles.ids)
+        self._unseen_s = self._unseen_s + passed_s if is_blind else 0.0
+        for part_s in _parts(passed_s):
+            self._predict(part_s, open_shares)
+        self._note_rates(counted_per_s)
+        self._follow(time_s, vehicles, is_red=open_shares.sum(axis=1) <= 0)
+        self._note_seen()
+        self._joint /= self._joint.sum(axis=(1, 2), keepdims=True)
+
+    def _predict(self, passed_s: float, open_shares: Floats) -> None:
+        """Lets unseen vehicles arrive and leave for a part of a second."""
+        flow = open_shares @ np.array([1.0, _YIELDING])
+        self._green_s = np.where(flow > 0, self._green_s + passed_s, 0.0)
+        leave = np.where(self._green_s > _LOST_S, flow * self._saturation_per_s * passed_s, 0.0)
+        leave = np.minimum(1.0, leave)[:, None, None]
+        joint = self._joint * (1 - leave)
+        joint[:, :, :-1] += leave * self._joint[:, :, 1:]
+        joint[:, :, :1] += leave * self._joint[:, :, :1]
+        come = self._rates_per_s[:, None] * (1 - self.reporting) * passed_s
+        come = np.minimum(1.0, np.broadcast_to(come, joint.shape)).copy()
+        come[leave[:, 0, 0] > 0, :, 0] = 0.0  # they pass without having to stop
+        for lane, most in enumerate(self._most):
+            come[lane, :, most:] = 0.0
+        moved = joint * come
+        joint -= moved
+        joint[:, :, 1:] += moved[:, :, :-1]
+        # Nobody reported himself meanwhile, else he is counted in `_follow`; and rates change.
+        quiet = np.exp(-self._rates_per_s * self.reporting * passed_s)
+        joint *= np.where(self.is_seen[:, None], 1.0, quiet[None])[:, :, None]
+        change = passed_s / _RATE_MEMORY_S
+        joint += change * (joint.mean(axis=1, keepdims=True) - joint)
+        self._joint = joint / joint.sum(axis=(1, 2), keepdims=True)
+
+    def _note_rates(self, counted_per_s: Floats) -> None:
+        """Takes over the counted rate where a lane is seen no longer."""
+        for lane in np.flatnonzero(self._was_seen & ~self.is_seen):
+            numbers = self._joint[lane].sum(axis=0)
+            weights = _rate_weights(self._rates_per_s, float(counted_per_s[lane]))
+            self._joint[lane] = weights[:, None] * numbers
+        self._was_seen = self.is_seen
+
+    def _follow(self, time_s: float, vehicles: LaneVehicles, *, is_red: Bools) -> None:
+        """Follows each vehicle from where it is first known until it passes the stop bar."""
+        upstream, index_of = self._model.approaches.upstream, self._model.lane_index
+        speeds_mps, distances_m = vehicles.speeds_mps.tolist(), vehicles.distances_m.tolist()
+        rows = zip(vehicles.ids, vehicles.lanes, distances_m, speeds_mps, strict=True)
+        gone = []
+        for name, lane_name, distance_m, speed_mps in rows:
+            side = upstream.get(lane_name)
+            if side is None or distance_m > self._reach_m[index_of[side.counts_for]]:
+                gone.append(name)
+                continue
+            lane = index_of[side.counts_for]
+            one = self._seen.get(name)
+            if one is None:
+                one = self._seen[name] = _Seen(lane, distance_m, time_s)
+                if not self.is_seen[lane]:
+                    self._weigh(lane, self._rates_per_s[:, None])
+            one.lane, one.distance_m, one.time_s = lane, distance_m, time_s
+            if math.isnan(one.joined_s):
+                self._note_speed(one, speed_mps, is_red=bool(is_red[lane]))
+        gone += [n for n, one in self._seen.items() if time_s - one.time_s > _LOST_AFTER_S]
+        for name in gone:
+            one = self._seen.pop(name, None)
+            if one is not None and one.distance_m < _HEAD_M and not self.is_seen[one.lane]:
+                self._pass(one, time_s)
+
+    def _note_speed(self, one: _Seen, speed_mps: float, *, is_red: bool) -> None:
+        """Takes how fast a vehicle is that has not stood yet."""
+        if speed_mps < STOPPED_MPS:
+            self._join(one)
+        elif speed_mps > _FREE_MPS and is_red and not self.is_seen[one.lane]:
+            is_behind = self._numbers * SPACING_M > one.distance_m + _PLACE_M
+            self._weigh(one.lane, np.where(is_behind, _MISTAKE, 1.0))
+
+    def _join(self, one: _Seen) -> None:
+        """Takes that a vehicle stopped: as many stand before it as fit between it and the bar."""
+        one.joined_s, lane = one.time_s, one.lane
+        if self.is_seen[lane]:
+            return
+        ahead = [
+            other
+            for other in self._seen.values()
+            if other.lane == lane and other.distance_m < one.distance_m
+        ]
+        places = max(len(ahead), round(one.distance_m / SPACING_M))
+        self._report_counts += len(ahead), places - len(ahead)
+        self._report_counts *= min(1.0, _REPORTING_MEMORY / self._report_counts.sum())
+        away_m = self._numbers * SPACING_M - one.distance_m
+        deviation_m = _PLACE_M + _PLACE_SHARE * one.distance_m
+        self._weigh(lane, np.exp(-0.5 * (away_m / deviation_m) ** 2) + _MISTAKE)
+        joint = self._joint[lane]
+        longest = joint[:, -1].copy()
+        joint[:, 1:] = joint[:, :-1].copy()
+        joint[:, 0] = 0.0
+        joint[:, -1] += longest
+
+    def _weigh(self, lane: int, likelihood: Floats) -> None:
+        """Corrects a lane by what was seen; a likelihood of at least `_MISTAKE` somewhere."""
+        joint = self._joint[lane] * likelihood
+        self._joint[lane] = joint / joint.sum()
+
+    def _pass(self, one: _Seen, time_s: float) -> None:
+        """Takes that a vehicle passed the stop bar: only who came after it can be there still."""
+        lane = one.lane
+        weights = self._joint[lane].sum(axis=1)
+        behind = sum(
+            other.lane == lane and not math.isnan(other.joined_s) for other in self._seen.values()
+        )
+        since_s = 1.0 if math.isnan(one.joined_s) else time_s - one.joined_s
+        expected = self._rates_per_s * (1 - self.reporting) * since_s
+        numbers = np.maximum(0, self._numbers - behind)
+        log = numbers * np.log(expected[:, None] + 1e-9) - expected[:, None]
+        log -= np.array([math.lgamma(n + 1) for n in numbers])
+        chance = np.exp(log) * (self._numbers >= behind) * (self._numbers <= self._most[lane])
+        chance += 1e-12
+        self._joint[lane] = weights[:, None] * chance / chance.sum(axis=1, keepdims=True)
+
+    def _note_seen(self) -> None:
+        """Takes the queues that are seen; a queue that fills what is seen may be longer."""
+        if not self.is_seen.any():
+            return
+        queued = self.queued()
+        tails_m = np.zeros(len(self.shares))
+        for one in self._seen.values():
+            if not math.isnan(one.joined_s):
+                tails_m[one.lane] = max(tails_m[one.lane], one.distance_m)
+        for lane in np.flatnonzero(self.is_seen):
+            share = self.shares[lane]
+            number = min(int(queued[lane]), len(self._numbers) - 1)
+            is_whole = share > _FULL or tails_m[lane] < _FULL * share * self._reach_m[lane]
+            allowed = self._numbers == number if is_whole else self._numbers >= number
+            weights = self._joint[lane].sum(axis=1, keepdims=True)
+            joint = self._joint[lane] * allowed
+            total = joint.sum(axis=1, keepdims=True)
+            exact = weights * (self._numbers == number)
+            self._joint[lane] = np.where(
+                total > 1e-9, joint * weights / np.maximum(total, 1e-12), exact
+            )
+
+
+def _rate_weights(rates_per_s: Floats, rate_per_s: float) -> Floats:
+    """Returns the probabilities (K,) of rates around one that was counted or is expected."""
+    away = np.log(rates_per_s / max(rate_per_s, rates_per_s[0])) / _RATE_SPREAD
+    weights = np.exp(-0.5 * away**2) + 0.02
+    return np.asarray(weights / weights.sum())
+
+
+def _parts(passed_s: float) -> list[float]:
+    """Splits time into parts of a second at most."""
+    number = math.ceil(passed_s)
+    return [passed_s / number] * number if number else []
