@@ -42,6 +42,8 @@ MEASURES = frozenset(
         "vehicles_waiting",
         "uplink_mbps",
         "uplink_peak_mbps",
+        "wire_up_mbps",
+        "wire_down_mbps",
     }
 )
 """Keys of the whole run's figures by `studies.sweep.worker.measure`."""

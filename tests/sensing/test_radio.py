@@ -1,7 +1,7 @@
 from protocol.in_process import InProcessBus, InProcessRouter
 from protocol.inbox import Inbox
 from protocol.messages import NEVER_NS
-from sensing.link_channel import on_air_bytes
+from protocol.traffic import on_air_bytes
 from sensing.link_config import LinkConfig
 from sensing.radio import AgentKind, IdealRadio, Radio, RealRadio, VirtualRadio, radio_of
 
