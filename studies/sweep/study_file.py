@@ -199,8 +199,12 @@ _PAGES: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "bandwidth": {
         "every-second": ("upload", "uplink in Mbit/s"),
-        "ten-a-second": ("upload", "uplink in Mbit/s"),
-        "latency": ("upload", "latency in ms"),
+        "whole-scans": ("deadline in ms", "uplink in Mbit/s"),
+        "foreground": ("deadline in ms", "uplink in Mbit/s"),
+        "each-its-part": ("deadline in ms", "uplink in Mbit/s"),
+        "boxes": ("deadline in ms", "uplink in Mbit/s"),
+        "latency": ("latency in ms",),
+        "loss": ("packets lost, %",),
     },
 }
 """By page, the grids that it needs, with their axes."""
