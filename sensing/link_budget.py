@@ -38,7 +38,7 @@ def link_warnings(scenario: dict[str, Any]) -> Iterator[str]:
         if profile is None or policy.sends != "scan" or policy.cells:
             continue
         deadline_ms = float(scenario["edge"]["deadline_ms"]) - link.agent_compute_ms
-        is_filtered = "foreground" in chosen.filters | policy.filters
+        is_filtered = "foreground" in {*chosen.filters, *policy.filters}
         size_bytes = scan_bytes(scenario, kind, is_filtered=is_filtered)
         if text := _warning(profile, size_bytes, deadline_ms, is_filtered=is_filtered):
             yield f"{kind}: {text}"
