@@ -1,7 +1,7 @@
 """Delays over a lossy path: kernel TCP, the relay, and the link in simulated time; needs root.
 
 `python -m tests.link_relay.lossy_bench` prints a row for each path as JSON. The same packets are
-lost in all three, by their numbers: 20 to 60 s of messages each, several paths at a time.
+lost in all three, by their numbers: a minute of messages for each seed, several paths at a time.
 """
 
 from __future__ import annotations
@@ -65,17 +65,6 @@ class Delays:
         return cls(float(np.mean(delays_ns)) / 1e6, float(np.percentile(delays_ns, 95)) / 1e6)
 
 
-def compared(case: LossyCase, seed: int) -> dict[str, object]:
-    """Returns the case and its delays in the three forms."""
-    forms = {"kernel": kernel_delays, "emulated": relayed_delays, "virtual": virtual_delays}
-    with ThreadPoolExecutor(3) as threads:
-        found = {name: threads.submit(form, case, seed) for name, form in forms.items()}
-    return {
-        **asdict(case),
-        **{name: asdict(Delays.of(one.result())) for name, one in found.items()},
-    }
-
-
 def _channel(case: LossyCase, seed: int) -> Channel:
     profile = profile_named(case.link)
     assert profile is not None
@@ -135,6 +124,20 @@ def _arrivals(receiver: socket.socket, case: LossyCase) -> list[int]:
     return arrived_ns
 
 
+FORMS = {"kernel": kernel_delays, "emulated": relayed_delays, "virtual": virtual_delays}
+
+
+def compared(case: LossyCase, seeds: int) -> dict[str, object]:
+    """Returns the case and the delays of so many seeds in the three forms."""
+    found: dict[str, list[int]] = {name: [] for name in FORMS}
+    for seed in range(1, seeds + 1):
+        with ThreadPoolExecutor(len(FORMS)) as threads:
+            running = {name: threads.submit(form, case, seed) for name, form in FORMS.items()}
+        for name, one in running.items():
+            found[name] += one.result()
+    return {**asdict(case), **{name: asdict(Delays.of(one)) for name, one in found.items()}}
+
+
 def _in_realtime() -> None:
     with suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
@@ -143,12 +146,12 @@ def _in_realtime() -> None:
 def main() -> None:
     """Runs all cases, some at a time, and prints their rows."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--jobs", type=int, default=4, help="paths at a time")
     given = parser.parse_args()
     spawning = multiprocessing.get_context("spawn")
     with spawning.Pool(given.jobs, _in_realtime, maxtasksperchild=1) as pool:
-        rows = pool.map(partial(compared, seed=given.seed), CASES, chunksize=1)
+        rows = pool.map(partial(compared, seeds=given.seeds), CASES, chunksize=1)
     json.dump(rows, sys.stdout, indent=1)
 
 
