@@ -134,7 +134,7 @@ def _answer_section(findings: StudyResults) -> Section:
     rows = tuple(row for grid in grids for row in _answers(findings, grid))
     columns = (
         Column("perception"), Column("upload or deadline"), Column("enough, Mbit/s an agent"),
-        Column("E-CVPR there, %"), Column("less on the fastest, points, paired"),
+        Column("E-CVPR there, %"), Column("difference from the fastest, points, paired"),
         Column("mean delay there, s"), Column(UPLINK.name), Column(f"{WIRE_UP.name}, Mbit/s"),
         Column(f"{WIRE_DOWN.name}, Mbit/s"),
     )  # fmt: skip
