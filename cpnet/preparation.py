@@ -36,6 +36,7 @@ from protocol.logs import LogStyle
 from protocol.messages import Setup
 from protocol.topics import BusName
 from protocol.wire import encode
+from sensing.link_budget import link_warnings
 from sensing.radio import AgentKind
 from sensing.recorded_scans import check_recording
 from sensing.upload_policies import policy_of
@@ -143,6 +144,8 @@ def prepare_run(options: Options, console: Console, played: Replay | None) -> Pr
     started = [process.id if choice.ids else process.role.role for process in processes]
     here = ", ".join(dict.fromkeys(started))
     console.print(f"{scenario.name}: {here} → {run_dir}", markup=False, soft_wrap=True)
+    for warning in link_warnings(setup.scenario) if "sim" in choice.names else ():
+        console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
     return PreparedRun(scenario, endpoints, run_dir, relays, processes)
 
 

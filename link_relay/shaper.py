@@ -2,8 +2,9 @@
 
 Towards the edge: bytes leave at the channel's rate, one after the other, and travel for half a
 round trip. No more is read than has left and the receive buffer is small, so that TCP holds the
-sender back and the queue stays with the sender. Towards the agent: half a round trip at any rate,
-for what goes there is small.
+sender back and the queue stays with the sender. Where packets are lost, the window of a computed
+TCP decides what is read and when it arrives (`sensing.tcp_sender`). Towards the agent: half a round
+trip at any rate, for what goes there is small.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ import socket
 import time
 from collections.abc import Callable
 
-from sensing.link_channel import SEGMENT_BYTES, Channel
+from protocol.traffic import SEGMENT_BYTES
+from sensing.link_channel import Channel
+from sensing.tcp_sender import TcpSender
 
 CHUNK_NS = 2_000_000  # of the link's time in a chunk, but a packet at least
 MOST_BYTES = 65_536
@@ -129,7 +132,10 @@ class Shaper:
         line: asyncio.Queue[tuple[int, bytes]] = asyncio.Queue(LINE_CHUNKS)
         delivery = self._loop.create_task(self._deliver(line, sink))
         try:
-            await self._read(source, line, channel, limited=limited)
+            if limited and channel.losses is not None:
+                await self._read_lossy(source, line, TcpSender(channel, channel.losses))
+            else:
+                await self._read(source, line, channel, limited=limited)
             await line.join()
         finally:
             delivery.cancel()
@@ -156,6 +162,45 @@ class Shaper:
             await line.put((arrival_ns, data))
             if limited:
                 await self._sleep_until(free_ns)
+
+    async def _read_lossy(
+        self, source: socket.socket, line: asyncio.Queue[tuple[int, bytes]], sender: TcpSender
+    ) -> None:
+        """Reads what the window of a TCP over the channel takes; delivers what has arrived."""
+        segments: dict[int, bytes] = {}
+        receiving: asyncio.Task[tuple[bytes, bool]] | None = None
+        is_open = True
+        try:
+            while is_open or not sender.is_done:
+                sender.advance(self._now_ns())
+                for one in sender.delivered:
+                    await line.put((one.arrival_ns, segments.pop(one.segment)))
+                sender.delivered.clear()
+                sender.transmitted.clear()
+                if is_open and receiving is None and sender.room:
+                    size = min(sender.room * SEGMENT_BYTES, MOST_BYTES)
+                    receiving = self._loop.create_task(self._receive(source, size))
+                await self._wait(receiving, sender.next_event_ns())
+                if receiving is not None and receiving.done():
+                    data, _ = receiving.result()
+                    receiving, is_open = None, bool(data)
+                    if data:
+                        sender.advance(self._now_ns())
+                        for number in sender.write(len(data)):
+                            segments[number], data = data[:SEGMENT_BYTES], data[SEGMENT_BYTES:]
+        finally:
+            if receiving is not None:
+                receiving.cancel()
+
+    async def _wait(
+        self, receiving: asyncio.Task[tuple[bytes, bool]] | None, until_ns: int | None
+    ) -> None:
+        """Waits for data or for a time, whichever comes first."""
+        if receiving is None:
+            await self._sleep_until(until_ns or 0)
+            return
+        timeout_s = None if until_ns is None else max(0, until_ns - self._now_ns()) / 1e9
+        await asyncio.wait({receiving}, timeout=timeout_s)
 
     async def _receive(self, source: socket.socket, size: int) -> tuple[bytes, bool]:
         """Returns what came, and whether it had to be waited for."""

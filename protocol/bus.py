@@ -20,7 +20,7 @@ from protocol.access import Keys, Members, access_control
 from protocol.errors import BusError, MessageError
 from protocol.inbox import Envelope, Inbox, Presence, RawMessage
 from protocol.messages import Message
-from protocol.tcpinfo import sent_bytes, unsent_bytes
+from protocol.tcpinfo import sent_bytes, traffic, unsent_bytes
 from protocol.topics import (
     ALIVE,
     ALIVE_IN_ANY,
@@ -30,6 +30,7 @@ from protocol.topics import (
     Topic,
     alive_parts,
 )
+from protocol.traffic import Traffic
 from protocol.wire import decode, encode
 
 __all__ = [
@@ -109,6 +110,9 @@ class Bus(Protocol):
 
     def wire_bytes(self) -> int:
         """Returns the bytes that TCP has sent for this bus, 0 if it is not one connection."""
+
+    def traffic(self) -> Traffic:
+        """Returns what its connection has carried both ways, as IP packets."""
 
     def unsent_bytes(self) -> int:
         """Returns the bytes that TCP holds back because the link is full."""
@@ -252,6 +256,11 @@ class ZenohBus:
         """See `Bus.wire_bytes`."""
         locator = self._locator()
         return sent_bytes(locator) if locator else 0
+
+    def traffic(self) -> Traffic:
+        """See `Bus.traffic`; nothing of a bus that is not one connection."""
+        locator = self._locator()
+        return traffic(locator) if locator else Traffic()
 
     def unsent_bytes(self) -> int:
         """See `Bus.unsent_bytes`."""

@@ -14,13 +14,14 @@ from protocol.errors import BusError
 from protocol.inbox import Inbox, Presence, RawMessage
 from protocol.messages import Message
 from protocol.topics import TOPICS, BusName, Topic
+from protocol.traffic import Traffic, framed_bytes
 from protocol.wire import encode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Subscription:
     parts: Mapping[str, str]
-    inbox: Inbox
+    bus: InProcessBus
 
     def takes(self, parts: Mapping[str, str]) -> bool:
         return all(parts[name] == value for name, value in self.parts.items())
@@ -58,7 +59,7 @@ class InProcessRouter:
 
 
 class InProcessBus:
-    """See `protocol.bus.Bus`. Nothing is ever lost, late or counted by a transport."""
+    """See `protocol.bus.Bus`. Nothing is ever lost or late; what TCP would carry is computed."""
 
     def __init__(self, router: InProcessRouter, inbox: Inbox) -> None:
         router.buses.append(self)
@@ -67,6 +68,7 @@ class InProcessBus:
         self._own: list[tuple[str, _Subscription]] = []
         self._announced: list[Presence] = []
         self._watches = False
+        self._traffic = Traffic()
 
     def publish(self, topic_name: str, message: Message, **parts: str) -> int:
         """See `Bus.publish`."""
@@ -78,14 +80,20 @@ class InProcessBus:
         """Hands bytes, whatever they are, to all who subscribe to the topic and these parts."""
         topic = self._router.topic(topic_name)
         raw = RawMessage(topic, topic.key(**parts), data, time.monotonic_ns())
+        self._traffic = self._traffic.sent(framed_bytes(raw.key, len(data)))
         for subscription in self._router.subscriptions.get(topic_name, ()):
             if subscription.takes(parts):
-                subscription.inbox.put(raw)
+                subscription.bus.take(raw)
+
+    def take(self, raw: RawMessage) -> None:
+        """Receives a message that this bus subscribes to."""
+        self._traffic = self._traffic.received(framed_bytes(raw.key, len(raw.data)))
+        self._inbox.put(raw)
 
     def subscribe(self, topic_name: str, **parts: str) -> None:
         """See `Bus.subscribe`."""
         self._router.topic(topic_name)
-        subscription = _Subscription(parts, self._inbox)
+        subscription = _Subscription(parts, self)
         self._router.subscriptions.setdefault(topic_name, []).append(subscription)
         self._own.append((topic_name, subscription))
 
@@ -116,6 +124,10 @@ class InProcessBus:
     def wire_bytes(self) -> int:
         """See `Bus.wire_bytes`."""
         return 0
+
+    def traffic(self) -> Traffic:
+        """See `Bus.traffic`; computed as if each message travelled alone over Zenoh and TCP."""
+        return self._traffic
 
     def unsent_bytes(self) -> int:
         """See `Bus.unsent_bytes`."""

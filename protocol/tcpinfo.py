@@ -8,7 +8,12 @@ import struct
 from functools import lru_cache
 from pathlib import Path
 
+from protocol.traffic import HEADER_BYTES, PACKETS_PER_ACK, Traffic, packets_of
+
 # Offsets in struct tcp_info, linux/tcp.h since 4.19.
+_BYTES_RECEIVED = 128
+_SEGMENTS = (136, struct.Struct("@II"))  # out and in, bare acknowledgements included
+_DATA_SEGMENTS = (152, struct.Struct("@II"))  # in and out
 _NOTSENT_BYTES = (144, struct.Struct("@I"))
 _BYTES_SENT = (200, struct.Struct("@Q"))
 
@@ -26,15 +31,46 @@ def unsent_bytes(locator: str) -> int:
     return _read(locator, *_NOTSENT_BYTES)
 
 
+def traffic(locator: str) -> Traffic:
+    """Returns what a connection from a local `tcp/HOST:PORT` has carried both ways, so far.
+
+    Packets are counted as if the path's MTU were 1500: over loopback they are larger, and fewer.
+    """
+    info = _info(locator)
+    if len(info) < _BYTES_SENT[0] + _BYTES_SENT[1].size:
+        return Traffic()
+    (sent,) = _BYTES_SENT[1].unpack_from(info, _BYTES_SENT[0])
+    (received,) = _BYTES_SENT[1].unpack_from(info, _BYTES_RECEIVED)
+    out, in_ = _SEGMENTS[1].unpack_from(info, _SEGMENTS[0])
+    data_in, data_out = _DATA_SEGMENTS[1].unpack_from(info, _DATA_SEGMENTS[0])
+    return Traffic(
+        sent + HEADER_BYTES * max(data_out, packets_of(sent)),
+        received + HEADER_BYTES * max(data_in, packets_of(received)),
+        HEADER_BYTES * _acks(out - data_out, data_in, received),
+        HEADER_BYTES * _acks(in_ - data_in, data_out, sent),
+    )
+
+
+def _acks(bare: int, data_segments: int, size_bytes: int) -> int:
+    """Returns how many acknowledgements a path of MTU 1500 would carry for so many bytes."""
+    missing = packets_of(size_bytes) - data_segments
+    return bare + max(0, missing) // PACKETS_PER_ACK
+
+
 def _read(locator: str, offset: int, number: struct.Struct) -> int:
-    port = locator.rsplit(":", 1)[-1].split("?")[0].split("#")[0]
-    connection = _socket_at(int(port)) if port.isdigit() else None
-    if connection is None:
-        return 0
-    info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 232)
+    info = _info(locator)
     if len(info) < offset + number.size:
         return 0
     return int(number.unpack_from(info, offset)[0])
+
+
+def _info(locator: str) -> bytes:
+    """Returns struct tcp_info; empty if there is no such socket."""
+    port = locator.rsplit(":", 1)[-1].split("?")[0].split("#")[0]
+    connection = _socket_at(int(port)) if port.isdigit() else None
+    if connection is None:
+        return b""
+    return connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 232)
 
 
 @lru_cache(maxsize=1024)

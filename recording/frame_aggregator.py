@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from protocol.errors import MessageError
 from protocol.instances import WORLD_HOST, region_of, role_of
-from protocol.messages import LaneCounts, Metrics, Span, Upload
+from protocol.messages import LaneCounts, Metrics, Span, Upload, WireCount
 from recording.latency_breakdown import Clocks, FrameTimings
 from recording.limits import MAX_ALL_ENTRIES, MAX_ENTRIES, MAX_OPEN_FRAMES, MAX_WIRED
 from recording.tables import FrameRow, LatencyRow, RegionFrameRow, UploadRow
@@ -46,7 +46,7 @@ class TickCheck:
         return 0 < frames <= MAX_OPEN_FRAMES and due_ns / 2 <= tick[1] - before[1] <= 2 * due_ns
 
 
-_NOBODY: tuple[None, ...] = (None,) * 8
+_NOBODY: tuple[None, ...] = (None,) * 9
 
 
 @dataclass(slots=True)
@@ -93,7 +93,7 @@ class FrameRecord:
     cavs: int | None = None
     cvs: int | None = None
     tick_ns: int | None = None
-    wire: dict[str, int] = field(default_factory=dict)
+    wire: dict[str, WireCount] = field(default_factory=dict)
     agent_spans: dict[str, list[Span]] = field(default_factory=lambda: defaultdict(list))
     regions: dict[str, RegionRecord] = field(default_factory=dict)
     received: set[str] = field(default_factory=set)
@@ -146,10 +146,10 @@ class FrameRecord:
                 timings.senders[upload.agent] = metrics.process
                 timings.uploads[upload.agent, upload.chunk] = upload
 
-    def wired(self, agent: str, sent_bytes: int) -> None:
-        """Adds what TCP sent for an agent; of too many agents no more are noted."""
-        if agent in self.wire or len(self.wire) < MAX_WIRED:
-            self.wire[agent] = sent_bytes
+    def wired(self, count: WireCount) -> None:
+        """Adds what an agent's link carried; of too many agents no more are noted."""
+        if count.agent in self.wire or len(self.wire) < MAX_WIRED:
+            self.wire[count.agent] = count
 
     def rows(self, clocks: Clocks) -> FrameRows:
         """Returns the frame as rows of all tables that it stands in."""
@@ -281,7 +281,7 @@ class FrameAggregator:
         note.measured(metrics, self._region_of_tls)
         self._entries += note.entries - before
         for count in metrics.wire:
-            self.note(count.frame).wired(count.agent, count.sent_bytes)
+            self.note(count.frame).wired(count)
         return note
 
     def signal_region(self, frame: int, tls: str) -> RegionRecord:
@@ -328,11 +328,12 @@ class FrameAggregator:
         return changed
 
 
-def _as_sent(upload: Upload, wire_bytes: int | None) -> tuple[int | None, ...]:
+def _as_sent(upload: Upload, wire: WireCount | None) -> tuple[int | None, ...]:
     return (
         upload.points,
         upload.payload_bytes,
-        wire_bytes,
+        None if wire is None else wire.sent_bytes,
+        None if wire is None else wire.received_bytes,
         upload.sense_start_ns,
         upload.sense_end_ns,
         upload.encode_end_ns,

@@ -23,6 +23,7 @@ SCHEMA_DIGESTS = {
     14: "204697a34aa7044b",
     15: "ddca9e6a84b5fb82",
     16: "3204b3eff040081d",
+    17: "4f9c9e478ecb37fc",
 }
 """`schema_digest()` by schema version. Never change an entry: add one with the next number."""
 SCHEMA_VERSION = max(SCHEMA_DIGESTS)
@@ -75,7 +76,11 @@ class RegionFrameRow(NamedTuple):
 
 
 class UploadRow(NamedTuple):
-    """One chunk: what its sender said of it (`link_sim_ns` on a virtual link), then the edge."""
+    """One chunk: what its sender said of it (`link_sim_ns` on a virtual link), then the edge.
+
+    `wire_bytes` and `wire_received_bytes` stand in one row of an agent's frame: all that its link
+    carried in it, up and down, as IP packets.
+    """
 
     frame: int
     region: str
@@ -84,6 +89,7 @@ class UploadRow(NamedTuple):
     points: int | None
     payload_bytes: int | None
     wire_bytes: int | None
+    wire_received_bytes: int | None
     sense_start_ns: int | None
     sense_end_ns: int | None
     encode_end_ns: int | None

@@ -8,7 +8,9 @@ Sources:  `source` chooses where scans come from: `lidar`, a CARLA server (`carl
 Uploads:  `upload_policies` names what may be sent; `upload_filters` and `upload_selection` choose
           beams and chunks; `uplink` and `lidar_uplink` encode and send them.
 Links:    `link_profile` and `link_config` describe a link, `link_channel` computes its rate and
-          delay, `radio` is one agent's side of it.
+          delay, `packet_loss` what it loses; `tcp_sender` and `congestion_control` repair that,
+          `lossy_link` in simulated time. `radio` is one agent's side of a link, `link_budget`
+          warns of one that a scan does not fit through.
 Agents:   `station` is what all agent processes share, `pose` what an agent believes of its pose.
           `config` is the scenario's part, `limits` what files and messages may hold, `noise`
           gives the random streams.

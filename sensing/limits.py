@@ -8,6 +8,8 @@ MAX_PERIOD_US = 86_400_000_000  # a day
 MAX_RATE_BPS = 100_000_000_000
 MIN_MEAN_BPS = 1_000  # less, and a scan would take hours
 MAX_RTT_US = 60_000_000
+MAX_LOST_SHARE = 0.3  # of packets; with more, timeouts double faster than anything arrives
+MAX_BURST = 50  # packets lost in a row, on average: longer ones are outages
 
 # Point clouds
 MAX_CLOUD_FILE_BYTES = 1 << 30  # is read whole

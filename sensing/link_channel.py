@@ -15,8 +15,10 @@ from itertools import accumulate, chain, pairwise
 import numpy as np
 
 from protocol.messages import MAX_DELAY_NS
+from protocol.traffic import on_air_bytes
 from sensing.link_profile import LinkProfile, Outages, TraceRate, VaryingRate
 from sensing.noise import stream
+from sensing.packet_loss import LossPattern
 
 
 class StepFunction:
@@ -137,8 +139,6 @@ class InterruptedSteps:
         return turns * self._sums[-1] + self._sums[span] + since_start
 
 
-SEGMENT_BYTES = 1448  # of payload in a packet of 1500 bytes: TCP over IPv4 with time stamps
-HEADER_BYTES = 52
 _DRAWN_NS = 600_000_000_000  # what is drawn repeats after ten minutes
 _STEP_NS = 100_000_000  # rate and delay keep for this long: coherence of a fading channel
 
@@ -149,6 +149,7 @@ class Channel:
 
     rate_bps: StepFunction | InterruptedSteps
     rtt_ns: StepFunction
+    losses: LossPattern | None = None  # of the uplink; None where no packet is lost
 
     @classmethod
     def draw(cls, profile: LinkProfile, seed: int, agent: str) -> Channel:
@@ -161,9 +162,12 @@ class Channel:
             bps = _varying(rate, stream(seed, "link rate", agent))
         if profile.outages.per_minute:
             bps = _interrupted(bps, profile.outages, stream(seed, "link outages", agent))
+        losses = LossPattern(profile.loss, seed, agent) if profile.loss.share else None
         if isinstance(rate, TraceRate) and rate.rtt_us:
-            return cls(bps, _trace_steps(rate, [rtt_us * 1000 for rtt_us in rate.rtt_us]))
-        return cls(bps, _round_trips(profile, stream(seed, "link delay", agent)))
+            rtt_ns = _trace_steps(rate, [rtt_us * 1000 for rtt_us in rate.rtt_us])
+        else:
+            rtt_ns = _round_trips(profile, stream(seed, "link delay", agent))
+        return cls(bps, rtt_ns, losses)
 
     def departure_ns(self, start_ns: int, size_bytes: int) -> int:
         """Returns when the last bit of a TCP payload is on the link if its first is at the start.
@@ -194,11 +198,6 @@ class Channel:
     def delay_ns(self, time_ns: int) -> int:
         """Returns how long a packet travels that departs then: one way."""
         return self.rtt_ns.at(time_ns) // 2
-
-
-def on_air_bytes(size_bytes: int) -> int:
-    """Returns what a TCP payload takes on the link, with the headers of TCP and IP."""
-    return size_bytes + HEADER_BYTES * -(-size_bytes // SEGMENT_BYTES)
 
 
 def _trace_steps(rate: TraceRate, values: list[int]) -> StepFunction:

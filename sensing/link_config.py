@@ -24,8 +24,16 @@ from pydantic import Field, ValidationError, field_validator
 
 from protocol.config import Section, is_file
 from protocol.errors import ConfigError
-from sensing.limits import MAX_RATE_BPS, MAX_RTT_US, MAX_STEPS, MAX_TRACE_FILE_BYTES, MIN_STEP_US
-from sensing.link_profile import BUILTIN, LinkProfile, RoundTrip, TraceRate, VaryingRate
+from sensing.limits import (
+    MAX_BURST,
+    MAX_LOST_SHARE,
+    MAX_RATE_BPS,
+    MAX_RTT_US,
+    MAX_STEPS,
+    MAX_TRACE_FILE_BYTES,
+    MIN_STEP_US,
+)
+from sensing.link_profile import BUILTIN, LinkProfile, PacketLoss, RoundTrip, TraceRate, VaryingRate
 
 _PACKET_BITS = 1500 * 8
 _COLUMNS = ("time_s", "rate_mbps")
@@ -180,14 +188,17 @@ def _number(
 
 NONE = "none"
 _FIXED = re.compile(
-    r"(?P<rate>[0-9]+(?:\.[0-9]+)?)(?P<unit>k|m|g)bit(?:/s)?(?:,(?P<rtt>[0-9]+(?:\.[0-9]+)?)ms)?",
+    r"(?P<rate>[0-9]+(?:\.[0-9]+)?)(?P<unit>k|m|g)bit(?:/s)?(?:,(?P<rtt>[0-9]+(?:\.[0-9]+)?)ms)?"
+    r"(?:,(?P<loss>[0-9]+(?:\.[0-9]+)?)%(?:x(?P<burst>[0-9]+(?:\.[0-9]+)?))?)?",
     re.IGNORECASE,
 )
 _MBPS = {"k": 1e-3, "m": 1.0, "g": 1e3}
 
 
 def profile_named(text: str) -> LinkProfile | None:
-    """Reads `none`, a built-in name, `5mbit`, `5mbit,20ms` (rate, round trip) or a trace file.
+    """Reads `none`, a built-in name, a trace file, or `5mbit`, `5mbit,20ms`, `5mbit,20ms,1%x3`.
+
+    That is rate, round trip, and share of packets lost, here in bursts of 3 on average.
 
     Raises:
         ConfigError: it is none of these, or the file cannot be read.
@@ -200,8 +211,9 @@ def profile_named(text: str) -> LinkProfile | None:
         return _fixed(text, match)
     if not is_file(text):
         raise ConfigError(
-            f"link {text!r:.80}: neither a file, nor a rate such as 5mbit or 5mbit,20ms (rate and "
-            f"round trip), nor one of {', '.join([NONE, *BUILTIN])}"
+            f"link {text!r:.80}: neither a file, nor a rate such as 5mbit or 5mbit,20ms,1% (rate, "
+            "round trip, packets lost; 1%x3: in bursts of 3), nor one of "
+            f"{', '.join([NONE, *BUILTIN])}"
         )
     return read_trace(Path(text))
 
@@ -217,14 +229,25 @@ def _fixed(text: str, match: re.Match[str]) -> LinkProfile:
         source="given by the user",
         rate=VaryingRate(mean_mbps=mbps),
         rtt=RoundTrip.steady(rtt_ms),
+        loss=_loss(text, match),
     )
+
+
+def _loss(text: str, match: re.Match[str]) -> PacketLoss:
+    share, burst = float(match["loss"] or 0) / 100, float(match["burst"] or 0)
+    if not (share <= MAX_LOST_SHARE and (burst == 0 or 1 <= burst <= MAX_BURST)):
+        raise ConfigError(
+            f"link {text!r:.80}: the loss must be at most {MAX_LOST_SHARE:.0%} of all packets, "
+            f"bursts 1 to {MAX_BURST} packets on average"
+        )
+    return PacketLoss.in_bursts(share, burst) if burst else PacketLoss.independent(share)
 
 
 class LinkConfig(Section):
     """The network between agents and edge. Without profiles it is as fast as the machine.
 
-    A profile is written as `none`, a built-in name, `5mbit`, `5mbit,20ms`, a trace file, or in
-    full; the scenario keeps it in full, so that other machines need no file.
+    A profile is written as `none`, a built-in name, `5mbit,20ms,1%`, a trace file, or in full; the
+    scenario keeps it in full, so that other machines need no file.
     """
 
     profile: LinkProfile | None = Field(None, description="of every vehicle with a radio")

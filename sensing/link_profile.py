@@ -13,6 +13,8 @@ from pydantic import Field, field_validator, model_validator
 
 from protocol.config import Section
 from sensing.limits import (
+    MAX_BURST,
+    MAX_LOST_SHARE,
     MAX_PERIOD_US,
     MAX_RATE_BPS,
     MAX_RTT_US,
@@ -119,6 +121,47 @@ class Outages(Section):
     mean_s: float = Field(1.0, gt=0, le=60, description="mean length; lengths are exponential")
 
 
+class PacketLoss(Section):
+    """Loss of an uplink's packets by a chain of two states, which moves with each packet.
+
+    Gilbert, Bell Syst. Tech. J. 39 (1960), and Elliott, ibid. 42 (1963); in `tc netem` it is
+    `loss gemodel p r 1-h 1-k`: `good_to_bad`, `bad_to_good`, `loss_in_bad`, `loss_in_good`.
+    Without `good_to_bad` packets are lost independently.
+    """
+
+    good_to_bad: float = Field(0.0, ge=0, le=1, description="probability p, at each packet")
+    bad_to_good: float = Field(
+        1.0, ge=1 / MAX_BURST, le=1, description="probability r, at each packet"
+    )
+    loss_in_bad: float = Field(1.0, ge=0, le=1, description="share of packets lost, 1 - h")
+    loss_in_good: float = Field(0.0, ge=0, le=0.5, description="share of packets lost, 1 - k")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.share > MAX_LOST_SHARE:
+            raise ValueError(
+                f"{self.share:.3g} of all packets are lost, allowed: {MAX_LOST_SHARE}, for TCP "
+                "passes hardly anything then"
+            )
+        return self
+
+    @property
+    def share(self) -> float:
+        """The share of all packets that are lost."""
+        bad = self.good_to_bad / (self.good_to_bad + self.bad_to_good)
+        return bad * self.loss_in_bad + (1 - bad) * self.loss_in_good
+
+    @classmethod
+    def independent(cls, share: float) -> PacketLoss:
+        """Returns loss of a share of all packets, each by itself."""
+        return cls(loss_in_good=share)
+
+    @classmethod
+    def in_bursts(cls, share: float, packets: float) -> PacketLoss:
+        """Returns loss of a share of all packets, in bursts of so many on average (Gilbert)."""
+        return cls(good_to_bad=share / (1 - share) / packets, bad_to_good=1 / packets)
+
+
 class LinkProfile(Section):
     """A link profile; `source` names where its figures come from."""
 
@@ -129,6 +172,7 @@ class LinkProfile(Section):
     )
     rtt: RoundTrip = Field(RoundTrip(), description="a trace's own round trip comes before it")
     outages: Outages = Field(Outages(), description="losses of connection")
+    loss: PacketLoss = Field(PacketLoss(), description="packets lost, which TCP sends again")
 
     @field_validator("rate", mode="before")
     @classmethod

@@ -7,8 +7,10 @@ from typing import Any, Literal, Protocol
 
 from protocol.bus import Bus
 from protocol.messages import NEVER_NS
-from sensing.link_channel import Channel, Transmission, VirtualLink, on_air_bytes
+from protocol.traffic import Traffic, on_air_bytes
+from sensing.link_channel import Channel, Transmission, VirtualLink
 from sensing.link_config import LinkConfig
+from sensing.lossy_link import LossyLink, link_over
 
 ENVELOPE_BYTES = 320  # a scan without its payload, or a pose, with Zenoh's key and framing
 
@@ -36,8 +38,8 @@ class Radio(Protocol):
     def transmit(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> Transmission | None:
         """Sends a message over a virtual link; None where the link is real."""
 
-    def wire_bytes(self) -> int:
-        """Returns the bytes that the link has taken so far."""
+    def traffic(self) -> Traffic:
+        """Returns what the link has carried so far, both ways."""
 
 
 class RealRadio:
@@ -65,9 +67,9 @@ class RealRadio:
     def transmit(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> None:
         """See `Radio.transmit`."""
 
-    def wire_bytes(self) -> int:
-        """Returns the bytes that TCP has sent."""
-        return self._bus.wire_bytes()
+    def traffic(self) -> Traffic:
+        """See `Radio.traffic`; as the transport counts it."""
+        return self._bus.traffic()
 
 
 class IdealRadio(RealRadio):
@@ -83,7 +85,10 @@ class VirtualRadio:
 
     is_virtual = True
 
-    def __init__(self, link: VirtualLink | None, lead_ns: int, period_ns: int) -> None:
+    def __init__(
+        self, bus: Bus, link: VirtualLink | LossyLink | None, lead_ns: int, period_ns: int
+    ) -> None:
+        self._bus = bus
         self._link = link
         self._lead_ns = lead_ns
         self._period_ns = period_ns
@@ -125,9 +130,9 @@ class VirtualRadio:
         overtaken = is_chunk and transmission.first_bit_ns >= sent_ns + self._period_ns
         return replace(transmission, arrival_ns=NEVER_NS) if overtaken else transmission
 
-    def wire_bytes(self) -> int:
-        """Returns the bytes that the link has taken so far, headers of TCP and IP included."""
-        return self._taken_bytes
+    def traffic(self) -> Traffic:
+        """See `Radio.traffic`; what was recalled is not in it, what was repeated is."""
+        return replace(self._bus.traffic(), data_sent_bytes=self._taken_bytes)
 
 
 def radio_of(
@@ -139,6 +144,6 @@ def radio_of(
     if config.channel(scenario["mode"]) == "none":
         return IdealRadio(bus)
     profile = config.profile if kind == "vehicle" else config.roadside_profile
-    link = None if profile is None else VirtualLink(Channel.draw(profile, scenario["seed"], agent))
+    link = None if profile is None else link_over(Channel.draw(profile, scenario["seed"], agent))
     lead_ns = round(config.agent_compute_ms * 1e6)
-    return VirtualRadio(link, lead_ns, round(scenario["frame_period_s"] * 1e9))
+    return VirtualRadio(bus, link, lead_ns, round(scenario["frame_period_s"] * 1e9))

@@ -26,6 +26,8 @@ from protocol.messages import (
     WireCount,
 )
 from protocol.process import Context
+from protocol.topics import TOPICS
+from protocol.traffic import framed_bytes
 from sensing.config import LidarConfig, UploadConfig
 from sensing.lidar import Sensed
 from sensing.link_config import LinkConfig
@@ -164,7 +166,12 @@ class Station:
                 agents=agents,
                 scanning=[agent for agent in agents if agent in scanning],
             )
-            self.context.v2x.publish("roster", roster, region=region, process=process)
+            size_bytes = self.context.v2x.publish("roster", roster, region=region, process=process)
+            key = TOPICS["roster"].key(region=region, process=process)
+            share_bytes = -(-framed_bytes(key, size_bytes) // max(1, len(agents)))
+            for agent in agents:
+                if agent in self._uplinks:
+                    self._uplinks[agent].add_shared(share_bytes)
         self._scanned = (view.frame, [agent for agent in members if agent in scanning])
 
     def publish_points_on(self, view: WorldView, agent: str, sensed: Sensed) -> None:

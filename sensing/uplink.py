@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from protocol.bus import Bus
 from protocol.errors import CpnetError
 from protocol.messages import Objects, Plan, Scan, Span, Upload, WireCount
+from protocol.traffic import Traffic
 from sensing.limits import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES
 from sensing.radio import ENVELOPE_BYTES, Radio
 from sensing.world_view import WorldView
@@ -203,7 +204,8 @@ class Uplink:
         self._in_flight: FrameUpload | None = None
         self._done: list[FrameUpload] = []
         self._recalled = 0
-        self._counted_bytes = radio.wire_bytes()
+        self._counted = Traffic()
+        self._apportioned = Traffic()
         self._counted_frame: int | None = None
 
     @property
@@ -313,13 +315,33 @@ class Uplink:
         return done
 
     def take_wire_counts(self, frame: int | None = None) -> list[WireCount]:
-        """Returns the bytes that TCP sent for the last frame, if any; `frame` begins now."""
-        before, self._counted_bytes = self._counted_bytes, self.radio.wire_bytes()
-        last, self._counted_frame = self._counted_frame, frame
-        sent_bytes = self._counted_bytes - before
-        if last is None or sent_bytes <= 0:
+        """Returns what the link carried for the last frame, if anything; `frame` begins now.
+
+        What connecting took is counted with the first frame.
+        """
+        last = self._counted_frame
+        if last is None:
+            self._counted_frame = frame
             return []
-        return [WireCount(agent=self.agent, frame=last, sent_bytes=sent_bytes)]
+        before, self._counted = self._counted, self.radio.traffic()
+        shared, self._apportioned = self._apportioned, Traffic()
+        self._counted_frame = frame
+        sent_bytes = self._counted.sent_bytes - before.sent_bytes + shared.sent_bytes
+        received_bytes = self._counted.received_bytes - before.received_bytes
+        if sent_bytes <= 0:
+            return []
+        return [
+            WireCount(
+                agent=self.agent,
+                frame=last,
+                sent_bytes=sent_bytes,
+                received_bytes=received_bytes + shared.received_bytes,
+            )
+        ]
+
+    def add_shared(self, size_bytes: int) -> None:
+        """Counts this agent's part of a message that its process sent for several agents."""
+        self._apportioned = self._apportioned.sent(size_bytes)
 
     def finish(self) -> None:
         """Stops sending; what leaves a virtual link within the last frame still does."""

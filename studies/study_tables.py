@@ -1,4 +1,8 @@
-"""Tables and charts of a study's grids: means over seeds with 95 % confidence intervals."""
+"""Tables and charts of a study's grids: means over seeds and how far they can be trusted.
+
+From five seeds on that is the 95 % confidence interval, cut off at what is possible; below, the
+values of the seeds themselves. Comparisons are paired by seed.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ import polars as pl
 import yaml
 
 from studies.page.model import Block, Cell, Chart, Code, Column, Numbers, Section, Series, Table
-from studies.sweep.results import over_seeds
+from studies.sweep.results import SEEDS_FOR_INTERVAL, over_seeds, paired_difference
 from studies.sweep.study_file import Study
 
 MEASURE_COLUMNS = (
@@ -21,6 +25,8 @@ MEASURE_COLUMNS = (
     "in_range_share",
     "count_error",
     "uplink_mbps",
+    "wire_up_mbps",
+    "wire_down_mbps",
     "false_detections",
     "vehicles_inserted",
     "vehicles_finished",
@@ -29,7 +35,11 @@ MEASURE_COLUMNS = (
 )
 """Measures that pages show."""
 
-GridRow = dict[str, float | int | str | None]
+GridRow = dict[str, Any]
+CAPTION = (
+    "Means over seeds ± half the width of the 95 % confidence interval; below "
+    f"{SEEDS_FOR_INTERVAL} seeds, the values of the seeds in brackets."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +82,12 @@ class StudyResults:
 def figure_of(row: GridRow, name: str) -> float | None:
     """Returns a row's figure, None where it has none."""
     value = row.get(name)
-    return None if value is None or isinstance(value, str) else float(value)
+    return float(value) if isinstance(value, (int, float)) else None
+
+
+def values_of(row: GridRow, name: str) -> list[float]:
+    """Returns a measure's values, one of each seed."""
+    return [float(value) for value in row.get(f"{name}_values") or []]
 
 
 def label_of(value: float | str | None) -> str:
@@ -82,20 +97,34 @@ def label_of(value: float | str | None) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A measure as pages write it: its name, its unit's factor, its decimals."""
+    """A measure as pages write it: name, factor of its unit, decimals, what it can be at most.
+
+    None can be less than 0, unless it is a difference.
+    """
 
     value: str
     name: str
     factor: float = 1.0
     decimals: int = 1
+    most: float | None = None
+
+    def bounds(self, row: GridRow) -> tuple[float, float] | None:
+        """Returns the ends of a row's interval, as written; None below five seeds."""
+        mean, half = figure_of(row, f"{self.value}_mean"), figure_of(row, f"{self.value}_ci95")
+        if mean is None or half is None or len(values_of(row, self.value)) < SEEDS_FOR_INTERVAL:
+            return None
+        high = (mean + half) * self.factor
+        return max(0.0, (mean - half) * self.factor), min(high, self.most or high)
 
 
 DELAY = Measure("delay_s", "mean delay, s")
-E_CVPR = Measure("e_cvpr", "E-CVPR, %", 100)
-VISIBLE = Measure("visible_share", "visible, %", 100)
-IN_RANGE = Measure("in_range_share", "in range, %", 100)
+E_CVPR = Measure("e_cvpr", "E-CVPR, %", 100, most=100)
+VISIBLE = Measure("visible_share", "visible, %", 100, most=100)
+IN_RANGE = Measure("in_range_share", "in range, %", 100, most=100)
 COUNT_ERROR = Measure("count_error", "error of a lane's count, vehicles", 1, 2)
-UPLINK = Measure("uplink_mbps", "uplink of all, Mbit/s", 1, 2)
+UPLINK = Measure("uplink_mbps", "payload of all, Mbit/s", 1, 2)
+WIRE_UP = Measure("wire_up_mbps", "on the wire, up", 1, 2)
+WIRE_DOWN = Measure("wire_down_mbps", "and down", 1, 3)
 TRAFFIC = (
     Measure("vehicles_inserted", "inserted", 1, 0),
     Measure("vehicles_finished", "finished", 1, 0),
@@ -106,12 +135,40 @@ TRAFFIC = (
 
 
 def mean_of(row: GridRow, shown: Measure) -> str | None:
-    """Returns mean ± half width of its confidence interval; the mean alone of a single seed."""
-    mean, half = figure_of(row, f"{shown.value}_mean"), figure_of(row, f"{shown.value}_ci95")
+    """Returns the mean with its interval or, below five seeds, with the values of the seeds.
+
+    An interval that is cut off at what is possible is written by its ends.
+    """
+    mean = figure_of(row, f"{shown.value}_mean")
     if mean is None:
         return None
-    text = f"{mean * shown.factor:.{shown.decimals}f}"
-    return text if half is None else f"{text} ± {half * shown.factor:.{shown.decimals}f}"
+    text, half = _written(mean, shown), figure_of(row, f"{shown.value}_ci95")
+    values, bounds = values_of(row, shown.value), shown.bounds(row)
+    if bounds is not None and half is not None:
+        low, high = bounds
+        if high - low < 1.999 * half * shown.factor:
+            return f"{text} ({low:.{shown.decimals}f} to {high:.{shown.decimals}f})"
+        return f"{text} ± {_written(half, shown)}"
+    if len(values) < 2:
+        return text
+    return f"{text} ({', '.join(_written(value, shown) for value in values)})"
+
+
+def difference_of(frame: pl.DataFrame, shown: Measure, one: pl.Expr, other: pl.Expr) -> str | None:
+    """Returns by how much a measure differs between two cells, paired by seed; as `mean_of`."""
+    found = paired_difference(frame, shown.value, one, other)
+    if found is None:
+        return None
+    mean, half, values = (found[f"{shown.value}_{part}"] for part in ("mean", "ci95", "values"))
+    text = f"{mean * shown.factor:+.{shown.decimals}f}"
+    if half is not None and len(values) >= SEEDS_FOR_INTERVAL:
+        return f"{text} ± {_written(half, shown)}"
+    signed = (f"{value * shown.factor:+.{shown.decimals}f}" for value in values)
+    return text if len(values) < 2 else f"{text} ({', '.join(signed)})"
+
+
+def _written(value: float, shown: Measure) -> str:
+    return f"{value * shown.factor:.{shown.decimals}f}"
 
 
 def rounded_mean(row: GridRow, shown: Measure) -> float | None:
@@ -122,7 +179,7 @@ def rounded_mean(row: GridRow, shown: Measure) -> float | None:
 
 def grid_table(rows: list[GridRow], axes: Sequence[str], caption: str = "") -> Table:
     """Returns a line for each cell."""
-    measures = (DELAY, E_CVPR, VISIBLE, IN_RANGE, COUNT_ERROR, UPLINK)
+    measures = (DELAY, E_CVPR, VISIBLE, IN_RANGE, COUNT_ERROR, UPLINK, WIRE_UP, WIRE_DOWN)
     used = [one for one in measures if any(figure_of(r, f"{one.value}_mean") for r in rows)]
     columns = [*(Column(axis) for axis in axes), *(Column(one.name) for one in used)]
     columns += [*(Column(one.name, f".{one.decimals}f") for one in TRAFFIC), Column("seeds")]
@@ -139,25 +196,32 @@ def grid_table(rows: list[GridRow], axes: Sequence[str], caption: str = "") -> T
 
 
 def curve(rows: list[GridRow], axis: str, shown: Measure, name: str) -> Series:
-    """Returns a measure over an axis of numbers, with its confidence band."""
+    """Returns a measure over an axis of numbers, with its confidence band or its seeds' points."""
     points = sorted(
         (figure_of(row, axis) or 0.0, row) for row in rows if figure_of(row, axis) is not None
     )
     x = tuple(at for at, _ in points)
-    return Series(name, x, *_means([row for _, row in points], shown), style="line+points")
+    rows = [row for _, row in points]
+    return Series(name, x, *_means(rows, shown), style="line+points", points=_points(rows, shown))
 
 
 def _means(rows: list[GridRow], shown: Measure) -> tuple[Numbers, Numbers | None, Numbers | None]:
     """Returns means, and both ends of their confidence intervals if all rows have one."""
     mean = [figure_of(row, f"{shown.value}_mean") for row in rows]
-    half = [figure_of(row, f"{shown.value}_ci95") for row in rows]
     scaled = tuple(None if m is None else m * shown.factor for m in mean)
-    if any(h is None for h in half):
+    bounds = [shown.bounds(row) for row in rows]
+    known = [one for one in bounds if one is not None]
+    if len(known) < len(rows):
         return scaled, None, None
-    pairs = list(zip(mean, half, strict=True))
-    low = tuple(None if m is None or h is None else (m - h) * shown.factor for m, h in pairs)
-    high = tuple(None if m is None or h is None else (m + h) * shown.factor for m, h in pairs)
-    return scaled, low, high
+    return scaled, tuple(low for low, _ in known), tuple(high for _, high in known)
+
+
+def _points(rows: list[GridRow], shown: Measure) -> tuple[Numbers, ...]:
+    """Returns the values of several seeds where they are too few for an interval."""
+    values = [values_of(row, shown.value) for row in rows]
+    if all(len(one) < 2 for one in values) or _means(rows, shown)[1] is not None:
+        return ()
+    return tuple(tuple(value * shown.factor for value in one) for one in values)
 
 
 def curves(rows: list[GridRow], axis: str, others: Sequence[str], shown: Measure) -> Chart:
@@ -173,7 +237,8 @@ def curves(rows: list[GridRow], axis: str, others: Sequence[str], shown: Measure
 def bars(rows: list[GridRow], axes: Sequence[str], shown: Measure) -> Chart:
     """Returns a bar for each cell, with whiskers where there are several seeds."""
     names = tuple(", ".join(label_of(row[axis]) for axis in axes) for row in rows)
-    series = Series(shown.name, tuple(range(len(names))), *_means(rows, shown))
+    x, points = tuple(range(len(names))), _points(rows, shown)
+    series = Series(shown.name, x, *_means(rows, shown), points=points)
     return Chart(shown.name, "", shown.name, (series,), "bar", x_categories=names)
 
 

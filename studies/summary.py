@@ -28,7 +28,7 @@ from studies.coasting import coasting_score
 from studies.count_error import count_errors
 from studies.ecvpr import FrameScore, score
 from studies.latency import STAGES, clock_error_ms, latencies
-from studies.uplink import by_agent, total_mbps
+from studies.uplink import by_agent, total_mbps, wire_mbps
 
 Summary = dict[str, Any]
 
@@ -91,6 +91,7 @@ def summary_of(run: Run, scores: list[FrameScore]) -> Summary:
         "scores": agent_scores(run),
         "alignments": alignments(run),
         "uplink_mbps": total_mbps(run, period_s),
+        "wire_mbps": wire_mbps(run, period_s),
         "latency_ms": latencies(run),
         "clock_error_ms": clock_error_ms(run),
         **_perception(scores),
@@ -321,7 +322,9 @@ def _latency_table(summary: Summary) -> Table:
 def _agent_table(summary: Summary) -> Table:
     scores, aligned = summary["scores"], summary["alignments"]
     off = ["off m"] if aligned else []
-    table = _numeric("agent", "frames", "points", "kB/frame", "Mbit/s", "by TCP", "score", *off)
+    table = _numeric(
+        "agent", "frames", "points", "kB/frame", "Mbit/s", "wire up", "down", "score", *off
+    )
     agents = sorted(summary["agents"].items(), key=lambda item: (-item[1]["frames"], item[0]))
     for agent, figures in agents[:_MAX_AGENTS]:
         table.add_row(
@@ -331,6 +334,7 @@ def _agent_table(summary: Summary) -> Table:
             _number(figures["bytes_per_frame"] / 1e3, 1),
             _number(figures["mbps"], 2),
             _number(figures["wire_mbps"], 2),
+            _number(figures["wire_down_mbps"], 3),
             _score_text(scores.get(agent)),
             *[_off_text(aligned.get(agent)) for _ in off],
         )
@@ -338,9 +342,10 @@ def _agent_table(summary: Summary) -> Table:
         rest = agents[_MAX_AGENTS:]
         table.add_row(f"and {len(rest)} more", str(sum(a["frames"] for _, a in rest)))
     for agent in [name for name in scores if name not in summary["agents"]][:_MAX_AGENTS]:
-        table.add_row(escape(agent), "", "", "", "", "", _score_text(scores[agent]))
-    total = summary["uplink_mbps"]
-    table.add_row("all together", "", "", "mean", _number(total["mean"], 2), style="bold")
+        table.add_row(escape(agent), *[""] * 6, _score_text(scores[agent]))
+    total, wire = summary["uplink_mbps"], summary["wire_mbps"]
+    figures = (_number(total["mean"], 2), _number(wire["up"], 2), _number(wire["down"], 3))
+    table.add_row("all together", "", "", "mean", *figures, style="bold")
     table.add_row("", "", "", "peak", _number(total["peak"], 2), style="bold")
     return table
 

@@ -13,7 +13,7 @@ Figures = dict[str, float | None]
 
 _PER_AGENT = """
     SELECT agent, count(DISTINCT frame), sum(points), sum(payload_bytes), sum(wire_bytes),
-           count(DISTINCT CASE WHEN wire_bytes IS NOT NULL THEN frame END)
+           sum(wire_received_bytes), count(DISTINCT CASE WHEN wire_bytes IS NOT NULL THEN frame END)
     FROM uploads WHERE payload_bytes IS NOT NULL GROUP BY agent ORDER BY agent
 """
 
@@ -22,8 +22,8 @@ def by_agent(run: Run, frame_period_s: float) -> dict[str, Figures]:
     """Returns by agent its frames, points and bytes per frame, and its rate in Mbit/s.
 
     The rate is that of the frames in which the agent sent something, at the run's frame rate:
-    what its link must carry when the run keeps pace with the clock. `wire_*` is what TCP sent:
-    poses, message headers and repetitions included, the headers of TCP and IP not; None if the
+    what its link must carry when the run keeps pace with the clock. `wire_*` is all that the link
+    carried up, and down where it says so, as IP packets: see `protocol.traffic`. None if the
     transport could not tell.
     """
     return {
@@ -34,8 +34,9 @@ def by_agent(run: Run, frame_period_s: float) -> dict[str, Figures]:
             "mbps": _mbps(payload / frames, frame_period_s),
             "wire_bytes_per_frame": wire / counted if wire else None,
             "wire_mbps": _mbps(wire / counted, frame_period_s) if wire else None,
+            "wire_down_mbps": _mbps(down / counted, frame_period_s) if wire else None,
         }
-        for agent, frames, points, payload, wire, counted in run.query(_PER_AGENT)
+        for agent, frames, points, payload, wire, down, counted in run.query(_PER_AGENT)
     }
 
 
@@ -50,6 +51,18 @@ def total_mbps(run: Run, frame_period_s: float) -> Figures:
     }
 
 
+def wire_mbps(run: Run, frame_period_s: float) -> Figures:
+    """Returns the mean rate of all agents' links together, up and down, with all headers."""
+    frames = run.query("SELECT count(*) FROM frames WHERE tick_ns IS NOT NULL")[0][0]
+    up, down = run.query("SELECT sum(wire_bytes), sum(wire_received_bytes) FROM uploads")[0]
+    if not frames or up is None:
+        return {"up": None, "down": None}
+    return {
+        "up": _mbps(up / frames, frame_period_s),
+        "down": _mbps(down / frames, frame_period_s),
+    }
+
+
 def _mbps(bytes_per_frame: float, frame_period_s: float) -> float:
     return bytes_per_frame * 8e-6 / frame_period_s
 
@@ -61,8 +74,9 @@ _COLUMNS = (
     Column("frames", "d"),
     Column("points / frame", ".0f"),
     Column("kB / frame", ".1f"),
-    Column("Mbit/s", ".2f"),
-    Column("Mbit/s by TCP", ".2f"),
+    Column("payload, Mbit/s", ".2f"),
+    Column("on the wire up, Mbit/s", ".2f"),
+    Column("down, Mbit/s", ".3f"),
 )
 _SENT = """
     SELECT agent, frame, sum(payload_bytes) FROM uploads
@@ -132,4 +146,5 @@ def _row(agent: str, figures: dict[str, float | None]) -> tuple[Cell, ...]:
         size / 1e3 if size is not None else None,
         figures["mbps"],
         figures["wire_mbps"],
+        figures["wire_down_mbps"],
     )

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 
-from sensing.link_channel import HEADER_BYTES, SEGMENT_BYTES
+from protocol.traffic import HEADER_BYTES, SEGMENT_BYTES
 
 MTU = SEGMENT_BYTES + HEADER_BYTES
 FRAME_BYTES = MTU + 14  # tbf counts the header of Ethernet, a profile's rate does not
@@ -64,7 +64,7 @@ def shaped_connection(rate_bps: int) -> Iterator[tuple[socket.socket, socket.soc
         with (
             ThreadPoolExecutor(1) as thread,
             socket.create_server((host, 0)) as server,
-            thread.submit(_socket_in, namespace).result() as sender,
+            thread.submit(socket_in, namespace).result() as sender,
         ):
             server.settimeout(5)
             sender.settimeout(5)
@@ -79,7 +79,8 @@ def shaped_connection(rate_bps: int) -> Iterator[tuple[socket.socket, socket.soc
         call("ip", "netns", "delete", namespace)
 
 
-def _socket_in(namespace: str) -> socket.socket:
+def socket_in(namespace: str) -> socket.socket:
+    """Returns a TCP socket of a network namespace."""
     entry = os.open(f"/run/netns/{namespace}", os.O_RDONLY)
     try:
         if ctypes.CDLL(None, use_errno=True).setns(entry, _CLONE_NEWNET) != 0:

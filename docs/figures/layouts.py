@@ -83,6 +83,21 @@ def emulated(runs: Rows) -> Table:
     return table
 
 
+def lossy(rows: Rows) -> Table:
+    """Returns mean and p95 of delay over lossy paths: the kernel's TCP and both of ours."""
+    forms = ("kernel", "virtual", "emulated")
+    heads = [f"{form}, mean / p95, ms" for form in forms]
+    table = [["link", "message", "every", *heads]]
+    for row in rows:
+        cells = [
+            f"{_fixed(row[form]['mean_ms'], 1)} / {_fixed(row[form]['p95_ms'], 1)}"
+            for form in forms
+        ]
+        size, period = f"{row['size_bytes'] / 1e3:g} kB", f"{row['period_s']:g} s"
+        table.append([f"`{row['link']}`", size, period, *cells])
+    return table
+
+
 def codec_kinds(rows: Rows) -> Table:
     """Returns bits a point and the share of Draco's bytes by kind of sensor, and speeds."""
     bounds = sorted({row["bound_m"] for row in rows if row["codec"] == "draco"})

@@ -125,6 +125,22 @@ _LIST = (
         (Part("link", "docs/uplink.md", layouts.emulated),),
     ),
     Figure(
+        "lossy",
+        'cd "$ROOT" && python -m tests.link_relay.lossy_bench --jobs 8',
+        (
+            "sensing/link_channel.py",
+            "sensing/lossy_link.py",
+            "sensing/packet_loss.py",
+            "sensing/tcp_sender.py",
+            "sensing/congestion_control.py",
+            "link_relay",
+            "tests/kernel_path.py",
+            "tests/link_relay/lossy_bench.py",
+        ),
+        4,
+        (Part("tcp", "docs/uplink.md", layouts.lossy),),
+    ),
+    Figure(
         "edge",
         "cpnet bench edge --agents 1,2,4,6,8,16 --frames 8 --json",
         (*PERCEPTION, "protocol", "studies/bench_edge.py"),
@@ -183,7 +199,7 @@ _LIST = (
     ),
     Figure(
         "bandwidth",
-        "cpnet study bandwidth --seeds 1 --out bandwidth --markdown $ROOT/docs/bandwidth.md",
+        "cpnet study bandwidth --out bandwidth --markdown $ROOT/docs/bandwidth.md",
         STUDY,
         60,
         (Part("age", "docs/bandwidth.md"),),

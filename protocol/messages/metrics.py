@@ -57,14 +57,16 @@ class Upload(Part):
 
 
 class WireCount(Part):
-    """What TCP sent for an agent from one frame's upload until the next one's began.
+    """What an agent sent and received from one frame's begin until the next one's, as IP packets.
 
-    Over a virtual link: what the link took of the frame, with the headers of TCP and IP.
+    Everything is in it: scans and poses, its share of its process's rosters, plans,
+    acknowledgements, headers of Zenoh, TLS, TCP and IP, and repetitions.
     """
 
     agent: AgentId
     frame: FrameNumber
     sent_bytes: Count
+    received_bytes: Count = 0
 
 
 class Arrival(Part):

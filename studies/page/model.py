@@ -23,8 +23,8 @@ Ring: TypeAlias = tuple[tuple[float, float], ...]
 class Series:
     """One line or set of bars; where y is None there is a gap.
 
-    `low` and `high` bound it: a band around a line, whiskers on a bar. Without a colour it gets the
-    one of its name on the page.
+    `low` and `high` bound it: a band around a line, whiskers on a bar. `points` are drawn too,
+    several at each x. Without a colour it gets the one of its name on the page.
     """
 
     name: str
@@ -34,6 +34,7 @@ class Series:
     high: Numbers | None = None
     style: Style = "line"
     colour: str | None = None
+    points: tuple[Numbers, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuses lengths that do not fit together."""
@@ -41,6 +42,8 @@ class Series:
             raise ValueError(f"{self.name}: {len(self.x)} x for {len(self.y)} y")
         if (self.low is None) != (self.high is None):
             raise ValueError(f"{self.name}: low and high come together")
+        if self.points and len(self.points) != len(self.x):
+            raise ValueError(f"{self.name}: points at {len(self.points)} of {len(self.x)} x")
         for bound in (self.low, self.high):
             if bound is not None and len(bound) != len(self.y):
                 raise ValueError(f"{self.name}: {len(bound)} bounds for {len(self.y)} y")

@@ -86,6 +86,14 @@ def _line(series: Series, axes: Axes, colours: Colours, chart: Chart) -> None:
     if series.low is not None and series.high is not None:
         low, high = _array(series.low), _array(series.high)
         axes.fill_between(series.x, low, high, color=colour, alpha=0.2, linewidth=0)
+    _draw_points(series, np.array(series.x, np.float64), axes, colour)
+
+
+def _draw_points(series: Series, x: Floats, axes: Axes, colour: str) -> None:
+    pairs = [(at, y) for at, values in zip(x, series.points, strict=False) for y in values]
+    if pairs:
+        places, heights = zip(*pairs, strict=True)
+        axes.scatter(places, heights, s=14, facecolors="none", edgecolors=colour, linewidths=0.8)
 
 
 def _bars(chart: Chart, axes: Axes, colours: Colours) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 import math
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import polars as pl
 from rich import box
 from rich.console import Console
@@ -22,6 +24,7 @@ FILE = "results.parquet"
 PART_IDS: dict[PartKind, str] = {"junctions": "tls", "regions": "region"}
 """The column that names a row's junction or region; `KIND.parquet` is the file."""
 _CONFIDENCE = 0.95
+SEEDS_FOR_INTERVAL = 5  # below, an interval by Student's t is mostly its quantile: points are shown
 
 
 def table(cells: list[Cell], store: ResultStore) -> pl.DataFrame:
@@ -76,8 +79,8 @@ def over_seeds(frame: pl.DataFrame, by: list[str], values: list[str]) -> pl.Data
     """Returns a row for each combination of `by`, in the order of their first rows.
 
     For each value V: V_mean, V_sd (of a sample) and V_ci95, the half width of the mean's 95 %
-    confidence interval by Student's t; null where there are too few. n counts rows, so seeds; a
-    value that some of them lack is taken over the others.
+    confidence interval by Student's t; null where there are too few; V_values, one of each seed. n
+    counts rows, so seeds; a value that some of them lack is taken over the others.
     """
     grouped = frame.group_by(by, maintain_order=True)
     parts = [pl.len().alias("n")]
@@ -87,13 +90,14 @@ def over_seeds(frame: pl.DataFrame, by: list[str], values: list[str]) -> pl.Data
             column.mean().alias(f"{value}_mean"),
             column.std().alias(f"{value}_sd"),
             column.len().alias(f"_{value}_n"),
+            column.implode().alias(f"{value}_values"),
         ]
     result = grouped.agg(parts)
     for value in values:
         counts, spreads = result[f"_{value}_n"], result[f"{value}_sd"]
         half = [_half_width(n, sd) for n, sd in zip(counts, spreads, strict=True)]
         result = result.with_columns(pl.Series(f"{value}_ci95", half, pl.Float64))
-    kept = [f"{value}_{part}" for value in values for part in ("mean", "sd", "ci95")]
+    kept = [f"{value}_{part}" for value in values for part in ("mean", "sd", "ci95", "values")]
     return result.select(*by, "n", *kept)
 
 
@@ -134,7 +138,7 @@ def overview(frame: pl.DataFrame, axes: list[str]) -> pl.DataFrame:
 
 
 def print_overview(frame: pl.DataFrame, axes: list[str], console: Console) -> None:
-    """Prints a table for each grid: mean ± half width of the 95 % confidence interval."""
+    """Prints a table for each grid: mean and 95 % confidence interval, or the seeds' values."""
     for (grid,), part in overview(frame, axes).group_by("grid", maintain_order=True):
         mine = [name for name in axes if part[name].null_count() < len(part)]
         table = Table(box=box.SIMPLE_HEAD, title=escape(str(grid)), title_justify="left")
@@ -145,7 +149,7 @@ def print_overview(frame: pl.DataFrame, axes: list[str], console: Console) -> No
         for head in (*SHOWN.values(), "n"):
             table.add_column(head, justify="right")
         for row in part.iter_rows(named=True):
-            figures = [_figure(row.get(f"{m}_mean"), row.get(f"{m}_ci95")) for m in SHOWN]
+            figures = [_figure(row, name) for name in SHOWN]
             table.add_row(*(_label(row[name]) for name in mine), *figures, str(row["n"]))
         print_whole(table, console)
 
@@ -154,7 +158,34 @@ def _label(label: str | float) -> str:
     return escape(label) if isinstance(label, str) else f"{label:g}"
 
 
-def _figure(mean: float | None, half_width: float | None) -> str:
+def _figure(row: dict[str, Any], name: str) -> str:
+    mean, half_width = row.get(f"{name}_mean"), row.get(f"{name}_ci95")
     if mean is None:
         return "–"
-    return f"{mean:.3g}" if half_width is None else f"{mean:.3g} ± {half_width:.2g}"
+    values = row[f"{name}_values"]
+    if half_width is None:
+        return f"{mean:.3g}"
+    if len(values) < SEEDS_FOR_INTERVAL:
+        return f"{mean:.3g} ({' '.join(f'{value:.3g}' for value in values)})"
+    return f"{mean:.3g} ± {half_width:.2g}"
+
+
+def paired_difference(
+    frame: pl.DataFrame, value: str, one: pl.Expr, other: pl.Expr
+) -> dict[str, Any] | None:
+    """Returns the mean, interval and values of `one` minus `other`, seed by seed.
+
+    Seeds share traffic and noise: their differences vary less than their values. None without a
+    seed that has both; keys as of `over_seeds`.
+    """
+    halves = [frame.filter(which).select("seed", value).drop_nulls() for which in (one, other)]
+    both = halves[0].join(halves[1], on="seed", suffix="_other").sort("seed")
+    if not len(both):
+        return None
+    values = (both[value] - both[f"{value}_other"]).to_list()
+    spread = float(np.std(values, ddof=1)) if len(values) > 1 else None
+    return {
+        f"{value}_mean": float(np.mean(values)),
+        f"{value}_ci95": _half_width(len(values), spread),
+        f"{value}_values": values,
+    }

@@ -42,6 +42,8 @@ MEASURES = frozenset(
         "vehicles_waiting",
         "uplink_mbps",
         "uplink_peak_mbps",
+        "wire_up_mbps",
+        "wire_down_mbps",
     }
 )
 """Keys of the whole run's figures by `studies.sweep.worker.measure`."""
@@ -197,8 +199,12 @@ _PAGES: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "bandwidth": {
         "every-second": ("upload", "uplink in Mbit/s"),
-        "ten-a-second": ("upload", "uplink in Mbit/s"),
-        "latency": ("upload", "latency in ms"),
+        "whole-scans": ("deadline in ms", "uplink in Mbit/s"),
+        "foreground": ("deadline in ms", "uplink in Mbit/s"),
+        "each-its-part": ("deadline in ms", "uplink in Mbit/s"),
+        "boxes": ("deadline in ms", "uplink in Mbit/s"),
+        "latency": ("latency in ms",),
+        "loss": ("packets lost, %",),
     },
 }
 """By page, the grids that it needs, with their axes."""

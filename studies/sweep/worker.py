@@ -20,7 +20,7 @@ from studies.count_error import count_errors
 from studies.ecvpr import FrameScore, score
 from studies.in_process import run_in_process
 from studies.summary import pace_of, traffic_of
-from studies.uplink import total_mbps
+from studies.uplink import total_mbps, wire_mbps
 
 Value = float | int | str | list[int] | None
 Row = dict[str, Value]
@@ -50,7 +50,8 @@ def measure(run_dir: Path) -> Measured:
     """
     with Run(run_dir) as run:
         scores = score(run)
-        uplink = total_mbps(run, float(run.scenario["frame_period_s"]))
+        period_s = float(run.scenario["frame_period_s"])
+        uplink, wire = total_mbps(run, period_s), wire_mbps(run, period_s)
         by_signal = count_errors(run)
         errors = np.concatenate([*by_signal.values(), []])
         duration_s = pace_of(run)["sim_duration_s"]
@@ -62,6 +63,8 @@ def measure(run_dir: Path) -> Measured:
             **_traffic(run),
             "uplink_mbps": uplink["mean"],
             "uplink_peak_mbps": uplink["peak"],
+            "wire_up_mbps": wire["up"],
+            "wire_down_mbps": wire["down"],
         }
         junctions = junctions_of_run(run, scores, by_signal, duration_s)
         return Measured(row, _with_regions(run, junctions), _regions(run, duration_s))

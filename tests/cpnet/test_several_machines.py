@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import ConfigError
+from protocol.traffic import on_air_bytes
 from recording.run import Run, differences
-from sensing.link_channel import on_air_bytes
 from tests.cpnet.city import City, Host
 from tests.cpnet.commands import SMALL, Command, Shell
 from tests.soak.findings import processes_of

@@ -48,8 +48,8 @@ class Sink:
 class Rig:
     """A relay before a sink, and one connection to it."""
 
-    def __init__(self, profile: str) -> None:
-        self.path = Channel.draw(profile_named(profile) or LinkProfile(), 1, "vehicle 0")
+    def __init__(self, profile: str, seed: int = 1) -> None:
+        self.path = Channel.draw(profile_named(profile) or LinkProfile(), seed, "vehicle 0")
         self.sink = Sink()
         self.since_ns = time.monotonic_ns()
         self.relay = Shaper(("127.0.0.1", 0), self.sink.address, lambda _: self.path)

@@ -10,7 +10,8 @@ from statistics import fmean, median
 import pytest
 
 from link_relay.shaper import SLACK_NS, Shaper
-from sensing.link_channel import Channel, VirtualLink, on_air_bytes
+from protocol.traffic import on_air_bytes
+from sensing.link_channel import Channel, VirtualLink
 from sensing.link_profile import LinkProfile
 from tests.kernel_links import shaped_connection
 from tests.link_relay.sink import Rig, rigs

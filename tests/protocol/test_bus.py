@@ -11,6 +11,7 @@ import zenoh
 from protocol import bus as buses
 from protocol.bus import Endpoint, ZenohBus, open_bus
 from protocol.errors import BusError
+from protocol.in_process import InProcessRouter
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.messages import End, Roster
 from protocol.topics import ALIVE, BusName
@@ -131,3 +132,32 @@ def test_small_messages_of_one_sender_keep_their_order(router, client, edge_inbo
 def test_an_endpoint_that_says_neither_listen_nor_connect_is_refused(text):
     with pytest.raises(BusError, match="needs listen:LOCATOR or connect:LOCATOR"):
         Endpoint.parse(text)
+
+
+def test_what_is_computed_within_one_process_is_what_the_kernel_counts(router, client, edge_inbox):
+    """Per message: 20 scans and rosters go up, 20 scans come down."""
+    alone = InProcessRouter()
+    computed, far = alone.bus(Inbox()), alone.bus(Inbox())
+    for up, down in ((router, client), (far, computed)):
+        up.subscribe("scan", region="up")
+        up.subscribe("roster", region="up")
+        down.subscribe("scan", region="down")
+    time.sleep(0.3)  # subscriptions have crossed
+    scan = SCAN.model_copy(update={"payload": np.zeros(7_000, np.uint8)})
+    roster = Roster(frame=1, process="p", agents=["a", "b"], scanning=["a"])
+    before = client.traffic()
+    for near, other in ((client, router), (computed, far)):
+        for _ in range(20):
+            where = {"process": "p", "agent": "a", "chunk": "0"}
+            near.publish("scan", scan, region="up", **where)
+            near.publish("roster", roster, region="up", process="p")
+            other.publish("scan", scan, region="down", **where)
+            time.sleep(0.01)
+    for _ in range(40):
+        assert edge_inbox.get(WAIT_S) is not None
+    found, expected = client.traffic(), computed.traffic()
+    sent_bytes = found.data_sent_bytes - before.data_sent_bytes
+    received_bytes = found.data_received_bytes - before.data_received_bytes
+    assert expected.data_sent_bytes == pytest.approx(sent_bytes, rel=0.02)
+    assert expected.data_received_bytes == pytest.approx(received_bytes, rel=0.02)
+    assert expected.sent_bytes == pytest.approx(found.sent_bytes - before.sent_bytes, rel=0.05)

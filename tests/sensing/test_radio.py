@@ -1,7 +1,7 @@
 from protocol.in_process import InProcessBus, InProcessRouter
 from protocol.inbox import Inbox
 from protocol.messages import NEVER_NS
-from sensing.link_channel import on_air_bytes
+from protocol.traffic import on_air_bytes
 from sensing.link_config import LinkConfig
 from sensing.radio import AgentKind, IdealRadio, Radio, RealRadio, VirtualRadio, radio_of
 
@@ -43,7 +43,7 @@ def test_a_virtual_radio_queues_in_simulated_time_and_says_when_to_skip() -> Non
     assert (transmission.sent_ns, transmission.arrival_ns) == (4 * MS, 4 * MS + latency_ns + 5 * MS)
     assert made.is_congested(0)
     assert not made.is_congested(100 * MS)  # less than a frame is left
-    assert made.wire_bytes() == on_air_bytes(20_000)
+    assert made.traffic().data_sent_bytes == on_air_bytes(20_000)
 
 
 def test_chunks_that_a_new_frame_overtakes_never_arrive_and_take_nothing_of_the_link() -> None:
@@ -51,7 +51,7 @@ def test_chunks_that_a_new_frame_overtakes_never_arrive_and_take_nothing_of_the_
     arrivals = [made.transmit(0, 10_000, is_chunk=True) for _ in range(3)]  # 83 ms each
     assert [p is not None and p.arrival_ns == NEVER_NS for p in arrivals] == [False, False, True]
     assert made.begin(100 * MS, None) == 1
-    assert made.wire_bytes() == 2 * on_air_bytes(10_000)
+    assert made.traffic().data_sent_bytes == 2 * on_air_bytes(10_000)
 
 
 def test_chunks_are_given_up_once_the_agent_hears_that_it_is_enough() -> None:
@@ -59,7 +59,7 @@ def test_chunks_are_given_up_once_the_agent_hears_that_it_is_enough() -> None:
     for _ in range(3):
         made.transmit(0, 5_000, is_chunk=True)  # 41 ms each
     assert made.begin(100 * MS, enough_sim_ns=30 * MS) == 2  # it hears of it 5 ms later
-    assert made.wire_bytes() == on_air_bytes(5_000)
+    assert made.traffic().data_sent_bytes == on_air_bytes(5_000)
 
 
 def test_a_pose_is_never_given_up() -> None:

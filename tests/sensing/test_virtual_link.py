@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sensing.link_channel import Channel, VirtualLink, on_air_bytes
+from protocol.traffic import on_air_bytes
+from sensing.link_channel import Channel, VirtualLink
 from sensing.link_config import profile_named
 from sensing.link_profile import BUILTIN, LinkProfile, Outages, RoundTrip, TraceRate, VaryingRate
 

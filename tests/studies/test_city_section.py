@@ -50,7 +50,7 @@ def page(tmp_path: Path) -> Page:
             row = RegionFrameRow(n, region, agents, 9, 0, 1, 0, ns, took_ns)
             database.add(RegionFrameRow, [row])
             stamps = (ns, ns, ns, ns, None, ns, ns)
-            database.add(UploadRow, [UploadRow(n, region, "rsu", 0, 9, 1250, None, *stamps)])
+            database.add(UploadRow, [UploadRow(n, region, "rsu", 0, 9, 1250, None, None, *stamps)])
         car = TruthRow(n, "v", "car", 0, 400, -20, 0, 0, 0, 0, 0, "Lsouth_0", 60)
         database.add(TruthRow, [car])
         for tls in "JKL":

@@ -61,7 +61,7 @@ def make_run(
         seen = n % 2
         database.add(FrameRow, [FrameRow(n, ns, 2, 0, 0, 1, 9, seen, 1, ns, ns, 40 * MS)])
         stamps = (ns, ns, ns, ns, None, ns, ns)
-        database.add(UploadRow, [UploadRow(n, "r0", "rsu", 0, 9, 2000 + n, None, *stamps)])
+        database.add(UploadRow, [UploadRow(n, "r0", "rsu", 0, 9, 2000 + n, None, None, *stamps)])
         database.add(LatencyRow, [LatencyRow(n, "r0", "rsu", **took)])
         cars = [(vehicle, at), ("unseen", -50.0)]
         database.add(

@@ -64,15 +64,15 @@ def plain_study() -> Study:
 
 def test_every_grid_has_its_table_with_whom_a_delay_is_the_mean_of():
     page = plain_page(findings(plain_study()))
-    rates, words, versions = tables(page)
+    rates, _, words, _, versions = tables(page)
     names = [column.name for column in rates.columns]
     assert names[:3] == ["traffic.cav_rate", "edge.detector", "mean delay, s"]
     assert {"inserted", "finished", "teleported", "not inserted", "seeds"} <= set(names)
     assert rates.rows[0][:3] == (
         "0",
         "fast",
-        "12.1 ± 0.6",
-    )  # 12.15, as floats have it; t of one degree: 12.7
+        "12.1 (12.1, 12.2)",
+    )  # 12.15, as floats have it
     assert [row[0] for row in words.rows] == ["a", "b"]
     assert versions.rows == (("python", "3.11"),)
 
@@ -97,7 +97,7 @@ def test_the_papers_figures_stand_beside_ours():
     assert theirs["pointpillars", "5"] == 46.6
     assert theirs["fast", "1"] == 35.4
     assert theirs["fast", "5"] is None  # they do not give it
-    assert table.rows[0][2] == "60.0 ± 0.0"
+    assert table.rows[0][2] == "60.0 (60.0, 60.0, 60.0)"
 
 
 def good(row: dict[str, Any]) -> dict[str, Any]:
@@ -134,16 +134,54 @@ def test_what_is_not_as_expected_is_said(broken, text):
 
 
 def test_enough_is_the_slowest_uplink_that_sees_nearly_all():
-    def seen(row: dict[str, Any]) -> dict[str, Any]:
-        return {"e_cvpr": 0.1 if row.get(RATE, 1) < 0.3 else 0.699 if row[RATE] < 1 else 0.7}
-
     def change(row: dict[str, Any]) -> dict[str, Any]:
-        return seen(row) if row.get(RATE) is not None else {}
+        rate = row.get(RATE)
+        return {} if rate is None else {"e_cvpr": 0.1 if rate < 0.3 else 0.699 if rate < 1 else 0.7}
 
     page = bandwidth_page(findings(read_study("bandwidth").study, change=change))
     answers = tables(page)[0]
-    assert len(answers.rows) == 8
-    assert {row[2] for row in answers.rows} == {"0.3"}
+    assert len(answers.rows) == 3 + 4 * 2
+    found = {(row[0], row[2]) for row in answers.rows}
+    assert ("Ten times a second: without ground and background", "0.42") in found
+    assert ("Ten times a second: boxes", "100") in found
+    slow = next(row for row in answers.rows if row[2] == "0.42")
+    assert slow[3:6] == ("69.9 ± 0.0", "-0.1 ± 0.0", None)  # no delay of runs of 20 s
+    assert answers.rows[0][2:6] == ("1", "70.0 ± 0.0", "+0.0 ± 0.0", "12.3 ± 0.2")
+
+
+def test_from_five_seeds_on_an_interval_is_shown_that_ends_where_possible_values_do():
+    study = plain_study().model_copy(update={"seeds": [1, 2, 3, 4, 5]})
+
+    def change(row: dict[str, Any]) -> dict[str, Any]:
+        return {"e_cvpr": (0.2, 1.0, 1.0, 1.0, 1.0)[row["seed"] - 1]}
+
+    page = plain_page(findings(study, change=change))
+    table = tables(page)[0]
+    at = [column.name for column in table.columns].index("E-CVPR, %")
+    assert table.rows[0][at] == "84.0 (39.6 to 100.0)"
+    charts = [chart for chart in page.figures() if isinstance(chart, Chart)]
+    seen = next(chart for chart in charts if chart.title.startswith("E-CVPR")).series[0]
+    assert seen.high is not None
+    assert seen.high[0] == 100.0
+    assert seen.points == ()
+
+
+def test_below_five_seeds_points_are_drawn_and_no_interval():
+    charts = [c for c in plain_page(findings(plain_study())).figures() if isinstance(c, Chart)]
+    delay = charts[0].series[0]
+    assert delay.low is None
+    assert delay.points[0] == pytest.approx((12.1, 12.2))
+
+
+def test_differences_are_paired_by_seed():
+    def change(row: dict[str, Any]) -> dict[str, Any]:
+        more = 1.0 + 0.1 * (row["seed"] % 2) if row.get("traffic.cav_rate") else 0.0
+        return {"delay_s": 10.0 * row["seed"] + more}
+
+    page = plain_page(findings(plain_study(), change=change))
+    paired = tables(page)[1]
+    assert "paired by seed" in paired.caption
+    assert paired.rows[0][:3] == ("0.1", "fast", "+1.0 (+1.1, +1.0)")
 
 
 def test_pages_can_be_drawn_both_ways(tmp_path):

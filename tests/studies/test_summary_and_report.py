@@ -50,7 +50,7 @@ def whole_run(run_dir: Path) -> None:
         sent = (start + 2 * MS, start + 8 * MS, start + 9 * MS, start + 10 * MS)
         wire = 2200 if frame else 0
         upload = UploadRow(
-            frame, "r0", "rsu-0", 0, 9, 2000, wire, *sent, None, start + 12 * MS, None
+            frame, "r0", "rsu-0", 0, 9, 2000, wire, wire // 4, *sent, None, start + 12 * MS, None
         )
         database.add(UploadRow, [upload])
         database.add(StageRow, [StageRow(frame, "edge", "", "detect", start, (frame + 1) * MS)])
@@ -87,6 +87,9 @@ def test_the_summary_holds_the_figures_of_a_run(tmp_path: Path) -> None:
     assert (agent["frames"], agent["bytes_per_frame"]) == (10, 2000)
     assert agent["mbps"] == pytest.approx(0.16)
     assert agent["wire_bytes_per_frame"] == pytest.approx(1980)
+    assert agent["wire_mbps"] == pytest.approx(0.1584)
+    assert agent["wire_down_mbps"] == pytest.approx(0.0396)
+    assert summary["wire_mbps"] == {"up": pytest.approx(0.1584), "down": pytest.approx(0.0396)}
     assert list(summary["latency_ms"]) == list(STAGES)
     assert summary["latency_ms"]["end_to_end"]["p50"] == pytest.approx(44.5)
     assert summary["latency_ms"]["sense"]["p99"] is None
@@ -167,7 +170,7 @@ def test_each_region_and_each_junction_has_its_figures(tmp_path: Path) -> None:
     database = Database(tmp_path)
     scenario = json.dumps({"frame_period_s": 1.0, "seed": 1, "name": "city"})
     database.add(MetaRow, {"scenario": scenario}.items())
-    chunk = (0, 9, 125_000, None, *(None,) * 4, None, None, None)
+    chunk = (0, 9, 125_000, *(None,) * 9)
     for frame, regions in enumerate((["r0"], ["r0", "r1"], ["r1"])):
         database.add(FrameRow, [FrameRow(frame, frame * 10**9, 1, 1, 0, 1, 9, 1, 1, frame, 5, 5)])
         for region in regions:

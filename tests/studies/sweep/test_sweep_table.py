@@ -90,7 +90,8 @@ def test_figures_over_seeds_are_those_computed_by_hand():
     )
     found = over_seeds(frame, ["policy"], ["x", "y"])
     assert found.columns == [
-        "policy", "n", "x_mean", "x_sd", "x_ci95", "y_mean", "y_sd", "y_ci95",
+        "policy", "n", "x_mean", "x_sd", "x_ci95", "x_values", "y_mean", "y_sd", "y_ci95",
+        "y_values",
     ]  # fmt: skip
     b, a, c = found.rows(named=True)
     assert (b["policy"], b["n"], b["x_mean"], b["x_sd"]) == ("b", 3, 2.0, 1.0)

@@ -1,0 +1,94 @@
+"""A link that loses packets, in simulated time: `VirtualLink` with TCP's repairs."""
+
+from __future__ import annotations
+
+from protocol.messages import MAX_DELAY_NS
+from protocol.traffic import on_air_bytes
+from sensing.link_channel import Channel, Transmission, VirtualLink
+from sensing.packet_loss import LossPattern
+from sensing.tcp_sender import TcpSender
+
+LEAST_INTERVAL_NS = 10_000_000  # of frames that are expected to follow
+
+
+class LossyLink:
+    """A connection over a channel that loses packets; no clock is read.
+
+    When a message arrives is told as it is sent. It depends on what follows, which makes the loss
+    of a message's last packets known: assumed are the chunk that follows a pose, and frames of the
+    last one's size at the last ones' interval. A later message may be told to arrive before it.
+    """
+
+    def __init__(self, channel: Channel, losses: LossPattern) -> None:
+        self._channel = channel
+        self._sender = TcpSender(channel, losses)
+        self._last: Transmission | None = None
+        self._chunk_bytes = 0  # of the last one
+        self._interval_ns = 0  # between the last two frames
+        self._frame_bytes = self._last_frame_bytes = 0
+        self._recallable: list[tuple[range, Transmission, Transmission | None]] = []
+
+    def send(self, now_ns: int, size_bytes: int, *, recallable: bool = False) -> Transmission:
+        """See `VirtualLink.send`; the bytes on the air are those of all repetitions."""
+        if self._last is None or now_ns > self._last.sent_ns:
+            gap_ns = 0 if self._last is None else now_ns - self._last.sent_ns
+            self._interval_ns = gap_ns if gap_ns >= LEAST_INTERVAL_NS else 0
+            self._last_frame_bytes, self._frame_bytes = self._frame_bytes, 0
+        self._frame_bytes += size_bytes
+        self._sender.advance(now_ns)
+        self._sender.transmitted.clear()
+        self._sender.delivered.clear()
+        segments = self._sender.write(size_bytes)
+        transmission = self._forecast(now_ns, segments, 0 if recallable else self._chunk_bytes)
+        if recallable:
+            self._chunk_bytes = size_bytes
+            self._recallable.append((segments, transmission, self._last))
+        else:
+            self._recallable.clear()
+        self._last = transmission
+        return transmission
+
+    def _forecast(self, now_ns: int, segments: range, following_bytes: int) -> Transmission:
+        future, latest_ns = self._sender.fork(), now_ns + MAX_DELAY_NS
+        future.write(following_bytes)
+        frame_ns = now_ns + (self._interval_ns or MAX_DELAY_NS)
+        while not (future.has_delivered(segments[-1]) or future.now_ns > latest_ns):
+            event_ns = future.next_event_ns()
+            if event_ns is None or event_ns > frame_ns:
+                future.advance(frame_ns)
+                future.write(self._last_frame_bytes)
+                frame_ns += self._interval_ns or MAX_DELAY_NS
+            else:
+                future.step()
+        arrivals = {one.segment: one.arrival_ns for one in future.delivered}
+        mine = [one for one in future.transmitted if one.segment in segments]
+        return Transmission(
+            sent_ns=now_ns,
+            first_bit_ns=mine[0].first_bit_ns if mine else latest_ns,
+            last_bit_ns=max((one.last_bit_ns for one in mine if one.is_first), default=latest_ns),
+            arrival_ns=arrivals.get(segments[-1], latest_ns),
+            on_air_bytes=sum(on_air_bytes(one.size_bytes) for one in mine),
+        )
+
+    def recall(self, time_ns: int) -> list[Transmission]:
+        """See `VirtualLink.recall`."""
+        self._sender.advance(time_ns)
+        recalled = []
+        while self._recallable and self._sender.withdraw(self._recallable[-1][0].start):
+            _, transmission, self._last = self._recallable.pop()
+            recalled.append(transmission)
+        self._recallable.clear()
+        return recalled
+
+    def backlog_ns(self, now_ns: int) -> int:
+        """See `VirtualLink.backlog_ns`; what is sent again is not counted."""
+        return 0 if self._last is None else max(0, self._last.last_bit_ns - now_ns)
+
+    def delay_ns(self, time_ns: int) -> int:
+        """See `VirtualLink.delay_ns`."""
+        return self._channel.delay_ns(time_ns)
+
+
+def link_over(channel: Channel) -> VirtualLink | LossyLink:
+    """Returns the link in simulated time over a channel."""
+    return VirtualLink(channel) if channel.losses is None else LossyLink(channel, channel.losses)

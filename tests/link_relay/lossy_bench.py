@@ -1,0 +1,159 @@
+"""Delays over a lossy path: kernel TCP, the relay, and the link in simulated time; needs root.
+
+`python -m tests.link_relay.lossy_bench` prints a row for each path as JSON. The same packets are
+lost in all three, by their numbers: a minute of messages for each seed, several paths at a time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import socket
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import partial
+
+import numpy as np
+
+from sensing.link_channel import Channel
+from sensing.link_config import profile_named
+from sensing.lossy_link import link_over
+from tests.kernel_path import KernelPath, lossy_connection
+from tests.link_relay.sink import Rig
+
+_PACKETS = 60_000  # of which it is told which are lost: more than a path sends
+
+
+@dataclass(frozen=True, slots=True)
+class LossyCase:
+    """A path as a link's profile names it, and the messages that take it."""
+
+    link: str
+    size_bytes: int
+    period_s: float
+    messages: int
+
+
+CASES = (
+    LossyCase("6mbit,50ms,1%", 33_000, 0.2, 300),
+    LossyCase("6mbit,50ms,0.3%", 33_000, 0.1, 600),
+    LossyCase("10mbit,20ms,1%", 33_000, 0.1, 600),
+    LossyCase("20mbit,50ms,0.5%x3", 33_000, 0.1, 600),
+    LossyCase("5mbit,20ms,1%", 7_000, 0.1, 600),
+    LossyCase("5mbit,20ms,2%x2", 7_000, 0.1, 600),
+    LossyCase("3mbit,100ms,1%", 7_000, 0.2, 300),
+    LossyCase("10mbit,20ms,1%", 100_000, 1.0, 60),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Delays:
+    """Mean and 95th percentile, in ms."""
+
+    mean_ms: float
+    p95_ms: float
+
+    @classmethod
+    def of(cls, delays_ns: list[int]) -> Delays:
+        """Summarises single delays."""
+        return cls(float(np.mean(delays_ns)) / 1e6, float(np.percentile(delays_ns, 95)) / 1e6)
+
+
+def _channel(case: LossyCase, seed: int) -> Channel:
+    profile = profile_named(case.link)
+    assert profile is not None
+    return Channel.draw(profile, seed, "vehicle 0")
+
+
+def virtual_delays(case: LossyCase, seed: int) -> list[int]:
+    """Returns the delays that are computed in simulated time, in ns."""
+    link, period_ns = link_over(_channel(case, seed)), round(case.period_s * 1e9)
+    return [link.send(n * period_ns, case.size_bytes).latency_ns for n in range(case.messages)]
+
+
+def kernel_delays(case: LossyCase, seed: int) -> list[int]:
+    """Returns the delays over the kernel's TCP (CUBIC), in ns."""
+    channel = _channel(case, seed)
+    assert channel.losses is not None
+    lost = tuple(number for number in range(_PACKETS) if channel.losses[number])
+    path = KernelPath(channel.rate_bps.at(0), channel.rtt_ns.at(0) / 1e6, lost)
+    with lossy_connection(path) as (sender, receiver), ThreadPoolExecutor(1) as thread:
+        receiving = thread.submit(_arrivals, receiver, case)
+        sent_ns = _send(case, sender.sendall)
+        arrived_ns = receiving.result()
+    return [b - a for a, b in zip(sent_ns, arrived_ns, strict=True)]
+
+
+def relayed_delays(case: LossyCase, seed: int) -> list[int]:
+    """Returns the delays over the relay, in ns."""
+    rig = Rig(case.link, seed)
+    try:
+        sent_ns = _send(case, rig.agent.sendall)
+        ends = [(n + 1) * case.size_bytes for n in range(case.messages)]
+        rig.sink.arrival_ns(ends[-1])
+        marks = np.array(rig.sink.marks)
+        arrived_ns = marks[np.searchsorted(marks[:, 1], ends), 0].tolist()
+    finally:
+        rig.close()
+    return [b - a for a, b in zip(sent_ns, arrived_ns, strict=True)]
+
+
+def _send(case: LossyCase, send: Callable[[bytes], object]) -> list[int]:
+    sent_ns, begin_ns = [], time.monotonic_ns()
+    for number in range(case.messages):
+        due_ns = begin_ns + round(number * case.period_s * 1e9)
+        time.sleep(max(0, due_ns - time.monotonic_ns()) / 1e9)
+        sent_ns.append(time.monotonic_ns())
+        send(bytes(case.size_bytes))
+    return sent_ns
+
+
+def _arrivals(receiver: socket.socket, case: LossyCase) -> list[int]:
+    arrived_ns = []
+    for _ in range(case.messages):
+        left = case.size_bytes
+        while left:
+            left -= len(receiver.recv(left))
+        arrived_ns.append(time.monotonic_ns())
+    return arrived_ns
+
+
+FORMS = {"kernel": kernel_delays, "emulated": relayed_delays, "virtual": virtual_delays}
+
+
+def compared(case: LossyCase, seeds: int) -> dict[str, object]:
+    """Returns the case and the delays of so many seeds in the three forms."""
+    found: dict[str, list[int]] = {name: [] for name in FORMS}
+    for seed in range(1, seeds + 1):
+        with ThreadPoolExecutor(len(FORMS)) as threads:
+            running = {name: threads.submit(form, case, seed) for name, form in FORMS.items()}
+        for name, one in running.items():
+            found[name] += one.result()
+    return {**asdict(case), **{name: asdict(Delays.of(one)) for name, one in found.items()}}
+
+
+def _in_realtime() -> None:
+    with suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+
+
+def main() -> None:
+    """Runs all cases, some at a time, and prints their rows."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--jobs", type=int, default=4, help="paths at a time")
+    given = parser.parse_args()
+    spawning = multiprocessing.get_context("spawn")
+    with spawning.Pool(given.jobs, _in_realtime, maxtasksperchild=1) as pool:
+        rows = pool.map(partial(compared, seeds=given.seeds), CASES, chunksize=1)
+    json.dump(rows, sys.stdout, indent=1)
+
+
+if __name__ == "__main__":
+    main()
