@@ -1,8 +1,9 @@
 """Motion of tracks: constant turn rate and speed in the open, along the lanes where there are some.
 
-A state is x, y, heading, speed along it and yaw rate, with a covariance (5, 5): the extended Kalman
-filter of a constant turn rate and velocity (Schubert et al. 2008). On a lane, the mean follows the
-lane, and the speed what the vehicle ahead allows by the safe speed of Krauss (1998), as drivers do.
+A state is x, y, heading, speed along it, yaw rate and acceleration, with a covariance (6, 6): the
+extended Kalman filter of a constant turn rate and acceleration (Schubert et al. 2008), where the
+acceleration fades (Singer 1970). On a lane, the mean follows the lane, and the speed what the
+vehicle ahead allows by the safe speed of Krauss (1998), as drivers do.
 """
 
 from __future__ import annotations
@@ -27,61 +28,91 @@ LANE_TURN_RAD = 0.1  # deviation from its heading
 JUMP_STD = np.array([1.5, 1.3, 2.0])  # along, across (a lane is 3.5 m wide), in speed
 JUMP_STD_OFF_MAP = np.array([0.5, 0.5, 1.0])
 TURN_LIFE_S = 1.0  # of a yaw rate: curves end
+ACCEL_LIFE_S = 2.0  # of an acceleration
+FIRST_ACCEL_MPS2 = 1.5
+JERK_PART = 0.02
+ABEAM_M = 1.0  # beyond a box's end: a sensor that stands there sees its side
+ROBUST = 2.0
+SLOW_MPS = 0.4
+SLOW_STD_MPS = 0.4
 
 _STATE = "float64[:,::1], float64[:,:,::1]"
 
 
 @njit("void(float64[:,:], float64[:,:])", cache=True)
 def _spread(f: Floats, p: Floats) -> None:
-    """Sets a covariance p (5, 5) to f p f^T; in loops, as a product of matrices would need BLAS."""
-    half = np.zeros((5, 5))
-    for i in range(5):
-        for k in range(5):
+    """Sets a covariance p (6, 6) to f p f^T; in loops, as a product of matrices would need BLAS."""
+    half = np.zeros((6, 6))
+    for i in range(6):
+        for k in range(6):
             if f[i, k] != 0.0:
-                for j in range(5):
+                for j in range(6):
                     half[i, j] += f[i, k] * p[k, j]
-    for i in range(5):
-        for j in range(i, 5):
+    for i in range(6):
+        for j in range(i, 6):
             total = 0.0
-            for k in range(5):
+            for k in range(6):
                 total += half[i, k] * f[j, k]
             p[i, j] = p[j, i] = total
 
 
 @njit("void(float64[::1], float64[:,::1], float64[::1], float64, float64)", cache=True)
 def _correct_by(mean: Floats, p: Floats, axis: Floats, off: float, variance: float) -> None:
-    """Corrects a state by one number: its part along an axis (5,) is off by so much."""
-    gain = np.zeros(5)
-    for i in range(5):
-        for j in range(5):
+    """Corrects a state by one number: its part along an axis (6,) is off by so much."""
+    gain = np.zeros(6)
+    for i in range(6):
+        for j in range(6):
             gain[i] += p[i, j] * axis[j]
     total = variance
-    for i in range(5):
+    for i in range(6):
         total += axis[i] * gain[i]
-    for i in range(5):
+    for i in range(6):
         mean[i] += gain[i] * off / total
-    for i in range(5):
-        for j in range(5):
+    for i in range(6):
+        for j in range(6):
             p[i, j] -= gain[i] * gain[j] / total
 
 
-@njit(f"void({_STATE}, float64, float64[::1], float64, boolean[::1])", cache=True)
+TUNE = np.array([4.0, 1.5, 0.02, 3.0, 0, 0, 0, 1.0, 2.5, 0, 0.3, 0.005])
+
+
+@njit(f"void({_STATE}, float64, float64[::1], float64, boolean[::1], boolean[::1], float64[::1])", cache=True)
 def predict(
-    mean: Floats, covariance: Floats, dt_s: float, accel_mps2: Floats, turn_rps: float, free: Bools
+    mean: Floats,
+    covariance: Floats,
+    dt_s: float,
+    accel_mps2: Floats,
+    turn_rps: float,
+    free: Bools,
+    steady: Bools,
+    tune: Floats,
 ) -> None:
-    """Moves states (N, 5) and their covariances (N, 5, 5) on; means only of those that are free."""
-    f = np.eye(5)
+    """Moves states (N, 6) and their covariances (N, 6, 6) on; means only of those that are free.
+
+    Of those that are `steady`, the deviation `accel_mps2` (N,) is that of the speed after 1 s; of
+    others it is that of the acceleration.
+    """
+    f = np.eye(6)
+    fade = np.exp(-dt_s / tune[0])
     for n in range(mean.shape[0]):
-        yaw, v, w = mean[n, 2], mean[n, 3], mean[n, 4]
+        yaw, v, w, a = mean[n, 2], mean[n, 3], mean[n, 4], mean[n, 5]
+        if steady[n] or not free[n]:
+            a = 0.0
+        if v + a * dt_s < 0.0 <= v:
+            a = -v / dt_s
+        way_m = v * dt_s + 0.5 * a * dt_s**2
         middle = yaw + (0.5 * w * dt_s if free[n] else 0.0)
         cos, sin = np.cos(middle), np.sin(middle)
-        f[0, 2], f[0, 3], f[0, 4] = -v * dt_s * sin, dt_s * cos, -0.5 * v * dt_s**2 * sin
-        f[1, 2], f[1, 3], f[1, 4] = v * dt_s * cos, dt_s * sin, 0.5 * v * dt_s**2 * cos
+        f[0, 2], f[0, 3], f[0, 4] = -way_m * sin, dt_s * cos, -0.5 * way_m * dt_s * sin
+        f[1, 2], f[1, 3], f[1, 4] = way_m * cos, dt_s * sin, 0.5 * way_m * dt_s * cos
         f[2, 4] = dt_s
         f[4, 4] = np.exp(-dt_s / TURN_LIFE_S)
+        coupled = 0.0 if steady[n] else 1.0
+        f[0, 5], f[1, 5] = 0.5 * coupled * dt_s**2 * cos, 0.5 * coupled * dt_s**2 * sin
+        f[3, 5], f[5, 5] = coupled * dt_s, coupled * fade
         p = covariance[n]
         _spread(f, p)
-        q = accel_mps2[n] ** 2
+        q = accel_mps2[n] ** 2 if steady[n] else tune[2] * accel_mps2[n] ** 2
         along = q * dt_s**3 / 3
         p[0, 0] += along * cos * cos + 0.01 * dt_s
         p[1, 1] += along * sin * sin + 0.01 * dt_s
@@ -91,40 +122,81 @@ def predict(
             p[axis, 3] += 0.5 * q * dt_s**2 * part
             p[3, axis] += 0.5 * q * dt_s**2 * part
         p[3, 3] += q * dt_s
+        if steady[n]:
+            p[5, 5] = tune[1]**2
+        else:
+            p[5, 5] += accel_mps2[n] ** 2 * (1 - fade**2)
         p[2, 2] += 1e-3 * dt_s
         p[4, 4] += turn_rps**2 * dt_s
+        mean[n, 5] = coupled * a * fade
         if free[n]:
-            mean[n, 0] += v * dt_s * cos
-            mean[n, 1] += v * dt_s * sin
+            mean[n, 0] += way_m * cos
+            mean[n, 1] += way_m * sin
             mean[n, 2] = yaw + w * dt_s
+            mean[n, 3] = v + a * dt_s
             mean[n, 4] = w * f[4, 4]
 
 
-@njit(f"void({_STATE}, int64[::1], float64[:,::1], float64[:,::1])", cache=True)
-def correct(mean: Floats, covariance: Floats, tracks: Ints, boxes: Floats, std: Floats) -> None:
+@njit(
+    f"void({_STATE}, float64[::1], int64[::1], float64[:,::1], float64[:,::1], float64[:,::1], float64[::1])",
+    cache=True,
+)
+def correct(
+    mean: Floats,
+    covariance: Floats,
+    length_m: Floats,
+    tracks: Ints,
+    boxes: Floats,
+    std: Floats,
+    seen: Floats,
+    tune: Floats,
+) -> None:
     """Corrects some states by boxes (M, 7) of deviations along, across and in heading (M, 3).
 
     A box's heading may be the wrong way round; a vehicle that goes backwards for good has been
-    taken for the wrong way round itself.
+    taken for the wrong way round itself. `seen` (M, 2) is how far ahead of a box's middle the
+    sensor stands that sees it, and how far its near end may lie beyond the vehicle's own. What
+    counts is the end that is turned to the sensor, as of a vehicle of `length_m` (N,): the other
+    one is hidden. A box that ends farther from the sensor than expected is less sure: parts are
+    hidden, or lie between two beams, but nothing of a vehicle is where it is not.
     """
-    axes = np.zeros((3, 5))
+    axes = np.zeros((3, 6))
     axes[2, 2] = 1.0
     for m in range(tracks.shape[0]):
         n = tracks[m]
         p = covariance[n]
         cos, sin = np.cos(boxes[m, 6]), np.sin(boxes[m, 6])
         axes[0, 0], axes[0, 1], axes[1, 0], axes[1, 1] = cos, sin, -sin, cos
+        side = 0.0
+        if abs(seen[m, 0]) > boxes[m, 3] / 2 + ABEAM_M:
+            side = np.sign(seen[m, 0])
         for axis in range(2):
             x, y = boxes[m, 0] - mean[n, 0], boxes[m, 1] - mean[n, 1]
-            off = axes[axis, 0] * x + axes[axis, 1] * y
-            _correct_by(mean[n], p, axes[axis], off, std[m, axis] ** 2)
+            off, deviation = axes[axis, 0] * x + axes[axis, 1] * y, std[m, axis]
+            if axis == 0:
+                if seen[m, 2] == 0.0:
+                    deviation = tune[10] + tune[11] * seen[m, 1]
+                off += tune[7] * side * (boxes[m, 3] - length_m[n]) / 2
+                total = deviation**2
+                for i in range(2):
+                    for j in range(2):
+                        total += axes[0, i] * p[i, j] * axes[0, j]
+                far = abs(off) / np.sqrt(total)
+                if seen[m, 2] == 0.0:
+                    if side * off < 0.0:
+                        deviation *= 1.0 + (far / tune[8]) ** 2
+                    elif far > tune[3]:
+                        deviation *= np.sqrt(far / tune[3])
+            _correct_by(mean[n], p, axes[axis], off, deviation**2)
         turned = (boxes[m, 6] - mean[n, 2] + np.pi / 2) % np.pi - np.pi / 2
         _correct_by(mean[n], p, axes[2], turned, std[m, 2] ** 2)
         if mean[n, 3] < -2.0:
             mean[n, 2] += np.pi
             mean[n, 3] = -mean[n, 3]
-            p[3, :] *= -1
-            p[:, 3] *= -1
+            mean[n, 5] = -mean[n, 5]
+            for i in (3, 5):
+                p[i, :] *= -1
+                p[:, i] *= -1
         mean[n, 2] = (mean[n, 2] + np.pi) % (2 * np.pi) - np.pi
 
 
@@ -193,14 +265,14 @@ def _ahead(
 @njit("void(float64[:,::1], float64, float64)", cache=True)
 def _turn(p: Floats, turned: float, heading: float) -> None:
     """Turns a covariance with the lane, across which a vehicle cannot be far off."""
-    turn = np.eye(5)
+    turn = np.eye(6)
     turn[0, 0] = turn[1, 1] = np.cos(turned)
     turn[1, 0], turn[0, 1] = np.sin(turned), -np.sin(turned)
     _spread(turn, p)
     cos, sin = np.cos(heading), np.sin(heading)
     across = p[0, 0] * sin**2 - 2 * p[0, 1] * sin * cos + p[1, 1] * cos**2
     k = min(WIDEST_STD_M / np.sqrt(max(across, 1e-9)), 1.0) - 1
-    shrunk = np.eye(5)
+    shrunk = np.eye(6)
     shrunk[0, 0] += k * sin * sin
     shrunk[1, 1] += k * cos * cos
     shrunk[0, 1] = shrunk[1, 0] = -k * sin * cos
@@ -294,6 +366,6 @@ def follow_lanes(
         mean[n, 2], mean[n, 4] = heading, 0.0
         _turn(covariance[n], turned, heading)
         if mean[n, 3] < STANDS_MPS:
-            stands = np.eye(5)
+            stands = np.eye(6)
             stands[3, 3] = min(STANDS_MPS / np.sqrt(max(covariance[n, 3, 3], 1e-9)), 1.0)
             _spread(stands, covariance[n])

@@ -21,10 +21,14 @@ from protocol.limits import MAX_POSITION_STD_M
 BOX_STD = np.array([0.35, 0.2, 0.08])  # of a detector's box near a sensor: along, across, heading
 FAR_STD = 0.015  # along, more for each metre beyond `FAR_M`: only an end of the vehicle is seen
 FAR_M = 40.0
+RECENT_S, RECENT_HITS = 0.5, 3
+GROW, SHRINK = 10, 10
+JUMP2 = np.array([0.3, 1.3, 0.0])
+SHORT_STD, SHORT_M = 0.015, 10.0
 NEAR_STD, NEAR_M = 1.5, 6.0  # along, nearer to a sensor, which sees over a part of the vehicle
 NEIGHBOUR_M = 40.0  # who is nearer on a lane tells how fast a new one is likely to be
 NEIGHBOUR_STD_MPS = 6.0
-FREE_SHARE = 0.9  # of a lane's speed: the likely speed of a new one alone
+FREE_SHARE = 1.0  # of a lane's speed: the likely speed of a new one alone
 POSE_STD = np.array([0.1, 0.1, 0.02])  # of an agent's own pose, beside what it says of itself
 UNKNOWN_MPS = 8.0  # deviation of the speed of who was seen once, off the map
 TURN_RPS = 0.2  # and of its yaw rate
@@ -74,8 +78,8 @@ class _States:
         whole, real = np.zeros(0, np.int64), np.zeros(0)
         return cls(
             ids=whole,
-            mean=np.zeros((0, 5)),
-            covariance=np.zeros((0, 5, 5)),
+            mean=np.zeros((0, 6)),
+            covariance=np.zeros((0, 6, 6)),
             dims=np.zeros((0, 4)),
             votes=np.zeros((0, 4)),
             score=real,
@@ -153,10 +157,10 @@ class Tracker:
         dt_s = 0.0 if self._time_ns is None else (time_ns - self._time_ns) / 1e9
         self._time_ns = time_ns
         observed = self._bounded(observed)
-        std = _std(observed, visible)
+        std, seen = _std(observed, visible)
         self._predict(dt_s)
         pairs = self._match(observed, std)
-        self._correct(time_ns, observed, std, pairs)
+        self._correct(time_ns, observed, std, seen, pairs)
         self._doubt(dt_s, visible)
         new = self._is_new(observed, pairs)
         self._states = self._states + self._born(time_ns, observed.take(new), std[new])
@@ -216,8 +220,11 @@ class Tracker:
             return
         coasts = ~states.seen
         free = (states.lane < 0) | ~(coasts | (dt_s > LONG_GAP_S))
-        accel = np.where(coasts & ~free, config.coast_accel_std_mps2, config.accel_std_mps2)
-        motion.predict(states.mean, states.covariance, dt_s, accel, config.turn_std_rps, free)
+        steady = coasts & ~free
+        accel = np.where(steady, config.coast_accel_std_mps2, config.accel_std_mps2)
+        motion.predict(
+            states.mean, states.covariance, dt_s, accel, config.turn_std_rps, free, steady, motion.TUNE
+        )
         if self._lanes is not None and not free.all():
             self._follow_lanes(dt_s, free)
 
@@ -249,11 +256,38 @@ class Tracker:
                 states.owner[n] = LIDAR
         self._pair(observed, std, pairs)
         kept = states.covariance.copy()
+        again = _unpaired(pairs, len(states))
         self._loosen(pairs)
         self._pair(observed, std, pairs)
-        missed = _unpaired(pairs, len(states))
-        states.covariance[missed] = kept[missed]
+        states.covariance[again] = kept[again]
+        again &= ~_unpaired(pairs, len(states))
+        motion.loosen(states.mean, states.covariance, np.flatnonzero(again), JUMP2)
+        self._reclaim(observed, pairs)
         return pairs
+
+    def _reclaim(self, observed: Vehicles, pairs: Ints) -> None:
+        """Gives detections at the place of a track without one to it, if it is the older one.
+
+        Where a vehicle is seen in parts, a second track begins on it now and then.
+        """
+        states = self._states
+        taken = np.flatnonzero(pairs >= 0)
+        left = np.flatnonzero(_unpaired(pairs, len(states)))
+        if not len(taken) or not len(left):
+            return
+        coasted_s = (self._now() - states.last_ns[left]) / 1e9
+        order = np.argsort(-states.hits[left], kind="stable")
+        boxes = states.boxes
+        for i in order:
+            n = left[i]
+            near = taken[np.abs(observed.boxes[taken, 0] - boxes[n, 0]) < MAX_LENGTH_M]
+            near = near[_overlapping(observed.boxes[near], boxes[n : n + 1])]
+            for m in near:
+                other = pairs[m]
+                is_young = states.hits[other] < states.hits[n]
+                if is_young and (coasted_s[i] <= RECENT_S or states.hits[other] <= RECENT_HITS):
+                    pairs[m] = n
+                    break
 
     def _pair(self, observed: Vehicles, std: Floats, pairs: Ints) -> None:
         """Fills in the tracks of detections that have none yet."""
@@ -285,7 +319,9 @@ class Tracker:
         jumps = motion.JUMP_STD if self._lanes is not None else motion.JUMP_STD_OFF_MAP
         motion.loosen(states.mean, states.covariance, np.flatnonzero(missed), jumps)
 
-    def _correct(self, time_ns: int, observed: Vehicles, std: Floats, pairs: Ints) -> None:
+    def _correct(
+        self, time_ns: int, observed: Vehicles, std: Floats, seen_from: Floats, pairs: Ints
+    ) -> None:
         states = self._states
         states.seen[:] = False
         states.in_view[:] = 0.0
@@ -295,7 +331,8 @@ class Tracker:
             return
         seen = observed.take(matched)
         motion.correct(
-            states.mean, states.covariance, tracks, np.ascontiguousarray(seen.boxes), std[matched]
+            states.mean, states.covariance, np.ascontiguousarray(states.dims[:, 1]), tracks,
+            np.ascontiguousarray(seen.boxes), std[matched], seen_from[matched], motion.TUNE,
         )
         np.clip(states.mean[:, 3], -FASTEST_MPS, FASTEST_MPS, out=states.mean[:, 3])
         states.seen[tracks] = True
@@ -305,9 +342,10 @@ class Tracker:
         odds = states.existence[tracks] * HIT_ODDS
         sure = odds / (odds + 1 - states.existence[tracks])
         states.existence[tracks] = np.minimum(sure, MOST_EXISTENCE)
-        new = 1 / np.minimum(states.hits[tracks], 10)[:, None]
         dims = seen.boxes[:, 2:6]
-        states.dims[tracks, 1:] += new * (dims[:, 1:] - states.dims[tracks, 1:])
+        more = dims[:, 1:] - states.dims[tracks, 1:]
+        new = 1 / np.minimum(states.hits[tracks][:, None], np.where(more > 0, GROW, SHRINK))
+        states.dims[tracks, 1:] += new * more
         states.dims[tracks, 0] = dims[:, 0]
         states.votes[tracks, seen.classes] += seen.scores
         for n, source in zip(tracks.tolist(), seen.sources, strict=True):
@@ -358,8 +396,8 @@ class Tracker:
         count = len(new)
         if not count:
             return _States.none()
-        mean = np.column_stack([new.boxes[:, :2], new.boxes[:, 6], np.zeros((count, 2))])
-        covariance = np.zeros((count, 5, 5))
+        mean = np.column_stack([new.boxes[:, :2], new.boxes[:, 6], np.zeros((count, 3))])
+        covariance = np.zeros((count, 6, 6))
         cos, sin = np.cos(mean[:, 2]), np.sin(mean[:, 2])
         along, across = std[:, 0] ** 2, std[:, 1] ** 2
         covariance[:, 0, 0] = along * cos**2 + across * sin**2
@@ -368,6 +406,7 @@ class Tracker:
         covariance[:, 2, 2] = std[:, 2] ** 2
         covariance[:, 3, 3] = UNKNOWN_MPS**2
         covariance[:, 4, 4] = TURN_RPS**2
+        covariance[:, 5, 5] = motion.TUNE[1]**2
         votes = np.zeros((count, 4))
         votes[np.arange(count), new.classes] = new.scores + 1e-3
         number, stamp = np.full(count, -1), np.full(count, time_ns)
@@ -465,17 +504,26 @@ class Tracker:
         )
 
 
-def _std(observed: Vehicles, visible: SightLines | None) -> Floats:
+def _std(observed: Vehicles, visible: SightLines | None) -> tuple[Floats, Floats]:
     """Returns by how much detections are off along, across and in heading (N, 3)."""
     is_pose = np.array([source != LIDAR for source in observed.sources], np.bool_)
     std = np.where(is_pose[:, None], POSE_STD, BOX_STD)
+    seen = np.zeros((len(observed), 3))
+    seen[:, 2] = is_pose
     if visible is not None and len(visible.sensors):
-        apart = observed.boxes[:, None, :2] - visible.sensors[:, :2]
-        range_m = np.linalg.norm(apart, axis=2).min(axis=1)
+        apart = visible.sensors[:, :2] - observed.boxes[:, None, :2]
+        ranges = np.linalg.norm(apart, axis=2)
+        nearest = ranges.argmin(axis=1)
+        rows = np.arange(len(observed))
+        range_m = ranges[rows, nearest]
         std[~is_pose, 0] += FAR_STD * np.maximum(range_m[~is_pose] - FAR_M, 0.0)
         std[~is_pose & (range_m < NEAR_M), 0] = NEAR_STD
+        yaw = observed.boxes[:, 6]
+        to = apart[rows, nearest]
+        seen[:, 0] = np.where(is_pose, 0.0, np.cos(yaw) * to[:, 0] + np.sin(yaw) * to[:, 1])
+        seen[:, 1] = range_m
     std[:, :2] = np.hypot(std[:, :2], observed.position_std_m[:, None])
-    return np.ascontiguousarray(std)
+    return np.ascontiguousarray(std), seen
 
 
 def _unpaired(pairs: Ints, tracks: int) -> Bools:
