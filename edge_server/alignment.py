@@ -150,6 +150,7 @@ class Align(FrameStage):
                 state.alignments += [_published(agent, known, fit)] if fit else []
             excluded |= {agent} if known.is_excluded else set()
         state.excluded.update("misaligned" for _ in excluded)
+        state.distrusted |= excluded
         state.frame = self._corrected(frame.without(excluded))
 
     def _choose_first(self, frame: Frame) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -121,6 +121,7 @@ class Frame:
     `agents`, `poses` and `found` are sorted by agent, `chunks` by agent and index. The first part
     arrived at `first_ns`; waiting ended at `ready_ns`. `scanning` are the agents, sorted, that
     announced a scan, whether it arrived or not. `delay_sim_ns` is known where links are virtual.
+    `signals` is what signals showed before it: by id a letter for each light.
     """
 
     frame: int
@@ -134,6 +135,7 @@ class Frame:
     scanning: Sequence[str] = ()
     found: Sequence[AgentDetections] = ()
     delay_sim_ns: int | None = None
+    signals: Mapping[str, str] = field(default_factory=dict)
 
     def without(self, excluded: set[str]) -> Frame:
         """Returns the frame without all that some agents sent."""
@@ -157,12 +159,13 @@ class FrameState:
     in this frame, wherever they are, `tracks` those followed over frames, on the road once they
     are counted, at their lane `positions`. `sensors` (S, 2) are the places of the sensors that
     were used, `counts` are by signal. `excluded` counts the agents that were excluded from it, by
-    reason, `drops` what else was left out, and `scores` and `alignments` are those to be
-    published.
+    reason, `distrusted` names them, `drops` counts what else was left out, and `scores` and
+    `alignments` are those to be published.
     """
 
     frame: Frame
     excluded: Counter[str] = field(default_factory=Counter)
+    distrusted: set[str] = field(default_factory=set)
     scores: list[AgentScore] = field(default_factory=list)
     alignments: list[AgentAlignment] = field(default_factory=list)
     spans: list[Span] = field(default_factory=list)

@@ -136,6 +136,7 @@ class Check(FrameStage):
             evidence[sent.agent] = found
         excluded = {a for a in evidence if not self._remembered[a].trust.is_trusted}
         state.excluded.update(f"implausible_{self._remembered[a].reason}" for a in excluded)
+        state.distrusted |= excluded
         state.scores += self._changed(evidence)
         state.frame = frame.without(excluded)
 

@@ -18,6 +18,7 @@ from edge_server.owners import AgentOwners
 from edge_server.pipeline import Pipeline
 from edge_server.planner import Planner
 from edge_server.scenario import has_lidars, places_of, virtual_deadline
+from edge_server.tracking import ShownSignals
 from protocol.errors import CodecError
 from protocol.inbox import Envelope, Presence
 from protocol.instances import (
@@ -73,6 +74,7 @@ class EdgeRole:
             strips=strips,
         )
         self._border = BorderExchange(strips) if strips is not None else None
+        self._signals = ShownSignals()
         self._decoders = DecoderPool(self._pipeline.open, context.inbox.wake)
         agents = [one for one in instances_of(scenario) if one.role in AGENT_ROLES]
         expected = {one.id: one.role for one in agents if one.region in ("", self._region)}
@@ -106,8 +108,8 @@ class EdgeRole:
             context.v2x.subscribe(topic, region=role._region)
         for region in role._border.neighbours if role._border else ():
             context.v2x.subscribe("border", region=region)
-        first = context.setup.scenario["regions"][role._region][0]
-        context.v2x.subscribe("state", tls=first)  # for the time: that of all signals is the same
+        for tls in context.setup.scenario["regions"][role._region]:
+            context.v2x.subscribe("state", tls=tls)  # for the time, too
         context.v2x.watch()
         return role
 
@@ -137,6 +139,7 @@ class EdgeRole:
                     self._assembler.drops["late_border"] += 1
             case SignalState() as state:
                 self._assembler.add_time(state.frame, state.sim_time_ns)
+                self._signals.note(state)
 
     def _is_its_own(self, item: Envelope) -> bool:
         """Whether a message names the sender that its key names, and an agent that is the sender's.
@@ -173,7 +176,7 @@ class EdgeRole:
 
     def _begin(self, frame: Frame) -> None:
         """Runs a frame's stages; up to its end where there are no neighbours."""
-        cut = self._cut(frame)
+        cut = replace(self._cut(frame), signals=self._signals.before(frame.frame))
         self._publish_plans(frame, cut)
         state = self._pipeline.begin(cut)
         self._assembler.drops.update(state.excluded)

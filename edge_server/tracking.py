@@ -1,4 +1,7 @@
-"""The stage that tracks: what sensors looked through, and ids that pass from region to region."""
+"""The stage that tracks: what sensors looked through, and ids that pass from region to region.
+
+Beside it, what signals show, and which agents are no longer trusted.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,44 @@ from perception.arrays import Floats
 from perception.roadway import Roadway
 from perception.tracking.config import TrackingConfig
 from perception.tracking.lane_graph import LaneGraph
-from perception.tracking.sightlines import SightLines
+from perception.tracking.sightlines import RING_M, RINGS, SightLines
 from perception.tracking.tracker import Tracker
 from perception.tracking.tracks import Tracks
-from protocol.messages import BorderObjects
+from protocol.messages import BorderObjects, SignalState
 from protocol.roadmap import RoadMap
 
 REGION_BIT, FRAME_BIT = 50, 20
 """An id is the region's number, the frame in which its edge began, and a number from 1."""
+REACH_M = RINGS * RING_M  # how far away an agent may have made up vehicles
+STATES = 16  # of a signal that are kept
+RECENT_FRAMES = 3  # after so many without a state nobody knows what a signal shows
+
+
+class ShownSignals:
+    """What signals have shown in the last frames.
+
+    A frame's vehicles have moved under what was shown before it. So what counts is the state of an
+    earlier frame, which has arrived for sure, in whatever order messages come.
+    """
+
+    def __init__(self) -> None:
+        self._states: dict[str, dict[int, str]] = {}
+
+    def note(self, state: SignalState) -> None:
+        """Takes a signal's state of a frame."""
+        states = self._states.setdefault(state.tls, {})
+        states[state.frame] = state.state
+        if len(states) > STATES:
+            del states[min(states)]
+
+    def before(self, frame: int) -> dict[str, str]:
+        """Returns what each signal showed last before a frame."""
+        shown: dict[str, str] = {}
+        for tls, states in self._states.items():
+            recent = [one for one in states if frame - RECENT_FRAMES <= one < frame]
+            if recent:
+                shown[tls] = states[max(recent)]
+        return shown
 
 
 class Track(FrameStage):
@@ -41,6 +74,8 @@ class Track(FrameStage):
         self._strips = strips
         self._lanes = LaneGraph.of(road_map)
         self._tracker: Tracker | None = None
+        self._places: dict[str, Floats] = {}
+        self._distrusted: set[str] = set()
 
     def run(self, state: FrameState) -> None:
         """See `FrameStage.run`."""
@@ -62,15 +97,27 @@ class Track(FrameStage):
         for name in sorted(state.received):
             message = state.received[name]
             tracker.adopt(message.track_sim_time_ns, _tracks(message))
-        visible = self._sight_lines(state)
+        self._distrust(tracker, state)
+        visible, signals = self._sight_lines(state), state.frame.signals
         try:
-            tracks = tracker.step(time_ns, state.fused, visible)
+            tracks = tracker.step(time_ns, state.fused, visible, signals)
         except ValueError:
             state.drops["time_backwards"] += 1
             tracker.forget()
-            tracks = tracker.step(time_ns, state.fused, visible)
+            tracks = tracker.step(time_ns, state.fused, visible, signals)
         state.drops["untracked"] += tracker.refused - refused
         return tracks
+
+    def _distrust(self, tracker: Tracker, state: FrameState) -> None:
+        """Ends what agents showed that are excluded from this frame on; remembers where all are."""
+        new = state.distrusted - self._distrusted
+        known = [self._places[name] for name in sorted(new) if name in self._places]
+        if new:
+            tracker.distrust(new, np.array(known).reshape(-1, 2), REACH_M)
+        self._distrusted = set(state.distrusted)
+        places = {pose.agent: pose.pose[:2] for pose in state.frame.poses}
+        places |= {chunk.agent: chunk.sensor_pose[:2] for chunk in state.frame.chunks}
+        self._places = places
 
     def _sight_lines(self, state: FrameState) -> SightLines | None:
         """Returns what the scans of a frame show; None where agents sent boxes instead."""

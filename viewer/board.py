@@ -62,11 +62,15 @@ class StageRow:
 
 @dataclass(frozen=True, slots=True)
 class LaneRow:
-    """A lane's counts; `seen` is the share of it within sight, None where nobody can know."""
+    """A lane's counts; `seen` is the share of it within sight, None where nobody can know.
+
+    Of the vehicles, those `coasted` are remembered: no sensor saw them in this frame.
+    """
 
     lane: str
     vehicles: int
     queued: int
+    coasted: int
     seen: float | None
 
 
@@ -218,7 +222,11 @@ class Board:
         counts: Mapping[str, int] = getattr(told, side)
         stationary: Mapping[str, int] = getattr(told, f"stationary_{side}")
         seen: Mapping[str, float] = getattr(told, f"coverage_{side}")
-        return [LaneRow(n, counts[n], stationary.get(n, 0), seen.get(n)) for n in counts]
+        coasted: Mapping[str, int] = getattr(told, f"coasted_{side}")
+        return [
+            LaneRow(n, counts[n], stationary.get(n, 0), coasted.get(n, 0), seen.get(n))
+            for n in counts
+        ]
 
     def signal(self) -> tuple[SignalState, float] | None:
         """Returns what the junction's signal shows, and for how many simulated seconds so."""

@@ -139,9 +139,8 @@ def _lanes(rows: list[LaneRow], side: str) -> Table:
     for row in rows[:MAX_LANES]:
         is_blind = row.seen is not None and row.seen == 0
         seen = "–" if row.seen is None else f"{row.seen:.0%}"
-        table.add_row(
-            _name(row.lane, "dim" if is_blind else ""), f"{row.vehicles}", f"{row.queued}", seen
-        )
+        vehicles = f"{row.vehicles}" + (f" ({row.coasted})" if row.coasted else "")
+        table.add_row(_name(row.lane, "dim" if is_blind else ""), vehicles, f"{row.queued}", seen)
     return table
 
 

@@ -11,6 +11,8 @@ from protocol.messages import ObjectClass
 
 PERSON = int(ObjectClass.PEDESTRIAN)
 SIZE_STD = 0.4  # of the logarithm of a length: boxes of one vehicle differ by its seen side
+SMALL_M = 2.6  # what is longer is no person; a bicycle may be taken for one
+OTHER_COST = 4.0  # of a person taken for a two-wheeler
 UNMATCHED_COST = 10.0  # over the gate: whoever can be paired is paired
 
 
@@ -95,7 +97,10 @@ def _pairs(
         reach2 = gate * (p[0, 0] + p[1, 1] + 2.0)
         for m in range(boxes.shape[0]):
             x, y = boxes[m, 0] - mean[n, 0], boxes[m, 1] - mean[n, 1]
-            if x * x + y * y > reach2 + gate * std[m, 0] ** 2 or sizes[n, 1] != boxes[m, 7]:
+            if x * x + y * y > reach2 + gate * std[m, 0] ** 2:
+                continue
+            is_other = sizes[n, 1] != boxes[m, 7]
+            if is_other and max(sizes[n, 0], boxes[m, 3]) > SMALL_M:
                 continue
             cos, sin = np.cos(boxes[m, 6]), np.sin(boxes[m, 6])
             along, across = std[m, 0] ** 2, std[m, 1] ** 2
@@ -112,7 +117,11 @@ def _pairs(
                 box, track, cost = _grown(box, room), _grown(track, room), _grown(cost, room)
             box[count], track[count] = m, n
             cost[count] = (
-                d2 + np.log(det) + min(longer**2, 9.0) - 2 * np.log(max(existence[n], 1e-3))
+                d2
+                + np.log(det)
+                + min(longer**2, 9.0)
+                - 2 * np.log(max(existence[n], 1e-3))
+                + (OTHER_COST if is_other else 0.0)
             )
             count += 1
     return box[:count].copy(), track[:count].copy(), cost[:count].copy()

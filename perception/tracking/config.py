@@ -26,7 +26,7 @@ class TrackingConfig(Section):
         2, ge=1, le=100, description="detections after which a track is confirmed, and may coast"
     )
     gate: float = Field(
-        16.0,
+        9.0,
         gt=0,
         le=100,
         description="a detection at a larger squared Mahalanobis distance is not the track's",

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
-from perception.arrays import Floats, Ints
+from perception.arrays import Bytes, Floats, Ints
 from protocol.roadmap import RoadMap
 
 CELL_M = 20.0
@@ -16,6 +17,8 @@ SHORTEST_M = 1e-6
 REACH_M = 4.0  # beyond a lane's middle: a box farther from it is on no lane
 TURNED_RAD = 0.7  # a box at a larger angle to a lane is not on it
 LEVEL_M = 3.5  # nor is one so far above or below it
+UNKNOWN, STOP, GO = 0, 1, 2  # what lights say to who comes to them
+STOPS = ("r", "R", "y", "Y", "u")
 PRIOR_TRIPS = 4.0  # what the shape of a junction is worth, in vehicles seen
 
 
@@ -26,7 +29,8 @@ class LaneGraph:
     `segments` (S, 9) are two ends x, y, z, metres before it, its length, its heading; those of lane
     i are `first[i]` to `first[i + 1]`. `followers[leads[i]:leads[i + 1]]` are the lanes after lane
     i. `cells` has for each square of the plane the segments near it: `near[cells[c]:cells[c + 1]]`,
-    on a `grid` (5,) of origin x and y, side, columns and rows.
+    on a `grid` (5,) of origin x and y, side, columns and rows. `links` has by signal the numbers of
+    its lights and the ways into the junction that they are for.
     """
 
     segments: Floats
@@ -40,6 +44,7 @@ class LaneGraph:
     grid: Floats
     cells: Ints
     near: Ints
+    links: Mapping[str, list[tuple[int, int]]]
 
     @classmethod
     def of(cls, road_map: RoadMap) -> LaneGraph:
@@ -77,7 +82,22 @@ class LaneGraph:
             grid=grid,
             cells=cells,
             near=near,
+            links=_links(road_map, number, leads, followers),
         )
+
+    def lights(self, states: Mapping[str, str]) -> Bytes:
+        """Returns what signals say to who comes to each way (E,): stop, go, or nothing.
+
+        Args:
+            states: by signal a letter for each of its lights, as in SUMO. Of those that have to
+                give way (g) nobody knows whether they go.
+        """
+        result = np.zeros(len(self.followers), np.uint8)
+        for tls, state in states.items():
+            for light, way in self.links.get(tls, ()):
+                letter = state[light] if light < len(state) else ""
+                result[way] = GO if letter == "G" else STOP if letter in STOPS else UNKNOWN
+        return result
 
     def locate(self, boxes: Floats) -> tuple[Ints, Floats, Floats]:
         """Finds the lane along each box (N, 7): its index (N,), -1 for none, metres along and off.
@@ -89,6 +109,34 @@ class LaneGraph:
             rows, self.segments, self.owner, self.grid, self.cells, self.near
         )
         return lane, along_m, off_m
+
+
+def _links(
+    road_map: RoadMap, number: Mapping[str, int], leads: Ints, followers: Ints
+) -> dict[str, list[tuple[int, int]]]:
+    """Returns by signal its lights, each with the ways that lead to where it leads."""
+    result: dict[str, list[tuple[int, int]]] = {}
+    internal = {number[lane.id] for lane in road_map.lanes if lane.internal}
+    for one in road_map.intersections:
+        found = result.setdefault(one.tls, [])
+        for link in one.signal.links:
+            start, end = number.get(link.from_lane, -1), number.get(link.to_lane, -1)
+            ways = range(leads[start], leads[start + 1]) if start >= 0 else range(0)
+            found += [
+                (link.index, way)
+                for way in ways
+                if _end(int(followers[way]), internal, leads, followers) == end
+            ]
+    return result
+
+
+def _end(lane: int, internal: set[int], leads: Ints, followers: Ints) -> int:
+    """Returns the lane behind a junction that a lane inside it leads to."""
+    for _ in range(len(internal)):
+        if lane not in internal or leads[lane] == leads[lane + 1]:
+            break
+        lane = int(followers[leads[lane]])
+    return lane
 
 
 def _straightness(segments: Floats, first: Ints, leads: Ints, followers: Ints) -> Floats:

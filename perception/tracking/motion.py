@@ -1,8 +1,13 @@
-"""Motion of tracks: constant turn rate and speed in the open, along the lanes where there are some.
+"""Motion of tracks in the open, and how detections correct it: an extended Kalman filter.
 
-A state is x, y, heading, speed along it and yaw rate, with a covariance (5, 5): the extended Kalman
-filter of a constant turn rate and velocity (Schubert et al. 2008). On a lane, the mean follows the
-lane, and the speed what the vehicle ahead allows by the safe speed of Krauss (1998), as drivers do.
+A state is x, y, heading, speed along it, yaw rate and acceleration, with a covariance (6, 6), of a
+constant turn rate and acceleration (Schubert et al. 2008), where the acceleration fades (Singer
+1970). On lanes `lane_following` moves those that nobody sees.
+
+What is measured of a vehicle is the end that is turned to the sensor, and that but one way: where a
+bonnet lies between two beams, or is hidden, the box begins farther away; nothing of a vehicle
+is where it is not. So an end that is too far away weighs the less, the farther it is (Geman and
+McClure 1987).
 """
 
 from __future__ import annotations
@@ -11,77 +16,124 @@ import numpy as np
 from numba import njit
 
 from perception.arrays import Bools, Floats, Ints
-from perception.tracking.lane_graph import likeliest, place_at
+from perception.detector import LIDAR, Vehicles
+from perception.tracking.sightlines import SightLines
 
-STEP_S = 0.25  # of motion behind others
-ACCEL_MPS2 = 1.5  # of a driver who can
-BRAKE_MPS2 = 4.5
-REACTION_S = 1.0
-STANDSTILL_M = 2.5  # between two that stand
-LOOK_AHEAD_M = 80.0
-CREEP_MPS = 1.0  # who is slower stands, and starts only after somebody near
-START_M = 12.0
-STANDS_MPS = 0.1  # who is slower does not move; it is known as well as this how fast
-WIDEST_STD_M = 0.8  # across a lane
-LANE_TURN_RAD = 0.1  # deviation from its heading
+BOX_STD = np.array([0.35, 0.2, 0.08])  # of a box near a sensor: along, across, heading
+FAR_STD, FAR_M = 0.015, 40.0  # along, more for each metre beyond: only an end is seen
+NEAR_STD, NEAR_M = 1.5, 6.0  # along, nearer to a sensor, which sees over a part of the vehicle
+POSE_STD = np.array([0.1, 0.1, 0.02])  # of an agent's own pose, beside what it says of itself
 JUMP_STD = np.array([1.5, 1.3, 2.0])  # along, across (a lane is 3.5 m wide), in speed
 JUMP_STD_OFF_MAP = np.array([0.5, 0.5, 1.0])
+JUMPED_STD = np.array([0.3, 1.3, 0.0])  # of what has jumped: a change of lane, or another side seen
 TURN_LIFE_S = 1.0  # of a yaw rate: curves end
+ACCEL_LIFE_S = 4.0  # of an acceleration
+STEADY_ACCEL_STD_MPS2 = 1.5  # of one of which nothing is known
+ROUGH = 0.02  # share of an acceleration's variance that changes at once
+ABEAM_M = 1.0  # beyond a box's end: a sensor that is not so far ahead or behind sees its side
+END_STD_M, END_STD_PER_M = 0.3, 0.005  # of the end turned to the sensor, and by its distance
+AWAY, TOWARDS = 2.5, 3.0  # deviations: an end farther off weighs less
+
+
+def deviations(observed: Vehicles, visible: SightLines | None) -> tuple[Floats, Floats]:
+    """Returns by how much detections may be off, and from where they were seen.
+
+    The first are deviations along, across and in heading (N, 3), the second (N, 3) how far ahead of
+    a box's middle the nearest sensor stands, how far away it is, and 1 for an agent's own pose.
+    """
+    is_pose = np.array([source != LIDAR for source in observed.sources], np.bool_)
+    std = np.where(is_pose[:, None], POSE_STD, BOX_STD)
+    seen = np.zeros((len(observed), 3))
+    seen[:, 2] = is_pose
+    if visible is not None and len(visible.sensors):
+        apart = visible.sensors[:, :2] - observed.boxes[:, None, :2]
+        ranges = np.linalg.norm(apart, axis=2)
+        nearest = ranges.argmin(axis=1)
+        rows = np.arange(len(observed))
+        range_m = ranges[rows, nearest]
+        std[~is_pose, 0] += FAR_STD * np.maximum(range_m[~is_pose] - FAR_M, 0.0)
+        std[~is_pose & (range_m < NEAR_M), 0] = NEAR_STD
+        yaw = observed.boxes[:, 6]
+        to = apart[rows, nearest]
+        seen[:, 0] = np.where(is_pose, 0.0, np.cos(yaw) * to[:, 0] + np.sin(yaw) * to[:, 1])
+        seen[:, 1] = range_m
+    std[:, :2] = np.hypot(std[:, :2], observed.position_std_m[:, None])
+    return np.ascontiguousarray(std), seen
+
 
 _STATE = "float64[:,::1], float64[:,:,::1]"
 
 
 @njit("void(float64[:,:], float64[:,:])", cache=True)
-def _spread(f: Floats, p: Floats) -> None:
-    """Sets a covariance p (5, 5) to f p f^T; in loops, as a product of matrices would need BLAS."""
-    half = np.zeros((5, 5))
-    for i in range(5):
-        for k in range(5):
+def spread(f: Floats, p: Floats) -> None:
+    """Sets a covariance p (6, 6) to f p f^T; in loops, as a product of matrices would need BLAS."""
+    half = np.zeros((6, 6))
+    for i in range(6):
+        for k in range(6):
             if f[i, k] != 0.0:
-                for j in range(5):
+                for j in range(6):
                     half[i, j] += f[i, k] * p[k, j]
-    for i in range(5):
-        for j in range(i, 5):
+    for i in range(6):
+        for j in range(i, 6):
             total = 0.0
-            for k in range(5):
+            for k in range(6):
                 total += half[i, k] * f[j, k]
             p[i, j] = p[j, i] = total
 
 
 @njit("void(float64[::1], float64[:,::1], float64[::1], float64, float64)", cache=True)
 def _correct_by(mean: Floats, p: Floats, axis: Floats, off: float, variance: float) -> None:
-    """Corrects a state by one number: its part along an axis (5,) is off by so much."""
-    gain = np.zeros(5)
-    for i in range(5):
-        for j in range(5):
+    """Corrects a state by one number: its part along an axis (6,) is off by so much."""
+    gain = np.zeros(6)
+    for i in range(6):
+        for j in range(6):
             gain[i] += p[i, j] * axis[j]
     total = variance
-    for i in range(5):
+    for i in range(6):
         total += axis[i] * gain[i]
-    for i in range(5):
+    for i in range(6):
         mean[i] += gain[i] * off / total
-    for i in range(5):
-        for j in range(5):
+    for i in range(6):
+        for j in range(6):
             p[i, j] -= gain[i] * gain[j] / total
 
 
-@njit(f"void({_STATE}, float64, float64[::1], float64, boolean[::1])", cache=True)
+@njit(f"void({_STATE}, float64, float64[::1], float64, boolean[::1], boolean[::1])", cache=True)
 def predict(
-    mean: Floats, covariance: Floats, dt_s: float, accel_mps2: Floats, turn_rps: float, free: Bools
+    mean: Floats,
+    covariance: Floats,
+    dt_s: float,
+    accel_mps2: Floats,
+    turn_rps: float,
+    free: Bools,
+    steady: Bools,
 ) -> None:
-    """Moves states (N, 5) and their covariances (N, 5, 5) on; means only of those that are free."""
-    f = np.eye(5)
+    """Moves states (N, 6) and their covariances (N, 6, 6) on; means only of those that are free.
+
+    Of those that are `steady`, the deviation `accel_mps2` (N,) is that of the speed after 1 s; of
+    others it is that of the acceleration.
+    """
+    f = np.eye(6)
+    fade = np.exp(-dt_s / ACCEL_LIFE_S)
     for n in range(mean.shape[0]):
-        yaw, v, w = mean[n, 2], mean[n, 3], mean[n, 4]
+        yaw, v, w, a = mean[n, 2], mean[n, 3], mean[n, 4], mean[n, 5]
+        if steady[n] or not free[n]:
+            a = 0.0
+        if v + a * dt_s < 0.0 <= v:
+            a = -v / dt_s
+        way_m = v * dt_s + 0.5 * a * dt_s**2
         middle = yaw + (0.5 * w * dt_s if free[n] else 0.0)
         cos, sin = np.cos(middle), np.sin(middle)
-        f[0, 2], f[0, 3], f[0, 4] = -v * dt_s * sin, dt_s * cos, -0.5 * v * dt_s**2 * sin
-        f[1, 2], f[1, 3], f[1, 4] = v * dt_s * cos, dt_s * sin, 0.5 * v * dt_s**2 * cos
+        f[0, 2], f[0, 3], f[0, 4] = -way_m * sin, dt_s * cos, -0.5 * way_m * dt_s * sin
+        f[1, 2], f[1, 3], f[1, 4] = way_m * cos, dt_s * sin, 0.5 * way_m * dt_s * cos
         f[2, 4] = dt_s
         f[4, 4] = np.exp(-dt_s / TURN_LIFE_S)
+        coupled = 0.0 if steady[n] else 1.0
+        f[0, 5], f[1, 5] = 0.5 * coupled * dt_s**2 * cos, 0.5 * coupled * dt_s**2 * sin
+        f[3, 5], f[5, 5] = coupled * dt_s, coupled * fade
         p = covariance[n]
-        _spread(f, p)
-        q = accel_mps2[n] ** 2
+        spread(f, p)
+        q = accel_mps2[n] ** 2 if steady[n] else ROUGH * accel_mps2[n] ** 2
         along = q * dt_s**3 / 3
         p[0, 0] += along * cos * cos + 0.01 * dt_s
         p[1, 1] += along * sin * sin + 0.01 * dt_s
@@ -91,23 +143,55 @@ def predict(
             p[axis, 3] += 0.5 * q * dt_s**2 * part
             p[3, axis] += 0.5 * q * dt_s**2 * part
         p[3, 3] += q * dt_s
+        if steady[n]:
+            p[5, 5] = STEADY_ACCEL_STD_MPS2**2
+        else:
+            p[5, 5] += accel_mps2[n] ** 2 * (1 - fade**2)
         p[2, 2] += 1e-3 * dt_s
         p[4, 4] += turn_rps**2 * dt_s
+        mean[n, 5] = coupled * a * fade
         if free[n]:
-            mean[n, 0] += v * dt_s * cos
-            mean[n, 1] += v * dt_s * sin
+            mean[n, 0] += way_m * cos
+            mean[n, 1] += way_m * sin
             mean[n, 2] = yaw + w * dt_s
+            mean[n, 3] = v + a * dt_s
             mean[n, 4] = w * f[4, 4]
 
 
-@njit(f"void({_STATE}, int64[::1], float64[:,::1], float64[:,::1])", cache=True)
-def correct(mean: Floats, covariance: Floats, tracks: Ints, boxes: Floats, std: Floats) -> None:
+@njit("float64(float64, float64, float64, float64[:,:], float64[::1])", cache=True)
+def _of_end(towards_m: float, off_m: float, range_m: float, p: Floats, axis: Floats) -> float:
+    """Returns the deviation of an end that is off by so much, `towards_m` the sensor or away."""
+    deviation = END_STD_M + END_STD_PER_M * range_m
+    total = deviation**2
+    for i in range(2):
+        for j in range(2):
+            total += axis[i] * p[i, j] * axis[j]
+    far = off_m / np.sqrt(total)
+    if towards_m < 0.0:
+        return float(deviation * (1.0 + (far / AWAY) ** 2))
+    return float(deviation * np.sqrt(max(far / TOWARDS, 1.0)))
+
+
+@njit(
+    f"void({_STATE}, float64[::1], int64[::1], float64[:,::1], float64[:,::1], float64[:,::1])",
+    cache=True,
+)
+def correct(
+    mean: Floats,
+    covariance: Floats,
+    length_m: Floats,
+    tracks: Ints,
+    boxes: Floats,
+    std: Floats,
+    seen: Floats,
+) -> None:
     """Corrects some states by boxes (M, 7) of deviations along, across and in heading (M, 3).
 
     A box's heading may be the wrong way round; a vehicle that goes backwards for good has been
-    taken for the wrong way round itself.
+    taken for the wrong way round itself. `seen` (M, 3) is as of `deviations`. Along, what counts is
+    the end that is turned to the sensor, as of a vehicle of `length_m` (N,): the other is hidden.
     """
-    axes = np.zeros((3, 5))
+    axes = np.zeros((3, 6))
     axes[2, 2] = 1.0
     for m in range(tracks.shape[0]):
         n = tracks[m]
@@ -116,96 +200,24 @@ def correct(mean: Floats, covariance: Floats, tracks: Ints, boxes: Floats, std: 
         axes[0, 0], axes[0, 1], axes[1, 0], axes[1, 1] = cos, sin, -sin, cos
         for axis in range(2):
             x, y = boxes[m, 0] - mean[n, 0], boxes[m, 1] - mean[n, 1]
-            off = axes[axis, 0] * x + axes[axis, 1] * y
-            _correct_by(mean[n], p, axes[axis], off, std[m, axis] ** 2)
+            off, deviation = axes[axis, 0] * x + axes[axis, 1] * y, std[m, axis]
+            if axis == 0 and seen[m, 2] == 0.0:
+                side = np.sign(seen[m, 0])
+                if abs(seen[m, 0]) <= boxes[m, 3] / 2 + ABEAM_M:
+                    side = 0.0
+                off += side * (boxes[m, 3] - length_m[n]) / 2
+                deviation = _of_end(side * off, abs(off), seen[m, 1], p, axes[0])
+            _correct_by(mean[n], p, axes[axis], off, deviation**2)
         turned = (boxes[m, 6] - mean[n, 2] + np.pi / 2) % np.pi - np.pi / 2
         _correct_by(mean[n], p, axes[2], turned, std[m, 2] ** 2)
         if mean[n, 3] < -2.0:
             mean[n, 2] += np.pi
             mean[n, 3] = -mean[n, 3]
-            p[3, :] *= -1
-            p[:, 3] *= -1
+            mean[n, 5] = -mean[n, 5]
+            for i in (3, 5):
+                p[i, :] *= -1
+                p[:, i] *= -1
         mean[n, 2] = (mean[n, 2] + np.pi) % (2 * np.pi) - np.pi
-
-
-@njit("float64(float64, float64, float64, float64, float64)", cache=True)
-def _speed(v: float, limit_mps: float, gap_m: float, ahead_mps: float, step_s: float) -> float:
-    """Returns the speed after a step, behind a vehicle at this gap; an infinite one is nobody."""
-    if v < CREEP_MPS and gap_m > START_M:
-        return max(v, 0.0)
-    wish = max(v, limit_mps)
-    brake = BRAKE_MPS2 * REACTION_S
-    room_m = max(gap_m - STANDSTILL_M, 0.0)
-    safe = np.sqrt(brake**2 + ahead_mps**2 + 2 * BRAKE_MPS2 * room_m) - brake
-    return float(max(0.0, v - BRAKE_MPS2 * step_s, min(v + ACCEL_MPS2 * step_s, wish, safe)))
-
-
-@njit(
-    "Tuple((float64[::1], float64[::1]))(float64[:,::1], float64[:,::1], int64[::1], float64[::1], "
-    "boolean[::1], float64[::1], int64[::1], int64[::1], float64[::1])",
-    cache=True,
-)
-def _ahead(
-    mean: Floats,
-    dims: Floats,
-    lane: Ints,
-    along_m: Floats,
-    solid: Bools,
-    length_m: Floats,
-    leads: Ints,
-    followers: Ints,
-    trips: Floats,
-) -> tuple[Floats, Floats]:
-    """Returns the gap to who is next ahead on the lane of each (N,), and the speed of that one.
-
-    Only solid ones count. `first_on` is who is first on each lane.
-    """
-    count, lanes = mean.shape[0], length_m.shape[0]
-    order = np.argsort(along_m, kind="mergesort")
-    next_on = np.full(count, -1, np.int64)
-    first_on = np.full(lanes, -1, np.int64)
-    for place in range(count - 1, -1, -1):
-        n = order[place]
-        if lane[n] >= 0:
-            next_on[n] = first_on[lane[n]]
-            if solid[n]:
-                first_on[lane[n]] = n
-    gap_m, ahead_mps = np.full(count, np.inf), np.zeros(count)
-    for n in range(count):
-        if lane[n] < 0:
-            continue
-        other, way_m, here = next_on[n], -along_m[n], lane[n]
-        while other < 0:
-            way_m += length_m[here]
-            way = likeliest(here, leads, trips)
-            if way < 0 or way_m > LOOK_AHEAD_M:
-                break
-            here = followers[way]
-            other = first_on[here]
-        if other >= 0 and other != n:
-            between_m = (dims[n, 1] + dims[other, 1]) / 2
-            gap = way_m + along_m[other] - between_m
-            if gap < LOOK_AHEAD_M:
-                gap_m[n], ahead_mps[n] = max(gap, 0.0), max(mean[other, 3], 0.0)
-    return gap_m, ahead_mps
-
-
-@njit("void(float64[:,::1], float64, float64)", cache=True)
-def _turn(p: Floats, turned: float, heading: float) -> None:
-    """Turns a covariance with the lane, across which a vehicle cannot be far off."""
-    turn = np.eye(5)
-    turn[0, 0] = turn[1, 1] = np.cos(turned)
-    turn[1, 0], turn[0, 1] = np.sin(turned), -np.sin(turned)
-    _spread(turn, p)
-    cos, sin = np.cos(heading), np.sin(heading)
-    across = p[0, 0] * sin**2 - 2 * p[0, 1] * sin * cos + p[1, 1] * cos**2
-    k = min(WIDEST_STD_M / np.sqrt(max(across, 1e-9)), 1.0) - 1
-    shrunk = np.eye(5)
-    shrunk[0, 0] += k * sin * sin
-    shrunk[1, 1] += k * cos * cos
-    shrunk[0, 1] = shrunk[1, 0] = -k * sin * cos
-    shrunk[2, 2] = min(LANE_TURN_RAD / np.sqrt(max(p[2, 2], 1e-9)), 1.0)
-    _spread(shrunk, p)
 
 
 @njit(f"void({_STATE}, int64[::1], float64[::1])", cache=True)
@@ -219,81 +231,3 @@ def loosen(mean: Floats, covariance: Floats, tracks: Ints, std: Floats) -> None:
         covariance[n, 0, 1] += (along - across) * cos * sin
         covariance[n, 1, 0] += (along - across) * cos * sin
         covariance[n, 3, 3] += std[2] ** 2
-
-
-_GRAPH = "float64[:,::1], int64[::1], float64[::1], float64[::1], int64[::1], int64[::1]"
-
-
-@njit(
-    "void(float64[:,::1], float64[:,:,::1], float64[:,::1], int64[::1], float64[::1], float64[::1],"
-    f" float64[::1], float64, boolean[::1], boolean[::1], {_GRAPH}, float64[::1])",
-    cache=True,
-)
-def follow_lanes(
-    mean: Floats,
-    covariance: Floats,
-    dims: Floats,
-    lane: Ints,
-    along_m: Floats,
-    off_m: Floats,
-    share: Floats,
-    dt_s: float,
-    free: Bools,
-    solid: Bools,
-    segments: Floats,
-    first: Ints,
-    length_m: Floats,
-    speed_mps: Floats,
-    leads: Ints,
-    followers: Ints,
-    trips: Floats,
-) -> None:
-    """Moves the means of tracks that are not free along their lanes, behind those ahead of them.
-
-    Solid ones stand in the way of those behind them; free ones do only that. `dims` (N, 4) are z,
-    length, width, height.
-    `share` (N,) is multiplied by the probability of the way taken at each fork, and becomes 0 where
-    a lane ends on the map.
-    """
-    count = mean.shape[0]
-    left_s = dt_s
-    while left_s > 1e-9:
-        step_s = min(STEP_S, left_s)
-        left_s -= step_s
-        gap_m, ahead_mps = _ahead(
-            mean, dims, lane, along_m, solid, length_m, leads, followers, trips
-        )
-        for n in range(count):
-            if lane[n] < 0:
-                continue
-            v = mean[n, 3]
-            if not free[n]:
-                v = _speed(v, speed_mps[lane[n]], gap_m[n], ahead_mps[n], step_s)
-                mean[n, 3] = v
-            along_m[n] += v * step_s
-            while along_m[n] > length_m[lane[n]]:
-                way = likeliest(lane[n], leads, trips)
-                if way < 0:
-                    if not free[n]:
-                        share[n] = 0.0
-                    along_m[n] = length_m[lane[n]]
-                    break
-                if not free[n]:
-                    ways = trips[leads[lane[n]] : leads[lane[n] + 1]]
-                    share[n] *= trips[way] / ways.sum()
-                along_m[n] -= length_m[lane[n]]
-                lane[n] = followers[way]
-    for n in range(count):
-        if free[n]:
-            continue
-        x, y, z, heading = place_at(lane[n], along_m[n], segments, first)
-        mean[n, 0] = x - off_m[n] * np.sin(heading)
-        mean[n, 1] = y + off_m[n] * np.cos(heading)
-        dims[n, 0] = z + dims[n, 3] / 2
-        turned = heading - mean[n, 2]
-        mean[n, 2], mean[n, 4] = heading, 0.0
-        _turn(covariance[n], turned, heading)
-        if mean[n, 3] < STANDS_MPS:
-            stands = np.eye(5)
-            stands[3, 3] = min(STANDS_MPS / np.sqrt(max(covariance[n, 3, 3], 1e-9)), 1.0)
-            _spread(stands, covariance[n])

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from edge_server.frame import Chunk, Frame, FrameState
-from edge_server.tracking import FRAME_BIT, Track
+from edge_server.tracking import FRAME_BIT, ShownSignals, Track
 from perception.detector import Vehicles
 from perception.roadway import Placed, Roadway
 from perception.tracking.config import TrackingConfig
+from protocol.messages import AgentPose, Equipment, SignalState
 from protocol.roadmap import RoadMap
 
 S = 1_000_000_000
@@ -18,12 +19,17 @@ def stage(road_map: RoadMap) -> Track:
     return Track(road_map, Roadway.of(road_map, margin_m=0.5), TrackingConfig())
 
 
-def run(stage: Track, number: int, *x_m: float, agents: tuple[str, ...] = ("a",), **parts: object):
+def run(
+    stage: Track,
+    number: int,
+    *x_m: float,
+    agents: tuple[str, ...] = ("a",),
+    poses=(),
+    distrusted=(),
+):
     time_ns = number * S // 10
-    frame = Frame(
-        number, time_ns, [*agents], [], [], complete=True, first_ns=0, ready_ns=0, **parts
-    )
-    state = FrameState(frame)
+    frame = Frame(number, time_ns, [*agents], [*poses], [], complete=True, first_ns=0, ready_ns=0)
+    state = FrameState(frame, distrusted=set(distrusted))
     boxes = np.array([(x, -1.75, 0.75, 4.5, 1.8, 1.5, 0.0) for x in x_m]).reshape(-1, 7)
     state.fused = Vehicles.from_lidar(boxes, np.full(len(boxes), 0.9))
     stage.run(state)
@@ -77,3 +83,36 @@ def test_a_scan_that_shows_the_ground_behind_a_place_says_that_it_is_empty(stage
     state.fused = Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
     stage.run(state)
     assert len(state.tracks) == (0 if is_seen_through else 1)
+
+
+def test_what_an_agent_showed_ends_in_the_frame_that_excludes_it(stage):
+    pose = AgentPose(
+        frame=0, sim_time_ns=0, agent="a", pose=np.array([-60.0, 0, 0, 0, 0, 0]),
+        position_std_m=0.1, equipment=Equipment.NONE, length_m=4.5, width_m=1.8, height_m=1.5,
+    )  # fmt: skip
+    for number in range(10):
+        run(stage, number, -50.0, poses=[pose])
+    assert len(run(stage, 10, poses=[pose]).tracks) == 1
+    assert len(run(stage, 11, distrusted={"a"}).tracks) == 0
+
+
+def test_a_signal_shows_what_its_newest_state_before_the_frame_says():
+    signals = ShownSignals()
+    for frame, state in [(5, "G"), (7, "r"), (6, "y"), (1, "G")]:
+        signals.note(
+            SignalState(
+                frame=frame, sim_time_ns=frame * S, tls="J", state=state, stage="", green="",
+                source="", earliest_change_ns=0,
+            )
+        )  # fmt: skip
+    assert [signals.before(frame).get("J") for frame in (5, 6, 7, 8, 10, 11)] == [
+        None, "G", "y", "r", "r", None,
+    ]  # fmt: skip
+    for frame in range(1000):
+        signals.note(
+            SignalState(
+                frame=frame, sim_time_ns=frame * S, tls="J", state="r", stage="", green="",
+                source="", earliest_change_ns=0,
+            )
+        )  # fmt: skip
+    assert len(signals._states["J"]) <= 16

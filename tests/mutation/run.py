@@ -72,7 +72,10 @@ PARTS = {
         ["edge_server/misbehaviour.py"], ["tests/edge_server/test_misbehaviour.py"]
     ),
     "tracker": Part(
-        ["perception/tracking/tracker.py", "perception/tracking/association.py"],
+        [
+            f"perception/tracking/{name}.py"
+            for name in ("tracker", "association", "birth", "existence", "pairing", "places")
+        ],
         ["tests/perception/test_tracking.py"],
     ),
     "rows": Part(["recording/rows.py"], ["tests/recording/test_tables.py"]),

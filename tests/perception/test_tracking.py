@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from perception.detector import LIDAR, Vehicles
 from perception.tracking.config import TrackingConfig
-from perception.tracking.lane_graph import LaneGraph
+from perception.tracking.lane_graph import GO, STOP, UNKNOWN, LaneGraph
 from perception.tracking.sightlines import RINGS, SECTORS, SightLines
 from perception.tracking.tracker import Tracker
 from perception.tracking.tracks import Tracks
-from protocol.roadmap import Intersection, Lane, RoadMap, Signal
+from protocol.roadmap import Intersection, Lane, Link, RoadMap, Signal
 
 S = 1_000_000_000
 DT = S // 10
@@ -371,3 +371,114 @@ def test_a_lane_without_length_is_passed() -> None:
     for k in range(40, 60):
         tracks = tracker.step(k * DT, cars(), NOBODY)
     assert tracks.boxes[0, 0] > 55
+
+
+def seen_from(x_m: float) -> SightLines:
+    """Returns a sensor beside the lane that sees through nothing."""
+    return SightLines.of(np.array([(x_m, 3.0, 2.5)]), [np.zeros((0, 3), np.float32)], np.ones(1))
+
+
+def test_a_bonnet_between_two_beams_neither_stops_nor_turns_a_vehicle() -> None:
+    tracker, worst_mps, worst_m = Tracker(CONFIG, STRAIGHT), 0.0, 0.0
+    for k in range(60):
+        hidden_m = 1.5 if 40 <= k < 43 or k == 50 else 0.0  # the box begins at the windscreen
+        tracks = tracker.step(k * DT, cars((k - hidden_m, 0)), seen_from(90))
+        if k >= 40:
+            worst_mps = max(worst_mps, abs(tracks.speeds_mps[0] - 10.0))
+            worst_m = max(worst_m, abs(tracks.boxes[0, 0] - k))
+    assert tracks.track_ids.tolist() == [1]
+    assert worst_mps < 2.0
+    assert worst_m < 1.0
+
+
+def test_the_end_that_a_sensor_sees_tells_where_a_vehicle_is_whatever_length_is_seen() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(40):
+        whole = np.array([[k, 0.0, 0.75, 4.5, 1.8, 1.5, 0.0]])
+        if k % 2 and k > 20:
+            whole[0, [0, 3]] = k + 0.75, 3.0  # only the front part of it
+        tracks = tracker.step(k * DT, Vehicles.from_lidar(whole, np.ones(1)), seen_from(200))
+    assert tracks.boxes[0, 0] == pytest.approx(39, abs=0.4)
+    assert tracks.speeds_mps[0] == pytest.approx(10, abs=0.4)
+
+
+def test_a_lorry_seen_in_parts_keeps_its_id() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(60):
+        box = [100.0, 0, 1.7, 8.5, 2.5, 3.4, 0.0]
+        if k > 30 and k % 3 == 0:
+            box[0], box[3] = 102.0, 4.5
+        elif k > 30 and k % 3 == 1:
+            box[0], box[3] = 97.9, 4.5
+        found = Vehicles.from_lidar(np.array([box]), np.ones(1))
+        tracks = tracker.step(k * DT, found, NOBODY)
+        assert 1 in tracks.track_ids
+    assert tracks.track_ids.tolist() == [1]
+
+
+def test_a_bicycle_that_is_taken_for_a_person_keeps_its_id() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(20):
+        size = (0.6, 0.5, 1.7) if k % 4 == 3 else (1.8, 0.65, 1.75)
+        box = np.array([[50 + k * 0.4, 0, 0.9, *size, 0.0]])
+        tracks = tracker.step(k * DT, Vehicles.from_lidar(box, np.ones(1)), NOBODY)
+    assert tracks.track_ids.tolist() == [1]
+
+
+def crossing() -> LaneGraph:
+    """Returns a lane that ends at x = 100 at the only light of the signal J, and goes on."""
+    lanes = [
+        lane("in", (0, 0), (100, 0), after=("over",)),
+        lane("over", (100, 0), (120, 0), after=("out",)).model_copy(update={"internal": True}),
+        lane("out", (120, 0), (400, 0)),
+    ]
+    links = [Link(index=0, from_lane="in", to_lane="out")]
+    signal = Signal(tls="J", links=links, conflicts=[], plan=[])
+    junction = Intersection(signal=signal, centre=(110, 0, 0), outline=[(100, 0), (120, 0), (9, 9)])
+    return LaneGraph.of(RoadMap(name="road", lanes=lanes, intersections=[junction]))
+
+
+@pytest.mark.parametrize(
+    ("state", "light"), [("r", STOP), ("y", STOP), ("G", GO), ("g", UNKNOWN), ("", UNKNOWN)]
+)
+def test_a_light_says_stop_or_go_to_the_way_that_it_is_for(state, light) -> None:
+    assert crossing().lights({"J": state, "another": "r"}).tolist() == [light, UNKNOWN]
+
+
+def test_a_hidden_vehicle_waits_at_a_red_light_and_goes_at_green() -> None:
+    tracker = Tracker(CONFIG.model_copy(update={"publish_probability": 0.01}), crossing())
+    follow(tracker, 12.0, 40)
+    for k in range(40, 180):
+        tracks = tracker.step(k * DT, cars(), NOBODY, {"J": "r"})
+    assert tracks.boxes[0, 0] == pytest.approx(97, abs=1.0)
+    assert tracks.speeds_mps[0] < 0.2
+    for k in range(180, 220):
+        tracks = tracker.step(k * DT, cars(), NOBODY, {"J": "G"})
+    assert tracks.boxes[0, 0] > 103
+
+
+def test_who_cannot_stop_before_a_light_any_more_goes_on() -> None:
+    tracker = Tracker(CONFIG.model_copy(update={"publish_probability": 0.01}), crossing())
+    follow(tracker, 12.0, 80)  # 5 m before the bar
+    for k in range(80, 110):
+        tracks = tracker.step(k * DT, cars(), NOBODY, {"J": "y"})
+    assert tracks.boxes[0, 0] > 120
+
+
+def test_what_a_distrusted_agent_may_have_shown_does_not_coast_and_keeps_its_id_if_seen() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(20):
+        tracker.step(k * DT, cars((50, 0), (70, 0), (300, 0)), NOBODY)
+    far = tracker._states.ids[tracker._states.mean[:, 0] > 200].tolist()
+    near = tracker._states.ids[np.abs(tracker._states.mean[:, 0] - 70) < 5].tolist()
+    tracker.distrust({"liar"}, np.array([[60.0, 0.0]]), 100.0)
+    tracks = tracker.step(20 * DT, cars((70, 0)), NOBODY)
+    assert sorted(tracks.track_ids.tolist()) == sorted(far + near)
+
+
+def test_an_agent_that_is_distrusted_is_not_there_any_more() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(20):
+        tracker.step(k * DT, cars((50, 0), source="liar"), NOBODY)
+    tracker.distrust({"liar"}, np.zeros((0, 2)), 100.0)
+    assert len(tracker.step(20 * DT, cars(), NOBODY)) == 0

@@ -73,7 +73,7 @@ def test_alerts_tell_of_the_dead_the_incomplete_and_the_dropped() -> None:
     counts = m.LaneCounts(
         frame=1, sim_time_ns=1, tls="J", agents=[], complete=False,
         upstream={"south_0": 4}, downstream={"north_0": 1}, stationary_upstream={"south_0": 2},
-        coverage_upstream={"south_0": 0.5},
+        coverage_upstream={"south_0": 0.5}, coasted_upstream={"south_0": 3},
     )  # fmt: skip
     board = fed(
         tick(0),
@@ -90,7 +90,7 @@ def test_alerts_tell_of_the_dead_the_incomplete_and_the_dropped() -> None:
     ]
     assert [vars_of(row) for row in board.lanes("upstream")] == [("south_0", 4, 2, 0.5)]
     shown = text(board)
-    for word in ("south_0", "50%", "dropped 7", "crossing"):
+    for word in ("south_0", "4 (3)", "50%", "dropped 7", "crossing"):
         assert word in shown
 
 

@@ -1,0 +1,208 @@
+"""Motion along lanes of those that nobody sees: behind the vehicle ahead, and not past a red light.
+
+The mean follows the lane, and the speed what the vehicle ahead allows by the safe speed of Krauss
+(1998), as drivers do.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from perception.arrays import Bools, Bytes, Floats, Ints
+from perception.tracking.lane_graph import GO, STOP, likeliest, place_at
+from perception.tracking.motion import spread
+
+STEP_S = 0.25  # of motion behind others
+ACCEL_MPS2 = 1.5  # of a driver who can
+BRAKE_MPS2 = 4.5
+REACTION_S = 1.0
+STANDSTILL_M = 2.5  # between two that stand
+BAR_M = 1.0  # from the stop bar to who stands before it
+LOOK_AHEAD_M = 80.0
+CREEP_MPS = 1.0  # who is slower stands, and starts only after somebody near
+START_M = 12.0
+STANDS_MPS = 0.1  # who is slower does not move; it is known as well as this how fast
+WIDEST_STD_M = 0.8  # across a lane
+LANE_TURN_RAD = 0.1  # deviation from its heading
+
+
+@njit("float64(float64, float64, float64, float64, boolean, float64)", cache=True)
+def _speed(
+    v: float, limit_mps: float, gap_m: float, ahead_mps: float, goes: bool, step_s: float
+) -> float:
+    """Returns the speed after a step, behind a vehicle at this gap; an infinite one is nobody.
+
+    Who stands with nobody near stays, unless it `goes` for a light is green.
+    """
+    if v < CREEP_MPS and gap_m > START_M and not goes:
+        return max(v, 0.0)
+    wish = max(v, limit_mps)
+    brake = BRAKE_MPS2 * REACTION_S
+    room_m = max(gap_m - STANDSTILL_M, 0.0)
+    safe = np.sqrt(brake**2 + ahead_mps**2 + 2 * BRAKE_MPS2 * room_m) - brake
+    return float(max(0.0, v - BRAKE_MPS2 * step_s, min(v + ACCEL_MPS2 * step_s, wish, safe)))
+
+
+@njit("Tuple((int64[::1], int64[::1]))(int64[::1], float64[::1], boolean[::1], int64)", cache=True)
+def _in_order(lane: Ints, along_m: Floats, solid: Bools, lanes: int) -> tuple[Ints, Ints]:
+    """Returns who is next ahead of each on its lane (N,) and first on each lane; -1 for nobody."""
+    count = lane.shape[0]
+    order = np.argsort(along_m, kind="mergesort")
+    next_on = np.full(count, -1, np.int64)
+    first_on = np.full(lanes, -1, np.int64)
+    for place in range(count - 1, -1, -1):
+        n = order[place]
+        if lane[n] >= 0:
+            next_on[n] = first_on[lane[n]]
+            if solid[n]:
+                first_on[lane[n]] = n
+    return next_on, first_on
+
+
+@njit(
+    "Tuple((float64[::1], float64[::1], boolean[::1]))(float64[:,::1], float64[:,::1], int64[::1], "
+    "float64[::1], boolean[::1], float64[::1], int64[::1], int64[::1], float64[::1], uint8[::1])",
+    cache=True,
+)
+def _ahead(
+    mean: Floats,
+    dims: Floats,
+    lane: Ints,
+    along_m: Floats,
+    solid: Bools,
+    length_m: Floats,
+    leads: Ints,
+    followers: Ints,
+    trips: Floats,
+    lights: Bytes,
+) -> tuple[Floats, Floats, Bools]:
+    """Returns the gap to what is next ahead of each on its lane (N,), its speed, and who may go.
+
+    That is a solid track, or the bar of a light (E,) that does not show green, before which one can
+    still stop. Those may go who come to a green light.
+    """
+    count = mean.shape[0]
+    next_on, first_on = _in_order(lane, along_m, solid, length_m.shape[0])
+    gap_m, ahead_mps = np.full(count, np.inf), np.zeros(count)
+    goes = np.zeros(count, np.bool_)
+    for n in range(count):
+        if lane[n] < 0:
+            continue
+        other, way_m, here = next_on[n], -along_m[n], lane[n]
+        while other < 0:
+            way_m += length_m[here]
+            way = likeliest(here, leads, trips)
+            if way < 0 or way_m > LOOK_AHEAD_M:
+                break
+            goes[n] |= lights[way] == GO
+            bar_m = way_m - dims[n, 1] / 2
+            if lights[way] == STOP and bar_m > mean[n, 3] ** 2 / (2 * BRAKE_MPS2) - BAR_M:
+                gap_m[n] = max(bar_m - BAR_M, 0.0) + STANDSTILL_M
+                break
+            here = followers[way]
+            other = first_on[here]
+        if other >= 0 and other != n:
+            between_m = (dims[n, 1] + dims[other, 1]) / 2
+            gap = way_m + along_m[other] - between_m
+            if gap < LOOK_AHEAD_M:
+                gap_m[n], ahead_mps[n] = max(gap, 0.0), max(mean[other, 3], 0.0)
+    return gap_m, ahead_mps, goes
+
+
+@njit("void(float64[:,::1], float64, float64)", cache=True)
+def _turn(p: Floats, turned: float, heading: float) -> None:
+    """Turns a covariance with the lane, across which a vehicle cannot be far off."""
+    turn = np.eye(6)
+    turn[0, 0] = turn[1, 1] = np.cos(turned)
+    turn[1, 0], turn[0, 1] = np.sin(turned), -np.sin(turned)
+    spread(turn, p)
+    cos, sin = np.cos(heading), np.sin(heading)
+    across = p[0, 0] * sin**2 - 2 * p[0, 1] * sin * cos + p[1, 1] * cos**2
+    k = min(WIDEST_STD_M / np.sqrt(max(across, 1e-9)), 1.0) - 1
+    shrunk = np.eye(6)
+    shrunk[0, 0] += k * sin * sin
+    shrunk[1, 1] += k * cos * cos
+    shrunk[0, 1] = shrunk[1, 0] = -k * sin * cos
+    shrunk[2, 2] = min(LANE_TURN_RAD / np.sqrt(max(p[2, 2], 1e-9)), 1.0)
+    spread(shrunk, p)
+
+
+_GRAPH = "float64[:,::1], int64[::1], float64[::1], float64[::1], int64[::1], int64[::1]"
+
+
+@njit(
+    "void(float64[:,::1], float64[:,:,::1], float64[:,::1], int64[::1], float64[::1], float64[::1],"
+    f" float64[::1], float64, boolean[::1], boolean[::1], {_GRAPH}, float64[::1],"
+    " uint8[::1])",
+    cache=True,
+)
+def follow_lanes(
+    mean: Floats,
+    covariance: Floats,
+    dims: Floats,
+    lane: Ints,
+    along_m: Floats,
+    off_m: Floats,
+    share: Floats,
+    dt_s: float,
+    free: Bools,
+    solid: Bools,
+    segments: Floats,
+    first: Ints,
+    length_m: Floats,
+    speed_mps: Floats,
+    leads: Ints,
+    followers: Ints,
+    trips: Floats,
+    lights: Bytes,
+) -> None:
+    """Moves the means of tracks that are not free along their lanes, behind those ahead of them.
+
+    Solid ones stand in the way of those behind them; free ones do only that. `dims` (N, 4) are z,
+    length, width, height; `lights` (E,) of `LaneGraph.lights`.
+    `share` (N,) is multiplied by the probability of the way taken at each fork, and becomes 0 where
+    a lane ends on the map.
+    """
+    count = mean.shape[0]
+    left_s = dt_s
+    while left_s > 1e-9:
+        step_s = min(STEP_S, left_s)
+        left_s -= step_s
+        gap_m, ahead_mps, goes = _ahead(
+            mean, dims, lane, along_m, solid, length_m, leads, followers, trips, lights
+        )
+        for n in range(count):
+            if lane[n] < 0:
+                continue
+            v = mean[n, 3]
+            if not free[n]:
+                v = _speed(v, speed_mps[lane[n]], gap_m[n], ahead_mps[n], goes[n], step_s)
+                mean[n, 3] = v
+            along_m[n] += v * step_s
+            while along_m[n] > length_m[lane[n]]:
+                way = likeliest(lane[n], leads, trips)
+                if way < 0:
+                    if not free[n]:
+                        share[n] = 0.0
+                    along_m[n] = length_m[lane[n]]
+                    break
+                if not free[n]:
+                    ways = trips[leads[lane[n]] : leads[lane[n] + 1]]
+                    share[n] *= trips[way] / ways.sum()
+                along_m[n] -= length_m[lane[n]]
+                lane[n] = followers[way]
+    for n in range(count):
+        if free[n]:
+            continue
+        x, y, z, heading = place_at(lane[n], along_m[n], segments, first)
+        mean[n, 0] = x - off_m[n] * np.sin(heading)
+        mean[n, 1] = y + off_m[n] * np.cos(heading)
+        dims[n, 0] = z + dims[n, 3] / 2
+        turned = heading - mean[n, 2]
+        mean[n, 2], mean[n, 4] = heading, 0.0
+        _turn(covariance[n], turned, heading)
+        if mean[n, 3] < STANDS_MPS:
+            stands = np.eye(6)
+            stands[3, 3] = min(STANDS_MPS / np.sqrt(max(covariance[n, 3, 3], 1e-9)), 1.0)
+            spread(stands, covariance[n])

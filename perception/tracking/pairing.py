@@ -1,0 +1,118 @@
+"""Pairing: which track each detection of a frame belongs to, in rounds.
+
+An agent's own pose is that of its track; all else is assigned at once (`association`), once more
+with room for a jump, and at last a track takes back what a younger one holds in its place.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from perception.arrays import Bools, Floats, Ints
+from perception.detector import LIDAR, Vehicles
+from perception.object_classes import MAX_LENGTH_M
+from perception.tracking import motion
+from perception.tracking.association import associate, is_person
+from perception.tracking.places import overlapping
+from perception.tracking.states import TrackStates
+
+POSE_JUMP_M = 25.0  # an agent that is farther from its track is somewhere else: a new track
+RECENT_S = 0.5  # who was seen so lately is still there
+RECENT_HITS = 3  # and who was seen so few times may be the one that was not seen for longer
+
+
+def pair(
+    states: TrackStates,
+    observed: Vehicles,
+    std: Floats,
+    time_ns: int,
+    *,
+    gate: float,
+    jump_std: Floats,
+) -> Ints:
+    """Returns for each detection (M,) its track, an index or -1: an agent's own one first.
+
+    Who is left is paired once more with room for a jump; the states of those get it.
+
+    Args:
+        states: predicted for this frame.
+        observed: its detections.
+        std: their deviations (M, 3), see `motion.deviations`.
+        time_ns: of the frame.
+        gate: the largest squared distance, see `associate`.
+        jump_std: along, across, of the speed (3,), that a jump may be beyond noise.
+    """
+    pairs = np.full(len(observed), -1, np.int64)
+    if not len(states):
+        return pairs
+    own = {owner: n for n, owner in enumerate(states.owner.tolist()) if owner != LIDAR}
+    for m, source in enumerate(observed.sources):
+        n = own.get(source, -1)
+        if n < 0:
+            continue
+        x, y = observed.boxes[m, :2] - states.mean[n, :2]
+        if np.hypot(x, y) <= POSE_JUMP_M + 2 * observed.position_std_m[m]:
+            pairs[m] = n
+        else:
+            states.owner[n] = LIDAR
+    _assign(states, observed, std, pairs, gate)
+    kept = states.covariance.copy()
+    again = unpaired(pairs, len(states))
+    motion.loosen(states.mean, states.covariance, np.flatnonzero(again), jump_std)
+    _assign(states, observed, std, pairs, gate)
+    states.covariance[again] = kept[again]
+    again &= ~unpaired(pairs, len(states))
+    motion.loosen(states.mean, states.covariance, np.flatnonzero(again), motion.JUMPED_STD)
+    _reclaim(states, observed, pairs, time_ns)
+    return pairs
+
+
+def _reclaim(states: TrackStates, observed: Vehicles, pairs: Ints, time_ns: int) -> None:
+    """Gives detections at the place of a track without one to it, if it is the older one.
+
+    Where a vehicle is seen in parts, a second track begins on it now and then.
+    """
+    taken = np.flatnonzero(pairs >= 0)
+    left = np.flatnonzero(unpaired(pairs, len(states)))
+    if not len(taken) or not len(left):
+        return
+    coasted_s = (time_ns - states.last_ns[left]) / 1e9
+    order = np.argsort(-states.hits[left], kind="stable")
+    boxes = states.boxes
+    for i in order:
+        n = left[i]
+        near = taken[np.abs(observed.boxes[taken, 0] - boxes[n, 0]) < MAX_LENGTH_M]
+        near = near[overlapping(observed.boxes[near], boxes[n : n + 1])]
+        for m in near:
+            other = pairs[m]
+            is_young = states.hits[other] < states.hits[n]
+            if is_young and (coasted_s[i] <= RECENT_S or states.hits[other] <= RECENT_HITS):
+                pairs[m] = n
+                break
+
+
+def _assign(states: TrackStates, observed: Vehicles, std: Floats, pairs: Ints, gate: float) -> None:
+    """Fills in the tracks of detections that have none yet."""
+    boxes = np.flatnonzero(pairs < 0)
+    tracks = np.flatnonzero(unpaired(pairs, len(states)))
+    if not len(boxes) or not len(tracks):
+        return
+    seen, person = observed.take(boxes), is_person(states.votes[tracks].argmax(axis=1))
+    found = associate(
+        states.mean[tracks],
+        states.covariance[tracks],
+        np.column_stack([states.dims[tracks, 1], person]),
+        states.existence[tracks],
+        np.column_stack([seen.boxes, is_person(seen.classes)]),
+        std[boxes],
+        gate,
+    )
+    is_paired = found >= 0
+    pairs[boxes[is_paired]] = tracks[found[is_paired]]
+
+
+def unpaired(pairs: Ints, tracks: int) -> Bools:
+    """Marks the tracks that no detection belongs to."""
+    result = np.ones(tracks, np.bool_)
+    result[pairs[pairs >= 0]] = False
+    return result

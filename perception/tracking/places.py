@@ -1,0 +1,57 @@
+"""Places of boxes: which of them lie so much in one place that they are of one vehicle."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from perception.arrays import Bools, Floats, Ints
+from perception.object_classes import MAX_LENGTH_M
+
+SAME_ALONG, SAME_ACROSS_M = 0.6, 1.2  # boxes nearer, of their mean length, are of one vehicle
+
+
+@njit("boolean(float64[:], float64[:])", cache=True)
+def _is_same(box: Floats, other: Floats) -> bool:
+    """Whether two boxes lie so much in one place that they are of one vehicle."""
+    x, y = box[0] - other[0], box[1] - other[1]
+    cos, sin = np.cos(other[6]), np.sin(other[6])
+    reach_m = SAME_ALONG * (box[3] + other[3]) / 2
+    return bool(abs(cos * x + sin * y) < reach_m and abs(cos * y - sin * x) < SAME_ACROSS_M)
+
+
+@njit("boolean[::1](float64[:,:], float64[:,:])", cache=True)
+def overlapping(boxes: Floats, others: Floats) -> Bools:
+    """Whether each box (N, 7) lies where any of the others (M, 7) is."""
+    result = np.zeros(boxes.shape[0], np.bool_)
+    for n in range(boxes.shape[0]):
+        for m in range(others.shape[0]):
+            if abs(boxes[n, 0] - others[m, 0]) < MAX_LENGTH_M and _is_same(boxes[n], others[m]):
+                result[n] = True
+                break
+    return result
+
+
+@njit("boolean[::1](float64[:,:])", cache=True)
+def first_of_each(boxes: Floats) -> Bools:
+    """Marks the boxes (N, 7) that lie where none before them does that is marked."""
+    result = np.zeros(boxes.shape[0], np.bool_)
+    for n in range(boxes.shape[0]):
+        result[n] = True
+        for m in range(n):
+            if result[m] and _is_same(boxes[n], boxes[m]):
+                result[n] = False
+                break
+    return result
+
+
+def nearest(apart: Floats, most: float) -> Ints:
+    """Returns for each row (N, M) the column that is its own by pairs, nearest first, or -1."""
+    result = np.full(len(apart), -1, np.int64)
+    free = np.ones(apart.shape[1], np.bool_)
+    rows, columns = np.nonzero(apart < most)
+    for pair in np.argsort(apart[rows, columns], kind="stable"):
+        row, column = rows[pair], columns[pair]
+        if result[row] < 0 and free[column]:
+            result[row], free[column] = column, False
+    return result
