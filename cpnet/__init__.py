@@ -1,7 +1,7 @@
 """The command line `cpnet`, and its Python API: `cpnet.run`, `simulate`, `study`, `Run`.
 
 - For programs: `python_api` (runs, frames, studies), `environments` (Gymnasium, PettingZoo).
-
+- Studies: `study_cells` (what the command and programs share).
 - Commands: `cli` (report, draw, scenario), `cli_run` (up, replay), `cli_setup` (doctor, keys),
   `cli_learn`, `cli_study`, `cli_bench`, `cli_options` (what they share) and those of observers.
 - A run: `scenario` (all keys, defaults, renamed keys), `processes` (the process table),

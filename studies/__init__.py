@@ -14,7 +14,9 @@ Pages and pictures
 - `outlines`, `palette`: shapes and colours, also of the viewer
 
 Many runs
-- `in_process`: a lockstep run in one process
+- `in_process`: a lockstep run in one process; `simulated_frame` is a frame of it for programs
+- `own_functions`: plain functions of a program as plug-ins
+- `run_frames`: a recorded run as Polars frames (`cpnet.Run`); `comparison`: two runs side by side
 - `sweep/`: `cpnet study`, its cells, workers and table
 - `bench_*`, `evaluate`, `accuracy`: `cpnet bench`, `cpnet eval`, Table 1 of Chen et al. 2022
 - `kitti_eval`: the same on files with labels in KITTI's form
