@@ -28,6 +28,7 @@ from studies.page.model import (
     Text,
 )
 from studies.study_tables import (
+    CAPTION,
     COUNT_ERROR,
     DELAY,
     E_CVPR,
@@ -122,7 +123,7 @@ def _section(network: Network, junctions: pl.DataFrame, regions: pl.DataFrame) -
 
 def _introduction(network: Network) -> str:
     text = (
-        "Means over seeds ± half the width of the 95 % confidence interval. A junction's delay is "
+        f"{CAPTION} A junction's delay is "
         "the mean of the vehicles on its lanes, its uplink that of the CAVs on them and of its "
         "roadside LiDARs."
     )

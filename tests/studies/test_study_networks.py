@@ -74,11 +74,14 @@ def test_controllers_stand_beside_each_other_for_each_junction(store: ResultStor
     delays = found["signal: Mean delay, s"]
     assert [column.name for column in delays.columns] == ["signal", "fixed", "pressure"]
     assert [row[0] for row in delays.rows] == [*SIGNALS]
-    assert delays.rows[1] == ("B0", "26.5 ± 6.4", "26.5 ± 6.4")  # t of one degree: 12.7
-    assert found["signal: E-CVPR, %"].rows[0][1] == "50.0 ± 0.0"
-    assert found["signal: Uplink, Mbit/s"].rows[0][1] == "1.00 ± 0.00"
+    assert delays.rows[1] == ("B0", "26.5 (26.0, 27.0)", "26.5 (26.0, 27.0)")
+    assert found["signal: E-CVPR, %"].rows[0][1] == "50.0 (50.0, 50.0)"
+    assert found["signal: Uplink, Mbit/s"].rows[0][1] == "1.00 (1.00, 1.00)"
     assert "signal: Error of a lane's count, vehicles" not in found  # none was measured
-    assert found["region: Handovers"].rows == (("r0", "1 ± 0", "1 ± 0"), ("r1", "1 ± 0", "1 ± 0"))
+    assert found["region: Handovers"].rows == (
+        ("r0", "1 (1, 1)", "1 (1, 1)"),
+        ("r1", "1 (1, 1)", "1 (1, 1)"),
+    )
 
 
 def test_a_map_for_each_controller_shows_the_level_of_each_delay(store: ResultStore) -> None:
