@@ -161,7 +161,8 @@ def with_greens(roads: RoadMap, greens_s: Sequence[float]) -> RoadMap:
         for phase in one.signal.plan
     ]
     signal = one.signal.model_copy(update={"plan": plan})
-    return roads.model_copy(update={"intersections": [one.model_copy(update={"signal": signal})]})
+    timed = [one.model_copy(update={"signal": signal})]
+    return RoadMap(name=roads.name, lanes=roads.lanes, intersections=timed)
 
 
 def resolved(scenario: dict[str, Any], roads: RoadMap) -> dict[str, Any]:

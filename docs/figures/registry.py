@@ -234,6 +234,41 @@ _LIST = (
         ),
     ),
     Figure(
+        "ecvpr",
+        "cpnet study $ROOT/docs/figures/ecvpr.yaml --out ecvpr >&2; "
+        "python $ROOT/docs/figures/study_rows.py $ROOT/docs/figures/ecvpr.yaml ecvpr",
+        STUDY,
+        15,
+        (
+            Part("steps", "docs/comparison.md", layouts.ecvpr_steps),
+            Part("shares", "docs/comparison.md", layouts.ecvpr_shares),
+            Part("readme", "README.md", layouts.ecvpr_shares),
+        ),
+    ),
+    Figure(
+        "delay",
+        "cpnet study $ROOT/docs/figures/delay.yaml --out delay >&2; "
+        "python -c 'import json, pyarrow.parquet as p; "
+        'print(json.dumps(p.read_table("delay/results.parquet").to_pylist()))\'',
+        STUDY,
+        30,
+        (
+            Part("all", "docs/comparison.md", layouts.delay),
+            Part("readme", "README.md", layouts.delay),
+        ),
+    ),
+    Figure(
+        "lidars",
+        "python $ROOT/docs/figures/study_rows.py",
+        ("sensing/config.py", "cpnet/realism", "cpnet/scenarios", "docs/figures/study_rows.py"),
+        0,
+        (
+            Part("readme", "README.md", layouts.lidars),
+            Part("realism", "docs/realism.md", layouts.lidars),
+            Part("city", "docs/city.md", layouts.lidars),
+        ),
+    ),
+    Figure(
         "alignment",
         "cpnet study $ROOT/docs/figures/alignment.yaml --out alignment >&2; "
         "python -c 'import json, pyarrow.parquet as p; "
