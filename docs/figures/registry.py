@@ -105,6 +105,7 @@ _LIST = (
         (
             *(Part(link, "docs/uplink.md", layouts.uplink(link)) for link in layouts.LINKS),
             Part("readme", "README.md", layouts.uplink_readme),
+            Part("emp", "README.md", layouts.uplink_emp),
         ),
     ),
     Figure(
@@ -251,7 +252,7 @@ _LIST = (
         "python -c 'import json, pyarrow.parquet as p; "
         'print(json.dumps(p.read_table("delay/results.parquet").to_pylist()))\'',
         STUDY,
-        30,
+        12,
         (
             Part("all", "docs/comparison.md", layouts.delay),
             Part("readme", "README.md", layouts.delay),
