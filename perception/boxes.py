@@ -37,11 +37,13 @@ def fit_boxes(
     *,
     roadway: Roadway,
     sensors: Floats,
+    completed: bool = True,
 ) -> Vehicles:
     """Boxes clusters of points (N, 3), map frame, over ground at the heights (N,).
 
-    A box stands on the ground and reaches up to its highest point. `sensors` (C, 2) are the places
-    that most of each cluster's points were seen from.
+    A completed box stands on the ground, reaches up to its highest point and has at least the usual
+    size of its class; else it holds its points and no more. `sensors` (C, 2) are the places that
+    most of each cluster's points were seen from.
     """
     if len(labels) == 0 or labels.max() < 0:
         return Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
@@ -54,10 +56,11 @@ def fit_boxes(
     kept = (members >= LEAST_POINTS) | (_away_m(sensors, middles) > NEAR_M)
     kept &= shapes.is_vehicle_or_person
     kept &= _stands(shapes, height_m) | _is_line(shapes, height_m)
-    size_m = usual_m(kinds)
-    _complete(extents, middles, yaws, sensors, size_m, shapes.bottom_m > OVER_M)
-    extents[:, 0, 2] = floor_m
-    extents[:, 1, 2] = np.maximum(extents[:, 1, 2], floor_m + size_m[:, 2])
+    if completed:
+        size_m = usual_m(kinds)
+        _complete(extents, middles, yaws, sensors, size_m, shapes.bottom_m > OVER_M)
+        extents[:, 0, 2] = floor_m
+        extents[:, 1, 2] = np.maximum(extents[:, 1, 2], floor_m + size_m[:, 2])
     boxes = _boxes(extents, middles, yaws)
     found = Vehicles.from_lidar(boxes, certainty(members), classes_of(kinds)).take(kept)
     return found.take(np.sort(suppress(found.boxes, found.scores, iou=1.0, part=SHARED)))

@@ -73,8 +73,13 @@ class ClusterConfig(Section):
 
 
 class BoxConfig(Section):
-    """The paper's size filter, which `reference` applies."""
+    """The paper's size filter, which `reference` applies; whether `fast` completes its boxes."""
 
+    completed: bool = Field(
+        True,
+        description="ours: boxes of `fast` are completed to the usual size of their class; false: "
+        "they hold the points of a cluster and no more, as in the paper and in `reference`",
+    )
     min_length_m: float = Field(0.5, ge=0, description="shorter boxes are no vehicles")
     max_length_m: float = Field(6.0, gt=0, description="longer boxes are no vehicles")
     min_width_m: float = Field(0.5, ge=0, description="narrower boxes are no vehicles")
@@ -122,5 +127,7 @@ class DetectionConfig(Section):
         "column goes on, are no vehicles, as for PointPillars always. Without a road map, where "
         "hedges and walls stand on the road, it is true",
     )
-    boxes: BoxConfig = Field(BoxConfig(), description="size filter of `reference`")
+    boxes: BoxConfig = Field(
+        BoxConfig(), description="size filter of `reference`, completion of `fast`"
+    )
     pillars: PillarsDetection = Field(PillarsDetection(), description="PointPillars")

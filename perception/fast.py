@@ -115,5 +115,12 @@ class FastDetector:
             labels = split(above, labels, config=self.config.cluster)
             labels = join_parts(above, ground_m, labels, roadway=self.roadway)
             sensors = main_sensors(labels, sizes, cloud.sensors)
-            found = fit_boxes(above, ground_m, labels, roadway=self.roadway, sensors=sensors)
+            found = fit_boxes(
+                above,
+                ground_m,
+                labels,
+                roadway=self.roadway,
+                sensors=sensors,
+                completed=self.config.boxes.completed,
+            )
             return solid_of(found, cloud, self.roadway) if self.config.solid_only else found

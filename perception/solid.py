@@ -1,9 +1,11 @@
 """Boxes that are no vehicle by what the points in them, over them and behind them say.
 
 A detector that has only seen simulated streets takes rows of trees, walls and roofs on posts for
-lorries. But a vehicle is opaque and ends at its roof. Here points are counted, box by box, that
-speak against it: those that a sensor saw right through the box, and those that stand in a column
-over it, as a wall does; a tree's crown over a car leaves air between.
+lorries. But a vehicle is opaque and ends at its roof, its bumper and its rear. Here points are
+counted, box by box, that speak against it: those that a sensor saw right through the box, those
+that stand in a column over it, as a wall does (a tree's crown over a car leaves air between), and
+the metres that its upper half goes on beyond its ends, as a hedge does. Cars that stand bumper to
+bumper have metres of air between their cabins.
 """
 
 from __future__ import annotations
@@ -28,6 +30,14 @@ LEAST = 5  # fewer points say nothing
 # Of a box's own points, what speaks against it: seen through, in the air over it, higher. Lorries
 # are long and closed, and walls taken for them hardly reach over the band of heights that is kept.
 MOST = {ObjectClass.CAR: (0.5, 0.3, 0.3), ObjectClass.TRUCK: (0.3, 0.05, 0.1)}
+MOST_BEYOND_M = {ObjectClass.CAR: (2.5, np.inf), ObjectClass.TRUCK: (np.inf, 1.0)}
+"""How far what is boxed may go on beyond one end, and beyond both: boxes of lorries are too short
+where a part alone is seen."""
+UPPER = 0.5  # of a box's height, from where on points tell whether it goes on
+STEP_M, GAP_STEPS = 0.25, 2  # along a box: so many empty steps end what goes on
+BEYOND_M = 3.0  # beyond an end: so far is looked
+INSIDE_STEPS = 2  # of a box's end: from there on it is followed
+BESIDE_M = 0.3  # of a box: points of what goes on
 SLENDER = (np.inf, np.inf, np.inf)  # what may be looked past
 
 
@@ -64,23 +74,49 @@ def are_solid(
         sizes: how many points each part has (K,).
         sensors: the place that each part was seen from, z over the road (K, 3).
     """
-    counts = counts_of(boxes, points, height_m, sizes, sensors)
+    counts, beyond_m = counts_of(boxes, points, height_m, sizes, sensors)
+    most_m = [MOST_BEYOND_M.get(ObjectClass(kind), SLENDER[:2]) for kind in classes]
+    one_m, both_m = np.array(most_m).reshape(-1, 2).T
+    goes_on = (beyond_m.max(axis=1) >= one_m) | (beyond_m.min(axis=1) >= both_m)
     most = np.array([MOST.get(ObjectClass(kind), SLENDER) for kind in classes]).reshape(-1, 3)
     speaks = (counts[:, 1:] >= LEAST) & (counts[:, 1:] > most * np.maximum(counts[:, :1], 1))
-    return np.asarray(~(speaks[:, 0] | (speaks[:, 1] & speaks[:, 2])))
+    return np.asarray(~(speaks[:, 0] | (speaks[:, 1] & speaks[:, 2]) | goes_on))
 
 
 def counts_of(
     boxes: Floats, points: Floats32, height_m: Floats32, sizes: Ints, sensors: Floats
-) -> Ints:
-    """Counts points by box: in it, seen through it, in the air over it, and higher (N, 4)."""
+) -> tuple[Ints, Floats]:
+    """Counts points by box: in it, seen through it, in the air over it, and higher (N, 4).
+
+    The second result is how far each goes on beyond its rear and its front, m (N, 2).
+    """
     result = np.zeros((len(boxes), 4), np.int64)
+    steps = int((boxes[:, 3].max(initial=0.0) + 2 * BEYOND_M) / STEP_M) + 1
+    is_upper = np.zeros((len(boxes), steps), np.bool_)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     for part, sensor in enumerate(np.asarray(sensors, np.float64)):
         own = slice(starts[part], starts[part + 1])
         if starts[part + 1] > starts[part] and len(boxes):
             eye = np.array([sensor[0], sensor[1], max(sensor[2], EYE_M)])
-            _count(np.ascontiguousarray(boxes), points[own], height_m[own], eye, result)
+            _count(np.ascontiguousarray(boxes), points[own], height_m[own], eye, result, is_upper)
+    return result, _beyond_m(is_upper, np.ascontiguousarray(boxes[:, 3]))
+
+
+@njit("float64[:,::1](boolean[:,::1], float64[::1])", cache=True, nogil=True)
+def _beyond_m(is_upper: Bools, lengths_m: Floats) -> Floats:
+    """Follows the steps along each box (N, S) that hold points from inside both ends outwards."""
+    result = np.zeros((lengths_m.size, 2))
+    steps = is_upper.shape[1]
+    for box in range(lengths_m.size):
+        ends = int(BEYOND_M / STEP_M), int((BEYOND_M + lengths_m[box]) / STEP_M)
+        for side in range(2):
+            way = 2 * side - 1
+            at, last, empty = ends[side] - way * INSIDE_STEPS, ends[side], 0
+            while 0 <= at < steps and empty <= GAP_STEPS:
+                empty = 0 if is_upper[box, at] else empty + 1
+                last = at if is_upper[box, at] else last
+                at += way
+            result[box, side] = max(way * (last - ends[side]), 0) * STEP_M
     return result
 
 
@@ -136,19 +172,30 @@ def _is_through(
 
 
 @njit(
-    "void(float64[:,::1], float32[:,::1], float32[::1], float64[::1], int64[:,::1])",
+    "void(float64[:,::1], float32[:,::1], float32[::1], float64[::1], int64[:,::1], "
+    "boolean[:,::1])",
     cache=True,
     nogil=True,
 )
-def _count(boxes: Floats, points: Floats32, height_m: Floats32, eye: Floats, result: Ints) -> None:
-    """Adds what one sensor saw."""
+def _count(
+    boxes: Floats,
+    points: Floats32,
+    height_m: Floats32,
+    eye: Floats,
+    result: Ints,
+    is_upper: Bools,
+) -> None:
+    """Adds what one sensor saw; marks the steps along each box where its upper half was hit."""
     order, starts = _by_direction(points, eye)
     for box in range(boxes.shape[0]):
         length, width = boxes[box, 3], boxes[box, 4]
         top_m = boxes[box, 2] + boxes[box, 5] / 2
         cos, sin = np.cos(boxes[box, 6]), np.sin(boxes[box, 6])
         off_x, off_y = boxes[box, 0] - eye[0], boxes[box, 1] - eye[1]
-        reach_m, away_m = np.hypot(length, width) / 2 + OWN_M, np.hypot(off_x, off_y)
+        reach_m, away_m = (
+            np.hypot(length / 2 + BEYOND_M, width / 2 + BESIDE_M),
+            np.hypot(off_x, off_y),
+        )
         first, wide = 0, BINS
         if away_m > reach_m:
             half = int(np.arcsin(reach_m / away_m) / (2 * np.pi) * BINS) + 1
@@ -161,6 +208,10 @@ def _count(boxes: Floats, points: Floats32, height_m: Floats32, eye: Floats, res
                 high_m = height_m[index]
                 x, y = points[index, 0] - boxes[box, 0], points[index, 1] - boxes[box, 1]
                 u, v = cos * x + sin * y, cos * y - sin * x
+                if UPPER * top_m < high_m <= top_m + OWN_M and abs(v) <= width / 2 + BESIDE_M:
+                    along = (u + length / 2 + BEYOND_M) / STEP_M
+                    if 0 <= along < is_upper.shape[1]:
+                        is_upper[box, int(along)] = True
                 if abs(u) <= length / 2 + OWN_M and abs(v) <= width / 2 + OWN_M:
                     over_m = high_m - top_m
                     result[box, 0] += high_m > LOW_M and over_m <= OWN_M

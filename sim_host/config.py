@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -168,6 +168,11 @@ class CabinetConfig(Section):
         description="simulated time without a valid request until the fixed plan runs",
         gt=0,
         le=86_400,
+    )
+    plan_greens_s: list[Annotated[float, Field(ge=1, le=600)]] = Field(
+        [],
+        description="one signal: durations of the greens of the fixed plan, in its order, such as "
+        "Webster's for the demand; none: the net's own",
     )
     request_timeout_s: float = Field(
         60, description="lockstep: wall time to wait for a frame's request before giving up", gt=0

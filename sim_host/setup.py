@@ -121,6 +121,7 @@ def build_setup(scenario: dict[str, Any], run_dir: Path) -> Setup:
         roads, types = _user_world(traffic, junctions)
     else:
         roads, types = _own_world(traffic, junctions, folder)
+    roads = with_greens(roads, scenario.get("cabinet", {}).get("plan_greens_s", []))
     scenario = resolved(scenario, roads)
     meshes = PackedMeshes.of(load_meshes(sumo_home() / "data" / "3D"))
     outlines = scenario.get("scene", {}).get("polygons")
@@ -142,6 +143,33 @@ def build_setup(scenario: dict[str, Any], run_dir: Path) -> Setup:
         parked_poses=parked.poses,
         version=own_version(),
     )
+
+
+def with_greens(roads: RoadMap, greens_s: Sequence[float]) -> RoadMap:
+    """Returns the map with so long greens in the fixed plan of its only signal; none: as it is.
+
+    Raises:
+        ConfigError: there are several signals, or the plan has another number of greens.
+    """
+    if not greens_s:
+        return roads
+    if len(roads.intersections) > 1:
+        raise ConfigError("cabinet.plan_greens_s: goes with one signal; these are several")
+    (one,) = roads.intersections
+    planned = [phase for phase in one.signal.plan if phase.is_green]
+    if len(planned) != len(greens_s):
+        raise ConfigError(
+            f"cabinet.plan_greens_s: {len(greens_s)} durations, the plan of {one.tls} has "
+            f"{len(planned)} greens"
+        )
+    left_s = iter(greens_s)
+    plan = [
+        phase.model_copy(update={"duration_s": next(left_s)}) if phase.is_green else phase
+        for phase in one.signal.plan
+    ]
+    signal = one.signal.model_copy(update={"plan": plan})
+    timed = [one.model_copy(update={"signal": signal})]
+    return RoadMap(name=roads.name, lanes=roads.lanes, intersections=timed)
 
 
 def resolved(scenario: dict[str, Any], roads: RoadMap) -> dict[str, Any]:

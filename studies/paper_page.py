@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import polars as pl
+from scipy.stats import t as student_t
 
+from studies.ecvpr import VISIBLE_POINTS
 from studies.page.model import Block, Cell, Chart, Column, Fact, Page, Section, Series, Table, Text
 from studies.study_tables import (
     DELAY,
@@ -38,8 +41,9 @@ PUBLISHED_DETECTOR = {"fast": "DBSCAN", "reference": "DBSCAN", "pointpillars": "
 
 
 OF_VISIBLE = 0.9
-NEAR_PERFECT = 0.10
+LEVEL_WITHIN = 0.10
 FLAT_FROM = 0.3
+LEAST_SEEDS = 5  # for an interval; of fewer, the points are shown
 _DETECTOR, _CAV, _CV = "edge.detector", "traffic.cav_rate", "traffic.cv_rate"
 
 
@@ -72,7 +76,7 @@ def claims(findings: StudyResults) -> list[Claim]:
             (row for row in perception if row[_DETECTOR] == detector),
             key=lambda row: figure_of(row, _CAV) or 0.0,
         )
-        found += list(_of_detector(detector, rows, _delay_with(findings, "perfect counts")))
+        found += list(_of_detector(detector, rows))
     return found + list(_of_reports(findings.rows("reports")))
 
 
@@ -84,14 +88,25 @@ def _notes(findings: StudyResults) -> Iterator[str]:
     ]
     if any(found and visible and found > visible for found, visible in shares):
         yield (
-            "E-CVPR above the visible share: a vehicle that fewer than 5 points lie on does not "
-            "count as visible, but may still be found."
+            f"E-CVPR above the visible share: a vehicle that fewer than {VISIBLE_POINTS} points "
+            "lie on does not count as visible, but may still be found. That rule is ours."
         )
     counts, queues = (_delay_with(findings, name) for name in ("perfect counts", "perfect queues"))
     delays = [delay for row in perception if (delay := figure_of(row, "delay_s_mean")) is not None]
+    empty = findings.rows("unseen-empty")
+    if empty and delays:
+        yield (
+            f"The match with the delays of Chen et al., {DELAY_S[0]} to {DELAY_S[1]} s, rests on "
+            "signal.unseen: alike, which is ours. With empty, as theirs: "
+            + ", ".join(f"{mean_of(row, DELAY)} s" for row in empty)
+            + f" ({label_of(empty[0][_DETECTOR])}, "
+            f"{100 * (figure_of(empty[0], _CAV) or 0):g} % CAVs)."
+        )
     if counts and delays and min(delays) < counts:
         yield (
-            "Less delay than with perfect counts: these are no lower bound for max pressure. The "
+            "Less delay than with perfect counts: these are neither a lower bound nor a goal for "
+            "max pressure, which does better on fewer metres before the stop bar: see the tuned "
+            "rows under other controllers. The "
             "likely cause, not tested by itself: they weigh a vehicle that is far away, and that "
             "the next seconds of green do not serve, as much as one at the stop bar, whereas a "
             "roadside LiDAR sees the nearer part of an approach."
@@ -112,7 +127,7 @@ def _delay_with(findings: StudyResults, controller: str) -> float | None:
     return figure_of(rows[0], "delay_s_mean") if rows else None
 
 
-def _of_detector(name: str, rows: list[GridRow], perfect_s: float | None) -> Iterator[Claim]:
+def _of_detector(name: str, rows: list[GridRow]) -> Iterator[Claim]:
     rows = [row for row in rows if figure_of(row, "e_cvpr_mean") is not None]
     shares = [figure_of(row, "e_cvpr_mean") or 0.0 for row in rows]
     rising = all(a <= b for a, b in pairwise(shares)) and shares[:1] < shares[-1:]
@@ -127,12 +142,6 @@ def _of_detector(name: str, rows: list[GridRow], perfect_s: float | None) -> Ite
         least = min(of_visible)
         text = f"{name}: E-CVPR is at least {100 * OF_VISIBLE:g} % of the visible share"
         yield Claim(text, f"{100 * least:.1f} % at least", least >= OF_VISIBLE)
-    delays = [delay for row in rows if (delay := figure_of(row, "delay_s_mean")) is not None]
-    if delays and perfect_s:
-        worst = max(delay / perfect_s - 1 for delay in delays)
-        text = f"{name}: delay within {100 * NEAR_PERFECT:g} % of that with perfect counts"
-        measured = f"{min(delays):.1f} to {max(delays):.1f} s, perfect counts {perfect_s:.1f} s: "
-        yield Claim(text, measured + f"{100 * worst:+.1f} % at worst", worst <= NEAR_PERFECT)
 
 
 def _of_reports(rows: list[GridRow]) -> Iterator[Claim]:
@@ -155,7 +164,7 @@ def _of_reports(rows: list[GridRow]) -> Iterator[Claim]:
     spread = max(delay for _, delay, _ in flat) - min(delay for _, delay, _ in flat)
     text = f"and is flat from about {100 * FLAT_FROM:g} %"
     measured = f"{spread:.1f} s between the highest and the lowest, of {level:.1f} s"
-    yield Claim(text, measured, spread <= NEAR_PERFECT * level)
+    yield Claim(text, measured, spread <= LEVEL_WITHIN * level)
 
 
 CAV, CV, DETECTOR = "traffic.cav_rate", "traffic.cv_rate", "edge.detector"
@@ -211,13 +220,28 @@ def _e_cvpr_section(findings: StudyResults) -> Section:
     )
     caption = (
         "Table 2. Vehicles truly detected, of those within 200 m before the stop bar and 100 m "
-        "behind it: mean ± half the 95 % confidence interval over seeds. Visible: 5 points or more "
-        "in all scans together, or reporting itself. Theirs have standard deviations of 10 to 15."
+        "behind it: mean ± half the 95 % confidence interval over seeds. Visible: "
+        f"{VISIBLE_POINTS} points or more in all scans together, or reporting itself; the rule is "
+        "ours. Theirs have standard deviations of 10 to 15; their sensors' points a second and "
+        f"range are not stated. {lidars_of(findings.scenario)}"
     )
     blocks: list[Block] = [Table(columns, cells, caption)]
     detectors = list(dict.fromkeys(str(row[DETECTOR]) for row in rows))
     blocks += [_histogram(findings, detector) for detector in detectors]
     return Section("E-CVPR by share of CAVs (Table 2, Figure 8)", tuple(blocks))
+
+
+def lidars_of(scenario: Mapping[str, Any]) -> str:
+    """Returns a sentence on the LiDARs of a scenario; empty if it does not say."""
+    kinds = {"CAVs": "vehicle", "posts": "roadside"}
+    lidar = scenario.get("lidar", {})
+    words = [
+        f"{name} {lidar[kind]['channels']} rings, {lidar[kind]['points_per_second']:,} points a "
+        f"second, range {lidar[kind]['range']:g} m"
+        for name, kind in kinds.items()
+        if kind in lidar
+    ]
+    return f"Ours: {'; '.join(words)}." if words else ""
 
 
 def _e_cvpr_row(row: GridRow) -> tuple[Cell, ...]:
@@ -269,7 +293,49 @@ def _delay_section(findings: StudyResults) -> Section:
             "controller takes a lane's unseen part for as full as the rest; here, for empty."
         )
         blocks.append(grid_table(empty, [DETECTOR, CAV], note))
+    paired = _paired_table(findings)
+    if paired.rows:
+        blocks.append(paired)
     return Section("Delay with cooperative perception (Table 3)", tuple(blocks))
+
+
+def _paired_table(findings: StudyResults) -> Table:
+    """Returns how much more delay each other control has than perception, paired by seed."""
+    others = findings.frame.filter(pl.col("grid") == "control")
+    grid = findings.frame.filter(pl.col("grid") == "perception")
+    columns = [Column("on perception")]
+    names = others["controller"].unique(maintain_order=True) if len(others) else []
+    columns += [Column(f"{name}, s") for name in names]
+    rows = []
+    for (detector, share), part in grid.group_by([DETECTOR, CAV], maintain_order=True):
+        own = dict(part.select("seed", "delay_s").iter_rows())
+        cells: list[Cell] = [f"{detector}, {100 * float(share):g} % CAVs"]
+        for name in names:
+            other = others.filter(pl.col("controller") == name).select("seed", "delay_s")
+            cells.append(
+                points_or_interval(
+                    [
+                        delay_s - own[seed]
+                        for seed, delay_s in other.iter_rows()
+                        if delay_s is not None and own.get(seed) is not None
+                    ]
+                )
+            )
+        rows.append(tuple(cells))
+    caption = (
+        "More delay than max pressure on perception, by controller, paired by seed: negative where "
+        f"the other is better. Below {LEAST_SEEDS} seeds, each seed's difference."
+    )
+    return Table(tuple(columns), tuple(rows), caption)
+
+
+def points_or_interval(values: Sequence[float]) -> str | None:
+    """Returns mean ± half its 95 % interval; below five values these themselves."""
+    if len(values) < LEAST_SEEDS:
+        return ", ".join(f"{value:+.1f}" for value in values) or None
+    mean = float(np.mean(values))
+    half = float(student_t.ppf(0.975, len(values) - 1) * np.std(values, ddof=1))
+    return f"{mean:+.1f} ± {half / len(values) ** 0.5:.1f}"
 
 
 def _reports_section(findings: StudyResults) -> Section:
@@ -302,7 +368,9 @@ def _control_section(findings: StudyResults) -> Section:
     caption = (
         "The same demand and seeds. The fixed plan is the net's own; actuated by loops is SUMO's "
         "control with a detector on each lane before the stop bar; perfect counts come from "
-        "vehicles that all report exactly where they are; queues are those of them that stand."
+        "vehicles that all report exactly where they are, 200 m before the stop bar and 100 m "
+        "behind it; tuned, 50 m before it and none behind; queues are those of them that stand. "
+        "Webster's fixed plan has the cycle and splits of his formula for this demand."
     )
     blocks = (grid_table(rows, ["controller"], caption), bars(rows, ["controller"], DELAY))
     return Section("Other controllers", blocks)

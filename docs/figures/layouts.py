@@ -62,6 +62,17 @@ def uplink_readme(rows: Rows) -> Table:
     return table
 
 
+def uplink_emp(rows: Rows) -> Table:
+    """Returns the latency of EMP's scheme on mobile networks, beside the published one."""
+    by_link = {row["link"]: row for row in rows if row["policy"] == "reap+foreground"}
+    table = [["sensing to signal", "mean, ms", "p95, ms"]]
+    for link in ("lte", "5g-urban"):
+        ms = by_link[link]["latency_ms"]
+        words = f"`reap+foreground` on {LINKS[link]}"
+        table.append([words, _fixed(ms["mean"], 0), _fixed(ms["p95"], 0)])
+    return [*table, ["EMP, as published, over a cellular network, without detection", "93", "–"]]
+
+
 def rates(rows: Rows) -> Table:
     """Returns the highest frame rate of each policy."""
     table = [["policy", "at 10 frames/s, mean / p95", "highest rate kept up with"]]
@@ -526,3 +537,119 @@ def summary_and_text(output: str) -> dict[str, Any]:
     """Reads a summary in JSON and what is printed of it, parted by a form feed."""
     summary, text = output.split("\f")
     return {"summary": json.loads(summary), "text": text}
+
+
+def _lidar(lidar: dict[str, float]) -> list[str]:
+    """Returns rings, points a second and range as cells of a table."""
+    return [
+        f"{lidar['channels']:g}",
+        f"{lidar['points_per_second']:,}",
+        f"{lidar['range']:g}",
+    ]
+
+
+_LIDAR_HEADS = ["rings", "points/s", "range, m"]
+
+
+def _between(values: list[float], digits: int) -> str:
+    """Returns an interval as `_interval` does; below five values, the values themselves."""
+    if len(values) >= LEAST_SEEDS:
+        return _interval(values, digits)
+    return ", ".join(_fixed(value, digits) for value in sorted(values))
+
+
+LEAST_SEEDS = 5
+
+
+def ecvpr_steps(rows: Rows) -> Table:
+    """Returns E-CVPR step by step from ours to theirs, each paired by seed with the one before."""
+    own = [row for row in rows if row["grid"] == "steps"]
+    table = [["each with what stands above it", *_LIDAR_HEADS, "E-CVPR, %", "this step, points",
+              "of the visible, %"]]  # fmt: skip
+    before: dict[int, float] = {}
+    for step in dict.fromkeys(row["step"] for row in own):
+        part = [row for row in own if row["step"] == step]
+        now = {row["seed"]: 100 * row["e_cvpr"] for row in part}
+        change = [now[seed] - before[seed] for seed in now] if before else []
+        table.append(
+            [
+                step,
+                *_lidar(part[0]["lidar"]),
+                _between([*now.values()], 1),
+                _between(change, 1) if change else "",
+                _between([100 * row["e_cvpr"] / row["visible_share"] for row in part], 1),
+            ]
+        )
+        before = now
+    return table
+
+
+_THEIRS = {0: (29.9, 31.4), 0.01: (35.4, 35.7), 0.02: (38.3, 37.4), 0.05: (None, 46.6)}
+
+
+_AS_THEIRS = {
+    "`reference`, their DBSCAN and size filter": "as theirs: `reference`, duplicates by radius",
+    "CARLA's 56,000 points a second": "the same, range of 80 m, CARLA's default points a second",
+}
+
+
+def ecvpr_shares(rows: Rows) -> Table:
+    """Returns E-CVPR by share of CAVs: ours, with their detector and fusion, and as published."""
+    shown = {}
+    for row in rows:
+        share = 0.05 if row["grid"] == "steps" else row["traffic.cav_rate"]
+        shown.setdefault(row["step"], {}).setdefault(share, []).append(row)
+    heads = [f"{100 * share:g} % CAVs" for share in _THEIRS]
+    table = [["E-CVPR, %", *_LIDAR_HEADS, *heads]]
+    for step, by_share in shown.items():
+        if set(by_share) == set(_THEIRS):
+            cells = [
+                _between([100 * row["e_cvpr"] for row in by_share[share]], 1) for share in _THEIRS
+            ]
+            table.append([_AS_THEIRS.get(step, step), *_lidar(by_share[0][0]["lidar"]), *cells])
+    for place, name in enumerate(("DBSCAN", "PointPillars")):
+        cells = [_fixed(theirs[place], 1) for theirs in _THEIRS.values()]
+        table.append([f"Chen et al., {name}", "64", "not stated", "not stated", *cells])
+    return table
+
+
+_CONTROLS = {
+    "perception": "max pressure on perception (a post, no CAV), 200 m before and 100 m behind",
+    "perception, unseen empty": "the same, what no LiDAR sees taken for empty, as in Chen et al.",
+    "perception, 50 m": "max pressure on perception, 50 m before and nothing behind",
+    "perfect counts": "max pressure on perfect counts, 200 m before and 100 m behind",
+    "perfect counts, 50 m": "max pressure on perfect counts, 50 m before and nothing behind",
+    "actuated": "SUMO's actuated control, loops",
+    "webster": "fixed plan by Webster's formula for this demand",
+    "own plan": "the net's own fixed plan",
+}
+
+
+def delay(rows: Rows) -> Table:
+    """Returns delay by control, and how much more it is than on perception, paired by seed."""
+    by: dict[str, dict[int, float]] = {}
+    for row in rows:
+        by.setdefault(row["control"], {})[row["seed"]] = row["delay_s"]
+    first, *_ = _CONTROLS
+    runs = f"{len(by[first])} seeds of {rows[0]['frames']} s"
+    heads = [f"delay, s; {runs}", "more than the first line, s", "more than perfect counts, s"]
+    table = [["control", *heads]]
+    for name, words in _CONTROLS.items():
+        cells = [
+            "" if name == base else _between([by[name][s] - by[base][s] for s in by[name]], 1)
+            for base in (first, "perfect counts")
+        ]
+        table.append([words, _between([*by[name].values()], 1), *cells])
+    return table
+
+
+def lidars(kinds: dict[str, dict[str, float]]) -> str:
+    """Returns a sentence on the LiDARs behind each E-CVPR."""
+    words: dict[tuple[str, ...], list[str]] = {}
+    for kind, one in kinds.items():
+        words.setdefault(tuple(_lidar(one)), []).append(f"`{kind}`")
+    parts = [
+        f"{', '.join(names)}: {rings} rings, {points} points a second, range {range_m} m"
+        for (rings, points, range_m), names in words.items()
+    ]
+    return f"LiDARs behind each E-CVPR, on posts and CAVs alike, by `realism`: {'; '.join(parts)}."

@@ -105,6 +105,7 @@ _LIST = (
         (
             *(Part(link, "docs/uplink.md", layouts.uplink(link)) for link in layouts.LINKS),
             Part("readme", "README.md", layouts.uplink_readme),
+            Part("emp", "README.md", layouts.uplink_emp),
         ),
     ),
     Figure(
@@ -247,6 +248,41 @@ _LIST = (
             Part("parts", "docs/realism.md", layouts.realism),
             Part("accuracy", "docs/realism.md", layouts.realism_accuracy),
             Part("readme", "README.md", layouts.realism_readme),
+        ),
+    ),
+    Figure(
+        "ecvpr",
+        "cpnet study $ROOT/docs/figures/ecvpr.yaml --out ecvpr >&2; "
+        "python $ROOT/docs/figures/study_rows.py $ROOT/docs/figures/ecvpr.yaml ecvpr",
+        STUDY,
+        15,
+        (
+            Part("steps", "docs/comparison.md", layouts.ecvpr_steps),
+            Part("shares", "docs/comparison.md", layouts.ecvpr_shares),
+            Part("readme", "README.md", layouts.ecvpr_shares),
+        ),
+    ),
+    Figure(
+        "delay",
+        "cpnet study $ROOT/docs/figures/delay.yaml --out delay >&2; "
+        "python -c 'import json, pyarrow.parquet as p; "
+        'print(json.dumps(p.read_table("delay/results.parquet").to_pylist()))\'',
+        STUDY,
+        12,
+        (
+            Part("all", "docs/comparison.md", layouts.delay),
+            Part("readme", "README.md", layouts.delay),
+        ),
+    ),
+    Figure(
+        "lidars",
+        "python $ROOT/docs/figures/study_rows.py",
+        ("sensing/config.py", "cpnet/realism", "cpnet/scenarios", "docs/figures/study_rows.py"),
+        0,
+        (
+            Part("readme", "README.md", layouts.lidars),
+            Part("realism", "docs/realism.md", layouts.lidars),
+            Part("city", "docs/city.md", layouts.lidars),
         ),
     ),
     Figure(

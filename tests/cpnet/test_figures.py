@@ -8,6 +8,12 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+import yaml
+
+from signal_controller.observation import CabinetTimes
+from sim_host.junctions import DEMAND_VPH_PER_LANE
+from sim_host.setup import build_setup
+from studies.control_baselines import SATURATION_VPH, webster_signal
 
 ROOT = Path(__file__).parents[2]
 PAGES = ["README.md", *(f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md")))]
@@ -129,3 +135,40 @@ def speed(way_m):  # a function
 '''
     assert make.executed(documented) == make.executed(code.decode()) == code
     assert make.executed(documented.replace("way_m, label", "way_m")) != code
+
+
+def test_delays_are_paired_by_seed_and_of_few_seeds_each_is_shown(make) -> None:
+    layouts = importlib.import_module("layouts")
+    rows = [
+        {"control": name, "seed": seed, "frames": 300, "delay_s": seed + more}
+        for more, name in enumerate(layouts._CONTROLS)
+        for seed in range(1, 4)
+    ]
+    head, first, second, *_ = layouts.delay(rows)
+    assert head[1] == "delay, s; 3 seeds of 300 s"
+    assert first[1:3] == ["1.0, 2.0, 3.0", ""]
+    assert second[2] == "1.0, 1.0, 1.0"
+
+
+def test_each_step_of_e_cvpr_is_paired_with_the_one_before_and_names_its_lidar(make) -> None:
+    layouts = importlib.import_module("layouts")
+    lidar = {"channels": 64, "points_per_second": 56000, "range": 80.0}
+    rows = [
+        {"grid": "steps", "step": step, "seed": seed, "lidar": lidar, "visible_share": 0.5,
+         "e_cvpr": seed / 10 - less}
+        for step, less in (("ours", 0.0), ("theirs", 0.05))
+        for seed in range(1, 6)
+    ]  # fmt: skip
+    _, ours, theirs = layouts.ecvpr_steps(rows)
+    assert ours[1:4] == ["64", "56,000", "80"]
+    assert (ours[5], theirs[5]) == ("", "-5.0 ± 0.0")
+
+
+def test_the_fixed_plan_of_the_figure_delay_is_websters_for_the_demand(make, tmp_path) -> None:
+    study = yaml.safe_load((ROOT / "docs/figures/delay.yaml").read_text("utf-8"))
+    given = study["axes"]["control"]["webster"]["cabinet.plan_greens_s"]
+    signal = build_setup({}, tmp_path).road_map.intersections[0].signal
+    lanes = {link.from_lane for link in signal.links}
+    flows = {lane: DEMAND_VPH_PER_LANE.get(lane.rpartition("_")[0], 500.0) for lane in lanes}
+    found = webster_signal(signal, flows, SATURATION_VPH, CabinetTimes(5, 4, 1)).plan
+    assert given == [phase.duration_s for phase in found if phase.is_green]

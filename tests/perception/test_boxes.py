@@ -19,7 +19,12 @@ def roadway(road_map: RoadMap) -> Roadway:
     return Roadway.of(road_map, margin_m=0.5)
 
 
-def fit(roadway: Roadway, *clusters: Any, sensor: tuple[float, float] = (0, 0)) -> Vehicles:
+def fit(
+    roadway: Roadway,
+    *clusters: Any,
+    sensor: tuple[float, float] = (0, 0),
+    completed: bool = True,
+) -> Vehicles:
     points = np.concatenate(clusters).astype(np.float32)
     labels = np.repeat(np.arange(len(clusters)), [len(c) for c in clusters]).astype(np.int32)
     return fit_boxes(
@@ -28,6 +33,7 @@ def fit(roadway: Roadway, *clusters: Any, sensor: tuple[float, float] = (0, 0)) 
         labels,
         roadway=roadway,
         sensors=np.array([sensor] * len(clusters), np.float64),
+        completed=completed,
     )
 
 
@@ -50,6 +56,15 @@ def test_a_rear_alone_is_completed_away_from_the_sensor(roadway: Roadway) -> Non
     rear = rng.uniform([30, 0.85, 0.3], [30.1, 2.65, 1.5], (40, 3))
     found = fit(roadway, rear)
     np.testing.assert_allclose(found.boxes[0, :2], [32.25, 1.75], atol=0.15)
+
+
+def test_a_bare_box_holds_its_points_and_no_more(roadway: Roadway) -> None:
+    rng = np.random.default_rng(1)
+    rear = rng.uniform([30, 0.85, 0.3], [30.1, 2.65, 1.5], (40, 3))
+    (box,) = fit(roadway, rear, completed=False).boxes
+    np.testing.assert_allclose(box[:2], [30.05, 1.75], atol=0.1)
+    assert sorted(box[3:5]) == pytest.approx([0.1, 1.8], abs=0.15)
+    assert box[5] == pytest.approx(np.ptp(rear[:, 2]), abs=1e-3)
 
 
 def test_poles_walls_trunks_and_tree_crowns_are_no_vehicles(roadway: Roadway) -> None:

@@ -57,6 +57,25 @@ def test_a_wall_that_goes_on_over_a_box_is_no_car_and_a_crown_over_one_is_air_ap
     assert solid(CAR, CARS, rear, upright(np.linspace(10, 14, 40), 0.3, 4.5, low_m=3.0))
 
 
+def test_a_hedge_that_goes_on_beyond_a_box_is_no_car_and_a_queue_of_cars_is_no_hedge():
+    box = np.array([[0.0, 6.0, 0.75, 4.5, 1.8, 1.5, 0.0]])
+    hedge = upright(np.linspace(-2.2, 5.5, 80), 5.2, 1.6)
+    assert not solid(box, CARS, hedge)
+    assert solid(box, CARS, hedge[np.abs(hedge[:, 0]) < 2.2])
+    body = upright(np.linspace(-2.2, 2.2, 60), 5.2, 0.8)
+    cabin = upright(np.linspace(-1.3, 1.0, 30), 5.2, 1.5, low_m=0.8)
+    queue = [
+        np.add(part, [ahead_m, 0, 0]) for part in (body, cabin) for ahead_m in (-4.6, 0.0, 4.6)
+    ]
+    assert solid(box, CARS, *queue)
+
+
+def test_a_lorry_may_be_longer_than_its_box_beyond_one_end_alone():
+    longer = upright(np.linspace(-4.4, 7.4, 90), 8.8, 3.4)
+    assert solid(LORRY, TRUCKS, longer)
+    assert not solid(LORRY, TRUCKS, upright(np.linspace(-7.4, 7.4, 120), 8.8, 3.4))
+
+
 def test_a_person_may_be_looked_past():
     person = np.array([[8.0, 0.0, 0.85, 0.5, 0.6, 1.7, 0.0]])  # the sensor looks down on it
     people = np.array([ObjectClass.PEDESTRIAN], np.uint8)
@@ -78,15 +97,15 @@ def test_counts_turn_with_the_scene_and_add_up_over_parts(turn, seed):
     rng = np.random.default_rng(seed)
     points = rng.uniform([-20, -20, 0], [20, 20, 4], (400, 3))
     boxes = np.array([*LORRY, *CAR])
-    whole = counts_of(boxes, *_cloud(points), np.array([400]), EYE)
-    parts = counts_of(boxes, *_cloud(points), np.array([150, 250]), np.repeat(EYE, 2, 0))
+    whole, _ = counts_of(boxes, *_cloud(points), np.array([400]), EYE)
+    parts, _ = counts_of(boxes, *_cloud(points), np.array([150, 250]), np.repeat(EYE, 2, 0))
     assert (whole == parts).all()
     cos, sin = np.cos(turn), np.sin(turn)
     rotation = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
     turned = boxes.copy()
     turned[:, :3] = boxes[:, :3] @ rotation.T
     turned[:, 6] += turn
-    again = counts_of(turned, *_cloud(points @ rotation.T), np.array([400]), EYE)
+    again, _ = counts_of(turned, *_cloud(points @ rotation.T), np.array([400]), EYE)
     assert np.abs(whole - again).max() <= 1  # of points on an edge, by rounding
 
 
@@ -97,7 +116,7 @@ def _cloud(points):
 def test_a_sensor_is_taken_to_be_on_a_roof_at_least():
     behind = upright(np.full(40, 20.0), np.linspace(-0.5, 0.5, 40), 1.2).astype(np.float32)
     counts = [
-        counts_of(CAR, *_cloud(behind), np.array([len(behind)]), np.array([[0.0, 0.0, eye_m]]))
+        counts_of(CAR, *_cloud(behind), np.array([len(behind)]), np.array([[0.0, 0.0, eye_m]]))[0]
         for eye_m in (0.3, 1.5)
     ]
     assert counts[0][0, 1] == counts[1][0, 1] > 30

@@ -4,8 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from protocol.errors import ConfigError
 from protocol.messages import Setup
 from protocol.roadmap import RoadMap
+from sim_host.setup import with_greens
 
 
 @pytest.fixture
@@ -71,3 +73,18 @@ def test_the_demand_is_the_papers(run_dir: Path, setup: Setup) -> None:
     assert text.count(f"exp({4 * 500 / 3600:.9f})") == 2  # both main approaches
     assert text.count(f"exp({360 / 3600:.9f})") == 2  # both turns of the side road
     assert 'edges="north_in west_out"' in text
+
+
+def test_the_fixed_plan_takes_other_greens_and_keeps_its_changes(roads: RoadMap) -> None:
+    (tls,) = roads.by_tls  # which keeps what it has found
+    plan = with_greens(roads, [12, 9]).by_tls[tls].signal.plan
+    assert [phase.duration_s for phase in plan] == [12, 4, 1, 9, 4, 1]
+    assert [phase.state for phase in plan] == [
+        phase.state for phase in roads.intersections[0].signal.plan
+    ]
+    assert with_greens(roads, []) is roads
+
+
+def test_another_number_of_greens_than_the_plan_has_is_refused(roads: RoadMap) -> None:
+    with pytest.raises(ConfigError, match="plan_greens_s: 3 durations, the plan of .* has 2"):
+        with_greens(roads, [10, 10, 10])
