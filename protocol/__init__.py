@@ -8,7 +8,8 @@
 `bus`, `in_process` the buses over Zenoh and within one process; `inbox` queues what arrives
 `observer`          attaches to a run from outside; the frame buffer of its messages
 `access`            certificates, and who may publish and subscribe to what
-`process`           the life of a role's process; serving it: `logs`, `version`, `plugins`, `config`, `extras`
+`process`           the life of a role's process; `logs`, `version`, `plugins`, `config` and
+                    `extras` serve it
 `clock`             offsets between the clocks of machines
 `sequence_window`   which frame numbers can be real
 `tcpinfo`           the kernel's counters of a connection
