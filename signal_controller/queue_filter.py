@@ -31,7 +31,6 @@ _YIELDING = 0.4  # of the saturation flow, of turns that yield
 _REPORTING_PRIOR = 0.3, 2.7  # vehicles that report themselves and others, of the share's prior
 _REPORTING_MEMORY = 400.0
 _PLACE_M, _PLACE_SHARE = 3.0, 0.08  # how far off its place in the queue one stands, by distance
-_SURPRISE, _MISPLACED = 0.05, 1e-4  # that the filter, or a place in the queue, is wrong at all
 _MISTAKE = 1e-3  # likelihood of what cannot be: places are not exact, lanes are changed
 _LOST_AFTER_S = 2.0
 _HEAD_M = 10.0  # who vanishes so near the stop bar has passed it
@@ -236,11 +235,7 @@ class QueueFilter:
         self._report_counts *= min(1.0, _REPORTING_MEMORY / self._report_counts.sum())
         away_m = self._numbers * SPACING_M - one.distance_m
         deviation_m = _PLACE_M + _PLACE_SHARE * one.distance_m
-        # What was thought impossible is not: vehicles come in platoons and change lanes.
-        allowed = self._numbers <= self._most[lane]
-        rates = self._joint[lane].sum(axis=1, keepdims=True)
-        self._joint[lane] += _SURPRISE * (rates * allowed / allowed.sum() - self._joint[lane])
-        self._weigh(lane, np.exp(-0.5 * (away_m / deviation_m) ** 2) + _MISPLACED)
+        self._weigh(lane, np.exp(-0.5 * (away_m / deviation_m) ** 2) + _MISTAKE)
         joint = self._joint[lane]
         longest = joint[:, -1].copy()
         joint[:, 1:] = joint[:, :-1].copy()

@@ -39,9 +39,11 @@ def test_at_red_an_unseen_queue_grows_by_the_expected_inflow_and_its_interval_wi
 def test_who_stops_tells_how_many_stand_before_him() -> None:
     known = QueueFilter(MODEL, 360, 1900)
     take(known, 0)
-    take(known, 20, ("n_0", 63.0, 0.0))
-    assert 8 < known.queue(LANE).mean < 12
-    assert known.queue(MODEL.lane_index["e_0"]).mean < 4
+    for second in range(1, 21):
+        take(known, second)
+    take(known, 21, ("n_0", 28.0, 0.0))
+    assert 4 < known.queue(LANE).mean < 6
+    assert known.queue(MODEL.lane_index["e_0"]).mean < 3
 
 
 def test_who_passes_the_stop_bar_leaves_only_those_behind_him() -> None:
