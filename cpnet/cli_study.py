@@ -241,8 +241,14 @@ def _page(
     from studies.study_networks import network_sections
     from studies.study_page import bandwidth_page, plain_page
     from studies.study_tables import StudyResults
+    from studies.value_page import value_page
 
-    pages = {"plain": plain_page, "paper": paper_page, "bandwidth": bandwidth_page}
+    pages = {
+        "plain": plain_page,
+        "paper": paper_page,
+        "bandwidth": bandwidth_page,
+        "value": value_page,
+    }
     command = shlex.join(["cpnet", *sys.argv[1:]])
     missing = tuple(cell.title for cell in cells if store.row(cell.id) is None)
     networks = network_sections(cells, store)

@@ -306,8 +306,8 @@ def test_a_thousand_vehicles_in_a_lane_delay_no_decision() -> None:
         assert known.decide(seen(second, NS, crowd)).state in PHASES
         taken_s.append(time.monotonic() - start_s)
     assert sorted(taken_s)[len(taken_s) // 2] < 0.1  # a frame; alone on a core it takes 20 ms
-    assert known._planner.plan is not None
-    assert known._planner.plan.nodes <= PlannerSettings().max_nodes + 1500
+    assert known.planner.plan is not None
+    assert known.planner.plan.nodes <= PlannerSettings().max_nodes + 1500
 
 
 def test_a_planner_says_which_phases_it_plans() -> None:

@@ -1,0 +1,95 @@
+"""A few vehicles that report themselves tell of those that do not."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from signal_controller.predictive_model import JunctionModel
+from signal_controller.queue_filter import QueueFilter
+from tests.signal_controller.crossing import LANES, SITE, vehicles
+
+MODEL = JunctionModel(SITE, 7)
+LANE = MODEL.lane_index["n_0"]
+RED = np.zeros((len(LANES), 2))
+GREEN = np.array([[1.0, 0.0]] * len(LANES))
+COUNTED = np.full(len(LANES), 0.1)
+NOBODY: dict[str, float] = {}  # is covered
+
+
+def take(known: QueueFilter, second: float, *rows, shares=RED, coverage=NOBODY) -> None:
+    known.take(second, vehicles(*rows), shares, COUNTED, coverage)
+
+
+def test_at_red_an_unseen_queue_grows_by_the_expected_inflow_and_its_interval_widens() -> None:
+    known = QueueFilter(MODEL, 360, 1900)
+    take(known, 0)
+    for second in range(1, 31):
+        take(known, second)
+    early = known.queue(LANE)
+    for second in range(31, 91):
+        take(known, second)
+    late = known.queue(LANE)
+    assert 1.5 < early.mean < 4
+    assert late.mean > 2 * early.mean
+    assert late.high - late.low > early.high - early.low
+
+
+def test_who_stops_tells_how_many_stand_before_him() -> None:
+    known = QueueFilter(MODEL, 360, 1900)
+    take(known, 0)
+    for second in range(1, 21):
+        take(known, second)
+    take(known, 21, ("n_0", 28.0, 0.0))
+    assert 4 < known.queue(LANE).mean < 6
+    assert known.queue(MODEL.lane_index["e_0"]).mean < 3
+
+
+def test_who_passes_the_stop_bar_leaves_only_those_behind_him() -> None:
+    known = QueueFilter(MODEL, 360, 1900)
+    take(known, 0)
+    take(known, 1, ("n_0", 63.0, 0.0))
+    take(known, 2, ("n_0", 2.0, 5.0), shares=GREEN)
+    take(known, 3, ("outs_0", -20.0, 8.0), shares=GREEN)
+    assert known.queue(LANE).mean < 2
+
+
+def test_a_queue_that_is_seen_is_known_exactly_and_one_that_fills_what_is_seen_is_not() -> None:
+    known = QueueFilter(MODEL, 360, 1900)
+    seen = dict.fromkeys(LANES, 1.0)
+    queue = [("n_0", 3 + 7.0 * n, 0.0) for n in range(7)]
+    take(known, 0, *queue, coverage=seen)
+    assert (known.queue(LANE).low, known.queue(LANE).high) == (7, 7)
+    for second in range(1, 40):
+        take(known, second, *queue, coverage=dict.fromkeys(LANES, 0.25))
+    assert known.queue(LANE).mean > 7.5
+
+
+def test_where_all_report_themselves_nobody_else_is_expected() -> None:
+    known = QueueFilter(MODEL, 500, 1900)
+    before = known.reporting
+    for second in range(60):
+        rows = [(lane, 3 + 7.0 * n, 0.0) for lane in LANES for n in range(second // 6)]
+        take(known, second, *rows)
+    assert known.reporting > 0.9 > before
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    st.lists(
+        st.lists(
+            st.tuples(st.sampled_from(LANES), st.floats(-20, 220), st.floats(0, 30)), max_size=6
+        ),
+        max_size=8,
+    ),
+    st.floats(0, 1),
+)
+def test_whatever_is_reported_probabilities_stay_probabilities(frames, share: float) -> None:
+    known = QueueFilter(MODEL, 500, 1900)
+    for second, rows in enumerate(frames):
+        take(known, second, *rows, coverage=dict.fromkeys(LANES[:3], share))
+        for lane in range(len(LANES)):
+            queue = known.queue(lane)
+            assert 0 <= queue.low <= queue.high <= 60
+            assert 0 <= queue.mean <= 60

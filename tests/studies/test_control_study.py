@@ -1,0 +1,80 @@
+"""`cpnet study control`: its file, its pairs, its table; runs that are kept."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from protocol.errors import ConfigError
+from studies import control_study
+from studies.bench_control import ControlCase
+from studies.control_baselines import OWN_SETTINGS, TUNINGS
+from studies.control_file import ControlStudy, read_control_study
+from studies.control_page import control_page
+from studies.control_study import Group, PolicyResult, paired, summaries
+from studies.sweep.study_file import path_of
+
+STUDY = ControlStudy(
+    name="own",
+    nets={"t_junction": [1.0, 1.2]},
+    policies=["max_pressure", "predictive"],
+    seeds=[1, 2],
+)
+
+
+def result(policy: str, *delays_s: float, demand: float = 1.0) -> PolicyResult:
+    rest = {"delay_p95_s": 30.0, "waited_s": 60.0, "arrived": 90, "vehicles": 100}
+    rows = [{"delay_s": delay_s, "decide_p99_ms": 1.0, **rest} for delay_s in delays_s]
+    return PolicyResult(Group("t_junction", demand), policy, "", rows)
+
+
+def test_the_built_in_study_is_of_its_kind_and_others_are_not() -> None:
+    found = read_control_study(path_of("control"), {"seeds": [7]})
+    assert found is not None
+    assert found.seeds == [7]
+    assert read_control_study(path_of("paper"), {}) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"seeds": [101]}, "seed 101 is for tuning and reported"),
+        ({"studied": "webster2"}, "studied is webster2"),
+        ({"nets": {"resco/cologne1": [1.2]}}, "has the demand of its folder"),
+        ({"edge.detector": "fast"}, "--set edge.detector: a study of control allows: bench"),
+        ({"duration_s": 3}, "duration_s"),
+    ],
+)
+def test_what_makes_no_study_is_refused(change: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        read_control_study(path_of("control"), change)
+
+
+def test_pairs_tell_what_means_alone_do_not() -> None:
+    found = paired([8.0, 18.0, 28.0], [9.0, 19.1, 29.0])
+    assert found.mean == pytest.approx(-1.0333, abs=1e-3)
+    assert found.half == pytest.approx(0.143, abs=1e-2)
+    assert paired([8.0], [9.0]).half is None
+
+
+def test_a_table_has_the_best_first_and_what_the_studied_policy_takes_off_others() -> None:
+    rows = summaries(STUDY, [result("max_pressure", 10.0, 12.0), result("predictive", 8.0, 9.0)])
+    page = control_page(STUDY, rows, "cpnet study own", {})
+    (table,) = page.sections[0].blocks
+    assert [row[0] for row in table.rows] == ["predictive", "max_pressure"]
+    assert table.rows[1][6].startswith("-2.50 ± ")
+    assert table.rows[0][6] is None
+
+
+def test_every_setting_that_is_tried_is_one_of_its_baseline() -> None:
+    for policy, tunings in TUNINGS.items():
+        for tuning in tunings:
+            assert set(tuning.own) <= set(OWN_SETTINGS[policy])
+
+
+def test_a_case_that_was_run_is_not_run_again(tmp_path: Path) -> None:
+    store = control_study.CaseStore(tmp_path)
+    case = ControlCase("t_junction", "plan")
+    store._path("row", case).write_text('{"delay_s": 5.0}')
+    assert store.run("row", [case, case], 1, lambda *_: None) == [{"delay_s": 5.0}] * 2
