@@ -42,6 +42,9 @@ def dataset_command(
     samples: Annotated[int, typer.Option(help="of each network, some seconds apart")] = 12,
     seed: Annotated[int, typer.Option(help="the same bytes for the same seed")] = 1,
     realism: Annotated[str, typer.Option(help="of the world: paper, clear or hard")] = "paper",
+    split: Annotated[
+        str | None, typer.Option(help="only its networks: train, val or test; default all")
+    ] = None,
     jobs: Annotated[int | None, typer.Option(help="processes; default one a core")] = None,
 ) -> None:
     """Write labelled scans of many generated junctions, for training."""
@@ -49,10 +52,10 @@ def dataset_command(
 
     scenario = scenarios.load("t_junction", {"realism": realism})
     world = None if realism == "paper" else scenario.model_dump(mode="json")
-    spec = DatasetSpec(networks, samples, seed, realism, world)
+    spec = DatasetSpec(networks, samples, seed, realism, world, split)
     columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()]
     with Progress(*columns, TimeElapsedColumn(), console=errors, transient=True) as progress:
-        task = progress.add_task("networks", total=networks)
+        task = progress.add_task("networks", total=len(spec.made))
 
         def report(done: int, scans: int) -> None:
             progress.update(task, completed=done, description=f"networks, {scans} scans")

@@ -85,6 +85,7 @@ class Info(BaseModel):
     samples: int = Field(validation_alias=AliasChoices("samples", "moments"))  # its former name
     seed: int
     realism: str = "paper"
+    split: str | None = None
 
 
 class SensorPoses(BaseModel):

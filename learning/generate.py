@@ -43,7 +43,8 @@ _PARTS = ".parts"
 class DatasetSpec:
     """The arguments of a dataset; equal ones give equal bytes.
 
-    `world` are the sections of a scenario with the realism of this name; None for `paper`.
+    `world` are the sections of a scenario with the realism of this name; None for `paper`. Where a
+    `split` is given, the networks of the others are left out; the same networks have equal scans.
     """
 
     networks: int
@@ -51,6 +52,13 @@ class DatasetSpec:
     seed: int
     realism: str = "paper"
     world: World | None = None
+    split: str | None = None
+
+    @property
+    def made(self) -> list[tuple[int, Split]]:
+        """The networks that are made: number and split."""
+        every = enumerate(splits(self.networks))
+        return [(number, one) for number, one in every if self.split in (None, one)]
 
 
 def generate(
@@ -96,6 +104,7 @@ def _write(folder: Path, spec: DatasetSpec, jobs: int, report: Callable[[int, in
         samples=spec.samples,
         seed=spec.seed,
         realism=spec.realism,
+        split=spec.split,
     )
     (folder / INFO).write_text(info.model_dump_json(indent=2) + "\n", "utf-8")
 
@@ -108,9 +117,7 @@ def _collect(
     by_split: dict[Split, list[int]] = {split: [] for split in SPLITS}
     made = _generated(folder / _PARTS, spec, jobs)
     with (folder / POSES).open("w", encoding="utf-8") as poses:
-        for done, (split, (part, rows)) in enumerate(
-            zip(splits(spec.networks), made, strict=True), 1
-        ):
+        for done, ((_, split), (part, rows)) in enumerate(zip(spec.made, made, strict=True), 1):
             for local, row in enumerate(rows):
                 here = scan_paths(part, local), scan_paths(folder, scans)
                 for source, target in zip(*here, strict=True):
@@ -134,6 +141,10 @@ def _check(spec: DatasetSpec, jobs: int) -> None:
     for name, (value, low, high) in limits.items():
         if not low <= value <= high:
             raise ConfigError(f"{name} {value}: must be {low} to {high}")
+    if spec.split not in (None, *SPLITS):
+        raise ConfigError(f"--split {spec.split}: must be {', '.join(SPLITS)}")
+    if not spec.made:
+        raise ConfigError(f"--split {spec.split}: fewer than 3 networks are all for training")
 
 
 def _prepare(folder: Path) -> None:
@@ -151,10 +162,10 @@ def _prepare(folder: Path) -> None:
 def _generated(parts: Path, spec: DatasetSpec, jobs: int) -> Iterator[tuple[Path, list[ScanRow]]]:
     """Yields each network's folder and its lines of `poses.jsonl`, in the order of numbers."""
     context = multiprocessing.get_context("spawn")
-    workers = min(jobs, spec.networks)
+    workers = min(jobs, len(spec.made))
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_ignore_interrupt)
     try:
-        futures = [pool.submit(_make, parts, spec, number) for number in range(spec.networks)]
+        futures = [pool.submit(_make, parts, spec, number) for number, _ in spec.made]
         for future in futures:
             yield future.result()
     except BrokenProcessPool:

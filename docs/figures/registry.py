@@ -73,6 +73,7 @@ _SOAK = " ".join(
     for key in ("channels=16", "points_per_second=288000")
     for kind in ("vehicle", "roadside")
 )
+_HARD15 = "cpnet dataset hard15 --networks 100 --samples 10 --seed 1 --realism hard --split test"
 _LIST = (
     Figure(
         "run",
@@ -157,8 +158,7 @@ _LIST = (
     ),
     Figure(
         "accuracy",
-        "[ -e hard100 ] || cpnet dataset hard100 --networks 100 --samples 10 --seed 1 "
-        "--realism hard >&2; cpnet eval hard100 --detectors fast,pointpillars --json",
+        f"rm -rf hard15; {_HARD15} >&2; cpnet eval hard15 --detectors fast,pointpillars --json",
         (*PERCEPTION, "sensing", "learning", "studies/evaluate.py", "studies/average_precision.py"),
         40,
         (
@@ -168,8 +168,8 @@ _LIST = (
     ),
     Figure(
         "reference",
-        "[ -e data20 ] || cpnet dataset data20 --networks 20 --samples 2 --seed 6 >&2; "
-        "cpnet eval data20 --detectors fast,reference --json",
+        "rm -rf data3; cpnet dataset data3 --networks 20 --samples 2 --seed 6 --split test >&2; "
+        "cpnet eval data3 --detectors fast,reference --json",
         (*PERCEPTION, "sensing", "learning", "studies/evaluate.py", "studies/average_precision.py"),
         10,
         (Part("all", "docs/detection.md", layouts.accuracy),),
@@ -226,8 +226,7 @@ _LIST = (
     ),
     Figure(
         "unseen",
-        "[ -e hard100 ] || cpnet dataset hard100 --networks 100 --samples 10 --seed 1 "
-        "--realism hard >&2; cpnet study $ROOT/docs/figures/unseen.yaml --out unseen >&2; "
+        f"[ -e hard15 ] || {_HARD15} >&2; cpnet study $ROOT/docs/figures/unseen.yaml --out unseen >&2; "
         "python -c 'import json, pyarrow.parquet as p; "
         'print(json.dumps(p.read_table("unseen/results.parquet").to_pylist()))\'',
         (*STUDY, "cpnet/realism"),

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -31,6 +32,25 @@ def test_the_bytes_depend_on_the_arguments_alone(folder, tmp_path):
     one, other = contents(folder), contents(tmp_path / "again")
     assert one.keys() == other.keys()
     assert [name for name in one if one[name] != other[name]] == []
+
+
+def test_one_split_alone_has_the_scans_that_it_has_in_the_whole(folder, dataset, tmp_path):
+    generate(tmp_path / "part", replace(SPEC, split="test"), jobs=1)
+    part = Dataset(tmp_path / "part")
+    assert part.networks("test") == dataset.networks("test")
+    assert part.networks("train") == []
+    whole, alone = dataset.samples("test"), part.samples("test")
+    for one, other in zip(whole, alone, strict=True):
+        assert np.array_equal(one.boxes, other.boxes)
+        for scan, again in zip(one.scans, other.scans, strict=True):
+            assert scan.agent == again.agent
+            assert np.array_equal(scan.map_SE3_sensor.as_pose(), again.map_SE3_sensor.as_pose())
+
+
+@pytest.mark.parametrize(("split", "networks"), [("all", 3), ("test", 2)])
+def test_a_split_that_there_is_not_is_refused(tmp_path, split, networks):
+    with pytest.raises(ConfigError, match=f"--split {split}: "):
+        generate(tmp_path / "part", replace(SPEC, split=split, networks=networks), jobs=1)
 
 
 def test_a_network_is_in_one_split_alone(dataset):
@@ -170,7 +190,8 @@ def test_what_is_not_there_is_named(dataset):
 
 def test_the_arguments_stand_in_the_dataset(folder):
     info = json.loads((folder / "dataset.json").read_text())
-    assert info == {"version": 1, "networks": 3, "samples": 2, "seed": 7, "realism": "paper"}
+    numbers = {"version": 1, "networks": 3, "samples": 2, "seed": 7}
+    assert info == numbers | {"realism": "paper", "split": None}
 
 
 def test_a_dataset_that_counts_moments_is_read():
