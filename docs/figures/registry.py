@@ -226,7 +226,8 @@ _LIST = (
     ),
     Figure(
         "unseen",
-        f"[ -e hard15 ] || {_HARD15} >&2; cpnet study $ROOT/docs/figures/unseen.yaml --out unseen >&2; "
+        f"[ -e hard15 ] || {_HARD15} >&2; "
+        "cpnet study $ROOT/docs/figures/unseen.yaml --out unseen >&2; "
         "python -c 'import json, pyarrow.parquet as p; "
         'print(json.dumps(p.read_table("unseen/results.parquet").to_pylist()))\'',
         (*STUDY, "cpnet/realism"),
