@@ -4,10 +4,17 @@ import signal
 import sys
 from types import FrameType
 
+from cpnet.shadowing import check_packages
+
 
 def main() -> None:
     """Runs the command; a signal to end ends it without a traceback, and cleans up."""
     signal.signal(signal.SIGTERM, _end)
+    try:
+        check_packages()
+    except ImportError as error:
+        sys.stderr.write(f"error {error}\n")
+        sys.exit(2)
     try:
         from cpnet.cli import main as run
 

@@ -28,8 +28,12 @@ from cpnet.cli_options import (
 from cpnet.cli_run import run_app
 from cpnet.cli_setup import doctor_app, keys_app
 from cpnet.cli_study import study_app
+from cpnet.run_folder import newest_run
 from protocol.errors import ConfigError, CpnetError
 
+RecordedRun = Annotated[
+    Path | None, typer.Argument(help="run folder; default the newest run in runs/")
+]
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -62,11 +66,11 @@ def _options(
 
 @app.command("report")
 def report_command(
-    run: Annotated[Path, typer.Argument(help="run folder")],
+    run: RecordedRun = None,
     *,
     as_json: AsJson = False,
     against: Annotated[
-        Path | None, typer.Option(help="another run: say which results differ")
+        Path | None, typer.Option(help="another run: both side by side, and which rows differ")
     ] = None,
     html: Annotated[
         Path | None, typer.Option(metavar="FILE", help="write a page with charts; works offline")
@@ -78,10 +82,12 @@ def report_command(
     """Print the summary of a run, write it as a page, or compare its results with another run's."""
     from cpnet.reproduce import command_of
     from recording.run import Run, differences
+    from studies.comparison import print_comparison
     from studies.page.write import check_target, save_html
     from studies.run_page import run_page
     from studies.summary import print_report, summarise, to_json
 
+    run = run or newest_run()
     if trajectories is not None:
         _write_trajectories(run, trajectories)
         return
@@ -94,6 +100,7 @@ def report_command(
         return
     if against is not None:
         found = differences(run, against)
+        print_comparison(run, against, console)
         lines = [str(one) for one in found] or ["the results are the same, row for row"]
         typer.echo("\n".join(lines))
         raise typer.Exit(1 if found else 0)
@@ -115,14 +122,17 @@ def _write_trajectories(run: Path, file: Path) -> None:
 
 @app.command("draw")
 def draw_command(
-    run: Annotated[Path, typer.Argument(help="run folder")],
+    run: RecordedRun = None,
     *,
     png: Annotated[Path | None, typer.Option(help="default RUN/frame-N.png")] = None,
-    frame: Annotated[int | None, typer.Option(help="a recorded frame; default the last")] = None,
+    frame: Annotated[
+        int | None, typer.Option(help="a frame with scans; default the fullest")
+    ] = None,
 ) -> None:
     """Draw the merged cloud of a frame with its boxes over the lanes."""
     from studies.snapshot import draw_frame
 
+    run = run or newest_run()
     console.print(f"wrote {draw_frame(run, frame, png)}", highlight=False, soft_wrap=True)
 
 

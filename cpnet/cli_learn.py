@@ -20,7 +20,7 @@ from rich.progress import (
 )
 
 from cpnet import scenario as scenarios
-from cpnet.cli_options import AsJson, assigned, console, errors, show
+from cpnet.cli_options import AsJson, assigned, console, errors, one_signal, show
 from edge_server.config import EdgeConfig
 from perception.config import DETECTORS, DetectorName
 from perception.registry import check
@@ -107,7 +107,7 @@ def eval_command(  # noqa: PLR0913 - one parameter per option of the command
     ] = None,
     *,
     net: Annotated[Path | None, typer.Option(help="instead: your own .net.xml")] = None,
-    tls: Annotated[str | None, typer.Option(help="id of the signal in that net")] = None,
+    tls: Annotated[list[str] | None, typer.Option(help="id of the signal in that net")] = None,
     kitti: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="instead: velodyne/, label_2/, calib/ as KITTI has them"),
@@ -158,7 +158,7 @@ def eval_command(  # noqa: PLR0913 - one parameter per option of the command
         return
     if range_ is not None:
         raise ConfigError("--range is for --kitti DIR")
-    count, listed = Source(dataset, net, tls, split, samples).open(config)
+    count, listed = Source(dataset, net, one_signal(tls), split, samples).open(config)
     shown = track(listed, "measuring", count, console=errors, transient=True)
     rows = evaluate(shown, names)
     show(rows, print_evaluation, as_json=as_json)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cpnet.cli_options import console
+from cpnet.cli_options import console, one_signal
 from protocol.errors import ConfigError
 
 view_app = typer.Typer()
@@ -22,7 +22,7 @@ KeysFolder = Annotated[
 ]
 
 OneSignal = Annotated[
-    str | None, typer.Option("--tls", metavar="ID", help="show this signal's junction alone")
+    list[str] | None, typer.Option("--tls", metavar="ID", help="show this signal's junction alone")
 ]
 
 
@@ -45,7 +45,9 @@ def view_command(
 
     if save is not None and web:
         raise ConfigError("--save writes a file, --web serves a page: give one of them")
-    view(run, connect or [], keys, tls, Screen(port if web else None, save, fps), console)
+    view(
+        run, connect or [], keys, one_signal(tls), Screen(port if web else None, save, fps), console
+    )
 
 
 @view_app.command("top")
@@ -63,7 +65,7 @@ def top_command(
     """
     from cpnet.observe import top
 
-    top(run, connect or [], keys, tls, console, once=once)
+    top(run, connect or [], keys, one_signal(tls), console, once=once)
 
 
 recording_app = typer.Typer()

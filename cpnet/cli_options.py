@@ -13,6 +13,7 @@ from rich.progress import track
 
 from cpnet import scenario as scenarios
 from cpnet.viewer_process import Viewing
+from protocol.errors import ConfigError
 from protocol.logs import LogStyle
 
 console = Console()
@@ -95,3 +96,14 @@ def junctions_of(tls: list[str] | None) -> str | list[str] | None:
     """Reads `--tls`: "all", or ids with commas between them; given twice, all of them count."""
     found = [one.strip() for text in tls or () for one in text.split(",")]
     return "all" if "all" in found else found or None
+
+
+def one_signal(tls: list[str] | None) -> str | None:
+    """Returns the signal of a `--tls` that takes one.
+
+    Raises:
+        ConfigError: several were given.
+    """
+    if tls and len(tls) > 1:
+        raise ConfigError(f"--tls: {', '.join(tls)} were given; this command takes one signal")
+    return tls[0] if tls else None

@@ -42,6 +42,9 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     cav_rate: Annotated[float | None, typer.Option(help="share of vehicles with LiDAR")] = None,
     cv_rate: Annotated[float | None, typer.Option(help="share that reports its pose only")] = None,
     net: Annotated[Path | None, typer.Option(help="your own .net.xml")] = None,
+    routes: Annotated[
+        Path | None, typer.Option(help="with --net: your own .rou.xml, else demand is generated")
+    ] = None,
     sumocfg: Annotated[Path | None, typer.Option(help="your own .sumocfg")] = None,
     tls: Annotated[
         list[str] | None, typer.Option(metavar="ID,...|all", help="the signals to control")
@@ -81,11 +84,14 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
         "traffic.cv_rate": cv_rate,
         "link.profile": link,
         "traffic.net": _absolute(net),
+        "traffic.routes": _absolute(routes),
         "traffic.sumocfg": _absolute(sumocfg),
         "junctions": junctions_of(tls),
         "regions": regions,
         "record.mcap": True if record else None,
     }
+    if routes is not None and net is None:
+        raise ConfigError("--routes needs --net: the net that its routes are of")
     own = net or sumocfg
     if own is not None:
         named["name"] = _run_name(own)

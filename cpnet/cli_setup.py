@@ -1,17 +1,19 @@
-"""The commands that prepare a machine: `cpnet doctor` and `cpnet keys`."""
+"""The commands that look after a machine: `cpnet doctor`, `compile`, `prune` and `keys`."""
 
 from __future__ import annotations
 
 import json
-import sys
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from cpnet.cli_options import AsJson, console
+from cpnet.run_folder import RUNS, prune
 from protocol.access import MAX_VEHICLE_PROCESSES, roles_of
 from protocol.errors import ConfigError
+from protocol.extras import to_install
 
 doctor_app = typer.Typer()
 
@@ -55,6 +57,32 @@ def doctor_command(
     raise typer.Exit(0 if all(finding.is_well for finding in findings) else 1)
 
 
+@doctor_app.command("compile")
+def compile_command() -> None:
+    """Compile what runs need, once, on all cores; runs do so themselves if it was not done."""
+    from cpnet.compiling import compile_ahead
+
+    if not compile_ahead(console):
+        console.print("all is compiled")
+
+
+@doctor_app.command("prune")
+def prune_command(
+    folder: Annotated[Path, typer.Argument(help="that holds run folders")] = RUNS,
+    *,
+    keep: Annotated[int, typer.Option(min=0, help="of the newest runs stay in any case")] = 20,
+    days: Annotated[
+        float | None, typer.Option(min=0, help="others stay until they are so old; else none does")
+    ] = None,
+) -> None:
+    """Remove recorded runs that have ended, all but the newest."""
+    removed = prune(folder, keep, days, datetime.now(UTC))
+    for run in removed:
+        console.print(f"removed {run}", highlight=False, soft_wrap=True)
+    if not removed:
+        console.print(f"nothing to remove in {folder}", highlight=False, soft_wrap=True)
+
+
 keys_app = typer.Typer()
 
 
@@ -83,8 +111,7 @@ def keys_command(
         from cpnet.keys import add_keys
     except ModuleNotFoundError as error:
         raise ConfigError(
-            f"making keys needs {error.name} (extra `keys`): "
-            f"{sys.executable} -m pip install 'cpnet-edge[keys]'"
+            f"making keys needs {error.name} (extra `keys`): {to_install('keys')}"
         ) from None
     from cpnet.keys import write_router_config
 

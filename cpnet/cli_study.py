@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cpnet import scenario as scenarios
 from cpnet.cli_options import AsJson, Override, assigned, console, errors, junctions_of
-from edge_server.config import EdgeConfig
-from perception.registry import check
+from cpnet.compiling import compile_ahead
+from cpnet.study_cells import planned, resolved
 from protocol.errors import ConfigError
+from protocol.extras import to_install
 from studies.page.model import Page, Section
 from studies.page.write import check_target, save_html, save_markdown
-from studies.sweep.cells import Cell, PartKind, ResultStore, cells_of
+from studies.sweep.cells import Cell, PartKind, ResultStore
 from studies.sweep.study_file import Accuracy, Study, read_study
 
 if TYPE_CHECKING:
@@ -46,7 +46,9 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
         str | None, typer.Option(metavar="N,...", help="instead of the file's; 1-10 is a range")
     ] = None,
     net: Annotated[Path | None, typer.Option(help="your own .net.xml")] = None,
-    tls: Annotated[str | None, typer.Option(help="id of the signal in that net")] = None,
+    tls: Annotated[
+        list[str] | None, typer.Option(metavar="ID,...|all", help="the signals of that net")
+    ] = None,
     set_: Override = None,
     markdown: Annotated[
         Path | None, typer.Option(help="the report as Markdown too, figures beside it")
@@ -64,17 +66,13 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
     file = read_study(what)
     own = {
         "traffic.net": net and str(net.resolve()),
-        "junctions": junctions_of(None if tls is None else [tls]),
+        "junctions": junctions_of(tls),
     }
     settings = {key: value for key, value in own.items() if value is not None} | assigned(set_)
-    study = file.study.changed(settings, _seeds(seeds))
     if markdown is not None:
         check_target(markdown, "--markdown")
-    try:
-        cells = cells_of(study, lambda keys: _resolved(file.scenario, keys))
-    except ConfigError as error:
-        raise ConfigError(f"{what}: {error}") from None
-    _check_detectors(study, cells)
+    compile_ahead(errors)
+    study, cells = planned(file, settings, _seeds(seeds))
     with _explained_if_missing():
         from studies.sweep.results import parts_table, table, write_table
     store = ResultStore.at(out or Path("runs") / f"study-{study.name}")
@@ -89,7 +87,7 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
     if study.title is not None and not as_json:
         console.print(study.title, style="bold", markup=False, highlight=False)
     _print_results(frame, cells, failures, [path, *parts], as_json=as_json)
-    scenario = _resolved(file.scenario, study.settings | {"seed": study.seeds[0]})
+    scenario = resolved(file.scenario, study.settings | {"seed": study.seeds[0]})
     page = _page(study, scenario, frame, cells, store)
     reports = {store.folder / REPORT: save_html}
     if markdown is not None:
@@ -99,20 +97,6 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
         if not as_json:
             console.print(f"wrote {report}", highlight=False, soft_wrap=True)
     raise typer.Exit(1 if failures else 0)
-
-
-def _check_detectors(study: Study, cells: list[Cell]) -> None:
-    """Checks before the first run that every detector can be had.
-
-    Raises:
-        ConfigError: a detector of a cell, or of the accuracy part, cannot be had here.
-    """
-    asked = {json.dumps(cell.scenario["edge"], sort_keys=True) for cell in cells}
-    configs = [EdgeConfig.model_validate_json(text) for text in sorted(asked)]
-    more = study.accuracy.detectors if study.accuracy else []
-    configs += [configs[0].model_copy(update={"detector": name}) for name in more]
-    for config in {config.detector: config for config in configs}.values():
-        check(config)
 
 
 def _run(
@@ -222,10 +206,6 @@ def _accuracy_sections(
     return accuracy_section(rows), scenes_section(scenario, spec.detectors[-1])
 
 
-def _resolved(name: str, settings: dict[str, Any]) -> dict[str, Any]:
-    return scenarios.load(name, settings).model_dump(mode="json")
-
-
 def _seeds(text: str | None) -> list[int]:
     """Reads `1,2,5-8`.
 
@@ -250,8 +230,7 @@ def _explained_if_missing() -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         raise ConfigError(
-            f"studies need {error.name} (extra `study`): "
-            f"{sys.executable} -m pip install 'cpnet-edge[study]'"
+            f"studies need {error.name} (extra `study`): {to_install('study')}"
         ) from None
 
 

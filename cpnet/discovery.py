@@ -13,7 +13,7 @@ from pathlib import Path
 from rich.console import Console
 
 from cpnet.endpoints import Endpoints, connecting, places
-from cpnet.run_folder import written
+from cpnet.run_folder import RUNS, written
 from cpnet.security import VIEW, check_key
 from protocol.access import Keys
 from protocol.bus import Endpoint, ZenohBus, open_bus, unanswered
@@ -25,7 +25,6 @@ from protocol.topics import BusName
 from protocol.version import PresentProcesses
 
 FILE_NAME = "buses.json"
-RUNS = Path("runs")
 _ORDER = (BusName.V2X, BusName.WORLD)
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -24,6 +23,7 @@ from cpnet.exit_report import describe_status
 from cpnet.run_monitor import StopSignals
 from protocol.config import is_file, is_folder, is_free
 from protocol.errors import ConfigError, CpnetError
+from protocol.extras import to_install
 from protocol.messages import Setup
 from protocol.observer import Observer, lower_priority
 from protocol.process import loop
@@ -181,8 +181,7 @@ def needs_extra() -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         raise ConfigError(
-            f"viewing needs {error.name} (extra `view`): "
-            f"{sys.executable} -m pip install 'cpnet-edge[view]'"
+            f"viewing needs {error.name} (extra `view`): {to_install('view')}"
         ) from None
 
 

@@ -27,6 +27,7 @@ from cpnet.processes import (
 from cpnet.run_folder import RunFolder, written
 from cpnet.security import check_keys, secured_endpoints
 from cpnet.viewer_process import Viewing
+from edge_server.config import check_fusion
 from perception.registry import check
 from protocol.bus import Endpoint
 from protocol.errors import ConfigError
@@ -151,6 +152,8 @@ def _check(choice: RoleSelection, options: Options, scenario: scenarios.Scenario
         _check_scans(choice.names, scenario.model_dump(mode="json"))
     if _detects(choice.names, scenario):
         check(scenario.edge)
+    if "edge" in choice.names:
+        check_fusion(scenario.edge.fusion)
     if "signal" in choice.names:
         check_policy(scenario.signal)
     _check_restart(options, scenario)

@@ -1,4 +1,7 @@
-"""The folder of a run, which a start that fails or is broken off does not leave behind."""
+"""The folder of a run, which a start that fails or is broken off does not leave behind.
+
+Of many runs: the newest, and those that are older than what is to be kept.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,12 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from protocol.config import is_file
 from protocol.errors import ConfigError
+
+RUNS = Path("runs")
+_DATABASE, _SETUP, _BUSES = "run.sqlite", "setup.msgpack", "buses.json"
+_DAY_S = 86_400.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +36,7 @@ class RunFolder:
         """
         if out is None:
             stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
-            out = Path("runs") / f"{name}-{stamp}"
+            out = RUNS / f"{name}-{stamp}"
         if "," in str(out.absolute()):
             raise ConfigError(f"--out {out}: SUMO takes no path with a comma in it")
         try:
@@ -74,3 +82,60 @@ def written(run_dir: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise ConfigError(f"run folder {run_dir} cannot be written: {error}") from None
+
+
+def newest_run() -> Path:
+    """Returns the newest run in `runs/`, by when its database was written last.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    found = recorded_runs(RUNS)
+    if not found:
+        raise ConfigError(f"there is no run in {RUNS}/: give its folder, or `cpnet up` makes one")
+    return found[0]
+
+
+def recorded_runs(folder: Path) -> list[Path]:
+    """Returns the folders within one that hold a recorded run, newest first."""
+    found = [path.parent for path in folder.glob(f"*/{_DATABASE}") if is_file(path)]
+    return sorted(found, key=lambda run: (_written_s(run), run.name), reverse=True)
+
+
+def prune(folder: Path, keep: int, days: float | None, now: datetime) -> list[Path]:
+    """Removes recorded runs that have ended, but for the newest, and returns what it removed.
+
+    Only folders that a run made are touched: with a database and a setup, and no link to one.
+
+    Args:
+        folder: that holds the runs' folders.
+        keep: how many of the newest stay in any case.
+        days: others stay until they are so old; None: none of the others stays.
+        now: the time, with its zone.
+
+    Raises:
+        ConfigError: a folder cannot be removed.
+    """
+    removed = []
+    for run in recorded_runs(folder)[keep:]:
+        age_s = now.timestamp() - _written_s(run)
+        if (days is not None and age_s < days * _DAY_S) or not _has_ended(run):
+            continue
+        try:
+            shutil.rmtree(run)
+        except OSError as error:
+            raise ConfigError(f"{run} cannot be removed: {error}") from None
+        removed.append(run)
+    return removed
+
+
+def _has_ended(run: Path) -> bool:
+    """Whether it is a run's own folder, and no `cpnet up` says that it goes on."""
+    return not run.is_symlink() and is_file(run / _SETUP) and not (run / _BUSES).exists()
+
+
+def _written_s(run: Path) -> float:
+    try:
+        return (run / _DATABASE).stat().st_mtime
+    except OSError:  # it was removed since
+        return 0.0

@@ -293,6 +293,17 @@ def _split(dotted: str) -> list[str]:
     return parts
 
 
+def is_section(dotted: str) -> bool:
+    """Whether a dotted key is that of a section, not of a value."""
+    model: Any = Scenario
+    for part in dotted.split("."):
+        field = model.model_fields.get(part) if _is_section(model) else None
+        if field is None:
+            return False
+        model = _section_of(field.annotation)
+    return _is_section(model)
+
+
 def _is_section(annotation: object) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 

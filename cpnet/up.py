@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from cpnet.compiling import compile_ahead
 from cpnet.discovery import discoverable
 from cpnet.endpoints import connecting
 from cpnet.preparation import Options, Replay, prepare_run
@@ -35,6 +36,7 @@ def up(options: Options, console: Console, played: Replay | None = None) -> tupl
         BusError: the other side cannot be reached.
     """
     check_viewing(options.view)
+    compile_ahead(console)
     address = _metrics_address(options.metrics)
     run = prepare_run(options, console, played)
     with (
@@ -91,7 +93,9 @@ def print_results(run_dir: Path, console: Console) -> None:
     is_found = shutil.which("cpnet") is not None or called.name == "__main__.py"
     command = "cpnet" if is_found else _relative(called)
     console.print(
-        f"next: {command} draw {shown}    {command} report {shown} --json", soft_wrap=True
+        f"next: {command} report {shown} --html report.html    {command} draw {shown}",
+        highlight=False,
+        soft_wrap=True,
     )
 
 

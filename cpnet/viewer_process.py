@@ -15,6 +15,7 @@ from rich.console import Console
 
 from cpnet.exit_report import describe_status, log_tail
 from protocol.errors import ConfigError
+from protocol.extras import to_install
 
 _GRACE_S = 8.0
 
@@ -29,9 +30,7 @@ class Viewing(Enum):
 def check_viewing(how: Viewing | None) -> None:
     """Raises ConfigError if the viewer is wanted and its extra is missing."""
     if how is not None and find_spec("rerun") is None:
-        raise ConfigError(
-            f"--view needs rerun (extra `view`): {sys.executable} -m pip install 'cpnet-edge[view]'"
-        )
+        raise ConfigError(f"--view needs rerun (extra `view`): {to_install('view')}")
 
 
 @contextmanager

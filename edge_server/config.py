@@ -2,29 +2,43 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from perception.config import DetectionConfig
 from perception.tracking.config import TrackingConfig
 from protocol.config import Section
+from protocol.plugins import Catalogue, PluginSettings
 
+FUSIONS = Catalogue("cpnet.fusions", "fusion", ("oriented", "radius"))
 MergeMethod = Literal["se3", "euler"]
 
 
 class FusionConfig(Section):
     """When two detections are one vehicle."""
 
-    rule: Literal["oriented", "radius"] = Field(
+    rule: Annotated[str, AfterValidator(FUSIONS.checked)] = Field(
         "oriented",
         description="oriented (ours): nearer than `duplicate_m` along the vehicle and `across_m` "
-        "across it; radius: nearer than `duplicate_m`, as in the paper",
+        "across it; radius: nearer than `duplicate_m`, as in the paper; or the name of a plug-in, "
+        "beside which regions still join by `oriented` what several found",
     )
+    plugin: PluginSettings = Field({})
     duplicate_m: float = Field(4.5, gt=0, le=20, description="a vehicle's length")
     across_m: float = Field(
         2.0, gt=0, le=5, description="ours: less than a lane, so that neighbours stay two"
     )
+
+
+def check_fusion(config: FusionConfig) -> None:
+    """Checks before a start that the fusion of a configuration can be loaded.
+
+    Raises:
+        ConfigError: the plug-in cannot be imported.
+    """
+    if config.rule not in FUSIONS.builtin:
+        FUSIONS.load(config.rule)
 
 
 class PlanConfig(Section):

@@ -4,22 +4,86 @@ Chen et al. 2022 call two detections closer than a vehicle's length duplicates a
 farther from the junction. Lanes are 3.5 m wide, so that a radius of 4.5 m swallows the neighbour in
 the next lane of a queue; the default rule looks along and across the vehicle separately. The
 paper's radius is the named option.
+
+The entry point of a plug-in (group `cpnet.fusions`) names a `FusionMaker`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from edge_server.config import FusionConfig
+from edge_server.config import FUSIONS, FusionConfig
 from perception.arrays import Bools, Bytes, Floats, Ints
-from perception.detector import LIDAR, Vehicles
+from perception.detector import LIDAR, Vehicles, checked_vehicles
 from perception.object_classes import classes_by_size
 from perception.roadway import LEVEL_M
 from protocol.messages import AgentPose, Equipment, ObjectClass
+from protocol.plugins import Plugin
 
 CERTAIN_STD_M = 0.5  # poses better than this say by themselves which box is the agent's
+
+
+class Fusion(Protocol):
+    """Joins what was found in a frame; keeps nothing from one frame to the next."""
+
+    def fuse(self, found: Vehicles, poses: list[AgentPose]) -> Vehicles:
+        """Returns each vehicle once.
+
+        Args:
+            found: (N,) boxes of the detector, then those that agents found for themselves; map
+                frame, in m; empty where nothing was found.
+            poses: of the agents that reported them, sorted by agent, roadside units too
+                (`Equipment.NONE`); `from_poses` makes vehicles of those that are.
+        """
+
+
+FusionMaker = Callable[[FusionConfig, Floats], Fusion]
+"""Makes the fusion of a region from the configuration and its junctions' centres (C, 2 or 3).
+
+The settings of a plug-in are `plugin` of the configuration; a ValueError refuses them.
+"""
+
+
+def fusion_of(config: FusionConfig, centres: Floats) -> Fusion:
+    """Makes the fusion that a configuration names.
+
+    Raises:
+        ConfigError: the plug-in cannot be imported, refuses its settings or makes no fusion.
+    """
+    if config.rule in FUSIONS.builtin:
+        return _ByRule(config, centres)
+    plugin = FUSIONS.load(config.rule)
+    return _CheckedFusion(plugin, plugin.make("fuse", config, centres))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ByRule:
+    config: FusionConfig
+    centres: Floats
+
+    def fuse(self, found: Vehicles, poses: list[AgentPose]) -> Vehicles:
+        """See `Fusion.fuse`."""
+        return fuse(found, poses, centres=self.centres, config=self.config)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _CheckedFusion:
+    """Checks each frame's result of a plug-in."""
+
+    plugin: Plugin
+    fusion: Fusion
+
+    def fuse(self, found: Vehicles, poses: list[AgentPose]) -> Vehicles:
+        """See `Fusion.fuse`.
+
+        Raises:
+            ConfigError: what the plug-in returned are no vehicles.
+        """
+        return checked_vehicles(self.plugin, self.fusion.fuse(found, poses))
 
 
 def fuse(

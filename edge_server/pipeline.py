@@ -36,7 +36,7 @@ from edge_server.frame import (
     Stage,
     sensor_places,
 )
-from edge_server.fusion import fuse
+from edge_server.fusion import Fusion, fusion_of
 from edge_server.lanes import CoverageShares, LaneCoverage, LaneIndex
 from edge_server.misbehaviour import Check
 from edge_server.placing import Decode, Place, PlaceByReference
@@ -174,7 +174,7 @@ def stages_of(
         *align,
         Merge(),
         Detect(detector(config, roadway), seed),
-        Fuse(region.centres, config.fusion, mounts),
+        Fuse(fusion_of(config.fusion, region.centres), mounts),
         *([Border(strips, config.fusion)] if strips is not None else []),
         Track(region.surroundings, roadway, config.tracking, strips),
         Count(region, lanes, config, has_lidars=has_lidars, strips=strips),
@@ -230,9 +230,8 @@ class Fuse(FrameStage):
 
     name = "fuse"
 
-    def __init__(self, centres: Floats, config: FusionConfig, mounts: Mapping[str, Floats]) -> None:
-        self._centres = centres
-        self._config = config
+    def __init__(self, fusion: Fusion, mounts: Mapping[str, Floats]) -> None:
+        self._fusion = fusion
         self._mounts = mounts
 
     def run(self, state: FrameState) -> None:
@@ -244,8 +243,7 @@ class Fuse(FrameStage):
                 objects.scores.astype(np.float64),
                 objects.classes,
             )
-        poses = state.frame.poses
-        state.fused = fuse(found, poses, centres=self._centres, config=self._config)
+        state.fused = self._fusion.fuse(found, state.frame.poses)
         chunks = [chunk for chunk in state.frame.chunks if not chunk.is_undecodable]
         scans = sensor_places(chunks)[:, :2]
         state.sensors = np.concatenate([scans, self._detecting_agents(state.frame)])

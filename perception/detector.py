@@ -12,10 +12,10 @@ from typing import Protocol
 
 import numpy as np
 
-from perception.arrays import Bools, Bytes, Floats, Ints
+from perception.arrays import Bools, Bytes, Floats, Floats32, Ints
 from perception.config import DetectionConfig
 from perception.object_classes import classes_by_size
-from perception.roadway import Placed, Roadway
+from perception.roadway import Placed, Roadway, merge
 from protocol.messages import ObjectClass
 from protocol.plugins import Plugin
 
@@ -70,13 +70,24 @@ class Vehicles:
 class Cloud:
     """Points in the map frame, with the road's height below each, in the parts they came in.
 
-    `near` still have the ground in them, `bare` were freed of it by those who sent them. `sensors`
-    (P, 3) are the places that each part was seen from, `near` first.
+    A detector has to look at both kinds of parts; `points_over_road` joins them.
+
+    Attributes:
+        near: a part for each chunk that still has the ground in it. Empty where all agents remove
+            it: with upload filter `foreground`, which some upload policies imply.
+        bare: a part for each chunk that was freed of ground and background by its sender. Empty
+            without that filter, as by default. A part may hold no points at all.
+        sensors: (P, 3) places that each part was seen from, map frame, m; `near` first.
     """
 
     near: Sequence[Placed]
     bare: Sequence[Placed]
     sensors: Floats
+
+    def points_over_road(self) -> tuple[Floats32, Floats32]:
+        """Returns all points (N, 3), map frame, in m, and their heights over the road (N,) in m."""
+        points, road_m = merge([*self.near, *self.bare])
+        return points, points[:, 2] - road_m
 
 
 class Stage(Protocol):
@@ -123,25 +134,33 @@ class PluginDetector:
         Raises:
             ConfigError: what the plug-in returned are no vehicles.
         """
-        found = self.detector.detect(cloud, rng, stage)
-        if not isinstance(found, Vehicles):
-            raise self.plugin.wrong(f"found a {type(found).__name__}, must find Vehicles")
-        count = len(found.boxes)
-        numbers = found.scores, found.position_std_m, found.classes
-        shapes = [found.boxes.shape, *(one.shape for one in numbers)]
-        if shapes != [(count, 7), *[(count,)] * 3] or len(found.sources) != count:
-            raise self.plugin.wrong(
-                f"found boxes {shapes[0]}, scores {shapes[1]}, position_std_m {shapes[2]}, classes "
-                f"{shapes[3]} and {len(found.sources)} sources; must be (N, 7), (N,), (N,), (N,) "
-                "and N"
-            )
-        if not (np.isfinite(found.boxes).all() and np.isfinite(found.scores).all()):
-            raise self.plugin.wrong("found a box or a score that is no finite number")
-        if not ((found.scores >= 0) & (found.scores <= 1)).all():
-            raise self.plugin.wrong("found a score outside 0 to 1")
-        if not np.isin(found.classes, list(ObjectClass)).all():
-            raise self.plugin.wrong(
-                f"found classes {np.unique(found.classes).tolist()}; those of ObjectClass are "
-                f"0 to {len(ObjectClass) - 1}"
-            )
-        return found
+        return checked_vehicles(self.plugin, self.detector.detect(cloud, rng, stage))
+
+
+def checked_vehicles(plugin: Plugin, found: object) -> Vehicles:
+    """Returns what a plug-in found if it is whole.
+
+    Raises:
+        ConfigError: these are no vehicles.
+    """
+    if not isinstance(found, Vehicles):
+        raise plugin.wrong(f"found a {type(found).__name__}, must find Vehicles")
+    count = len(found.boxes)
+    numbers = found.scores, found.position_std_m, found.classes
+    shapes = [found.boxes.shape, *(one.shape for one in numbers)]
+    if shapes != [(count, 7), *[(count,)] * 3] or len(found.sources) != count:
+        raise plugin.wrong(
+            f"found boxes {shapes[0]}, scores {shapes[1]}, position_std_m {shapes[2]}, classes "
+            f"{shapes[3]} and {len(found.sources)} sources; must be (N, 7), (N,), (N,), (N,) "
+            "and N"
+        )
+    if not (np.isfinite(found.boxes).all() and np.isfinite(found.scores).all()):
+        raise plugin.wrong("found a box or a score that is no finite number")
+    if not ((found.scores >= 0) & (found.scores <= 1)).all():
+        raise plugin.wrong("found a score outside 0 to 1")
+    if not np.isin(found.classes, list(ObjectClass)).all():
+        raise plugin.wrong(
+            f"found classes {np.unique(found.classes).tolist()}; those of ObjectClass are "
+            f"0 to {len(ObjectClass) - 1}"
+        )
+    return found

@@ -6,12 +6,15 @@ A package tells of its own in its metadata, in pyproject.toml for instance
     grid = "my_package.grid:make"
 
 Names are listed without anything being imported; a plug-in is imported once it is asked for by its
-name. A built-in name always means what is built in.
+name. A built-in name always means what is built in. A program that runs cpnet in its own process
+may add plug-ins of its own for as long as a run lasts, see `provided`.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, distributions, entry_points
@@ -20,6 +23,9 @@ from typing import Annotated, Any
 from pydantic import Field, JsonValue
 
 from protocol.errors import ConfigError, CpnetError
+
+OWN = "own:"
+"""With this begin the names of what a program provides: a run's record still names it later."""
 
 PluginSettings = Annotated[
     dict[str, JsonValue],
@@ -70,7 +76,8 @@ class Catalogue:
 
     def has(self, name: str) -> bool:
         """Whether there is such a one, built in or installed."""
-        return name in self.builtin or bool(self._installed(name))
+        is_known = name in self.builtin or name.startswith(OWN)
+        return is_known or bool(self._installed(name))
 
     def checked(self, name: str) -> str:
         """Returns the name if there is such a one.
@@ -95,6 +102,12 @@ class Catalogue:
         Raises:
             ConfigError: there is none or more than one, or it cannot be imported.
         """
+        if (self.group, name) in _provided:
+            return Plugin(f"the {self.noun} {name} of this program", _provided[self.group, name])
+        if name.startswith(OWN):
+            raise ConfigError(
+                f"{self.noun} {name!r} was a part of the program that ran this: run that program"
+            )
         points = self._installed(name)
         if not points:
             raise ConfigError(f"{self.noun} {name!r}: must be one of {self.listed()}")
@@ -111,6 +124,27 @@ class Catalogue:
 
     def _installed(self, name: str) -> list[EntryPoint]:
         return [point for point in _points(self.group) if point.name == name]
+
+
+_provided: dict[tuple[str, str], Any] = {}
+
+
+@contextmanager
+def provided(plugins: Mapping[tuple[str, str], Any]) -> Iterator[None]:
+    """Adds plug-ins, by group and name, to those of installed packages, in this process alone.
+
+    Raises:
+        ConfigError: one of them is there already: another run has not ended.
+    """
+    for group, name in plugins:
+        if (group, name) in _provided:
+            raise ConfigError(f"{group}: {name} is in use by a run that has not ended")
+    _provided.update(plugins)
+    try:
+        yield
+    finally:
+        for key in plugins:
+            del _provided[key]
 
 
 def packages() -> dict[str, str]:

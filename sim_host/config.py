@@ -79,7 +79,14 @@ class TrafficConfig(Section):
         ge=0,
         le=0.12,
     )
-    net: str | None = Field(None, description="a SUMO .net.xml; demand is generated for it")
+    net: str | None = Field(
+        None, description="a SUMO .net.xml; without routes, demand is generated for it"
+    )
+    routes: str | None = Field(
+        None,
+        description="a .rou.xml with demand of its own for `net`, sorted by departure; SUMO begins "
+        "with the first",
+    )
     sumocfg: str | None = Field(None, description="a .sumocfg with a net and a demand of its own")
     step_s: float = Field(0.1, description="SUMO step; milliseconds count", ge=0.01, le=1)
     warmup_s: float = Field(
@@ -127,6 +134,10 @@ class TrafficConfig(Section):
     def _check(self) -> Self:
         if self.net and self.sumocfg:
             raise ValueError("give net or sumocfg, not both: a sumocfg names its own net")
+        if self.routes and not self.net:
+            raise ValueError("routes needs net; a sumocfg names its own routes")
+        if self.routes and self.demand_vph_per_lane:
+            raise ValueError("give routes or demand_vph_per_lane, not both")
         if self.cav_rate + self.cv_rate > 1:
             raise ValueError(f"cav_rate {self.cav_rate} + cv_rate {self.cv_rate} is more than 1")
         for edge, rate in self.demand_vph_per_lane.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -52,6 +53,7 @@ _OBJECT_CLASSES = {
     **dict.fromkeys(("motorcycle", "moped", "bicycle"), ObjectClass.TWO_WHEELER),
     "pedestrian": ObjectClass.PEDESTRIAN,
 }
+_MOVING = ("vehicle", "trip", "flow", "person")  # of a route file
 _ON_RAILS = ("tram", "rail", "ship", "subway", "cable")
 _DEFAULTS = {
     "DEFAULT_VEHTYPE": "passenger",
@@ -125,18 +127,41 @@ def object_class_of(v_class: str) -> ObjectClass:
 
 def _v_types(path: Path) -> Iterator[dict[str, str]]:
     if not is_file(path):
-        raise ConfigError(f"file {path}, which the sumocfg names, does not exist")
+        raise ConfigError(f"file {path}, which the scenario or its sumocfg names, does not exist")
     try:
-        with open_file(path) as stream:
-            root: ElementTree.Element | None = None
-            for event, element in ElementTree.iterparse(stream, ("start", "end")):
-                root = element if root is None else root
-                if event == "end" and element.tag == "vType" and "id" in element.attrib:
-                    yield dict(element.attrib)
-                elif event == "end" and element.tag in ("vehicle", "trip", "flow", "person"):
-                    root.clear()  # route files of a city are large
+        yield from (dict(one.attrib) for one in _elements(path, "vType") if "id" in one.attrib)
     except UNREADABLE as error:
         raise ConfigError(f"file {path} cannot be read as XML: {error}") from None
+
+
+def first_departure_s(routes: Path) -> float:
+    """Returns when the first of a file's vehicles and flows departs, in whole s; 0 without any.
+
+    Raises:
+        ConfigError: the file cannot be read, or a time is no number of seconds.
+    """
+    try:
+        times = (
+            float(one.get("depart", one.get("begin", "0"))) for one in _elements(routes, *_MOVING)
+        )
+        first_s = min(times, default=0.0)  # not only the first: flows may stand after vehicles
+    except UNREADABLE as error:
+        raise ConfigError(f"traffic.routes: {routes} cannot be read as XML: {error}") from None
+    except ValueError as error:
+        raise ConfigError(f"traffic.routes: {routes}: times must be in seconds: {error}") from None
+    return float(math.floor(first_s)) if math.isfinite(first_s) else 0.0
+
+
+def _elements(path: Path, *tags: str) -> Iterator[ElementTree.Element]:
+    """Yields elements of a route file that is not held in memory: those of a city are large."""
+    with open_file(path) as stream:
+        root: ElementTree.Element | None = None
+        for event, element in ElementTree.iterparse(stream, ("start", "end")):
+            root = element if root is None else root
+            if event == "end" and element.tag in tags:
+                yield element
+            if event == "end" and element.tag in _MOVING:
+                root.clear()
 
 
 UPSTREAM_M = 200.0

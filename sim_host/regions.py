@@ -13,6 +13,7 @@ import numpy as np
 
 from protocol.approaches import Approaches
 from protocol.errors import ConfigError, did_you_mean
+from protocol.extras import to_install
 from protocol.roadmap import RoadMap
 
 _SEED = 1
@@ -64,7 +65,7 @@ def _cut(road_map: RoadMap, known: list[str], regions: int) -> list[int]:
     try:
         import pymetis
     except ImportError:
-        raise ConfigError("regions: pymetis is missing: pip install 'cpnet-edge[sim]'") from None
+        raise ConfigError(f"regions: pymetis is missing: {to_install('sim')}") from None
     number = {tls: index for index, tls in enumerate(known)}
     joined: list[set[int]] = [set() for _ in known]
     for one in road_map.intersections:

@@ -21,7 +21,13 @@ from protocol.version import own_version
 from sensing.config import SceneConfig
 from sim_host.city_demand import write_city_demand
 from sim_host.config import TrafficConfig
-from sim_host.demand import sized, types_of_demand, types_of_files, write_demand
+from sim_host.demand import (
+    first_departure_s,
+    sized,
+    types_of_demand,
+    types_of_files,
+    write_demand,
+)
 from sim_host.junctions import DEMAND_VPH_PER_LANE, write_net
 from sim_host.limits import MAX_HEIGHT_M
 from sim_host.netfile import UNREADABLE, Net, open_file, read_net
@@ -98,6 +104,7 @@ def _is_near(ring: Ring, centres: Sequence[tuple[float, float, float]]) -> bool:
 
 SUMO_FOLDER = "sumo"
 OWN_CONFIG = "world.sumocfg"
+OWN_ROUTES = "demand.rou.xml"
 
 
 def build_setup(scenario: dict[str, Any], run_dir: Path) -> Setup:
@@ -181,7 +188,7 @@ def traffic_config(scenario: dict[str, Any]) -> TrafficConfig:
 def _located(scenario: dict[str, Any]) -> tuple[dict[str, Any], TrafficConfig]:
     """Returns the scenario with its SUMO files as absolute paths, and its traffic section."""
     traffic = traffic_config(scenario)
-    given = {"net": traffic.net, "sumocfg": traffic.sumocfg}
+    given = {"net": traffic.net, "routes": traffic.routes, "sumocfg": traffic.sumocfg}
     paths = {key: str(Path(name).resolve()) for key, name in given.items() if name}
     section = {**scenario.get("traffic", {}), **paths}
     return {**scenario, "traffic": section}, traffic.model_copy(update=paths)
@@ -211,8 +218,13 @@ def _own_world(
         traffic = traffic.model_copy(update={"demand_vph_per_lane": demand})
     net = read_net(path)
     roads = road_map(net, junctions)
-    _write_demand(folder / "demand.rou.xml", net, roads, traffic)
-    _write_config(folder / OWN_CONFIG, net)
+    if traffic.routes:
+        routes = Path(traffic.routes)
+        types = types_of_files([routes])
+        _write_config(folder / OWN_CONFIG, net, routes, begin_s=first_departure_s(routes))
+        return roads, types
+    _write_demand(folder / OWN_ROUTES, net, roads, traffic)
+    _write_config(folder / OWN_CONFIG, net, Path(OWN_ROUTES))
     types = types_of_demand(traffic.vehicles)
     if traffic.pedestrians_per_hour:
         types.append(sized(PEDESTRIAN_TYPE, "pedestrian"))
@@ -240,11 +252,12 @@ def _write_demand(path: Path, net: Net, roads: RoadMap, traffic: TrafficConfig) 
     _log.info("degree of saturation: %s", {tls: round(x, 2) for tls, x in degrees.items()})
 
 
-def _write_config(path: Path, net: Net) -> None:
+def _write_config(path: Path, net: Net, routes: Path, *, begin_s: float = 0.0) -> None:
     path.write_text(
         "<configuration>\n"
         f"  <input><net-file value={quoteattr(str(net.path.resolve()))}/>"
-        '<route-files value="demand.rou.xml"/></input>\n'
+        f"<route-files value={quoteattr(str(routes))}/></input>\n"
+        f'  <time><begin value="{begin_s:g}"/></time>\n'
         "</configuration>\n",
         encoding="utf-8",
     )

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 from protocol.errors import ConfigError
+from protocol.extras import to_install
 
 _NETCONVERT_TIMEOUT_S = 60
 
@@ -24,7 +25,7 @@ def sumo_home() -> Path:
     """
     spec = importlib.util.find_spec("sumo")
     if spec is None or not spec.submodule_search_locations:
-        raise ConfigError("SUMO is not installed: pip install 'cpnet-edge[sim]'")
+        raise ConfigError(f"SUMO is not installed: {to_install('sim')}")
     return Path(spec.submodule_search_locations[0])
 
 
@@ -38,8 +39,8 @@ def load_libsumo() -> ModuleType:
         return importlib.import_module("libsumo")
     except ImportError as error:
         raise ConfigError(
-            f"libsumo cannot be loaded: {error}; pip install 'cpnet-edge[sim]', and see "
-            "`cpnet doctor` for system libraries"
+            f"libsumo cannot be loaded: {error}; {to_install('sim')}, and see `cpnet doctor` for "
+            "system libraries"
         ) from None
 
 

@@ -2,23 +2,27 @@
 
 Without a network and other processes to wait for, one core runs much faster than real time, which
 studies of many runs need. SUMO's state is global, so one run at a time.
+
+`perceived_frames` pauses each frame between perception and control, for programs that look on or
+decide for themselves.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 from edge_server.role import EdgeRole
 from infra_agent.role import InfraRole
-from protocol.errors import BusError
+from protocol.bus import Bus
+from protocol.errors import BusError, ConfigError
 from protocol.in_process import InProcessRouter
 from protocol.inbox import Inbox
-from protocol.instances import ROUTER, instances_of
+from protocol.instances import ROUTER, instances_of, role_of
 from protocol.limits import MAX_BATCH
 from protocol.messages import Setup
 from protocol.process import Context, Role, deliver
@@ -28,11 +32,13 @@ from recording.role import RecordRole
 from signal_controller.role import SignalRole
 from sim_host.role import SimRole
 from sim_host.setup import build_setup
+from studies.simulated_frame import FrameCollector, SimulatedFrame
 from v2x_router.role import RouterRole
 from vehicle_agent.role import VehicleRole
 
 IDLE_S = 0.001  # between polls when no message is waiting, as at the recorder's end
 STALL_NS = 120_000_000_000
+_RUNS = threading.Lock()
 Builder = Callable[[Context], Role]
 
 
@@ -58,6 +64,11 @@ class _RoleSlot:
             delivered += 1
         self._role.poll()
         return delivered > 0
+
+    def wait(self) -> None:
+        """Waits until something comes in, such as from threads of the role, or for `IDLE_S`."""
+        if (item := self._context.inbox.get(IDLE_S)) is not None:
+            deliver(self._role, self._context.inbox, item)
 
     def close(self) -> None:
         """Closes the role and its buses, once."""
@@ -89,18 +100,59 @@ def run_setup_in_process(setup: Setup, run_dir: Path) -> None:
         ConfigError: the scenario cannot be run.
         BusError: the roles wait for each other.
     """
+    for _ in _frames(setup, run_dir, None):
+        pass
+
+
+def perceived_frames(setup: Setup, run_dir: Path) -> Iterator[SimulatedFrame]:
+    """Runs what a setup describes; yields each frame once it is perceived, before signals decide.
+
+    A policy of this program is asked only after that. When the iterator is closed, the run ends.
+
+    Raises:
+        ConfigError: the scenario cannot be run.
+        BusError: the roles wait for each other.
+    """
+    return _frames(setup, run_dir, FrameCollector(setup))
+
+
+def _frames(
+    setup: Setup, run_dir: Path, collector: FrameCollector | None
+) -> Iterator[SimulatedFrame]:
     (run_dir / "setup.msgpack").write_bytes(encode(setup))
     buses = _Buses(setup, run_dir)
     sim_builder, builders = _role_builders(setup.scenario)
     with ExitStack() as stack:
+        stack.enter_context(_the_only_run())
 
         def slot(name: str, build: Builder) -> _RoleSlot:
             made = _RoleSlot(name, buses.context(name), build)
             stack.callback(made.close)
             return made
 
+        if collector is not None:
+            for bus in BusName:
+                collector.subscribe(buses.bus(bus, collector.inbox), bus)
         sim = slot("sim", sim_builder)  # closed last: others may still query it
-        _run_until_done(sim, [slot(name, build) for name, build in builders])
+        yield from _run_until_done(sim, [slot(name, build) for name, build in builders], collector)
+
+
+@contextmanager
+def _the_only_run() -> Iterator[None]:
+    """Guards SUMO's state, of which a process has one.
+
+    Raises:
+        ConfigError: another run of this process has not ended.
+    """
+    if not _RUNS.acquire(blocking=False):
+        raise ConfigError(
+            "another run of this process has not ended, and SUMO takes one at a time: close its "
+            "frames or environment first"
+        )
+    try:
+        yield
+    finally:
+        _RUNS.release()
 
 
 def _role_builders(scenario: dict[str, Any]) -> tuple[Builder, list[tuple[str, Builder]]]:
@@ -133,6 +185,10 @@ class _Buses:
         self._run_dir = run_dir
         self._buses = {name: InProcessRouter(name) for name in BusName}
 
+    def bus(self, name: BusName, inbox: Inbox) -> Bus:
+        """Returns an access of its own to a bus."""
+        return self._buses[name].bus(inbox)
+
     def context(self, name: str) -> Context:
         """Returns the context of the role of this name."""
         inbox = Inbox()
@@ -149,24 +205,45 @@ class _Buses:
         )
 
 
-def _run_until_done(sim: _RoleSlot, roles: list[_RoleSlot]) -> None:
+def _run_until_done(
+    sim: _RoleSlot, roles: list[_RoleSlot], collector: FrameCollector | None
+) -> Iterator[SimulatedFrame]:
     """Polls all roles in turn until the simulation is done and the recorder has stopped.
 
     Agents stop at the end of the run; edge and signal controller as soon as nothing is left to do.
+    Signal controllers have no turn while a frame is perceived; then the frame is yielded.
     """
     record = next(slot for slot in roles if slot.name == "record")
+    controllers = [slot for slot in roles if role_of(slot.name) == "signal"]
+    decoding = [slot for slot in roles if role_of(slot.name) == "edge"]
+    others = [slot for slot in (sim, *roles) if slot not in controllers]
     busy_ns = time.monotonic_ns()
     while not (sim.is_done and record.is_closed):
-        moved = False
-        for slot in [sim, *roles]:
-            if slot.is_closed or (slot is sim and sim.is_done):
-                continue
-            moved |= slot.turn()
-            if slot is not sim and slot.is_done:
-                slot.close()
+        moved = _take_turns([slot for slot in others if slot is not sim or not sim.is_done], sim)
+        if collector is None:
+            moved |= _take_turns(controllers, sim)
+        else:
+            frame = collector.take()
+            if frame is not None:
+                yield frame
+            if not collector.is_waiting:
+                moved |= _take_turns(controllers, sim)
+            moved |= frame is not None
         if moved:
             busy_ns = time.monotonic_ns()
         elif time.monotonic_ns() - busy_ns > STALL_NS:
             raise BusError("no role received a message for two minutes: they wait for each other")
         else:
-            time.sleep(IDLE_S)
+            next((slot for slot in decoding if not slot.is_closed), sim).wait()
+
+
+def _take_turns(slots: list[_RoleSlot], sim: _RoleSlot) -> bool:
+    """Gives each role a turn and closes those that are done; tells whether there were messages."""
+    moved = False
+    for slot in slots:
+        if slot.is_closed:
+            continue
+        moved |= slot.turn()
+        if slot is not sim and slot.is_done:
+            slot.close()
+    return moved

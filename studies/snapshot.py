@@ -57,7 +57,7 @@ class Snapshot:
 
 
 def load_snapshot(run: Run, frame: int | None) -> Snapshot:
-    """Reads a frame whose uploads were recorded; the last of them if `frame` is None.
+    """Reads a frame whose uploads were recorded; of those the fullest if `frame` is None.
 
     Raises:
         ConfigError: no uploads of this frame were recorded, or the folder lacks its setup.
@@ -105,7 +105,13 @@ def _choose(run: Run, frame: int | None) -> int:
         more = " …" if len(kept) > _LISTED else ""
         known = ", ".join(map(str, kept[:_LISTED])) + more
         raise ConfigError(f"{run.dir} holds no uploads of frame {frame}; it has {known}")
-    return kept[-1] if frame is None else frame
+    return _fullest(run, kept) if frame is None else frame
+
+
+def _fullest(run: Run, kept: list[int]) -> int:
+    """Returns the frame of most detections, the last of several: there is most to see."""
+    found = dict(run.query("SELECT frame, COUNT(*) FROM detections GROUP BY frame"))
+    return max(kept, key=lambda frame: (found.get(frame, 0), frame))
 
 
 def _clouds(rows: list[CloudRow], vehicles: set[str]) -> list[AgentCloud]:
@@ -145,7 +151,7 @@ def draw_frame(run_dir: Path, frame: int | None, png_path: Path | None) -> Path:
 
     Args:
         run_dir: the run's folder.
-        frame: a frame whose uploads were recorded; None for the last of them.
+        frame: a frame whose uploads were recorded; None for the fullest of them.
         png_path: the picture to write; None for `frame-N.png` in the run's folder.
 
     Raises:

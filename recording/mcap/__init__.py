@@ -12,8 +12,9 @@ Importing it raises ConfigError where the extra `mcap` is not installed.
 from importlib.util import find_spec
 
 from protocol.errors import ConfigError
+from protocol.extras import to_install
 
 if missing := [
     name for name in ("mcap", "mcap_protobuf", "foxglove_schemas_protobuf") if not find_spec(name)
 ]:
-    raise ConfigError(f"MCAP recordings need {', '.join(missing)}: pip install 'cpnet-edge[mcap]'")
+    raise ConfigError(f"MCAP recordings need {', '.join(missing)}: {to_install('mcap')}")

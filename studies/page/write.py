@@ -6,7 +6,6 @@ What draws and lays out is imported when a page is written: a run needs none of 
 from __future__ import annotations
 
 import re
-import sys
 from base64 import b64encode
 from collections.abc import Callable
 from functools import cache
@@ -17,6 +16,7 @@ from typing import Any, Literal
 
 from protocol.config import is_folder
 from protocol.errors import ConfigError
+from protocol.extras import to_install
 from studies.page.model import (
     Block,
     Chart,
@@ -63,8 +63,7 @@ def _save(path: Path, option: str, extra: str, rendered: Callable[[], str]) -> N
         text = rendered()
     except ModuleNotFoundError as error:
         raise ConfigError(
-            f"{option} needs {error.name} (extra `{extra}`): "
-            f"{sys.executable} -m pip install 'cpnet-edge[{extra}]'"
+            f"{option} needs {error.name} (extra `{extra}`): {to_install(extra)}"
         ) from None
     try:
         path.write_text(text, "utf-8")

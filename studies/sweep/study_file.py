@@ -6,7 +6,7 @@ From top to bottom: names that an axis may not have, axes and their combinations
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from itertools import product
@@ -330,6 +330,15 @@ def read_study(what: str) -> StudyFile:
     if not isinstance(data, dict):
         raise ConfigError(f"{what}: holds a {type(data).__name__}, needs keys and values")
     return StudyFile(_validated(data, what), what, path.parent)
+
+
+def study_of(data: Mapping[str, Any]) -> StudyFile:
+    """Returns a study from what a file would hold.
+
+    Raises:
+        ConfigError: it is invalid.
+    """
+    return StudyFile(_validated(dict(data), "the study"), "the study", Path())
 
 
 def _validated(data: dict[str, Any], source: str) -> Study:

@@ -1,0 +1,36 @@
+"""Finds a user's own module, such as `protocol.py`, that hides a package of cpnet.
+
+cpnet's packages have plain names. A file of such a name in the folder of a script, in the current
+one under `python -m`, or on PYTHONPATH comes first, and what fails then names neither.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+PACKAGES = (
+    *("cpnet", "protocol", "perception", "sensing", "sim_host", "vehicle_agent", "infra_agent"),
+    *("edge_server", "link_relay", "v2x_router", "signal_controller", "recording", "learning"),
+    *("studies", "viewer"),
+)
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def check_packages() -> None:
+    """Checks that each package of cpnet is the one beside this.
+
+    Raises:
+        ImportError: another module hides one; the text names its file.
+    """
+    for name in PACKAGES:
+        spec = find_spec(name)
+        if spec is None:
+            raise ImportError(f"cpnet's package {name} is missing in {ROOT}: install cpnet anew")
+        places = [spec.origin] if spec.origin else list(spec.submodule_search_locations or ())
+        found = Path(places[0]).resolve() if places else None
+        if found is None or not found.is_relative_to(ROOT / name):
+            raise ImportError(
+                f"{found} hides cpnet's package {name}, which is in {ROOT / name}: rename it, or "
+                "take its folder off PYTHONPATH, or start cpnet in another folder"
+            )

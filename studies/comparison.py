@@ -1,0 +1,84 @@
+"""Two runs side by side: their measures, the difference, and how much that is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from studies.summary import Summary, summarise
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """A figure of a run's summary: how it is called, where it is, in which unit and digits."""
+
+    name: str
+    unit: str
+    digits: int
+    of: Callable[[Summary], float | None]
+
+
+def _at(*keys: str, factor: float = 1.0) -> Callable[[Summary], float | None]:
+    def find(summary: Summary) -> float | None:
+        value: Any = summary
+        for key in keys:
+            value = value.get(key) if isinstance(value, dict) else None
+        return None if value is None else factor * float(value)
+
+    return find
+
+
+METRICS = (
+    Metric("delay per vehicle", "s", 2, _at("delay_s", "mean")),
+    Metric("E-CVPR", "%", 1, _at("e_cvpr", "mean", factor=100)),
+    Metric("false detections a frame", "", 2, _at("detections_per_frame", "false")),
+    Metric("uplink of all agents", "Mbit/s", 2, _at("uplink_mbps", "mean")),
+    Metric("uplink, peak", "Mbit/s", 2, _at("uplink_mbps", "peak")),
+    Metric("end-to-end latency, p50", "ms", 1, _at("latency_ms", "end_to_end", "p50")),
+    Metric("end-to-end latency, p95", "ms", 1, _at("latency_ms", "end_to_end", "p95")),
+    Metric("vehicles that arrived", "", 0, _at("vehicles", "finished")),
+    Metric("vehicles that wait to enter", "", 0, _at("vehicles", "waiting")),
+    Metric("changes of green", "", 0, _at("phases", "switches")),
+    Metric("frames", "", 0, _at("frames")),
+    Metric("incomplete frames", "", 0, _at("frames_incomplete")),
+    Metric("messages dropped", "", 0, _at("drops")),
+)
+
+
+def print_comparison(run: Path, other: Path, console: Console) -> None:
+    """Prints a table of both runs' measures; one that neither has is left out.
+
+    Raises:
+        ConfigError: one of the folders is no run.
+    """
+    summaries = summarise(run), summarise(other)
+    table = Table("", box=box.SIMPLE_HEAD, pad_edge=False)
+    for head in (run.name, other.name, "difference", ""):
+        table.add_column(head, justify="right")
+    for metric in METRICS:
+        a, b = (metric.of(summary) for summary in summaries)
+        if a is None and b is None:
+            continue
+        unit = f" in {metric.unit}" if metric.unit else ""
+        numbers = [_number(a, metric.digits), _number(b, metric.digits)]
+        table.add_row(f"{metric.name}{unit}", *numbers, *_difference(a, b, metric.digits))
+    console.print(table)
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+def _difference(a: float | None, b: float | None, digits: int) -> tuple[str, str]:
+    """Returns how much the first is more than the second, and that in % of the second."""
+    if a is None or b is None:
+        return "", ""
+    if a == b:
+        return "0", ""
+    return f"{a - b:+.{digits}f}", f"{100 * (a - b) / abs(b):+.1f} %" if b else ""

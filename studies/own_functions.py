@@ -1,0 +1,182 @@
+"""Plain functions in the place of cpnet's parts: each is made into a plug-in of its kind.
+
+A function knows neither configuration nor road; whoever needs them, or memory for each signal or
+agent, gives what an entry point would name (a class or `Policy`), see docs/plugins.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from edge_server.config import FUSIONS, FusionConfig
+from edge_server.fusion import FusionMaker
+from perception.arrays import Bools, Bytes, Floats
+from perception.config import DETECTORS
+from perception.detector import Cloud, DetectorMaker, Stage, Vehicles, untimed
+from perception.roadway import Roadway
+from protocol.errors import ConfigError
+from protocol.geometry import SE3
+from protocol.messages import AgentPose
+from protocol.plugins import OWN
+from protocol.roadmap import Signal
+from protocol.scans import RangeScan, ScanPattern
+from sensing.config import UploadConfig
+from sensing.upload_policies import NAMES, Policy
+from sensing.upload_selection import NOT_SENT
+from signal_controller.config import POLICIES, SignalConfig
+from signal_controller.observation import Observation, SignalSite
+from signal_controller.policies import Decision, PolicyMaker
+
+OwnDetector: TypeAlias = Callable[[Cloud], Floats | Vehicles] | DetectorMaker
+"""Cloud to boxes (N, 7), or (N, 8) with a score from 0 to 1 at the end, or `Vehicles`.
+
+Boxes are x, y, z of the centre, length, width, height in m and yaw in rad, map frame.
+"""
+OwnUpload: TypeAlias = Callable[[RangeScan, SE3], Bools] | Policy
+"""Scan and estimated `map_SE3_sensor` to the beams (channels, columns) that are sent."""
+OwnFusion: TypeAlias = Callable[[Vehicles, list[AgentPose]], Vehicles] | FusionMaker
+"""What was found and the agents' poses to the vehicles of the frame, each once."""
+OwnController: TypeAlias = Callable[[Observation, Signal], int | str] | PolicyMaker
+"""Observation and signal to a green: an index into `signal.greens`, or a state of links."""
+
+
+@dataclass(frozen=True, slots=True)
+class OwnParts:
+    """Parts of the calling program; those that are None are as the scenario says."""
+
+    detector: OwnDetector | None = None
+    upload: OwnUpload | None = None
+    fusion: OwnFusion | None = None
+    controller: OwnController | None = None
+
+    def settings(self) -> dict[str, Any]:
+        """Returns the scenario keys that name them."""
+        return {key: name for key, _, name, _ in self._rows()}
+
+    def plugins(self) -> dict[tuple[str, str], Any]:
+        """Returns them as plug-ins, by group and name, for `protocol.plugins.provided`."""
+        return {(group, name): plugin for _, group, name, plugin in self._rows()}
+
+    def _rows(self) -> list[tuple[str, str, str, Any]]:
+        parts: Mapping[str, tuple[str, Any, Callable[[Any], Any]]] = {
+            "edge.detector": (DETECTORS.group, self.detector, _detector_maker),
+            "upload.policy": (NAMES.group, self.upload, _upload_policy),
+            "edge.fusion.rule": (FUSIONS.group, self.fusion, _fusion_maker),
+            "signal.policy": (POLICIES.group, self.controller, _policy_maker),
+        }
+        return [
+            (key, group, _name(key, part), part if _is_maker(part) else made(part))
+            for key, (group, part, made) in parts.items()
+            if part is not None
+        ]
+
+
+def _is_maker(part: object) -> bool:
+    return isinstance(part, type | Policy)
+
+
+def _name(key: str, part: object) -> str:
+    """Returns the name by which a scenario calls it."""
+    if not callable(part) and not isinstance(part, Policy):
+        raise ConfigError(f"{key}: a {type(part).__name__} was given, must be a function")
+    return f"{OWN}{getattr(part, '__name__', type(part).__name__)}"
+
+
+def _detector_maker(function: Callable[[Cloud], Floats | Vehicles]) -> DetectorMaker:
+    return lambda config, roadway: _FunctionDetector(function)  # noqa: ARG005
+
+
+@dataclass(frozen=True, slots=True)
+class _FunctionDetector:
+    function: Callable[[Cloud], Floats | Vehicles]
+
+    def detect(self, cloud: Cloud, rng: np.random.Generator, stage: Stage = untimed) -> Vehicles:  # noqa: ARG002
+        """See `Detector.detect`."""
+        with stage("detect"):
+            found = self.function(cloud)
+        if isinstance(found, Vehicles):
+            return found
+        rows = np.asarray(found, np.float64)
+        if rows.size == 0:
+            rows = rows.reshape(0, 7)
+        if rows.ndim != 2 or rows.shape[1] not in (7, 8):
+            raise ConfigError(
+                f"the detector {_name('edge.detector', self.function)} of this program returned "
+                f"{rows.shape}, must return boxes (N, 7), with scores (N, 8), or Vehicles"
+            )
+        scores = rows[:, 7] if rows.shape[1] == 8 else np.ones(len(rows))
+        return Vehicles.from_lidar(rows[:, :7], scores)
+
+
+def _upload_policy(function: Callable[[RangeScan, SE3], Bools]) -> Policy:
+    def chooser(config: UploadConfig, roadway: Roadway, pattern: ScanPattern) -> _FunctionChooser:  # noqa: ARG001
+        return _FunctionChooser(function)
+
+    return Policy("a function of the program that runs it", chooser=chooser)
+
+
+@dataclass(frozen=True, slots=True)
+class _FunctionChooser:
+    function: Callable[[RangeScan, SE3], Bools]
+
+    def choose(self, scan: RangeScan, map_SE3_sensor: SE3) -> Bytes:
+        """See `Chooser.choose`."""
+        sent = np.asarray(self.function(scan, map_SE3_sensor))
+        if sent.dtype != np.bool_:
+            raise ConfigError(
+                f"the upload policy {_name('upload.policy', self.function)} of this program "
+                f"returned {sent.dtype}, must return a mask of bool {scan.range_m.shape}; whoever "
+                "has several chunks gives a Policy"
+            )
+        return np.where(sent, 0, NOT_SENT).astype(np.uint8)
+
+
+def _fusion_maker(function: Callable[[Vehicles, list[AgentPose]], Vehicles]) -> FusionMaker:
+    def make(config: FusionConfig, centres: Floats) -> _FunctionFusion:  # noqa: ARG001
+        return _FunctionFusion(function)
+
+    return make
+
+
+@dataclass(frozen=True, slots=True)
+class _FunctionFusion:
+    function: Callable[[Vehicles, list[AgentPose]], Vehicles]
+
+    def fuse(self, found: Vehicles, poses: list[AgentPose]) -> Vehicles:
+        """See `Fusion.fuse`."""
+        return self.function(found, poses)
+
+
+def _policy_maker(function: Callable[[Observation, Signal], int | str]) -> PolicyMaker:
+    def make(config: SignalConfig, site: SignalSite) -> _FunctionPolicy:  # noqa: ARG001
+        return _FunctionPolicy(function, site.signal)
+
+    return make
+
+
+@dataclass(frozen=True, slots=True)
+class _FunctionPolicy:
+    function: Callable[[Observation, Signal], int | str]
+    signal: Signal
+
+    @property
+    def needs_vehicles(self) -> bool:
+        """Always: the function is given all that is known."""
+        return True
+
+    def decide(self, observation: Observation) -> Decision:
+        """See `SignalPolicy.decide`."""
+        chosen, greens = self.function(observation, self.signal), self.signal.greens
+        name = _name("signal.policy", self.function)
+        if isinstance(chosen, str):
+            return Decision(chosen, [], name)
+        if not 0 <= int(chosen) < len(greens):
+            raise ConfigError(
+                f"the controller {name} of this program chose green {chosen} of {self.signal.tls}, "
+                f"which has 0 to {len(greens) - 1}"
+            )
+        return Decision(greens[int(chosen)], [], name)

@@ -1,0 +1,109 @@
+"""Functions are compiled ahead, once, by several processes, in an order without double work."""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from cpnet import compiling
+from protocol.errors import ConfigError
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "cpnet"
+
+
+@pytest.fixture
+def compiled(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, set[str]]]:
+    """What would be compiled, call by call."""
+    calls: list[dict[str, set[str]]] = []
+
+    def keep(todo, jobs, advance) -> None:
+        calls.append(todo)
+        for _ in todo:
+            advance()
+
+    monkeypatch.setattr(compiling, "_compile", keep)
+    return calls
+
+
+def test_it_says_so_and_does_it_once(cache, compiled) -> None:
+    written = io.StringIO()
+    assert compiling.compile_ahead(Console(file=written)) == len(compiled[0]) > 30
+    assert written.getvalue().startswith(f"compiling, once: {len(compiled[0])} modules on ")
+    assert (cache / "compiled.json").is_file()
+    assert compiling.compile_ahead(Console(file=written)) == 0
+    assert len(compiled) == 1
+    assert written.getvalue().count("\n") == 1
+
+
+def test_only_what_changed_is_compiled_again(cache, compiled, monkeypatch) -> None:
+    stamps = compiling._stamps()
+    compiling.compile_ahead(Console(quiet=True))
+    monkeypatch.setattr(compiling, "_stamps", lambda: stamps | {"perception.thin": "changed"})
+    compiling.compile_ahead(Console(quiet=True))
+    assert compiled[1] == {"perception.thin": set()}
+
+
+def test_another_cpu_or_version_of_numba_compiles_all(cache, compiled, monkeypatch) -> None:
+    compiling.compile_ahead(Console(quiet=True))
+    monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
+    compiling.compile_ahead(Console(quiet=True))
+    assert compiled[1].keys() == compiled[0].keys()
+
+
+def test_a_module_waits_for_those_that_it_imports(cache, compiled) -> None:
+    compiling.compile_ahead(Console(quiet=True))
+    (todo,) = compiled
+    assert "perception.roadway" in todo["perception.fast"]
+    assert "protocol.codec.rans" in todo["protocol.codec.symbols"]
+    done: set[str] = set()
+    while len(done) < len(todo):
+        ready = {name for name, needs in todo.items() if needs <= done} - done
+        assert ready, "modules wait for each other"
+        done |= ready
+
+
+def test_a_damaged_stamp_is_no_stamp(cache, compiled) -> None:
+    compiling.compile_ahead(Console(quiet=True))
+    for text in ("{", "[]", '{"x": 1}', ""):
+        (cache / "compiled.json").write_text(text)
+        assert compiling.compile_ahead(Console(quiet=True)) > 30
+
+
+def test_a_cache_that_cannot_be_written_is_named(tmp_path, compiled, monkeypatch) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(file / "below"))
+    with pytest.raises(ConfigError, match=r"NUMBA_CACHE_DIR is .*below, which cannot be written"):
+        compiling.compile_ahead(Console(quiet=True))
+
+
+def test_without_a_home_there_is_a_folder_that_only_the_user_may_write(
+    tmp_path, compiled, monkeypatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
+    folder = tmp_path / f"cpnet-cache-{os.getuid()}"
+    assert compiling.compile_ahead(Console(quiet=True)) > 30
+    assert folder.stat().st_mode & 0o777 == 0o700
+    folder.chmod(0o777)
+    with pytest.raises(ConfigError, match="is another user's: set NUMBA_CACHE_DIR"):
+        compiling.compile_ahead(Console(quiet=True))
+
+
+@pytest.mark.slow
+def test_processes_import_each_module_after_its_own(tmp_path) -> None:
+    todo = {"protocol.codec.rans": set(), "protocol.codec.symbols": {"protocol.codec.rans"}}
+    advanced: list[None] = []
+    compiling._compile(todo, 2, lambda: advanced.append(None))
+    assert len(advanced) == 2
