@@ -19,10 +19,11 @@ from cpnet.compiling import compile_ahead
 from cpnet.study_cells import planned, resolved
 from protocol.errors import ConfigError
 from protocol.extras import to_install
+from studies.control_file import ControlStudy, read_control_study
 from studies.page.model import Page, Section
 from studies.page.write import check_target, save_html, save_markdown
 from studies.sweep.cells import Cell, PartKind, ResultStore
-from studies.sweep.study_file import Accuracy, Study, read_study
+from studies.sweep.study_file import Accuracy, Study, path_of, read_study
 
 if TYPE_CHECKING:
     from studies.sweep.engine import Failure
@@ -63,6 +64,11 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
         raise ConfigError(
             "--scheduler: goes with neither --jobs nor --keep-runs: its workers decide"
         )
+    found = _control_study(what, assigned(set_), _seeds(seeds), net)
+    if found is not None:
+        elsewhere = scheduler is not None or keep_runs or tls is not None
+        _run_control(found, out, jobs, markdown, as_json=as_json, elsewhere=elsewhere)
+        return
     file = read_study(what)
     own = {
         "traffic.net": net and str(net.resolve()),
@@ -97,6 +103,56 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
         if not as_json:
             console.print(f"wrote {report}", highlight=False, soft_wrap=True)
     raise typer.Exit(1 if failures else 0)
+
+
+def _control_study(
+    what: str, changes: dict[str, Any], seeds: list[int], net: Path | None
+) -> ControlStudy | None:
+    """Returns a study of signal policies on SUMO alone; None if it is of another kind."""
+    own: dict[str, Any] = {} if net is None else {"nets": {str(net): [1.0]}}
+    return read_control_study(path_of(what), changes | own | ({"seeds": seeds} if seeds else {}))
+
+
+def _run_control(
+    study: ControlStudy,
+    out: Path | None,
+    jobs: int | None,
+    markdown: Path | None,
+    *,
+    as_json: bool,
+    elsewhere: bool,
+) -> None:
+    """Runs what is missing of such a study; then prints and writes its tables.
+
+    Raises:
+        ConfigError: it is to run `elsewhere` or to keep what it does not have.
+    """
+    if elsewhere:
+        raise ConfigError(f"study {study.name}: goes with none of --scheduler, --keep-runs, --tls")
+    with _explained_if_missing():
+        from recording.database import versions
+        from studies.control_page import control_page, print_control_study
+        from studies.control_study import run_control_study, summaries
+        from studies.sweep.cluster import usable_cores
+    if markdown is not None:
+        check_target(markdown, "--markdown")
+    folder = out or Path("runs") / f"study-{study.name}"
+
+    def report(done: int, total: int, last: str) -> None:
+        errors.print(f"{done}/{total}  {last}", markup=False, highlight=False, soft_wrap=True)
+
+    results = run_control_study(study, folder, jobs or len(usable_cores()), report)
+    rows = summaries(study, results)
+    if as_json:
+        typer.echo(json.dumps(rows, indent=2))
+    else:
+        print_control_study(rows, console)
+    page = control_page(study, rows, shlex.join(["cpnet", *sys.argv[1:]]), versions())
+    save_html(page, folder / REPORT)
+    if markdown is not None:
+        save_markdown(page, markdown)
+    if not as_json:
+        console.print(f"wrote {folder / REPORT}", highlight=False, soft_wrap=True)
 
 
 def _run(

@@ -142,10 +142,12 @@ class PredictivePlanner:
         chosen = [i for i, lane in enumerate(vehicles.lanes) if lane in upstream]
         if chosen:
             lanes = [vehicles.lanes[i] for i in chosen]
-            targets = [model.lane_index[upstream[lane].counts_for] for lane in lanes]
-            after_s = memory.arrival_s(
-                vehicles.distances_m[chosen], vehicles.speeds_mps[chosen], model.speeds_mps[targets]
+            distances_m = vehicles.distances_m[chosen]
+            free_s = np.array(
+                [model.free_flow_s(*of) for of in zip(lanes, distances_m.tolist(), strict=True)]
             )
+            limits_mps = np.maximum(1.0, distances_m / np.maximum(free_s, 0.1))
+            after_s = memory.arrival_s(distances_m, vehicles.speeds_mps[chosen], limits_mps)
             at = np.minimum(after_s / STEP_S, steps).astype(np.int64)
             for lane, step in zip(lanes, at.tolist(), strict=True):
                 if step < steps:
@@ -153,8 +155,7 @@ class PredictivePlanner:
         for lane, count in estimated.items():
             index = model.lane_index[lane]
             result[index, 0] += max(0.0, count - result[index].sum())
-        seen_s = model.reach_m / model.speeds_mps
-        unseen = np.arange(steps)[None, :] * STEP_S >= seen_s[:, None]
+        unseen = np.arange(steps)[None, :] * STEP_S >= model.reach_s[:, None]
         result += unseen * memory.arrivals_per_s[:, None] * STEP_S
         return result
 

@@ -35,6 +35,15 @@ class Movement:
     links: tuple[int, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """From a lane's end to the stop bar, at the speeds allowed, and the lane's own speed."""
+
+    end_m: float
+    end_s: float
+    speed_mps: float
+
+
 class JunctionModel:
     """Tables of one signal; L lanes, M movements, P phases.
 
@@ -44,6 +53,7 @@ class JunctionModel:
         foes: (P, L, F) lanes with right of way over a lane's permitted movements, -1 for none.
         change_steps: (P, P) from a green's end to the next green's begin.
         min_green_steps: (P,).
+        reach_s: (L,) from where vehicles can be seen to the stop bar, if nothing holds them.
     """
 
     def __init__(self, site: SignalSite, pedestrian_green_s: float) -> None:
@@ -60,8 +70,8 @@ class JunctionModel:
         self.lane_of = np.zeros((len(self.movements), len(self.lanes)))
         for index, movement in enumerate(self.movements):
             self.lane_of[index, movement.lane] = 1.0
-        self.speeds_mps = np.array([_speed_mps(site.road_map, lane) for lane in self.lanes])
-        self.reach_m = np.array([self._reach_m(lane) for lane in self.lanes])
+        self._ways = {lane: self._way(lane) for lane in self.approaches.upstream}
+        self.reach_s = np.array([self._reach_s(lane) for lane in self.lanes])
         self.foes = self._foes()
         self.change_steps = np.array(
             [[_change_steps(a, b, site.cabinet) for b in self.phases] for a in self.phases]
@@ -80,10 +90,39 @@ class JunctionModel:
         alike = [sum(a == b for a, b in zip(green, one, strict=False)) for one in self.phases]
         return alike.index(max(alike))
 
-    def _reach_m(self, lane: str) -> float:
-        """Returns how far before the stop bar vehicles can be seen: the map may end before."""
-        starts_m = [a.start_m for a in self.approaches.upstream.values() if a.counts_for == lane]
-        return min(self.site.upstream_m, max(starts_m, default=0.0))
+    def free_flow_s(self, lane: str, distance_m: float) -> float:
+        """Returns how long a vehicle on a lane takes to the stop bar at the speeds allowed."""
+        way = self._ways[lane]
+        return way.end_s + max(0.0, distance_m - way.end_m) / way.speed_mps
+
+    def _way(self, lane: str) -> _Way:
+        """Follows the lanes from the end of one to the stop bar."""
+        upstream, by_id = self.approaches.upstream, self.site.road_map.by_id
+        length_m = by_id[lane].measured_m if lane in by_id else upstream[lane].start_m
+        end_m = max(0.0, upstream[lane].start_m - length_m)
+        end_s, at = 0.0, lane
+        while at not in self.lane_index:
+            ahead = [
+                name
+                for name in by_id[at].successors
+                if name in upstream and upstream[name].counts_for == upstream[at].counts_for
+            ]
+            nearer = [name for name in ahead if upstream[name].start_m < upstream[at].start_m]
+            if not nearer:
+                break
+            at = max(nearer, key=lambda name: upstream[name].start_m)
+            end_s += by_id[at].measured_m / _speed_mps(self.site.road_map, at)
+        return _Way(end_m, end_s, _speed_mps(self.site.road_map, lane))
+
+    def _reach_s(self, lane: str) -> float:
+        """Returns the time from the farthest place that can be seen: the map may end before."""
+        upstream = self.approaches.upstream
+        starts_m = {name: a.start_m for name, a in upstream.items() if a.counts_for == lane}
+        within = {n: m for n, m in starts_m.items() if self._ways[n].end_m <= self.site.upstream_m}
+        if not within:
+            return 0.0
+        farthest = max(within, key=lambda name: within[name])
+        return self.free_flow_s(farthest, min(self.site.upstream_m, within[farthest]))
 
     def _foes(self) -> Ints:
         by_link = {link: m for m, one in enumerate(self.movements) for link in one.links}

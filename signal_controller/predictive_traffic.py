@@ -36,6 +36,7 @@ _STUCK_PRIOR = 0.02  # that it wants nothing: a ghost, a breakdown
 _ROOM_M = 8.0  # that an exit needs for one more vehicle
 _ACCELERATION_MPS2 = 2.0
 _LOST_AFTER_S = 2.0  # a vehicle unseen for so long is forgotten
+_TURN_OFF_S = 1.5  # one that vanishes so near the end of its lane has turned off there
 
 
 @dataclass(slots=True)
@@ -46,6 +47,7 @@ class _Track:
     incoming: int
     distance_m: float
     time_s: float
+    speed_mps: float = math.nan
     visited: set[str] = field(default_factory=set)
     has_stopped: bool = False
     passed: int = -1
@@ -90,6 +92,7 @@ class TrafficMemory:
         self._heads = [_Head() for _ in range(lanes)]
         self._tracks: dict[str, _Track] = {}
         self._exits = _exit_starts(model)
+        self._ends_m = _lane_ends(model)
         self._has_protected = (model.status == PROTECTED).any(axis=0)
         self._time_s: float | None = None
 
@@ -124,17 +127,25 @@ class TrafficMemory:
         return result
 
     def chosen_lanes(self, lane: str) -> Floats:
-        """Returns the probability (L,) of each stop bar for a vehicle on a lane before them."""
+        """Returns the probability (L,) of each stop bar for a vehicle on a lane before them.
+
+        They sum to less than 1 where vehicles turn off before.
+        """
+        counts = self._choices_of(lane)
+        return np.asarray(counts[:-1] / counts.sum())
+
+    def _choices_of(self, lane: str) -> Floats:
+        """Returns how many vehicles chose each stop bar (L + 1,), the last none of them."""
         counts = self._choice.get(lane)
         if counts is None:
             target = self._model.approaches.upstream[lane].counts_for
-            counts = np.zeros(len(self._model.lanes))
+            counts = np.zeros(len(self._model.lanes) + 1)
             is_own = lane in self._model.lane_index
             counts[self._model.lane_index[target]] = (
                 _OWN_LANE_PRIOR if is_own else _OTHER_LANE_PRIOR
             )
             self._choice[lane] = counts
-        return np.asarray(counts / counts.sum())
+        return counts
 
     def arrival_s(self, distance_m: Floats, speed_mps: Floats, limit_mps: Floats) -> Floats:
         """Returns how long vehicles (N,) take to the stop bar if nothing holds them."""
@@ -225,19 +236,36 @@ class TrafficMemory:
             if track.passed >= 0:
                 self._note_exit(track, lane)
             track.lane, track.distance_m, track.time_s = lane, distance_m, time_s
+            track.speed_mps = speed_mps
         for name in [n for n, t in self._tracks.items() if time_s - t.time_s > _LOST_AFTER_S]:
             track = self._tracks.pop(name)
             if track.incoming >= 0 and track.distance_m < _HEAD_M:
                 self._note_passage(track, track.time_s)
+            elif self._has_turned_off(track):
+                self._note_choice(track, -1)
+
+    def _has_turned_off(self, track: _Track) -> bool:
+        """Whether a vanished vehicle was at the end of a lane that ends before the stop bars.
+
+        Of one that vanishes on its way nothing is known: a detector loses vehicles, too.
+        """
+        end_m = self._ends_m.get(track.lane)
+        if end_m is None or math.isnan(track.speed_mps):
+            return False
+        return track.distance_m - track.speed_mps * _TURN_OFF_S <= end_m
+
+    def _note_choice(self, track: _Track, lane: int) -> None:
+        """Notes which stop bar a vehicle chose; -1 for none."""
+        for visited in track.visited:
+            counts = self._choices_of(visited)
+            counts[lane] += 1
+            if counts.sum() > 100:
+                counts *= 0.5
 
     def _note_passage(self, track: _Track, time_s: float) -> None:
         lane, track.passed, track.incoming = track.incoming, track.incoming, -1
         self._passed[lane] += 1
-        for visited in track.visited:
-            self.chosen_lanes(visited)
-            self._choice[visited][lane] += 1
-            if self._choice[visited].sum() > 100:
-                self._choice[visited] *= 0.5
+        self._note_choice(track, lane)
         since_s = float(np.min(self.green_since_s[self._of_lane[lane]]))
         if track.has_stopped and math.isfinite(since_s):
             is_first = self._last_passage_s[lane] < since_s
@@ -325,3 +353,13 @@ def _exit_starts(model: JunctionModel) -> dict[str, float]:
         if side is not None:
             found[lane] = side.start_m
     return found
+
+
+def _lane_ends(model: JunctionModel) -> dict[str, float]:
+    """Returns the distance to the stop bar of the end of each lane that is not at one."""
+    by_id = model.site.road_map.by_id
+    return {
+        lane: side.start_m - by_id[lane].measured_m
+        for lane, side in model.approaches.upstream.items()
+        if lane in by_id and lane not in model.lane_index
+    }

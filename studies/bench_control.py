@@ -7,6 +7,7 @@ and those that found no room to enter as well.
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import tempfile
 import time
@@ -25,7 +26,7 @@ from rich.console import Console
 from protocol.approaches import Approaches
 from protocol.errors import ConfigError
 from protocol.messages import LaneCounts, SignalRequest
-from protocol.roadmap import RoadMap, Signal
+from protocol.roadmap import RoadMap
 from signal_controller.config import SignalConfig
 from signal_controller.observation import CabinetTimes, LaneVehicles, Observation, SignalSite
 from signal_controller.policies import SignalPolicy, policy_of
@@ -35,7 +36,16 @@ from sim_host.junctions import DEMAND_VPH_PER_LANE
 from sim_host.setup import OWN_CONFIG, SUMO_FOLDER, build_setup
 from sim_host.sumo import load_libsumo
 from studies.bench import JsonRow, empty_table, print_whole
-from studies.control_baselines import WeightedPressure, webster
+from studies.control_baselines import (
+    OWN_SETTINGS,
+    PRESSURES,
+    SUMO_TYPES,
+    HeldGreens,
+    Tuning,
+    WeightedPressure,
+    webster,
+)
+from studies.control_file import NETS
 
 STEP_S = 0.1
 _STEPS_A_SECOND = round(1 / STEP_S)
@@ -44,10 +54,6 @@ _DEFAULT_LANE_VPH = 500.0
 
 OWN_PLAN = "plan"
 WEBSTER = "webster"
-PRESSURES = {"position_pressure": "position", "delay_pressure": "delay"}
-"""Kinds of `WeightedPressure` by what the bench calls them."""
-SUMO_TYPES = {"actuated": 3, "delay_based": 5}
-"""SUMO's own kinds of control, by SUMO's numbers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,15 +61,16 @@ class ControlCase:
     """One run.
 
     Attributes:
-        net: `t_junction`, or a folder with one .sumocfg.
-        policy: what `signal.policy` may be, or a baseline: `plan` (the net's own programme),
-            `webster`, `actuated`, `delay_based`, `position_pressure`, `delay_pressure`.
-        demand: factor of the net's own demand; t_junction alone.
+        net: of `NETS`, or a folder with one .sumocfg.
+        policy: what `signal.policy` may be, or a baseline: `plan` (the net's own programme) or
+            one of `OWN_SETTINGS`.
+        demand: factor of the net's own demand; of `NETS` alone.
         seed: SUMO's.
         upstream_m: how far before the stop bars vehicles are known and count.
         downstream_m: how far behind them they count.
         settings: of the scenario's section `signal`.
         cabinet: its section `cabinet`.
+        own: of a baseline, see `OWN_SETTINGS`.
         flows_vph: by lane before a stop bar, for `webster`.
     """
 
@@ -76,7 +83,19 @@ class ControlCase:
     downstream_m: float = 100.0
     settings: Mapping[str, Any] = field(default_factory=dict)
     cabinet: Mapping[str, Any] = field(default_factory=dict)
+    own: Mapping[str, float] = field(default_factory=dict)
     flows_vph: Mapping[str, float] = field(default_factory=dict)
+
+    def tuned(self, tuning: Tuning) -> ControlCase:
+        """Returns the case with what the advocate of its policy sets."""
+        upstream_m, downstream_m = tuning.upstream_m, tuning.downstream_m
+        return replace(
+            self,
+            upstream_m=self.upstream_m if upstream_m is None else upstream_m,
+            downstream_m=self.downstream_m if downstream_m is None else downstream_m,
+            own={**self.own, **tuning.own},
+            cabinet={**self.cabinet, **tuning.cabinet},
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,8 +148,13 @@ def run_case(case: ControlCase) -> ControlRow:
     """Runs a case; the first run of a process alone gives the same row every time.
 
     Raises:
-        ConfigError: the net or the policy is none.
+        ConfigError: the net or the policy is none, or the policy is told what it does not know.
     """
+    known = OWN_SETTINGS.get(case.policy, ())
+    unknown = sorted(set(case.own) - set(known))
+    if unknown:
+        allowed = ", ".join(known) or "nothing"
+        raise ConfigError(f"policy {case.policy}: {unknown[0]} is no setting, allowed: {allowed}")
     with tempfile.TemporaryDirectory(prefix="cpnet-control-") as folder:
         return _Run(case, Path(folder)).row()
 
@@ -183,13 +207,17 @@ class _Run:
             "tripinfo-output.write-unfinished": "true",
             "tripinfo-output.write-undeparted": "true",
         }
+        if self._case.policy in SUMO_TYPES:
+            options["additional-files"] = _write_programs(
+                self._case, self._config, self._road_map, self._folder
+            )
         command = ["sumo", *(word for k, v in options.items() for word in (f"--{k}", v))]
         try:
             self._sumo.start(command)
         except (self._sumo.TraCIException, self._sumo.FatalTraCIError) as error:
             raise ConfigError(f"SUMO refuses {self._config}: {error}") from None
         try:
-            self._drive(_controllers(self._case, self._road_map, self._sumo))
+            self._drive(_controllers(self._case, self._road_map))
         finally:
             self._sumo.close()
         delays, arrived = _delays_s(trips)
@@ -347,7 +375,7 @@ class _Truth:
 
 def _roads(case: ControlCase, folder: Path) -> tuple[Path, RoadMap]:
     """Returns the sumocfg of a case and its road map, with all its signals."""
-    if case.net == "t_junction":
+    if case.net in NETS:
         sides = {"west_in": _DEFAULT_LANE_VPH, "east_in": _DEFAULT_LANE_VPH, **DEMAND_VPH_PER_LANE}
         demand = {edge: vph * case.demand for edge, vph in sides.items()}
         traffic: dict[str, Any] = {"demand_vph_per_lane": demand}
@@ -355,22 +383,53 @@ def _roads(case: ControlCase, folder: Path) -> tuple[Path, RoadMap]:
     else:
         found = sorted(Path(case.net).glob("*.sumocfg"))
         if len(found) != 1:
-            raise ConfigError(f"--net {case.net}: must be t_junction or a folder with a .sumocfg")
+            raise ConfigError(
+                f"--net {case.net}: must be {' or '.join(NETS)} or a folder with a .sumocfg"
+            )
         config = found[0]
         traffic = {"sumocfg": str(config)}
     setup = build_setup({"traffic": traffic, "junctions": "all"}, folder)
+    if case.net == "moving_peak":
+        _move_peak(config.parent / "demand.rou.xml", case.duration_s)
     return config, setup.road_map
 
 
-def _controllers(case: ControlCase, road_map: RoadMap, sumo: Any) -> list[_Controller]:  # noqa: ANN401 - libsumo has no types
+_PEAKS = {"north_in": (0.75, 2.2), "": (0.25, 1.0)}
+"""By the edge that vehicles come from, else of all: when in the run its peak is, and how high."""
+_BASE, _PEAK_WIDTH = 0.6, 0.13  # demand far from a peak; its standard deviation, of the run
+_SLICES = 24
+
+
+def _move_peak(routes: Path, duration_s: int) -> None:
+    """Lets the demand peak on the main road early in the run, and late on the side road."""
+    tree = ElementTree.parse(routes)
+    root = tree.getroot()
+    slices: list[ElementTree.Element] = []
+    for flow in root.findall("flow"):
+        root.remove(flow)
+        at, height = _PEAKS.get(flow.get("id", "").partition("-to-")[0], _PEAKS[""])
+        per_s = float(flow.get("period", "").removeprefix("exp(").removesuffix(")"))
+        for number in range(_SLICES):
+            away = ((number + 0.5) / _SLICES - at) / _PEAK_WIDTH
+            rate = per_s * (_BASE + height * math.exp(-(away**2) / 2))
+            begin_s, end_s = (n * duration_s / _SLICES for n in (number, number + 1))
+            own = {
+                "id": f"{flow.get('id')}.{number}",
+                "begin": f"{begin_s:g}",
+                "end": f"{end_s:g}",
+                "period": f"exp({rate:.9f})",
+            }
+            slices.append(ElementTree.Element("flow", {**flow.attrib, **own}))
+    slices.sort(key=lambda one: float(one.get("begin", 0)))
+    root.extend(slices)
+    tree.write(routes)
+
+
+def _controllers(case: ControlCase, road_map: RoadMap) -> list[_Controller]:
     """Returns what controls the signals; nothing where SUMO's own programs do."""
-    if case.policy == OWN_PLAN:
+    if case.policy == OWN_PLAN or case.policy in SUMO_TYPES:
         return []
     cabinet = CabinetConfig.model_validate(dict(case.cabinet))
-    if case.policy in SUMO_TYPES:
-        for one in road_map.intersections:
-            _run_program(sumo, one.signal, case.policy, cabinet)
-        return []
     times = CabinetTimes(cabinet.min_green_s, cabinet.yellow_s, cabinet.all_red_s)
     sites = [
         SignalSite(one.signal, road_map, case.upstream_m, times) for one in road_map.intersections
@@ -379,24 +438,51 @@ def _controllers(case: ControlCase, road_map: RoadMap, sumo: Any) -> list[_Contr
 
 
 def _policy(case: ControlCase, site: SignalSite) -> SignalPolicy:
+    kind = PRESSURES.get(case.policy)
     if case.policy == WEBSTER:
-        return webster(site, {lane: case.flows_vph.get(lane, 0.0) for lane in site.lanes})
-    if case.policy in PRESSURES:
-        return WeightedPressure(site, PRESSURES[case.policy], case.downstream_m)
-    settings = {"policy": case.policy, **case.settings}
-    return policy_of(SignalConfig.model_validate(settings), site)
+        flows_vph = {lane: case.flows_vph.get(lane, 0.0) for lane in site.lanes}
+        return webster(site, flows_vph, case.own.get("cycle_factor", 1.0))
+    if kind is None:
+        return policy_of(
+            SignalConfig.model_validate({"policy": case.policy, **case.settings}), site
+        )
+    policy: SignalPolicy
+    if kind in ("vehicles", "queued"):
+        settings = {"policy": "max_pressure", "weight": kind, **case.settings}
+        policy = policy_of(SignalConfig.model_validate(settings), site)
+    else:
+        policy = WeightedPressure(site, kind, case.downstream_m)
+    return HeldGreens(policy, case.own.get("hold_s", 0.0))
 
 
-def _run_program(sumo: Any, signal: Signal, kind: str, cabinet: CabinetConfig) -> None:  # noqa: ANN401 - libsumo has no types
-    """Leaves a signal to a program of SUMO with the plan's greens and the cabinet's times."""
-    lights = sumo.trafficlight
-    try:
-        intervals = programme(signal, cabinet)
-    except ConfigError:
-        return  # with one green only there is nothing to decide
-    phases = [lights.Phase(i.least_s, i.state, i.least_s, i.most_s) for i in intervals]
-    lights.setProgramLogic(signal.tls, lights.Logic(kind, SUMO_TYPES[kind], 0, phases))
-    lights.setProgram(signal.tls, kind)
+def _write_programs(case: ControlCase, config: Path, road_map: RoadMap, folder: Path) -> str:
+    """Writes the programs of SUMO's own control; returns all additional files of the run.
+
+    They have the plan's greens and the cabinet's times. SUMO takes their parameters from a file
+    alone.
+    """
+    cabinet = CabinetConfig.model_validate(dict(case.cabinet))
+    root = ElementTree.Element("additional")
+    for one in road_map.intersections:
+        try:
+            intervals = programme(one.signal, cabinet)
+        except ConfigError:
+            continue  # with one green only there is nothing to decide
+        logic = ElementTree.SubElement(
+            root, "tlLogic", id=one.signal.tls, type=case.policy, programID="own", offset="0"
+        )
+        for name, value in case.own.items():
+            ElementTree.SubElement(logic, "param", key=name, value=f"{value:g}")
+        for i in intervals:
+            least, most = f"{i.least_s:g}", f"{i.most_s:g}"
+            ElementTree.SubElement(
+                logic, "phase", state=i.state, duration=least, minDur=least, maxDur=most
+            )
+    path = folder / "programs.add.xml"
+    ElementTree.ElementTree(root).write(path)
+    found = ElementTree.parse(config).getroot().iter("additional-files")
+    given = [name for one in found for name in one.get("value", "").split(",") if name.strip()]
+    return ",".join([*(str(config.parent / name.strip()) for name in given), str(path)])
 
 
 def _delays_s(trips: Path) -> tuple[list[float], int]:

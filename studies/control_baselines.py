@@ -1,11 +1,13 @@
-"""Baselines of `cpnet bench control`: Webster's fixed plan, and kinds of max pressure.
+"""Baselines of `cpnet bench control`: Webster's fixed plan, kinds of max pressure, what to tune.
 
-Each is a `SignalPolicy`, made as a plug-in is.
+Each is a `SignalPolicy`, made as a plug-in is; SUMO's own programs are told by their parameters.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 from protocol.approaches import Approaches
 from protocol.roadmap import PlanPhase, Signal
@@ -13,12 +15,13 @@ from signal_controller.observation import CabinetTimes, LaneVehicles, Observatio
 from signal_controller.policies import (
     Decision,
     FixedPlan,
+    SignalPolicy,
     max_pressure,
     phase_of_highest,
     pressure,
 )
 
-MIN_CYCLE_S, MAX_CYCLE_S = 30.0, 120.0
+MIN_CYCLE_S, MAX_CYCLE_S = 20.0, 120.0
 _LOST_S = 1.0  # of a change beyond all-red: what start-up loses over what yellow still lets pass
 SATURATION_VPH = 1900.0  # of a lane of SUMO's passenger cars
 _MAX_LOAD = 0.95
@@ -26,7 +29,11 @@ _WALKING_MPS = 1.0
 
 
 def webster_signal(
-    signal: Signal, flows_vph: Mapping[str, float], saturation_vph: float, times: CabinetTimes
+    signal: Signal,
+    flows_vph: Mapping[str, float],
+    saturation_vph: float,
+    times: CabinetTimes,
+    cycle_factor: float = 1.0,
 ) -> Signal:
     """Returns the signal with the cycle and the splits of Webster (1958).
 
@@ -39,6 +46,7 @@ def webster_signal(
         flows_vph: by lane before the stop bar.
         saturation_vph: of a lane.
         times: of the cabinet, between the greens.
+        cycle_factor: of Webster's cycle, for a timer that is tuned further.
     """
     greens = signal.greens
     ratios = [0.0] * len(greens)
@@ -49,7 +57,7 @@ def webster_signal(
             ratios[phase] = max(ratios[phase], flow_vph / saturation_vph / len(serving))
     lost_s = len(greens) * (times.yellow_s + times.all_red_s + _LOST_S - 2.0)
     load = min(_MAX_LOAD, sum(ratios))
-    cycle_s = min(MAX_CYCLE_S, max(MIN_CYCLE_S, (1.5 * lost_s + 5) / (1 - load)))
+    cycle_s = min(MAX_CYCLE_S, max(MIN_CYCLE_S, cycle_factor * (1.5 * lost_s + 5) / (1 - load)))
     change_s = times.yellow_s + times.all_red_s
     for_green_s = cycle_s - len(greens) * change_s
     total = sum(ratios) or 1.0
@@ -78,18 +86,47 @@ def _serving(greens: list[str], links: list[int]) -> list[int]:
     return []
 
 
-def webster(site: SignalSite, flows_vph: Mapping[str, float]) -> FixedPlan:
+def webster(
+    site: SignalSite, flows_vph: Mapping[str, float], cycle_factor: float = 1.0
+) -> FixedPlan:
     """Returns the policy that follows Webster's plan."""
-    return FixedPlan(webster_signal(site.signal, flows_vph, SATURATION_VPH, site.cabinet))
+    return FixedPlan(
+        webster_signal(site.signal, flows_vph, SATURATION_VPH, site.cabinet, cycle_factor)
+    )
+
+
+class HeldGreens:
+    """Asks a policy again only once a green has lasted: what switches less often loses less."""
+
+    def __init__(self, policy: SignalPolicy, hold_s: float) -> None:
+        self._policy = policy
+        self._hold_s = hold_s
+        self._green, self._since_s = "", 0.0
+        self.needs_vehicles = bool(getattr(policy, "needs_vehicles", False))
+
+    def decide(self, observation: Observation) -> Decision:
+        """See `SignalPolicy.decide`."""
+        decision, shown = self._policy.decide(observation), observation.shown
+        if shown is None or shown.stage != "green":
+            self._green = ""
+            return decision
+        time_s = observation.counts.sim_time_ns / 1e9
+        if shown.green != self._green:
+            self._green, self._since_s = shown.green, time_s
+        if time_s - self._since_s < self._hold_s:
+            return Decision(shown.green, decision.pressures, decision.policy, decision.unknown)
+        return decision
 
 
 class WeightedPressure:
     """Max pressure whose vehicles weigh by where they are or by how long they have waited.
 
-    `position`: a vehicle weighs 1 at the stop bar and 0 at the far end of what is known before it,
-    and 1 right behind it and 0 at the far end there (position-weighted back-pressure, Li and Jabari
-    2019). `delay`: a vehicle before the stop bar weighs the seconds that it has stood still
-    (delay-based back-pressure, Wu, Ghosal, Zhang and Chuah 2018), one behind it nothing.
+    `wave`: a vehicle before the stop bar, queued or approaching, weighs 1, one behind it nothing
+    (MAXWAVE of Ault and Sharon 2021). `position`: a vehicle weighs 1 at the stop bar and 0 at the
+    far end of what is known before it, and 1 right behind it and 0 at the far end there
+    (position-weighted back-pressure, Li and Jabari 2019). `delay`: a vehicle before the stop bar
+    weighs the seconds that it has stood still (delay-based back-pressure, Wu, Ghosal, Zhang and
+    Chuah 2018), one behind it nothing.
     """
 
     needs_vehicles = True
@@ -116,18 +153,21 @@ class WeightedPressure:
             if side is not None and 0 <= distance_m <= self._reach_m[0]:
                 before[side.counts_for] += self._weight(distance_m, name)
             side = self._around.downstream.get(lane)
-            if side is not None and self._kind == "position":
-                away_m = min(max(0.0, -distance_m), self._reach_m[1])
-                behind[side.counts_for] += 1 - away_m / self._reach_m[1]
+            if side is not None and self._kind == "position" and self._reach_m[1] > 0:
+                behind[side.counts_for] += max(0.0, 1 + min(distance_m, 0) / self._reach_m[1])
         greens = self._signal.greens
         pressures = [pressure(self._signal, green, before, behind) for green in greens]
         state = phase_of_highest(greens, pressures, observation.shown)
         return Decision(state, pressures, f"max_pressure_{self._kind}")
 
     def _weight(self, distance_m: float, name: str) -> float:
-        if self._kind == "position":
-            return 1 - distance_m / self._reach_m[0]
-        return self._stood_s.get(name, 0.0)
+        match self._kind:
+            case "wave":
+                return 1.0
+            case "position":
+                return 1 - distance_m / self._reach_m[0]
+            case _:
+                return self._stood_s.get(name, 0.0)
 
     def _note_delays(self, time_s: float, vehicles: LaneVehicles) -> None:
         passed_s = 0.0 if self._time_s is None else time_s - self._time_s
@@ -136,3 +176,96 @@ class WeightedPressure:
         for name, speed_mps in zip(vehicles.ids, vehicles.speeds_mps.tolist(), strict=True):
             stood_s[name] = self._stood_s.get(name, 0.0) + passed_s * (speed_mps < _WALKING_MPS)
         self._stood_s = stood_s
+
+
+@dataclass(frozen=True, slots=True)
+class Tuning:
+    """One choice of what the advocate of a baseline would set.
+
+    Attributes:
+        text: what is set, for a table.
+        upstream_m, downstream_m: the fence; None as the case has it.
+        own: of the baseline itself, see `OWN_SETTINGS`.
+        cabinet: of the scenario's section `cabinet`.
+    """
+
+    text: str
+    upstream_m: float | None = None
+    downstream_m: float | None = None
+    own: Mapping[str, float] = field(default_factory=dict)
+    cabinet: Mapping[str, Any] = field(default_factory=dict)
+
+
+PRESSURES = {
+    "max_pressure": "vehicles",
+    "queue_pressure": "queued",
+    "position_pressure": "position",
+    "delay_pressure": "delay",
+    "max_wave": "wave",
+}
+"""What a vehicle weighs by, of each kind of max pressure."""
+SUMO_TYPES = {"actuated": 3, "delay_based": 5}
+"""SUMO's own kinds of control, by SUMO's numbers."""
+OWN_SETTINGS: Mapping[str, tuple[str, ...]] = {
+    "webster": ("cycle_factor",),
+    "actuated": ("max-gap", "detector-gap"),
+    "delay_based": ("minTimeLoss", "detectorRange"),
+    **dict.fromkeys(PRESSURES, ("hold_s",)),
+}
+"""What each baseline may be told: SUMO's programs by SUMO's own names of parameters."""
+
+
+def _fence(upstream_m: float, downstream_m: float, hold_s: float = 0.0) -> Tuning:
+    text = f"{upstream_m:g} m before, {downstream_m:g} m behind"
+    text += f", greens of {hold_s:g} s" if hold_s else ""
+    return Tuning(text, upstream_m, downstream_m, {"hold_s": hold_s})
+
+
+def _gaps(gap_s: float, detector_s: float, max_green_s: float) -> Tuning:
+    return Tuning(
+        f"gap {gap_s:g} s, loops {detector_s:g} s before, at most {max_green_s:g} s",
+        own={"max-gap": gap_s, "detector-gap": detector_s},
+        cabinet={"max_green_s": max_green_s},
+    )
+
+
+def _losses(loss_s: float, range_m: float, max_green_s: float) -> Tuning:
+    return Tuning(
+        f"loss {loss_s:g} s, {range_m:g} m before, at most {max_green_s:g} s",
+        own={"minTimeLoss": loss_s, "detectorRange": range_m},
+        cabinet={"max_green_s": max_green_s},
+    )
+
+
+_FENCES = (
+    _fence(200, 100),
+    _fence(100, 0),
+    _fence(50, 0),
+    _fence(30, 0),
+    _fence(50, 0, 10),
+    _fence(100, 50, 10),
+)
+TUNINGS: Mapping[str, tuple[Tuning, ...]] = {
+    "webster": tuple(
+        Tuning(f"{factor:g} of Webster's cycle", own={"cycle_factor": factor})
+        for factor in (1.0, 0.7, 0.85, 1.2, 1.5)
+    ),
+    "actuated": (
+        _gaps(3, 2, 50),
+        _gaps(3, 2, 25),
+        _gaps(2, 2, 50),
+        _gaps(2, 2, 25),
+        _gaps(2, 1, 35),
+        _gaps(1.5, 1, 25),
+    ),
+    "delay_based": (
+        _losses(1, 100, 50),
+        _losses(1, 100, 25),
+        _losses(1, 50, 50),
+        _losses(1, 50, 25),
+        _losses(3, 50, 35),
+        _losses(0.5, 30, 25),
+    ),
+    **dict.fromkeys(PRESSURES, _FENCES),
+}
+"""What is tried for each baseline; the first is the default. Others are as they are."""

@@ -7,7 +7,7 @@ import json
 import math
 import os
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -96,10 +96,10 @@ def identify(scenario: Scenario) -> str:
     return hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def code_digest(root: Path) -> str:
+def code_digest(root: Path, packages: Sequence[str] = _DECIDING) -> str:
     """Returns a hash of the packages below `root` that decide a run's rows, weights included."""
     found = hashlib.sha256()
-    for package in _DECIDING:
+    for package in packages:
         for path in sorted(p for p in (root / package).rglob("*") if p.is_file()):
             if "__pycache__" not in path.parts:
                 found.update(f"{path.relative_to(root)} {_digest(path)}\n".encode())

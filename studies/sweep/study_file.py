@@ -306,16 +306,20 @@ def builtin_studies() -> list[str]:
     )
 
 
+def path_of(what: str) -> Path:
+    """Returns the file of a built-in study, or the path that was given."""
+    if what in builtin_studies():
+        return Path(str(resources.files("studies"))) / f"builtin/{what}.yaml"
+    return Path(what)
+
+
 def read_study(what: str) -> StudyFile:
     """Reads a built-in study or a file.
 
     Raises:
         ConfigError: there is no such study, or it is invalid.
     """
-    built_in = what in builtin_studies()
-    path = (
-        Path(str(resources.files("studies"))) / f"builtin/{what}.yaml" if built_in else Path(what)
-    )
+    path = path_of(what)
     if not is_file(path):
         known = ", ".join(builtin_studies())
         raise ConfigError(

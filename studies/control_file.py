@@ -1,0 +1,80 @@
+"""The file of a study of signal policies: see `studies.control_study`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import Field, ValidationError
+
+from protocol.config import Section, is_file
+from protocol.errors import ConfigError
+from studies.sweep.study_file import Name, Seed
+
+BENCH = "control"
+"""Value of `bench` at the top of a study file of this kind."""
+NETS = ("t_junction", "moving_peak")
+"""Nets that are built in: `moving_peak` is `t_junction` with a demand that no timer fits."""
+
+
+class ControlStudy(Section):
+    """A study of signal policies."""
+
+    bench: str = Field(BENCH, pattern=f"^{BENCH}$", description="the kind of study")
+    name: Name = Field(description="names the folder of the results")
+    title: str = Field("", description="a line for people")
+    nets: dict[str, list[float]] = Field(
+        min_length=1,
+        description=f"{', '.join(NETS)}, or a folder with a .sumocfg; factors of its demand, of a "
+        "folder's 1 alone",
+    )
+    policies: list[str] = Field(min_length=2, description="as in `cpnet bench control`")
+    studied: str = Field("predictive", description="whose difference to the others is shown")
+    seeds: list[Seed] = Field([1, 2, 3, 4, 5], min_length=1, description="that are reported")
+    tuning_seeds: list[Seed] = Field([101, 102], description="others; none: nothing is tuned")
+    duration_s: int = Field(3600, ge=60, le=86400, description="of each reported run")
+    tuning_duration_s: int = Field(1200, ge=60, le=86400, description="of each run for tuning")
+
+    def check(self) -> None:
+        """Checks what no field can know alone.
+
+        Raises:
+            ConfigError: seeds overlap, the studied policy is none of those, a folder has factors.
+        """
+        both = sorted(set(self.seeds) & set(self.tuning_seeds))
+        if both:
+            raise ConfigError(f"study {self.name}: seed {both[0]} is for tuning and reported")
+        if self.studied not in self.policies:
+            raise ConfigError(f"study {self.name}: studied is {self.studied}, must be of policies")
+        for net, factors in self.nets.items():
+            if net not in NETS and factors != [1.0]:
+                raise ConfigError(f"study {self.name}: {net} has the demand of its folder: [1]")
+
+
+def read_control_study(path: Path, changes: Mapping[str, Any]) -> ControlStudy | None:
+    """Reads a study file with `changes` of its keys; None if it is of another kind.
+
+    Raises:
+        ConfigError: it is of this kind and invalid.
+    """
+    if not is_file(path):
+        return None
+    try:
+        data = yaml.safe_load(path.read_text("utf-8"))
+    except (OSError, yaml.YAMLError, ValueError):
+        return None  # whoever reads studies of other kinds says why
+    if not isinstance(data, dict) or data.get("bench") != BENCH:
+        return None
+    unknown = sorted(set(changes) - set(ControlStudy.model_fields))
+    if unknown:
+        allowed = ", ".join(ControlStudy.model_fields)
+        raise ConfigError(f"--set {unknown[0]}: a study of control allows: {allowed}")
+    try:
+        study = ControlStudy.model_validate(data | dict(changes))
+    except ValidationError as error:
+        lines = [f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:8]]
+        raise ConfigError(f"{path}: " + "\n".join(lines)) from None
+    study.check()
+    return study

@@ -1,0 +1,129 @@
+"""The page of `cpnet study control`, and its table on a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rich.console import Console
+
+from studies.bench import empty_table, print_whole
+from studies.control_file import NETS, ControlStudy
+from studies.page.model import (
+    DASH,
+    Block,
+    Chart,
+    Code,
+    Column,
+    Page,
+    Section,
+    Series,
+    Table,
+    text_rows,
+)
+
+Row = dict[str, Any]
+_HEADS = (
+    *("policy", "what its tuning set", "delay, s", "95th percentile, s", "longest wait, s"),
+    *("arrived", "difference, s", "difference, %"),
+)
+
+
+def control_page(
+    study: ControlStudy, rows: Sequence[Row], command: str, versions: dict[str, str]
+) -> Page:
+    """Returns a section for each net and demand, best policy first, and what was run."""
+    groups = groups_of(rows)
+    lead = (
+        "SUMO alone: every policy is given the true places of the vehicles near the signals. Delay "
+        "is time loss plus departure delay of all vehicles, those still on the way and those kept "
+        f"outside as well, a mean over {len(study.seeds)} seeds ± half the width of its 95 % "
+        f"interval. A difference is that of {study.studied} to the policy, seed by seed; one "
+        "within its interval cannot be told from none. "
+    )
+    lead += (
+        f"Each baseline is tuned for each net and demand on seeds {_listed(study.tuning_seeds)}, "
+        f"{study.tuning_duration_s:,d} s each; seeds {_listed(study.seeds)} are reported."
+        if study.tuning_seeds
+        else "Nothing is tuned."
+    )
+    charts: list[Block] = [
+        _chart(net, study.policies, part) for net in study.nets if (part := _steady(rows, net))
+    ]
+    sections = [Section("Delay over demand", tuple(charts))] if charts else []
+    sections += [Section(title, (group_table(part),)) for title, part in groups.items()]
+    return Page(study.title or study.name, lead, (*sections, _origin(study, command, versions)))
+
+
+def groups_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Returns the rows by net and demand, those of least delay first."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        factor = f" x{row['demand']:g}" if row["net"] in NETS else ""
+        found.setdefault(row["net"] + factor, []).append(row)
+    return {title: sorted(part, key=lambda row: row["delay_s"]) for title, part in found.items()}
+
+
+def group_table(rows: Sequence[Row]) -> Table:
+    """Returns a line for each policy."""
+    cells = tuple(
+        (
+            row["policy"],
+            row["setting"] or None,
+            _with_half(row["delay_s"], row["delay_ci95_s"]),
+            row["delay_p95_s"],
+            row["waited_s"],
+            f"{row['arrived']:.0f} of {row['vehicles']:.0f}",
+            _with_half(row["difference_s"], row["difference_ci95_s"], "+"),
+            None if row["difference_share"] is None else 100 * row["difference_share"],
+        )
+        for row in rows
+    )
+    forms = ("", "", "", ".1f", ".0f", "", "", "+.0f")
+    return Table(tuple(map(Column, _HEADS, forms)), cells)
+
+
+def print_control_study(rows: Sequence[Row], console: Console) -> None:
+    """Prints a table for each net and demand."""
+    for title, part in groups_of(rows).items():
+        table = empty_table(_HEADS, title=title, left=2)
+        for cells in text_rows(group_table(part)):
+            table.add_row(*cells)
+        print_whole(table, console)
+
+
+def _with_half(mean: float | None, half: float | None, sign: str = "") -> str | None:
+    if mean is None:
+        return None
+    text = f"{mean:{sign}.2f}"
+    return text if half is None else f"{text} ± {half:.2f}"
+
+
+def _steady(rows: Sequence[Row], net: str) -> list[Row]:
+    """Returns the rows of a net with several demands."""
+    found = [row for row in rows if row["net"] == Path(net).name]
+    return found if len({row["demand"] for row in found}) > 1 else []
+
+
+def _chart(net: str, policies: Sequence[str], rows: Sequence[Row]) -> Chart:
+    series = []
+    for policy in policies:
+        own = sorted((row for row in rows if row["policy"] == policy), key=lambda r: r["demand"])
+        x = tuple(row["demand"] for row in own)
+        series.append(Series(policy, x, tuple(r["delay_s"] for r in own), style="line+points"))
+    return Chart(f"Mean delay on {net}", "factor of the demand", "mean delay, s", tuple(series))
+
+
+def _origin(study: ControlStudy, command: str, versions: dict[str, str]) -> Section:
+    text = yaml.safe_dump(study.model_dump(), sort_keys=False, allow_unicode=True)
+    blocks: list[Block] = [Code(command, "The command that makes this again")]
+    if versions:
+        blocks.append(Table((Column("made with"), Column("version")), tuple(versions.items())))
+    blocks.append(Code(text, "The study, with what was set on the command line", folded=True))
+    return Section("How it was made", tuple(blocks))
+
+
+def _listed(seeds: Sequence[int]) -> str:
+    return ", ".join(map(str, seeds)) or DASH

@@ -1,0 +1,289 @@
+"""`cpnet study control`: signal policies against tuned baselines, with perfect positions.
+
+Each baseline is tuned for each net and demand as its advocate would, on seeds apart from those that
+are reported; then all policies drive the same traffic, seed by seed. Each run is kept at once: the
+same command goes on with what is left.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import multiprocessing
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from pathlib import Path
+from statistics import mean, stdev
+from typing import Any
+
+from scipy.special import stdtrit
+
+from protocol.errors import ConfigError
+from studies.bench_control import WEBSTER, ControlCase, lane_flows_vph, run_case
+from studies.control_baselines import TUNINGS, Tuning
+from studies.control_file import NETS, ControlStudy
+from studies.sweep.cells import code_digest, write_atomically
+
+_ROOT = Path(__file__).resolve().parents[1]
+_OWN_CODE = ("bench_control.py", "control_baselines.py")
+_CONFIDENCE = 0.95
+Row = dict[str, Any]
+Report = Callable[[int, int, str], None]
+"""Receives how many runs are done, of how many, and which was the last."""
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """A net at a demand: what policies are compared on."""
+
+    net: str
+    demand: float
+
+    @property
+    def title(self) -> str:
+        """Returns its name."""
+        factor = f" x{self.demand:g}" if self.net in NETS else ""
+        return Path(self.net).name + factor
+
+
+class CaseStore:
+    """The runs of a folder, each a file that is named by its case and the code that ran it."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / "cases"
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"--out {folder}: {error}") from None
+
+    def run(
+        self, kind: str, cases: Sequence[ControlCase], processes: int, report: Report
+    ) -> list[Row]:
+        """Returns the rows of cases, in their order; runs those that are missing.
+
+        Args:
+            kind: `row` as `run_case` gives it, or `flows` as `lane_flows_vph` does.
+            cases: equal ones run once.
+            processes: runs at a time, each in a process of its own as SUMO keeps state.
+            report: told of each run.
+
+        Raises:
+            ConfigError: a net or a policy is none.
+        """
+        paths = [self._path(kind, case) for case in cases]
+        todo = {path: case for path, case in zip(paths, cases, strict=True) if _read(path) is None}
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(processes, mp_context=context, max_tasks_per_child=1) as pool:
+            work = _KINDS[kind]
+            runs = {pool.submit(work, case): path for path, case in todo.items()}
+            try:
+                for number, future in enumerate(as_completed(runs), 1):
+                    path = runs[future]
+                    write_atomically(path, json.dumps(future.result(), indent=1).encode())
+                    report(len(cases) - len(todo) + number, len(cases), _title(todo[path]))
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+        return [_read(path) or {} for path in paths]
+
+    def _path(self, kind: str, case: ControlCase) -> Path:
+        decides = {"kind": kind, "case": asdict(case), "code": _code()}
+        files = sorted(Path(case.net).glob("*.xml")) if case.net not in NETS else []
+        decides["files"] = {path.name: _digest(path) for path in files}
+        found = hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest()
+        return self._folder / f"{found[:16]}.json"
+
+
+def _run_row(case: ControlCase) -> Row:
+    return run_case(case).as_json()
+
+
+_KINDS: dict[str, Callable[[ControlCase], Row]] = {"row": _run_row, "flows": lane_flows_vph}
+
+
+def _title(case: ControlCase) -> str:
+    return f"{Group(case.net, case.demand).title} {case.policy} seed={case.seed}"
+
+
+def _read(path: Path) -> Row | None:
+    try:
+        found = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+@cache
+def _code() -> list[str]:
+    own = [_digest(Path(__file__).parent / name) for name in _OWN_CODE]
+    return [code_digest(_ROOT, ("protocol", "sim_host", "signal_controller")), *own]
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class PolicyResult:
+    """A policy in a group: what was set for it, and its rows in the order of the seeds."""
+
+    group: Group
+    policy: str
+    setting: str
+    rows: list[Row]
+
+    def values(self, measure: str) -> list[float]:
+        """Returns a measure, seed by seed."""
+        return [float(row[measure]) for row in self.rows]
+
+    @property
+    def delay_s(self) -> float:
+        """Mean over the seeds."""
+        return mean(self.values("delay_s"))
+
+
+def run_control_study(
+    study: ControlStudy, folder: Path, processes: int, report: Report
+) -> list[PolicyResult]:
+    """Tunes, then runs everything that is not done yet.
+
+    Raises:
+        ConfigError: a net or a policy is none.
+    """
+    store = CaseStore(folder)
+    groups = [Group(net, demand) for net, factors in study.nets.items() for demand in factors]
+    flows = _flows(study, groups, store, processes, report)
+    tunings = _tuned(study, groups, flows, store, processes, report)
+    cells = [(group, policy) for group in groups for policy in study.policies]
+    cases = [
+        _case(study, *cell, flows, tunings.get(cell), seed)
+        for cell in cells
+        for seed in study.seeds
+    ]
+    rows = iter(store.run("row", cases, processes, report))
+    return [
+        PolicyResult(
+            group,
+            policy,
+            tuning.text if (tuning := tunings.get((group, policy))) else "",
+            [next(rows) for _ in study.seeds],
+        )
+        for group, policy in cells
+    ]
+
+
+Flows = Mapping[Group, Row]
+Tunings = dict[tuple[Group, str], Tuning]
+
+
+def _flows(
+    study: ControlStudy, groups: list[Group], store: CaseStore, processes: int, report: Report
+) -> Flows:
+    """Returns the demand that timers are told, by group: as it flowed with a seed for tuning."""
+    if WEBSTER not in study.policies:
+        return {}
+    seed = (study.tuning_seeds or study.seeds)[0]
+    cases = [
+        ControlCase(group.net, WEBSTER, seed, group.demand, study.duration_s) for group in groups
+    ]
+    return dict(zip(groups, store.run("flows", cases, processes, report), strict=True))
+
+
+def _tuned(
+    study: ControlStudy,
+    groups: list[Group],
+    flows: Flows,
+    store: CaseStore,
+    processes: int,
+    report: Report,
+) -> Tunings:
+    """Returns what gives each baseline the least mean delay, over the seeds for tuning."""
+    if not study.tuning_seeds:
+        return {}
+    tried = [
+        (group, policy, tuning)
+        for group in groups
+        for policy in study.policies
+        for tuning in TUNINGS.get(policy, ())
+    ]
+    short = study.model_copy(update={"duration_s": study.tuning_duration_s})
+    cases = [
+        _case(short, group, policy, flows, tuning, seed)
+        for group, policy, tuning in tried
+        for seed in study.tuning_seeds
+    ]
+    rows = iter(store.run("row", cases, processes, report))
+    best: dict[tuple[Group, str], tuple[float, Tuning]] = {}
+    for group, policy, tuning in tried:
+        delay_s = mean(float(next(rows)["delay_s"]) for _ in study.tuning_seeds)
+        if delay_s < best.get((group, policy), (math.inf, tuning))[0]:
+            best[group, policy] = delay_s, tuning
+    return {cell: tuning for cell, (_, tuning) in best.items()}
+
+
+def _case(
+    study: ControlStudy,
+    group: Group,
+    policy: str,
+    flows: Flows,
+    tuning: Tuning | None,
+    seed: int,
+) -> ControlCase:
+    case = ControlCase(group.net, policy, seed, group.demand, study.duration_s)
+    if policy == WEBSTER:
+        case = replace(case, flows_vph=flows[group])
+    return case if tuning is None else case.tuned(tuning)
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A mean of paired differences and half the width of its 95 % interval, None of one pair."""
+
+    mean: float
+    half: float | None
+
+
+def paired(values: Sequence[float], others: Sequence[float]) -> Difference:
+    """Returns how far values lie above others, pair by pair, by Student's t."""
+    differences = [a - b for a, b in zip(values, others, strict=True)]
+    n = len(differences)
+    if n < 2:
+        return Difference(mean(differences), None)
+    t = float(stdtrit(n - 1, (1 + _CONFIDENCE) / 2))
+    return Difference(mean(differences), t * stdev(differences) / math.sqrt(n))
+
+
+def summaries(study: ControlStudy, results: Iterable[PolicyResult]) -> list[Row]:
+    """Returns a row for each group and policy, with what the studied policy takes off its delay."""
+    results = list(results)
+    studied = {one.group: one for one in results if one.policy == study.studied}
+    found = []
+    for one in results:
+        own = studied[one.group]
+        difference = paired(own.values("delay_s"), one.values("delay_s"))
+        is_other = one.policy != study.studied
+        spread = paired(one.values("delay_s"), [0.0] * len(one.rows))
+        found.append(
+            {
+                "net": Path(one.group.net).name,
+                "demand": one.group.demand,
+                "policy": one.policy,
+                "setting": one.setting,
+                "seeds": len(one.rows),
+                "delay_s": one.delay_s,
+                "delay_ci95_s": spread.half,
+                "delay_p95_s": mean(one.values("delay_p95_s")),
+                "waited_s": max(one.values("waited_s")),
+                "arrived": mean(one.values("arrived")),
+                "vehicles": mean(one.values("vehicles")),
+                "decide_p99_ms": max(one.values("decide_p99_ms")),
+                "difference_s": difference.mean if is_other else None,
+                "difference_ci95_s": difference.half if is_other else None,
+                "difference_share": difference.mean / one.delay_s if is_other else None,
+            }
+        )
+    return found
