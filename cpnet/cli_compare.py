@@ -50,7 +50,7 @@ def compare_command(  # noqa: PLR0913 - one parameter per option of the command
         int, typer.Option(min=0, max=7200, help="before it, on the net's plan")
     ] = 120,
     tuning: Annotated[
-        int, typer.Option(min=60, max=86400, help="simulated s of a run that tunes a baseline")
+        int, typer.Option(min=0, max=86400, help="simulated s of a run that tunes; 0: untuned")
     ] = 600,
     frame_period: Annotated[
         float, typer.Option(metavar="S", help="between scans, and between decisions")

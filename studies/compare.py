@@ -53,6 +53,7 @@ BASELINES = (PLAN, WEBSTER, ACTUATED)
 POLICIES = (MAX_PRESSURE, PREDICTIVE)
 STAGES = ("demand", "tuning", "baselines", "perception")
 _TUNING_SEEDS = (101, 102)
+_MIN_TUNING_S = 60
 _POST = "post"
 _RULED = {
     "seed": "--seeds",
@@ -88,7 +89,8 @@ class Question:
         posts: "all", "none" or ids of signals with a roadside LiDAR.
         cav_rate: share of vehicles with LiDAR and radio.
         seeds: of traffic, paired; others than those for tuning.
-        duration_s, warmup_s, tuning_s: simulated time of a run, before it, and of one for tuning.
+        duration_s, warmup_s, tuning_s: simulated time of a run, before it, and of one for tuning;
+            0: nothing is tuned.
         frame_period_s: between scans, and between decisions.
         settings: dotted keys of the scenario.
     """
@@ -124,6 +126,8 @@ class Question:
         both = sorted(set(self.seeds) & set(_TUNING_SEEDS))
         if both:
             raise ConfigError(f"--seeds: {both[0]} is a seed that baselines are tuned with")
+        if 0 < self.tuning_s < _MIN_TUNING_S:
+            raise ConfigError(f"--tuning {self.tuning_s}: must be 0 or {_MIN_TUNING_S} and more")
         for key in self.settings or {}:
             if key in _RULED:
                 raise ConfigError(f"--set {key}: give {_RULED[key]} instead")
@@ -435,10 +439,10 @@ def _baselines(comparison: Comparison) -> ControlStudy:
         nets={str(comparison.config): [1.0]},
         policies=[*BASELINES, *POLICIES],
         seeds=list(asked.seeds),
-        tuning_seeds=list(_TUNING_SEEDS),
+        tuning_seeds=list(_TUNING_SEEDS) if asked.tuning_s else [],
         duration_s=asked.duration_s,
         warmup_s=asked.warmup_s,
-        tuning_duration_s=asked.tuning_s,
+        tuning_duration_s=max(_MIN_TUNING_S, asked.tuning_s),
         junctions=sorted(comparison.road_map.by_tls),
     )
 
@@ -469,7 +473,7 @@ def weights(comparison: Comparison) -> dict[str, tuple[int, float]]:
     """Returns by stage how many runs it has, and about how much work each is."""
     asked = comparison.question
     seeds, whole_s = len(asked.seeds), asked.warmup_s + asked.duration_s
-    tried = sum(map(len, _TUNED.values())) * len(_TUNING_SEEDS)
+    tried = sum(map(len, _TUNED.values())) * len(_TUNING_SEEDS) if asked.tuning_s else 0
     frames = asked.duration_s / asked.frame_period_s
     numbers = (
         (1, whole_s),

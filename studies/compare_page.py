@@ -222,10 +222,10 @@ def compare_page(
 
 _MEASURE = (
     "Delay is time loss plus departure delay of every vehicle that had not arrived when the "
-    "warm-up ended: those still on the way at the end and those kept outside count too. Every variant has "
-    "the same demand, seed by seed; differences are means of pairs. Timers, loops and the fence of "
-    "max pressure are tuned on seeds of their own; the best baseline is the best on the seeds that "
-    "are reported, which favours it. "
+    "warm-up ended: those still on the way at the end and those kept outside count too. Every "
+    "variant has the same demand, seed by seed; differences are means of pairs. Timers, loops and "
+    "the fence of max pressure are tuned on seeds of their own; the best baseline is the best on "
+    "the seeds that are reported, which favours it. "
     f'"{ALL_KNOWN.capitalize()}" is the same policy on SUMO alone that knows where each vehicle '
     "near the signals is: what better perception could still bring."
 )
@@ -311,7 +311,8 @@ def _maps(comparison: Comparison, variants: Sequence[Variant]) -> tuple[Block, .
 
 
 def _points(layer: dict[str, Any]) -> Points:
-    return Points(**{key: tuple(v) if isinstance(v, list) else v for key, v in layer.items()})
+    x_m, y_m, labels = (tuple(layer[key]) for key in ("x_m", "y_m", "labels"))
+    return Points(layer["name"], x_m, y_m, layer["size"], layer["mark"], layer["colour"], labels)
 
 
 def _origin(comparison: Comparison, command: str, versions: dict[str, str]) -> Section:

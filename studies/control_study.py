@@ -261,6 +261,7 @@ def _tuned(
 ) -> Tunings:
     """Returns what gives each baseline the least mean delay, over the seeds for tuning."""
     if not study.tuning_seeds:
+        report(0, 0, "")
         return {}
     tried = [
         (group, policy, tuning)
