@@ -16,6 +16,7 @@ from rich.markup import escape
 
 from cpnet import scenario as scenarios
 from cpnet.cli_bench import bench_app
+from cpnet.cli_compare import compare_app
 from cpnet.cli_learn import learn_app
 from cpnet.cli_observe import recording_app, view_app
 from cpnet.cli_options import (
@@ -42,6 +43,7 @@ app = typer.Typer(
 app.add_typer(doctor_app)
 app.add_typer(learn_app)
 app.add_typer(study_app)
+app.add_typer(compare_app)
 app.add_typer(keys_app)
 app.add_typer(run_app)
 app.add_typer(recording_app)

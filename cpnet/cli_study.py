@@ -64,7 +64,7 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
         raise ConfigError(
             "--scheduler: goes with neither --jobs nor --keep-runs: its workers decide"
         )
-    found = _control_study(what, assigned(set_), _seeds(seeds), net)
+    found = _control_study(what, assigned(set_), seeds_of(seeds), net)
     if found is not None:
         elsewhere = scheduler is not None or keep_runs or tls is not None
         _run_control(found, out, jobs, markdown, as_json=as_json, elsewhere=elsewhere)
@@ -78,8 +78,8 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
     if markdown is not None:
         check_target(markdown, "--markdown")
     compile_ahead(errors)
-    study, cells = planned(file, settings, _seeds(seeds))
-    with _explained_if_missing():
+    study, cells = planned(file, settings, seeds_of(seeds))
+    with explained_if_missing():
         from studies.sweep.results import parts_table, table, write_table
     store = ResultStore.at(out or Path("runs") / f"study-{study.name}")
     with _stopped_by_signals() as stop:
@@ -129,7 +129,7 @@ def _run_control(
     """
     if elsewhere:
         raise ConfigError(f"study {study.name}: goes with none of --scheduler, --keep-runs, --tls")
-    with _explained_if_missing():
+    with explained_if_missing():
         from recording.database import versions
         from studies.control_page import control_page, print_control_study
         from studies.control_study import run_control_study, summaries
@@ -139,7 +139,8 @@ def _run_control(
     folder = out or Path("runs") / f"study-{study.name}"
 
     def report(done: int, total: int, last: str) -> None:
-        errors.print(f"{done}/{total}  {last}", markup=False, highlight=False, soft_wrap=True)
+        if last:
+            errors.print(f"{done}/{total}  {last}", markup=False, highlight=False, soft_wrap=True)
 
     results = run_control_study(study, folder, jobs or len(usable_cores()), report)
     rows = summaries(study, results)
@@ -165,7 +166,7 @@ def _run(
     keep_runs: bool,
 ) -> list[Failure]:
     """Runs what is missing; returns what failed."""
-    with _explained_if_missing():
+    with explained_if_missing():
         from studies.sweep.cluster import local, remote, usable_cores
         from studies.sweep.engine import Engine, ProgressDisplay, missing
     todo = missing(cells, store)
@@ -268,7 +269,7 @@ def _accuracy_sections(
     return accuracy_section(rows), scenes_section(scenario, spec.detectors[-1])
 
 
-def _seeds(text: str | None) -> list[int]:
+def seeds_of(text: str | None) -> list[int]:
     """Reads `1,2,5-8`.
 
     Raises:
@@ -287,7 +288,8 @@ def _seeds(text: str | None) -> list[int]:
 
 
 @contextmanager
-def _explained_if_missing() -> Iterator[None]:
+def explained_if_missing() -> Iterator[None]:
+    """Says what to install where a library of studies is missing."""
     try:
         yield
     except ModuleNotFoundError as error:

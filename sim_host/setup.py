@@ -292,19 +292,24 @@ def _write_config(path: Path, net: Net, routes: Path, *, begin_s: float = 0.0) -
 
 
 def _user_world(traffic: TrafficConfig, junctions: Junctions) -> tuple[RoadMap, list[VehicleType]]:
-    files = _files_of(Path(traffic.sumocfg or ""))
+    files = sumo_files(Path(traffic.sumocfg or ""))
     return road_map(read_net(files.net), junctions), types_of_files(files.others)
 
 
 @dataclass(frozen=True, slots=True)
-class _Files:
+class SumoFiles:
     """What a sumocfg names: its net, and the files that may hold vehicle types."""
 
     net: Path
     others: list[Path]
 
 
-def _files_of(path: Path) -> _Files:
+def sumo_files(path: Path) -> SumoFiles:
+    """Returns the files that a sumocfg names.
+
+    Raises:
+        ConfigError: it cannot be read, or names not one net.
+    """
     if not is_file(path):
         raise ConfigError(f"traffic.sumocfg: file {path} does not exist")
     try:
@@ -324,4 +329,4 @@ def _files_of(path: Path) -> _Files:
     }
     if len(named["n"]) != 1:
         raise ConfigError(f"traffic.sumocfg: {path} names {len(named['n'])} net files, needs one")
-    return _Files(net=named["n"][0], others=named["a"] + named["r"])
+    return SumoFiles(net=named["n"][0], others=named["a"] + named["r"])

@@ -35,6 +35,7 @@ from sim_host.config import CabinetConfig
 from sim_host.junctions import DEMAND_VPH_PER_LANE
 from sim_host.setup import OWN_CONFIG, SUMO_FOLDER, build_setup
 from sim_host.sumo import load_libsumo
+from studies.approach_log import ApproachLog, VehicleSample
 from studies.bench import JsonRow, empty_table, print_whole
 from studies.control_baselines import (
     OWN_SETTINGS,
@@ -54,6 +55,8 @@ _DEFAULT_LANE_VPH = 500.0
 _SETTLED_S = 300  # from when on estimates are judged
 _QUEUED_MPS = 1.0  # who has been slower before the stop bar queues until he has passed it
 
+_PROGRAM = "own"
+
 OWN_PLAN = "plan"
 WEBSTER = "webster"
 
@@ -63,7 +66,7 @@ class ControlCase:
     """One run.
 
     Attributes:
-        net: of `NETS`, or a folder with one .sumocfg.
+        net: of `NETS`, a .sumocfg, or a folder with one.
         policy: what `signal.policy` may be, or a baseline: `plan` (the net's own programme) or
             one of `OWN_SETTINGS`.
         demand: factor of the net's own demand; of `NETS` alone.
@@ -76,6 +79,8 @@ class ControlCase:
             told of any lane that it is covered.
         own: of a baseline, see `OWN_SETTINGS`.
         flows_vph: by lane before a stop bar, for `webster`.
+        warmup_s: on the net's own plan, before the policy and all measures begin.
+        junctions: ids of the signals that the policy controls; empty: all.
     """
 
     net: str
@@ -90,6 +95,8 @@ class ControlCase:
     reporting: float = 1.0
     own: Mapping[str, float] = field(default_factory=dict)
     flows_vph: Mapping[str, float] = field(default_factory=dict)
+    warmup_s: int = 0
+    junctions: tuple[str, ...] = ()
 
     def tuned(self, tuning: Tuning) -> ControlCase:
         """Returns the case with what the advocate of its policy sets."""
@@ -161,13 +168,28 @@ def run_case(case: ControlCase) -> ControlRow:
     Raises:
         ConfigError: the net or the policy is none, or the policy is told what it does not know.
     """
+    with tempfile.TemporaryDirectory(prefix="cpnet-control-") as folder:
+        return _checked_run(case, Path(folder)).row()
+
+
+def run_case_in_detail(case: ControlCase) -> dict[str, Any]:
+    """Returns the row of a case, and what its `ApproachLog` holds.
+
+    Raises:
+        ConfigError: as `run_case`.
+    """
+    with tempfile.TemporaryDirectory(prefix="cpnet-control-") as folder:
+        run = _checked_run(case, Path(folder))
+        return {**run.row().as_json(), **run.log.as_json()}
+
+
+def _checked_run(case: ControlCase, folder: Path) -> _Run:
     known = OWN_SETTINGS.get(case.policy, ())
     unknown = sorted(set(case.own) - set(known))
     if unknown:
         allowed = ", ".join(known) or "nothing"
         raise ConfigError(f"policy {case.policy}: {unknown[0]} is no setting, allowed: {allowed}")
-    with tempfile.TemporaryDirectory(prefix="cpnet-control-") as folder:
-        return _Run(case, Path(folder)).row()
+    return _Run(case, folder)
 
 
 def print_control(rows: list[ControlRow], console: Console) -> None:
@@ -200,7 +222,9 @@ class _Run:
         self._waited_s = 0.0
         self._queues: list[tuple[float, bool]] = []
         self.passed: Counter[str] = Counter()
+        self.log = ApproachLog(self._road_map, 1.0)
         self._lane_of: dict[str, str] = {}
+        self._measured_from_s = 0.0
 
     def row(self) -> ControlRow:
         """Runs it."""
@@ -232,7 +256,7 @@ class _Run:
             self._drive(_controllers(self._case, self._road_map))
         finally:
             self._sumo.close()
-        delays, arrived = _delays_s(trips)
+        delays, arrived = delays_s(trips, self._measured_from_s)
         decide_ms = np.array(self._decide_ns or [0]) / 1e6
         return ControlRow(
             net=Path(self._case.net).name,
@@ -251,18 +275,25 @@ class _Run:
         )
 
     def _drive(self, controllers: list[_Controller]) -> None:
-        begin_s = self._sumo.simulation.getTime()
+        begin_s, warmup_s = self._sumo.simulation.getTime(), self._case.warmup_s
+        self._measured_from_s = begin_s + warmup_s
         truth = _Truth(self._road_map, self._case)
         shown: dict[str, str] = {}
-        for step in range(self._case.duration_s * _STEPS_A_SECOND):
+        if warmup_s and self._case.policy in SUMO_TYPES:
+            self._take_program(is_own=False)
+        for step in range((warmup_s + self._case.duration_s) * _STEPS_A_SECOND):
             now_ns = round((begin_s + step * STEP_S) * 1e9)
-            if step % _STEPS_A_SECOND == 0:
+            second, rest = divmod(step, _STEPS_A_SECOND)
+            if rest == 0 and second == warmup_s and warmup_s and self._case.policy in SUMO_TYPES:
+                self._take_program(is_own=True)
+            if rest == 0 and second >= warmup_s:
                 self._note_waits()
                 truth.read(self._sumo)
                 self._note_passages(truth.all)
+                self.log.note(now_ns / 1e9 - self._measured_from_s, self._vehicles())
                 for one in controllers:
                     self._decide_ns.append(one.decide(step, now_ns, truth))
-                    if step >= _SETTLED_S * _STEPS_A_SECOND:
+                    if second - warmup_s >= _SETTLED_S:
                         self._queues += one.queue_errors(truth)
             for one in controllers:
                 state = one.cabinet.advance(now_ns)
@@ -270,6 +301,22 @@ class _Run:
                     self._sumo.trafficlight.setRedYellowGreenState(one.tls, state)
                     shown[one.tls] = state
             self._sumo.simulationStep()
+
+    def _take_program(self, *, is_own: bool) -> None:
+        """Switches the signals that SUMO controls to the policy's program, or the net's."""
+        lights = self._sumo.trafficlight
+        for one in self._road_map.intersections:
+            known = [logic.programID for logic in lights.getAllProgramLogics(one.signal.tls)]
+            if _PROGRAM in known:
+                lights.setProgram(
+                    one.signal.tls, next(n for n in known if (n == _PROGRAM) == is_own)
+                )
+
+    def _vehicles(self) -> Iterator[VehicleSample]:
+        vehicle = self._sumo.vehicle
+        for name in vehicle.getIDList():
+            lane, along_m = vehicle.getLaneID(name), vehicle.getLanePosition(name)
+            yield VehicleSample(name, lane, along_m, vehicle.getSpeed(name))
 
     def _note_passages(self, vehicles: LaneVehicles) -> None:
         incoming = set(self._road_map.incoming)
@@ -429,14 +476,17 @@ def _roads(case: ControlCase, folder: Path) -> tuple[Path, RoadMap]:
         traffic: dict[str, Any] = {"demand_vph_per_lane": demand}
         config = folder / SUMO_FOLDER / OWN_CONFIG
     else:
-        found = sorted(Path(case.net).glob("*.sumocfg"))
+        found = [Path(case.net)]
+        if found[0].suffix != ".sumocfg":
+            found = sorted(found[0].glob("*.sumocfg"))
         if len(found) != 1:
             raise ConfigError(
-                f"--net {case.net}: must be {' or '.join(NETS)} or a folder with a .sumocfg"
+                f"--net {case.net}: must be {' or '.join(NETS)}, a .sumocfg or a folder with one"
             )
         config = found[0]
         traffic = {"sumocfg": str(config)}
-    setup = build_setup({"traffic": traffic, "junctions": "all"}, folder)
+    junctions = list(case.junctions) or "all"
+    setup = build_setup({"traffic": traffic, "junctions": junctions}, folder)
     if case.net == "moving_peak":
         _move_peak(config.parent / "demand.rou.xml", case.duration_s)
     return config, setup.road_map
@@ -517,7 +567,7 @@ def _write_programs(case: ControlCase, config: Path, road_map: RoadMap, folder: 
         except ConfigError:
             continue  # with one green only there is nothing to decide
         logic = ElementTree.SubElement(
-            root, "tlLogic", id=one.signal.tls, type=case.policy, programID="own", offset="0"
+            root, "tlLogic", id=one.signal.tls, type=case.policy, programID=_PROGRAM, offset="0"
         )
         for name, value in case.own.items():
             ElementTree.SubElement(logic, "param", key=name, value=f"{value:g}")
@@ -533,12 +583,20 @@ def _write_programs(case: ControlCase, config: Path, road_map: RoadMap, folder: 
     return ",".join([*(str(config.parent / name.strip()) for name in given), str(path)])
 
 
-def _delays_s(trips: Path) -> tuple[list[float], int]:
-    """Returns each vehicle's time loss plus departure delay, and how many arrived."""
+def delays_s(trips: Path, since_s: float = -math.inf) -> tuple[list[float], int]:
+    """Returns each vehicle's time loss plus departure delay in s, and how many arrived.
+
+    Args:
+        trips: SUMO's tripinfo, with those under way and those that never entered.
+        since_s: vehicles that arrived before do not count.
+    """
     delays, arrived = [], 0
     for _, element in ElementTree.iterparse(trips):
         if element.tag == "tripinfo":
-            delays.append(float(element.get("timeLoss", 0)) + float(element.get("departDelay", 0)))
-            arrived += float(element.get("arrival", -1)) >= 0
+            arrival_s = float(element.get("arrival", -1))
+            if arrival_s < 0 or arrival_s >= since_s:
+                loss_s = float(element.get("timeLoss", 0))
+                delays.append(loss_s + float(element.get("departDelay", 0)))
+                arrived += arrival_s >= 0
             element.clear()
     return delays, arrived

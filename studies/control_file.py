@@ -27,14 +27,18 @@ class ControlStudy(Section):
     title: str = Field("", description="a line for people")
     nets: dict[str, list[float]] = Field(
         min_length=1,
-        description=f"{', '.join(NETS)}, or a folder with a .sumocfg; factors of its demand, of a "
-        "folder's 1 alone",
+        description=f"{', '.join(NETS)}, a .sumocfg or a folder with one; factors of the demand, "
+        "of your own net 1 alone",
     )
     policies: list[str] = Field(min_length=2, description="as in `cpnet bench control`")
     studied: str = Field("predictive", description="whose difference to the others is shown")
     seeds: list[Seed] = Field([1, 2, 3, 4, 5], min_length=1, description="that are reported")
     tuning_seeds: list[Seed] = Field([101, 102], description="others; none: nothing is tuned")
     duration_s: int = Field(3600, ge=60, le=86400, description="of each reported run")
+    warmup_s: int = Field(
+        0, ge=0, le=7200, description="on the net's own plan, before policies and measures begin"
+    )
+    junctions: list[str] = Field([], description="signals that are controlled; none named: all")
     tuning_duration_s: int = Field(1200, ge=60, le=86400, description="of each run for tuning")
 
     def check(self) -> None:
@@ -50,7 +54,7 @@ class ControlStudy(Section):
             raise ConfigError(f"study {self.name}: studied is {self.studied}, must be of policies")
         for net, factors in self.nets.items():
             if net not in NETS and factors != [1.0]:
-                raise ConfigError(f"study {self.name}: {net} has the demand of its folder: [1]")
+                raise ConfigError(f"study {self.name}: {net} has a demand of its own: [1]")
 
 
 def read_control_study(path: Path, changes: Mapping[str, Any]) -> ControlStudy | None:

@@ -13,26 +13,28 @@ import math
 import multiprocessing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 from statistics import mean, stdev
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from scipy.special import stdtrit
 
 from protocol.errors import ConfigError
-from studies.bench_control import WEBSTER, ControlCase, lane_flows_vph, run_case
+from sim_host.setup import sumo_files
+from studies.bench_control import OWN_PLAN, WEBSTER, ControlCase, lane_flows_vph, run_case_in_detail
 from studies.control_baselines import TUNINGS, Tuning
 from studies.control_file import NETS, ControlStudy
 from studies.sweep.cells import code_digest, write_atomically
 
 _ROOT = Path(__file__).resolve().parents[1]
-_OWN_CODE = ("bench_control.py", "control_baselines.py")
+_OWN_CODE = ("bench_control.py", "control_baselines.py", "approach_log.py")
 _CONFIDENCE = 0.95
 Row = dict[str, Any]
 Report = Callable[[int, int, str], None]
-"""Receives how many runs are done, of how many, and which was the last."""
+"""Receives how many runs are done, of how many, and which was the last, if one was."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +51,43 @@ class Group:
         return Path(self.net).name + factor
 
 
+class Case(Protocol):
+    """A run that a `CaseStore` keeps."""
+
+    @property
+    def title(self) -> str:
+        """What the run is called while it runs."""
+
+    def identity(self) -> dict[str, Any]:
+        """Returns all that decides the run's figures, as JSON has it."""
+
+
+C = TypeVar("C", bound=Case)
+
+
+@dataclass(frozen=True, slots=True)
+class BenchCase:
+    """A run of SUMO alone."""
+
+    case: ControlCase
+
+    @property
+    def title(self) -> str:
+        """See `Case`."""
+        one = self.case
+        return f"{Group(one.net, one.demand).title} {one.policy} seed={one.seed}"
+
+    def identity(self) -> dict[str, Any]:
+        """See `Case`."""
+        net = self.case.net
+        files = [] if net in NETS else files_of_net(Path(net))
+        return {
+            "case": asdict(self.case),
+            "code": _code(),
+            "files": {path.name: file_digest(path) for path in files},
+        }
+
+
 class CaseStore:
     """The runs of a folder, each a file that is named by its case and the code that ran it."""
 
@@ -60,52 +99,62 @@ class CaseStore:
             raise ConfigError(f"--out {folder}: {error}") from None
 
     def run(
-        self, kind: str, cases: Sequence[ControlCase], processes: int, report: Report
+        self, work: Callable[[C], Row], cases: Sequence[C], processes: int, report: Report
     ) -> list[Row]:
         """Returns the rows of cases, in their order; runs those that are missing.
 
         Args:
-            kind: `row` as `run_case` gives it, or `flows` as `lane_flows_vph` does.
+            work: a function of a module, which runs a case.
             cases: equal ones run once.
             processes: runs at a time, each in a process of its own as SUMO keeps state.
-            report: told of each run.
+            report: told of each run, and before the first.
 
         Raises:
             ConfigError: a net or a policy is none.
         """
-        paths = [self._path(kind, case) for case in cases]
+        paths = [self._path(work.__name__, case) for case in cases]
         todo = {path: case for path, case in zip(paths, cases, strict=True) if _read(path) is None}
+        report(len(cases) - len(todo), len(cases), "")
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(processes, mp_context=context, max_tasks_per_child=1) as pool:
-            work = _KINDS[kind]
             runs = {pool.submit(work, case): path for path, case in todo.items()}
             try:
                 for number, future in enumerate(as_completed(runs), 1):
                     path = runs[future]
                     write_atomically(path, json.dumps(future.result(), indent=1).encode())
-                    report(len(cases) - len(todo) + number, len(cases), _title(todo[path]))
+                    report(len(cases) - len(todo) + number, len(cases), todo[path].title)
+            except BrokenProcessPool:
+                raise ConfigError(
+                    "a run's process was killed, as when memory runs out; the same command goes on "
+                    "with what is left"
+                ) from None
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
         return [_read(path) or {} for path in paths]
 
-    def _path(self, kind: str, case: ControlCase) -> Path:
-        decides = {"kind": kind, "case": asdict(case), "code": _code()}
-        files = sorted(Path(case.net).glob("*.xml")) if case.net not in NETS else []
-        decides["files"] = {path.name: _digest(path) for path in files}
+    def _path(self, kind: str, case: Case) -> Path:
+        decides = {"kind": kind, **case.identity()}
         found = hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest()
         return self._folder / f"{found[:16]}.json"
 
 
-def _run_row(case: ControlCase) -> Row:
-    return run_case(case).as_json()
+def run_row(one: BenchCase) -> Row:
+    """Returns the figures of a run."""
+    return run_case_in_detail(one.case)
 
 
-_KINDS: dict[str, Callable[[ControlCase], Row]] = {"row": _run_row, "flows": lane_flows_vph}
+def run_flows(one: BenchCase) -> Row:
+    """Returns the vehicles per hour over each stop bar."""
+    return lane_flows_vph(one.case)
 
 
-def _title(case: ControlCase) -> str:
-    return f"{Group(case.net, case.demand).title} {case.policy} seed={case.seed}"
+def files_of_net(net: Path) -> list[Path]:
+    """Returns the files that a .sumocfg names, itself first, or those of a folder with one."""
+    if net.suffix != ".sumocfg":
+        return sorted(net.glob("*.xml"))
+    found = sumo_files(net)
+    return [net, found.net, *found.others]
 
 
 def _read(path: Path) -> Row | None:
@@ -118,22 +167,23 @@ def _read(path: Path) -> Row | None:
 
 @cache
 def _code() -> list[str]:
-    own = [_digest(Path(__file__).parent / name) for name in _OWN_CODE]
+    own = [file_digest(Path(__file__).parent / name) for name in _OWN_CODE]
     return [code_digest(_ROOT, ("protocol", "sim_host", "signal_controller")), *own]
 
 
-def _digest(path: Path) -> str:
+def file_digest(path: Path) -> str:
+    """Returns a hash of what a file holds."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
 class PolicyResult:
-    """A policy in a group: what was set for it, and its rows in the order of the seeds."""
+    """A policy in a group: what its tuning set, if it has any, and its rows by seed."""
 
     group: Group
     policy: str
-    setting: str
+    tuning: Tuning | None
     rows: list[Row]
 
     def values(self, measure: str) -> list[float]:
@@ -147,9 +197,20 @@ class PolicyResult:
 
 
 def run_control_study(
-    study: ControlStudy, folder: Path, processes: int, report: Report
+    study: ControlStudy,
+    folder: Path,
+    processes: int,
+    report: Report,
+    tunings: Mapping[str, Sequence[Tuning]] = TUNINGS,
 ) -> list[PolicyResult]:
     """Tunes, then runs everything that is not done yet.
+
+    Args:
+        study: what to run.
+        folder: of the results.
+        processes: runs at a time.
+        report: told of each run.
+        tunings: what is tried for each policy.
 
     Raises:
         ConfigError: a net or a policy is none.
@@ -157,19 +218,17 @@ def run_control_study(
     store = CaseStore(folder)
     groups = [Group(net, demand) for net, factors in study.nets.items() for demand in factors]
     flows = _flows(study, groups, store, processes, report)
-    tunings = _tuned(study, groups, flows, store, processes, report)
+    best = _tuned(study, groups, flows, store, processes, report, tunings)
     cells = [(group, policy) for group in groups for policy in study.policies]
     cases = [
-        _case(study, *cell, flows, tunings.get(cell), seed)
-        for cell in cells
-        for seed in study.seeds
+        _case(study, *cell, flows, best.get(cell), seed) for cell in cells for seed in study.seeds
     ]
-    rows = iter(store.run("row", cases, processes, report))
+    rows = iter(store.run(run_row, [*map(BenchCase, cases)], processes, report))
     return [
         PolicyResult(
             group,
             policy,
-            tuning.text if (tuning := tunings.get((group, policy))) else "",
+            best.get((group, policy)),
             [next(rows) for _ in study.seeds],
         )
         for group, policy in cells
@@ -187,10 +246,8 @@ def _flows(
     if WEBSTER not in study.policies:
         return {}
     seed = (study.tuning_seeds or study.seeds)[0]
-    cases = [
-        ControlCase(group.net, WEBSTER, seed, group.demand, study.duration_s) for group in groups
-    ]
-    return dict(zip(groups, store.run("flows", cases, processes, report), strict=True))
+    cases = [BenchCase(_case(study, group, OWN_PLAN, {}, None, seed)) for group in groups]
+    return dict(zip(groups, store.run(run_flows, cases, processes, report), strict=True))
 
 
 def _tuned(
@@ -200,15 +257,17 @@ def _tuned(
     store: CaseStore,
     processes: int,
     report: Report,
+    tunings: Mapping[str, Sequence[Tuning]],
 ) -> Tunings:
     """Returns what gives each baseline the least mean delay, over the seeds for tuning."""
     if not study.tuning_seeds:
+        report(0, 0, "")
         return {}
     tried = [
         (group, policy, tuning)
         for group in groups
         for policy in study.policies
-        for tuning in TUNINGS.get(policy, ())
+        for tuning in tunings.get(policy, ())
     ]
     short = study.model_copy(update={"duration_s": study.tuning_duration_s})
     cases = [
@@ -216,7 +275,7 @@ def _tuned(
         for group, policy, tuning in tried
         for seed in study.tuning_seeds
     ]
-    rows = iter(store.run("row", cases, processes, report))
+    rows = iter(store.run(run_row, [*map(BenchCase, cases)], processes, report))
     best: dict[tuple[Group, str], tuple[float, Tuning]] = {}
     for group, policy, tuning in tried:
         delay_s = mean(float(next(rows)["delay_s"]) for _ in study.tuning_seeds)
@@ -233,7 +292,15 @@ def _case(
     tuning: Tuning | None,
     seed: int,
 ) -> ControlCase:
-    case = ControlCase(group.net, policy, seed, group.demand, study.duration_s)
+    case = ControlCase(
+        group.net,
+        policy,
+        seed,
+        group.demand,
+        study.duration_s,
+        warmup_s=study.warmup_s,
+        junctions=tuple(study.junctions),
+    )
     if policy == WEBSTER:
         case = replace(case, flows_vph=flows[group])
     return case if tuning is None else case.tuned(tuning)
@@ -272,7 +339,7 @@ def summaries(study: ControlStudy, results: Iterable[PolicyResult]) -> list[Row]
                 "net": Path(one.group.net).name,
                 "demand": one.group.demand,
                 "policy": one.policy,
-                "setting": one.setting,
+                "setting": one.tuning.text if one.tuning else "",
                 "seeds": len(one.rows),
                 "delay_s": one.delay_s,
                 "delay_ci95_s": spread.half,

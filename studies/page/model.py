@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias
 from studies import palette
 
 ChartKind: TypeAlias = Literal["line", "bar", "steps"]
-Style: TypeAlias = Literal["line", "dashed", "line+points"]
+Style: TypeAlias = Literal["line", "dashed", "line+points", "points"]
 Mark: TypeAlias = Literal["disc", "cross", "star"]
 Number: TypeAlias = float | int
 Numbers: TypeAlias = tuple[Number | None, ...]

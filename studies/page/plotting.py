@@ -22,6 +22,7 @@ from studies.page.model import Chart, Colours, Figure, MapChart, Numbers, Series
 _WIDTH = 0.8  # of all bars of a category
 _WHISKERS = {"ecolor": palette.INK_FAINT, "elinewidth": 1.2, "capsize": 2}
 _MAX_LEVEL_LETTERS = 70  # of all category labels together; beyond that they are tilted
+_LINES = {"dashed": "--", "points": "none"}
 _DASHES = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
 
 
@@ -77,8 +78,8 @@ def _line(series: Series, axes: Axes, colours: Colours, chart: Chart) -> None:
         _array(series.y),
         color=colour,
         linewidth=1.6,
-        linestyle="--" if series.style == "dashed" else _DASHES[dash],
-        marker="o" if series.style == "line+points" else None,
+        linestyle=_LINES.get(series.style, _DASHES[dash]),
+        marker="o" if "points" in series.style else None,
         markersize=4,
         drawstyle="steps-post" if chart.kind == "steps" else "default",
         label="-",

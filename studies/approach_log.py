@@ -1,0 +1,100 @@
+"""What vehicles lose and how they queue before stop bars, from samples of where they are.
+
+The same samples, once a second, come from SUMO alone and from the truth of a recorded run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable
+from statistics import fmean
+from typing import Any, NamedTuple
+
+from protocol.approaches import Approaches
+from protocol.roadmap import Intersection, Lane, RoadMap
+
+REACH_M = 300.0  # before a stop bar, as far as vehicles are looked at
+INTERVAL_S = 10.0  # of which the queue is a mean
+_STANDING_MPS = 1.4  # 5 km/h
+_WINDS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
+
+
+class VehicleSample(NamedTuple):
+    """Where a vehicle is: its lane, metres along it as SUMO counts them, its speed in m/s."""
+
+    vehicle: str
+    lane: str
+    along_m: float
+    speed_mps: float
+
+
+class ApproachLog:
+    """Adds up the time that vehicles lose on each approach, and how many stand there.
+
+    An approach is an edge that ends at a stop bar, with the lanes that lead to it, up to `REACH_M`.
+    Time lost is what driving slower than the lane's limit costs.
+    """
+
+    def __init__(self, road_map: RoadMap, period_s: float) -> None:
+        self._period_s = period_s
+        self._lanes: dict[str, tuple[Lane, str, float]] = {}
+        names = approach_names(road_map)
+        for one in road_map.intersections:
+            for lane, approach in Approaches(road_map, one).upstream.items():
+                edge = road_map.by_id[approach.counts_for].edge
+                found = road_map.by_id[lane], names[one.tls, edge], approach.start_m
+                self._lanes.setdefault(lane, found)
+        self._names = list(names.values())
+        self._lost_s: dict[str, float] = defaultdict(float)
+        self._vehicles: dict[str, set[str]] = defaultdict(set)
+        self._queues: dict[int, list[int]] = defaultdict(list)
+
+    def note(self, time_s: float, samples: Iterable[VehicleSample]) -> None:
+        """Takes where all vehicles are, `time_s` after the first measured moment."""
+        standing = 0
+        for one in samples:
+            found = self._lanes.get(one.lane)
+            if found is None:
+                continue
+            lane, name, start_m = found
+            scale = lane.measured_m / lane.length_m if lane.length_m else 1.0
+            if start_m - one.along_m * scale > REACH_M:
+                continue
+            self._lost_s[name] += self._period_s * max(0.0, 1 - one.speed_mps / lane.speed_mps)
+            self._vehicles[name].add(one.vehicle)
+            standing += one.speed_mps < _STANDING_MPS
+        self._queues[int(time_s // INTERVAL_S)].append(standing)
+
+    def as_json(self) -> dict[str, Any]:
+        """Returns mean seconds lost by approach, and the vehicles that stood, by interval."""
+        approaches = {
+            name: self._lost_s[name] / len(self._vehicles[name]) if self._vehicles[name] else None
+            for name in self._names
+        }
+        last = max(self._queues, default=-1)
+        queues = [fmean(self._queues[n]) if n in self._queues else None for n in range(last + 1)]
+        return {"approaches": approaches, "queues": queues}
+
+
+def approach_names(road_map: RoadMap) -> dict[tuple[str, str], str]:
+    """Returns what each approach is called: the wind that it comes from, else its edge.
+
+    By signal and edge; with several signals, the signal's id comes first.
+    """
+    names: dict[tuple[str, str], str] = {}
+    several = len(road_map.intersections) > 1
+    for one in road_map.intersections:
+        edges = {road_map.by_id[lane].edge: lane for lane in one.incoming if lane in road_map.by_id}
+        winds = {edge: _wind(one, road_map.by_id[lane]) for edge, lane in edges.items()}
+        for edge, wind in winds.items():
+            is_only = list(winds.values()).count(wind) == 1
+            text = f"from {wind}" if is_only else f"from {wind} ({edge})"
+            names[one.tls, edge] = f"{one.tls} {text}" if several else text
+    return names
+
+
+def _wind(intersection: Intersection, lane: Lane) -> str:
+    x_m, y_m = lane.points[0, :2] - intersection.centre[:2]
+    turn = math.atan2(y_m, x_m) / (2 * math.pi) * len(_WINDS)
+    return _WINDS[round(turn) % len(_WINDS)]

@@ -1,0 +1,105 @@
+"""`cpnet compare`, by the commands of docs/own-junction.md, and what it refuses."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from cpnet.study_cells import resolved
+from protocol.errors import ConfigError
+from studies.compare import Question, prepare, write_config
+
+pytest.importorskip("polars", reason="needs the extra `study`")
+
+PAGE = Path(__file__).parents[2] / "docs" / "own-junction.md"
+
+
+def resolve(settings):
+    return resolved("t_junction", settings)
+
+
+@pytest.fixture(scope="module")
+def net(tmp_path_factory) -> Path:
+    """Draws the junction of the tutorial by the tutorial's own files and command."""
+    folder, text = tmp_path_factory.mktemp("own"), PAGE.read_text("utf-8")
+    nodes, edges = re.findall(r"```xml\n(.*?)```", text, re.DOTALL)
+    (folder / "mine.nod.xml").write_text(nodes)
+    (folder / "mine.edg.xml").write_text(edges)
+    (command,) = re.findall(r"```\n(netconvert .*)\n```", text)
+    words = [str(Path(sys.executable).parent / "netconvert"), *command.split()[1:]]
+    subprocess.run(words, cwd=folder, check=True, capture_output=True)
+    return folder / "mine.net.xml"
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_the_tutorials_command_gives_a_sentence_and_a_page(net, shell) -> None:
+    (command,) = re.findall(r"```\ncpnet (compare .*)\n```", PAGE.read_text("utf-8"))
+    words = [str(net) if word == net.name else word for word in command.split()]
+    short = ["--duration=60", "--warmup=0", "--tuning=0", "--seeds=1", "--cav-rate=0"]
+    status, printed = shell.run(*words, *short, "--out=answer", "--jobs=1")
+    assert status == 0, printed
+    assert "With 1 roadside post and predictive control a vehicle loses" in " ".join(
+        printed.split()
+    )
+    page = (shell.folder / "answer" / "report.html").read_text("utf-8")
+    for title in ("By approach", "Queues over time", "What was seen", "How it was made"):
+        assert title in page
+
+
+def test_a_net_without_demand_is_refused_with_what_to_give(net) -> None:
+    with pytest.raises(ConfigError, match="no demand. Give --sumocfg FILE, --routes FILE"):
+        Question(net=net).check()
+
+
+def test_a_sumocfg_beside_the_net_is_named(tmp_path) -> None:
+    (tmp_path / "x.sumocfg").write_text("<configuration/>")
+    with pytest.raises(ConfigError, match=r"beside the net lies .*x\.sumocfg"):
+        Question(net=tmp_path / "x.net.xml").check()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"demand_vph": 300.0, "routes": Path("r.rou.xml")}, "--routes and --demand: give one"),
+        ({"demand_vph": 300.0, "seeds": (1, 101)}, "101 is a seed that baselines are tuned with"),
+        ({"demand_vph": 300.0, "settings": {"seed": 3}}, "--set seed: give --seeds instead"),
+        ({"demand_vph": 3.0, "settings": {"cabinet.yellow_s": 3}}, "is the same for all"),
+    ],
+)
+def test_options_that_contradict_each_other_are_refused(options, message) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Question(net=Path("x.net.xml"), **options).check()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"tls": ["nowhere"]}, "nowhere"),
+        ({"posts": ["nowhere"]}, "--posts nowhere: is none of the controlled signals: centre"),
+        ({"posts": "none", "cav_rate": 0.0}, "nobody sees anything"),
+    ],
+)
+def test_unknown_signals_and_blind_comparisons_are_refused(net, tmp_path, options, message) -> None:
+    with pytest.raises(ConfigError, match=message):
+        prepare(Question(net=net, demand_vph=300, **options), tmp_path, "mine", resolve)
+
+
+def test_a_sumocfg_is_written_anew_with_absolute_files_and_without_teleporting(tmp_path) -> None:
+    (tmp_path / "a.sumocfg").write_text(
+        '<configuration><input><net-file value="a.net.xml"/><r v="a.xml, b.xml"/></input>'
+        '<output><summary-output value="s.xml"/></output>'
+        '<processing><time-to-teleport value="60"/></processing></configuration>'
+    )
+    write_config(tmp_path / "a.sumocfg", tmp_path / "b.sumocfg")
+    root = ElementTree.parse(tmp_path / "b.sumocfg").getroot()
+    assert {one.tag: one.get("value") for one in root} == {
+        "net-file": str(tmp_path / "a.net.xml"),
+        "route-files": f"{tmp_path / 'a.xml'},{tmp_path / 'b.xml'}",
+        "time-to-teleport": "-1",
+    }
