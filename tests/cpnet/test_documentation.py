@@ -78,7 +78,7 @@ def test_the_pages_of_the_protocol_have_every_topic_and_message(generate) -> Non
 
 def test_every_page_is_in_the_navigation(generate) -> None:
     text = (ROOT / "mkdocs.yml").read_text("utf-8")
-    listed = re.findall(r"[\w/]+\.md", str(yaml.safe_load(text)["nav"]))
+    listed = re.findall(r"[\w/-]+\.md", str(yaml.safe_load(text)["nav"]))
     written = [path.name for path in (ROOT / "docs").glob("*.md")]
     assert sorted(listed) == sorted([*written, *generate.GENERATED])
 
