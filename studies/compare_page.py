@@ -52,8 +52,8 @@ _NAMES = {
 }
 _MAX_APPROACHES = 12  # that are drawn; more are in a table
 _HEADS = (
-    *("control", "it sees", "what its tuning set", "delay, s", "seeds", "95th percentile, s"),
-    *("over own plan, s", "over best baseline, s", "arrived"),
+    *("control", "it sees", "what its tuning set", "arrived", "delay by seed, s", "delay, s"),
+    *("95th percentile, s", "over own plan, s", "over best baseline, s"),
 )
 _SEEN_HEADS = ("control", "it sees", "E-CVPR, %", "false boxes a frame", "uplink, Mbit/s", "peak")
 
@@ -77,11 +77,12 @@ def answer(comparison: Comparison, variants: Sequence[Variant]) -> str:
     plan, baseline = variants[0], best_baseline(variants)
     found = {one.sight: one for one in variants if one.is_perceived and one.policy == PREDICTIVE}
     lead = found.pop(comparison.lead_sight)
+    tuned = ", tuned" if baseline.setting else ""
     text = (
         f"With {_equipment(comparison, lead.sight)} and predictive control a vehicle loses "
         f"{lead.delay_s:.1f} s, {_against(lead, plan)} the net's own plan "
-        f"({plan.delay_s:.1f} s) and {_against(lead, baseline)} {_NAMES[baseline.policy]} when "
-        f"tuned ({baseline.delay_s:.1f} s); all LiDARs together upload "
+        f"({plan.delay_s:.1f} s) and {_against(lead, baseline)} {_NAMES[baseline.policy]}{tuned} "
+        f"({baseline.delay_s:.1f} s); all LiDARs together upload "
         f"{lead.mean('uplink_mbps') or 0:.1f} Mbit/s at a scan every "
         f"{comparison.question.frame_period_s:g} s."
     )
@@ -122,16 +123,16 @@ def result_table(variants: Sequence[Variant]) -> Table:
             _NAMES[one.policy],
             one.sight or None,
             one.setting or None,
-            one.delay_s,
+            f"{one.mean('arrived'):.0f} of {one.mean('vehicles'):.0f}",
             _spread(one),
+            one.delay_s,
             one.mean("delay_p95_s"),
             None if one is plan else _difference(one, plan),
             None if one is baseline else _difference(one, baseline),
-            f"{one.mean('arrived'):.0f} of {one.mean('vehicles'):.0f}",
         )
         for one in variants
     )
-    forms = ("", "", "", ".1f", "", ".1f", "+.1f", "+.1f", "")
+    forms = ("", "", "", "", "", ".1f", ".1f", "+.1f", "+.1f")
     return Table(tuple(map(Column, _HEADS, forms)), rows)
 
 
@@ -164,7 +165,7 @@ def print_comparison_table(
 ) -> None:
     """Prints the tables and the sentence."""
     for heads, table in ((_HEADS, result_table(variants)), (_SEEN_HEADS, seen_table(variants))):
-        printed = empty_table(heads, left=3 if heads is _HEADS else 2)
+        printed = empty_table(heads, left=5 if heads is _HEADS else 2)
         for cells in text_rows(table):
             printed.add_row(*cells)
         print_whole(printed, console)
@@ -211,7 +212,7 @@ def compare_page(
     )
     facts = (
         Fact("the net's own plan", f"{plan.delay_s:.1f} s", "delay a vehicle"),
-        Fact(_NAMES[baseline.policy], f"{baseline.delay_s:.1f} s", "tuned, best without LiDAR"),
+        Fact(_NAMES[baseline.policy], f"{baseline.delay_s:.1f} s", "the best without LiDAR"),
         Fact(f"predictive: {lead.sight}", f"{lead.delay_s:.1f} s", "delay a vehicle"),
         Fact("roadside posts", str(len(comparison.posts))),
         Fact("uplink", f"{lead.mean('uplink_mbps') or 0:.1f} Mbit/s", "all LiDARs together"),

@@ -91,7 +91,7 @@ def test_the_page_of_tables_has_every_column_with_its_unit(generate) -> None:
 
 def test_every_page_is_in_the_navigation(generate) -> None:
     text = (ROOT / "mkdocs.yml").read_text("utf-8")
-    listed = re.findall(r"[\w/]+\.md", str(yaml.safe_load(text)["nav"]))
+    listed = re.findall(r"[\w/-]+\.md", str(yaml.safe_load(text)["nav"]))
     written = [path.name for path in (ROOT / "docs").glob("*.md")]
     assert sorted(listed) == sorted([*written, *generate.GENERATED])
 
