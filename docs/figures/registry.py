@@ -66,6 +66,7 @@ _RESCO = (
     'for net in cologne3 ingolstadt7; do [ -e resco/$net ] || { echo "runs/figures/resco/$net is '
     "missing: a folder of RESCO's nets\" >&2; exit 1; }; done; "
 )
+_GLANCE = "docs/figures-at-a-glance.md"
 _RUN = "cpnet up t_junction --cav-rate 0.05 --duration 120 --seed 1"
 _CITY_UP = "cpnet up --tls all --cav-rate 0.05 --duration 3600 --seed 1 --set frame_period_s=1"
 _SOAK = " ".join(
@@ -77,13 +78,13 @@ _HARD15 = "cpnet dataset hard15 --networks 100 --samples 10 --seed 1 --realism h
 _LIST = (
     Figure(
         "run",
-        f"rm -rf run; {_RUN} --out run >&2; "
+        "rm -rf run; cpnet up --duration 60 --out run >&2; "
         "cpnet report run --json; printf '\\f'; cpnet report run",
         SYSTEM,
         2,
         (
             Part("text", "README.md", layouts.run_text),
-            Part("table", "README.md", layouts.run_readme),
+            Part("table", _GLANCE, layouts.run_readme),
         ),
         read=layouts.summary_and_text,
     ),
@@ -105,8 +106,8 @@ _LIST = (
         15,
         (
             *(Part(link, "docs/uplink.md", layouts.uplink(link)) for link in layouts.LINKS),
-            Part("readme", "README.md", layouts.uplink_readme),
-            Part("emp", "README.md", layouts.uplink_emp),
+            Part("readme", _GLANCE, layouts.uplink_readme),
+            Part("emp", _GLANCE, layouts.uplink_emp),
         ),
     ),
     Figure(
@@ -247,7 +248,7 @@ _LIST = (
         (
             Part("parts", "docs/realism.md", layouts.realism),
             Part("accuracy", "docs/realism.md", layouts.realism_accuracy),
-            Part("readme", "README.md", layouts.realism_readme),
+            Part("readme", _GLANCE, layouts.realism_readme),
         ),
     ),
     Figure(
@@ -259,7 +260,7 @@ _LIST = (
         (
             Part("steps", "docs/comparison.md", layouts.ecvpr_steps),
             Part("shares", "docs/comparison.md", layouts.ecvpr_shares),
-            Part("readme", "README.md", layouts.ecvpr_shares),
+            Part("readme", _GLANCE, layouts.ecvpr_shares),
         ),
     ),
     Figure(
@@ -280,7 +281,7 @@ _LIST = (
         ("sensing/config.py", "cpnet/realism", "cpnet/scenarios", "docs/figures/study_rows.py"),
         0,
         (
-            Part("readme", "README.md", layouts.lidars),
+            Part("readme", _GLANCE, layouts.lidars),
             Part("realism", "docs/realism.md", layouts.lidars),
             Part("city", "docs/city.md", layouts.lidars),
         ),
@@ -319,7 +320,7 @@ _LIST = (
         ),
     ),
     # By hand: from the pages of the studies, from a browser.
-    Figure("paper-readme", "", STUDY, 0, (Part("table", "README.md"),)),
+    Figure("paper-readme", "", STUDY, 0, (Part("table", _GLANCE),)),
     Figure("bandwidth-readme", "", STUDY, 0, (Part("table", "README.md"),)),
     Figure("view", "", ("viewer",), 0, (), files=("docs/view.png",)),
 )
