@@ -8,7 +8,8 @@
 `bus`, `in_process` the buses over Zenoh and within one process; `inbox` queues what arrives
 `observer`          attaches to a run from outside; the frame buffer of its messages
 `access`            certificates, and who may publish and subscribe to what
-`process`           the life of a role's process; `logs`, `version`, `plugins`, `config`, `extras` serve it
+`process`           the life of a role's process; `logs`, `version`, `plugins`, `config` serve it
+`extras`            what to install where an optional package is missing
 `clock`             offsets between the clocks of machines
 `sequence_window`   which frame numbers can be real
 `tcpinfo`           the kernel's counters of a connection

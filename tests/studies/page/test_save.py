@@ -26,7 +26,9 @@ def test_a_missing_library_names_what_to_install(
 
     monkeypatch.delitem(sys.modules, "jinja2", raising=False)
     monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(ConfigError, match=r"needs jinja2 \(extra `study`\).*'cpnet-edge\[study\]'"):
+    with pytest.raises(
+        ConfigError, match=r"needs jinja2 \(extra `study`\).* -m pip install .*'jinja2>="
+    ):
         save_html(PAGE, tmp_path / "page.html")
     assert list(tmp_path.iterdir()) == []
 
