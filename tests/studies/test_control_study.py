@@ -41,7 +41,7 @@ def test_the_built_in_study_is_of_its_kind_and_others_are_not() -> None:
     [
         ({"seeds": [101]}, "seed 101 is for tuning and reported"),
         ({"studied": "webster2"}, "studied is webster2"),
-        ({"nets": {"resco/cologne1": [1.2]}}, "has the demand of its folder"),
+        ({"nets": {"resco/cologne1": [1.2]}}, "has a demand of its own"),
         ({"edge.detector": "fast"}, "--set edge.detector: a study of control allows: bench"),
         ({"duration_s": 3}, "duration_s"),
     ],
@@ -75,6 +75,7 @@ def test_every_setting_that_is_tried_is_one_of_its_baseline() -> None:
 
 def test_a_case_that_was_run_is_not_run_again(tmp_path: Path) -> None:
     store = control_study.CaseStore(tmp_path)
-    case = ControlCase("t_junction", "plan")
-    store._path("row", case).write_text('{"delay_s": 5.0}')
-    assert store.run("row", [case, case], 1, lambda *_: None) == [{"delay_s": 5.0}] * 2
+    case = control_study.BenchCase(ControlCase("t_junction", "plan"))
+    store._path("run_row", case).write_text('{"delay_s": 5.0}')
+    run = control_study.run_row
+    assert store.run(run, [case, case], 1, lambda *_: None) == [{"delay_s": 5.0}] * 2
