@@ -75,6 +75,14 @@ _SOAK = " ".join(
     for kind in ("vehicle", "roadside")
 )
 _HARD15 = "cpnet dataset hard15 --networks 100 --samples 10 --seed 1 --realism hard --split test"
+
+
+def _rows_of(folder: str) -> str:
+    """Returns the command that prints a study's table as JSON."""
+    read = f'import json, pyarrow.parquet as p; t = p.read_table("{folder}/results.parquet")'
+    return f"python -c '{read}; print(json.dumps(t.to_pylist()))'"
+
+
 _LIST = (
     Figure(
         "run",
@@ -218,9 +226,7 @@ _LIST = (
     ),
     Figure(
         "city",
-        f"{_RESCO}cpnet study $ROOT/docs/figures/city.yaml --out city >&2; "
-        "python -c 'import json, pyarrow.parquet as p; "
-        'print(json.dumps(p.read_table("city/results.parquet").to_pylist()))\'',
+        f"{_RESCO}cpnet study $ROOT/docs/figures/city.yaml --out city >&2; " + _rows_of("city"),
         STUDY,
         60,
         (Part("control", "docs/city.md", layouts.city),),
@@ -228,9 +234,7 @@ _LIST = (
     Figure(
         "unseen",
         f"[ -e hard15 ] || {_HARD15} >&2; "
-        "cpnet study $ROOT/docs/figures/unseen.yaml --out unseen >&2; "
-        "python -c 'import json, pyarrow.parquet as p; "
-        'print(json.dumps(p.read_table("unseen/results.parquet").to_pylist()))\'',
+        "cpnet study $ROOT/docs/figures/unseen.yaml --out unseen >&2; " + _rows_of("unseen"),
         (*STUDY, "cpnet/realism"),
         10,
         (Part("all", "docs/realism.md", layouts.unseen),),
@@ -265,9 +269,7 @@ _LIST = (
     ),
     Figure(
         "delay",
-        "cpnet study $ROOT/docs/figures/delay.yaml --out delay >&2; "
-        "python -c 'import json, pyarrow.parquet as p; "
-        'print(json.dumps(p.read_table("delay/results.parquet").to_pylist()))\'',
+        "cpnet study $ROOT/docs/figures/delay.yaml --out delay >&2; " + _rows_of("delay"),
         STUDY,
         12,
         (
@@ -289,8 +291,7 @@ _LIST = (
     Figure(
         "alignment",
         "cpnet study $ROOT/docs/figures/alignment.yaml --out alignment >&2; "
-        "python -c 'import json, pyarrow.parquet as p; "
-        'print(json.dumps(p.read_table("alignment/results.parquet").to_pylist()))\'',
+        + _rows_of("alignment"),
         STUDY,
         15,
         (Part("poses", "docs/realism.md", layouts.alignment),),

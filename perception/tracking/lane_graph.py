@@ -17,7 +17,7 @@ SHORTEST_M = 1e-6
 REACH_M = 4.0  # beyond a lane's middle: a box farther from it is on no lane
 TURNED_RAD = 0.7  # a box at a larger angle to a lane is not on it
 LEVEL_M = 3.5  # nor is one so far above or below it
-UNKNOWN, STOP, GO = 0, 1, 2  # what lights say to who comes to them
+UNKNOWN, STOP, GO = 0, 1, 2  # what a signal shows to those who approach
 STOPS = ("r", "R", "y", "Y", "u")
 PRIOR_TRIPS = 4.0  # what the shape of a junction is worth, in vehicles seen
 
@@ -86,7 +86,7 @@ class LaneGraph:
         )
 
     def lights(self, states: Mapping[str, str]) -> Bytes:
-        """Returns what signals say to who comes to each way (E,): stop, go, or nothing.
+        """Returns what signals show to those who approach each way (E,): stop, go, or unknown.
 
         Args:
             states: by signal a letter for each of its lights, as in SUMO. Of those that have to

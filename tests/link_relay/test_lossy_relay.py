@@ -27,12 +27,15 @@ def test_relay_and_simulated_time_agree_on_a_lossy_link():
 
 @pytest.mark.root
 @pytest.mark.usefixtures("undisturbed")
-def test_the_kernels_tcp_is_no_faster_and_on_a_busy_machine_not_much_slower():
-    """How near both are on a quiet machine, `tests.link_relay.lossy_bench` measures."""
-    with ThreadPoolExecutor(4) as threads:
-        seeds = range(1, 5)
-        kernel = [d for one in threads.map(lambda s: kernel_delays(CASE, s), seeds) for d in one]
-    virtual = [delay for seed in seeds for delay in virtual_delays(CASE, seed)]
-    measured, computed = Delays.of(kernel), Delays.of(virtual)
-    assert 0.9 < measured.mean_ms / computed.mean_ms < 2
-    assert 0.9 < measured.p95_ms / computed.p95_ms < 3
+def test_mean_and_p95_are_those_of_the_kernels_tcp_within_10_percent():
+    """A busy machine delays the kernel's path, which runs in real time: the best of four tries."""
+    seeds = range(1, 5)
+    virtual = Delays.of([delay for seed in seeds for delay in virtual_delays(CASE, seed)])
+    for _ in range(4):
+        with ThreadPoolExecutor(4) as threads:
+            runs = list(threads.map(lambda seed: kernel_delays(CASE, seed), seeds))
+        kernel = Delays.of([delay for one in runs for delay in one])
+        mean, p95 = virtual.mean_ms / kernel.mean_ms, virtual.p95_ms / kernel.p95_ms
+        if mean == pytest.approx(1, rel=0.1) and p95 == pytest.approx(1, rel=0.1):
+            return
+    pytest.fail(f"virtual {virtual}, kernel {kernel}")
