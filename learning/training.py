@@ -42,7 +42,7 @@ class PlacedSamples:
         self._samples = dataset.samples(split)
         self._kept: dict[int, PlacedSample] = {}
         self._kept_bytes = 0
-        self._roads = lru_cache(64)(lambda network: RoadRasters(dataset.road_map(network)))
+        self._roads = lru_cache(1024)(lambda network: RoadRasters(dataset.road_map(network)))
 
     def __len__(self) -> int:
         return len(self._samples)
