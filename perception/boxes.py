@@ -13,7 +13,14 @@ from numba import njit
 from perception.arrays import Bools, Floats, Floats32, Ints, Ints32
 from perception.cluster import cluster_means, cluster_runs
 from perception.detector import Vehicles
-from perception.object_classes import MAX_WIDTH_M, PERSON_TOP_M, TALL_M, Shapes, classes_of, usual_m
+from perception.object_classes import (
+    PERSON_TOP_M,
+    TALL_M,
+    WIDEST_VEHICLE_M,
+    Shapes,
+    classes_of,
+    usual_m,
+)
 from perception.roadway import Roadway
 
 FIT_POINTS = 160  # of a cluster at most: more do not change the direction
@@ -237,7 +244,7 @@ def _fit(
         _measure(local[first:end], yaws[index], extents[index])
         sizes = extents[index, 1] - extents[index, 0]
         is_tall = extents[index, 1, 2] - floor_m[index] > TALL_M
-        if sizes[1] > (MAX_WIDTH_M if is_tall else WIDE_M) and sizes[1] > sizes[0]:
+        if sizes[1] > (WIDEST_VEHICLE_M if is_tall else WIDE_M) and sizes[1] > sizes[0]:
             yaws[index] += np.pi / 2
             _measure(local[first:end], yaws[index], extents[index])
     return extents

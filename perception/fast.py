@@ -18,7 +18,7 @@ from perception.config import ClusterConfig, DetectionConfig
 from perception.detector import Cloud, Stage, Vehicles, untimed
 from perception.ground import remove_ground
 from perception.large_vehicles import join_parts
-from perception.object_classes import MAX_LENGTH_M, MAX_WIDTH_M
+from perception.object_classes import LONGEST_VEHICLE_M, WIDEST_VEHICLE_M
 from perception.roadway import Roadway, merge
 from perception.solid import solid_of
 
@@ -38,7 +38,7 @@ def split(points: Floats32, labels: Ints32, *, config: ClusterConfig) -> Ints32:
     closer = config.model_copy(update={"eps_m": config.split_eps_m})
     labels = _parted(points, labels, (LONGEST_M, WIDEST_M), config=closer)
     closest = config.model_copy(update={"eps_m": config.split_eps_m * CLOSEST})
-    return _parted(points, labels, (MAX_LENGTH_M, MAX_WIDTH_M), config=closest)
+    return _parted(points, labels, (LONGEST_VEHICLE_M, WIDEST_VEHICLE_M), config=closest)
 
 
 def _parted(

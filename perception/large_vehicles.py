@@ -12,7 +12,7 @@ from numba import njit
 
 from perception.arrays import Floats, Floats32, Ints, Ints32
 from perception.cluster import cluster_means, cluster_runs, renumber
-from perception.object_classes import HIGH_M, MAX_LENGTH_M, MAX_WIDTH_M, TALL_M
+from perception.object_classes import HIGH_M, LONGEST_VEHICLE_M, TALL_M, WIDEST_VEHICLE_M
 from perception.roadway import Roadway
 
 GAP_M = 1.3  # between parts, along the road; vehicles that queue keep 2 m and more
@@ -111,7 +111,7 @@ def _are_one(whole: Floats, part: Floats, most_gap_m: float) -> bool:
     aside_m = max(part[2] - whole[3], whole[2] - part[3])
     length_m = max(part[1], whole[1]) - min(part[0], whole[0])
     width_m = max(part[3], whole[3]) - min(part[2], whole[2])
-    fits = length_m <= MAX_LENGTH_M and width_m <= MAX_WIDTH_M
+    fits = length_m <= LONGEST_VEHICLE_M and width_m <= WIDEST_VEHICLE_M
     return bool(fits and gap_m <= most_gap_m and aside_m <= 0)
 
 

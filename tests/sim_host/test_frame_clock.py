@@ -37,8 +37,9 @@ def test_frames_hurry_by_less_than_a_period_after_any_other(lateness_ns: list[in
 
 
 def test_a_frame_less_than_a_period_late_delays_no_other() -> None:
-    begins = begins_ns([0, PERIOD_NS - 1, 0, 0])
-    assert [begin - begins[0] for begin in begins] == [0, 2 * PERIOD_NS - 1, 2 * PERIOD_NS, 3 * PERIOD_NS]  # fmt: skip
+    first_ns, late_ns, *others_ns = begins_ns([0, PERIOD_NS - 1, 0, 0])
+    assert late_ns == first_ns + 2 * PERIOD_NS - 1
+    assert others_ns == [first_ns + 2 * PERIOD_NS, first_ns + 3 * PERIOD_NS]
 
 
 def test_a_frame_a_whole_period_late_shifts_all_that_follow() -> None:
