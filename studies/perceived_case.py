@@ -16,7 +16,7 @@ from protocol.config import is_file
 from recording.run import Run
 from recording.tables import TruthRow
 from studies.approach_log import ApproachLog, VehicleSample
-from studies.bench_control import delays_s
+from studies.control_run import delays_s
 from studies.control_study import Row, file_digest, files_of_net
 from studies.in_process import run_in_process
 from studies.page.model import MapChart
@@ -25,7 +25,7 @@ from studies.sumo_config import write_config
 from studies.sweep.cells import Scenario, identify
 from studies.sweep.worker import measure
 
-_OWN_CODE = ("perceived_case.py", "sumo_config.py", "approach_log.py")
+_OWN_CODE = ("perceived_case.py", "control_run.py", "sumo_config.py", "approach_log.py")
 
 
 @dataclass(frozen=True, slots=True)
