@@ -45,12 +45,19 @@ from protocol.messages import MAX_ITEMS
 from protocol.process import Context
 from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
-from recording.limits import MAX_ENTRIES, MAX_PENDING_ROWS, MAX_REASONS, MAX_WIRED
+from recording.limits import (
+    MAX_ENTRIES,
+    MAX_PENDING_BYTES,
+    MAX_PENDING_ROWS,
+    MAX_REASONS,
+    MAX_WIRED,
+)
 from recording.limits import MAX_OPEN_FRAMES as MAX_RECORDED_FRAMES
 from recording.limits import MAX_PROCESSES as MAX_RECORDED
 from recording.limits import MAX_PROGRESS_AGENTS as MAX_RATED
 from recording.losses import DropCounts
 from recording.role import RecordRole
+from recording.tables import CloudRow
 from sensing.limits import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES
 from sensing.uplink import PlanHistory
 from sim_host.limits import MAX_PROCESSES as MAX_HOSTS
@@ -364,6 +371,20 @@ def test_a_recorder_keeps_so_much_of_each_frame_and_writes_the_rest(recorder: Re
         assert max(note.entries for note in notes) <= MAX_ENTRIES
         assert len(notes) <= 2 * MAX_RECORDED_FRAMES + 1
         assert growth.mib < 128
+    finally:
+        recorder.close()
+
+
+def test_a_recorders_scans_are_to_be_written_once_they_take_so_much_memory(recorder: RecordRole):
+    try:
+        database, added = recorder._database, 0
+        while not database.is_full and added <= MAX_PENDING_BYTES:
+            payload = bytes(1 << 20)
+            database.add(CloudRow, [CloudRow(0, "r0", f"{added}", 0, 1, *[0.0] * 6, payload)])
+            added += len(payload)
+        assert MAX_PENDING_BYTES < added <= MAX_PENDING_BYTES + (1 << 20)
+        database.commit()
+        assert not database.is_full
     finally:
         recorder.close()
 
