@@ -69,7 +69,10 @@ _RULED = {
     "traffic.default_demand_vph_per_lane": "--demand",
 }
 """Keys of a scenario that options of the command set."""
-_SAME_FOR_ALL = ("mode", "cabinet", "traffic.step_s", "traffic.lateral.lane_change_s")
+_SAME_FOR_ALL = (
+    *("mode", "cabinet", "traffic.step_s", "traffic.lateral.lane_change_s"),
+    "traffic.pedestrians_per_hour",
+)
 """Keys that would change SUMO or the cabinet in a part of the runs only."""
 _TUNED: Mapping[str, Sequence[Tuning]] = {
     WEBSTER: TUNINGS[WEBSTER],
@@ -281,6 +284,7 @@ def _of_all(question: Question) -> dict[str, Any]:
         "duration_s": question.duration_s,
         "traffic.warmup_s": question.warmup_s,
         "traffic.lateral.lane_change_s": 0,  # SUMO is the same in all runs
+        "traffic.pedestrians_per_hour": 0,  # baselines have nobody who stops vehicles that turn
         **(question.settings or {}),
     }
 
@@ -421,7 +425,7 @@ def run_comparison(
     cases = [
         case
         for policy, sight in cells
-        for case in _perceived(comparison, policy, sight, fences.get(policy), resolve)
+        for case in perceived_cases(comparison, policy, sight, fences.get(policy), resolve)
     ]
     rows = CaseStore(folder).run(run_perceived, cases, processes, report)
     count = len(comparison.question.seeds)
@@ -447,9 +451,10 @@ def _baselines(comparison: Comparison) -> ControlStudy:
     )
 
 
-def _perceived(
+def perceived_cases(
     comparison: Comparison, policy: str, sight: str, fence: Tuning | None, resolve: Resolve
 ) -> Iterator[PerceivedCase]:
+    """Yields the runs of a policy that acts on what LiDARs see, one for each seed."""
     asked = comparison.question
     mounts = comparison.posts if sight != CAVS else []
     settings: dict[str, Any] = {
