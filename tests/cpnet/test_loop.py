@@ -1,8 +1,8 @@
 """The whole loop: real processes, real Zenoh on loopback, real SUMO."""
 
 import json
-import re
 import os
+import re
 import signal
 import sqlite3
 import time
