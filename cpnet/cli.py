@@ -77,28 +77,24 @@ def report_command(
     html: Annotated[
         Path | None, typer.Option(metavar="FILE", help="write a page with charts; works offline")
     ] = None,
+    markdown: Annotated[
+        Path | None, typer.Option(metavar="FILE.md", help="the same as Markdown, charts as PNG")
+    ] = None,
     trajectories: Annotated[
         Path | None, typer.Option(metavar="FILE.parquet", help="write where every track was, when")
     ] = None,
 ) -> None:
     """Print the summary of a run, write it as a page, or compare its results with another run's."""
-    from cpnet.reproduce import command_of
-    from recording.run import Run, differences
+    from recording.run import differences
     from studies.comparison import print_comparison
-    from studies.page.write import check_target, save_html
-    from studies.run_page import run_page
     from studies.summary import print_report, summarise, to_json
 
     run = run or newest_run()
     if trajectories is not None:
         _write_trajectories(run, trajectories)
         return
-    if html is not None:
-        check_target(html, "--html")
-        with Run(run) as recorded:
-            command = command_of(recorded.scenario)
-        save_html(run_page(run, command), html)
-        console.print(f"wrote {html}", highlight=False, soft_wrap=True)
+    if html is not None or markdown is not None:
+        _write_pages(run, html, markdown)
         return
     if against is not None:
         found = differences(run, against)
@@ -111,6 +107,25 @@ def report_command(
         typer.echo(to_json(summary))
     else:
         print_report(summary, console)
+
+
+def _write_pages(run: Path, html: Path | None, markdown: Path | None) -> None:
+    """Writes a run's page in the forms that are asked for."""
+    from cpnet.reproduce import command_of
+    from recording.run import Run
+    from studies.page.write import check_target, save_html, save_markdown
+    from studies.run_page import run_page
+
+    forms = (("--html", html, save_html), ("--markdown", markdown, save_markdown))
+    asked = [(option, path, save) for option, path, save in forms if path is not None]
+    for option, path, _ in asked:
+        check_target(path, option)
+    with Run(run) as recorded:
+        command = command_of(recorded.scenario)
+    page = run_page(run, command)
+    for _, path, save in asked:
+        save(page, path)
+        console.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 
 def _write_trajectories(run: Path, file: Path) -> None:

@@ -60,6 +60,9 @@ def compare_command(  # noqa: PLR0913 - one parameter per option of the command
         int | None, typer.Option(min=1, max=512, help="runs at a time; default one a core")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="results; default runs/compare-NAME")] = None,
+    markdown: Annotated[
+        Path | None, typer.Option(help="the page as Markdown too, charts beside it")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Compare fixed plans and loops with LiDAR on posts, on CAVs and on both, at your junctions."""
@@ -69,7 +72,7 @@ def compare_command(  # noqa: PLR0913 - one parameter per option of the command
         from studies.compare_page import as_json as json_of
         from studies.compare_page import compare_page, print_comparison_table
         from studies.compare_question import Question, prepare
-        from studies.page.write import save_html
+        from studies.page.write import check_target, save_html, save_markdown
         from studies.sweep.cluster import usable_cores
     listed = [one.strip() for one in posts.split(",")]
     question = Question(
@@ -88,6 +91,8 @@ def compare_command(  # noqa: PLR0913 - one parameter per option of the command
         settings=assigned(set_),
     )
     question.check()
+    if markdown is not None:
+        check_target(markdown, "--markdown")
     name = _name(sumocfg or net)
     folder = (out or Path("runs") / f"compare-{name}").absolute()
     _make(folder)
@@ -102,6 +107,8 @@ def compare_command(  # noqa: PLR0913 - one parameter per option of the command
         variants = run_comparison(comparison, folder, processes, progress.report, resolve)
     page = compare_page(comparison, variants, shlex.join(["cpnet", *sys.argv[1:]]), versions())
     save_html(page, folder / REPORT)
+    if markdown is not None:
+        save_markdown(page, markdown)
     if as_json:
         typer.echo(json.dumps(json_of(comparison, variants), indent=2))
         return

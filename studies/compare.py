@@ -99,7 +99,7 @@ def run_comparison(
     cases = [
         case
         for policy, sight in cells
-        for case in _perceived(comparison, policy, sight, fences.get(policy), resolve)
+        for case in perceived_cases(comparison, policy, sight, fences.get(policy), resolve)
     ]
     rows = CaseStore(folder).run(run_perceived, cases, processes, report)
     count = len(comparison.question.seeds)
@@ -125,9 +125,10 @@ def _baselines(comparison: Comparison) -> ControlStudy:
     )
 
 
-def _perceived(
+def perceived_cases(
     comparison: Comparison, policy: str, sight: str, fence: Tuning | None, resolve: Resolve
 ) -> Iterator[PerceivedCase]:
+    """Yields the runs of a policy that acts on what LiDARs see, one for each seed."""
     asked = comparison.question
     mounts = comparison.posts if sight != CAVS else []
     settings: dict[str, Any] = {

@@ -30,7 +30,10 @@ _RULED = {
     "traffic.default_demand_vph_per_lane": "--demand",
 }
 """Keys of a scenario that options of the command set."""
-_SAME_FOR_ALL = ("mode", "cabinet", "traffic.step_s", "traffic.lateral.lane_change_s")
+_SAME_FOR_ALL = (
+    *("mode", "cabinet", "traffic.step_s", "traffic.lateral.lane_change_s"),
+    "traffic.pedestrians_per_hour",
+)
 """Keys that would change SUMO or the cabinet in a part of the runs only."""
 
 
@@ -102,6 +105,7 @@ class Question:
             "duration_s": self.duration_s,
             "traffic.warmup_s": self.warmup_s,
             "traffic.lateral.lane_change_s": 0,  # SUMO is the same in all runs
+            "traffic.pedestrians_per_hour": 0,  # baselines have nobody who stops who turns
             **(self.settings or {}),
         }
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
+from studies.bench import empty_table, print_whole
 from studies.summary import Summary, summarise
 
 
@@ -58,9 +57,7 @@ def print_comparison(run: Path, other: Path, console: Console) -> None:
         ConfigError: one of the folders is no run.
     """
     summaries = summarise(run), summarise(other)
-    table = Table("", box=box.SIMPLE_HEAD, pad_edge=False)
-    for head in (run.name, other.name, "difference", ""):
-        table.add_column(head, justify="right")
+    table = empty_table(("", run.name, other.name, "difference", ""))
     for metric in METRICS:
         a, b = (metric.of(summary) for summary in summaries)
         if a is None and b is None:
@@ -68,7 +65,7 @@ def print_comparison(run: Path, other: Path, console: Console) -> None:
         unit = f" in {metric.unit}" if metric.unit else ""
         numbers = [_number(a, metric.digits), _number(b, metric.digits)]
         table.add_row(f"{metric.name}{unit}", *numbers, *_difference(a, b, metric.digits))
-    console.print(table)
+    print_whole(table, console)
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -617,8 +617,11 @@ _CONTROLS = {
     "perception": "max pressure on perception (a post, no CAV), 200 m before and 100 m behind",
     "perception, unseen empty": "the same, what no LiDAR sees taken for empty, as in Chen et al.",
     "perception, 50 m": "max pressure on perception, 50 m before and nothing behind",
+    "perception, held": "the same, greens of 10 s at least",
     "perfect counts": "max pressure on perfect counts, 200 m before and 100 m behind",
     "perfect counts, 50 m": "max pressure on perfect counts, 50 m before and nothing behind",
+    "perfect counts, held": "the same, greens of 10 s at least",
+    "max wave": "max wave on perfect counts: 200 m before and nothing behind",
     "actuated": "SUMO's actuated control, loops",
     "webster": "fixed plan by Webster's formula for this demand",
     "own plan": "the net's own fixed plan",
@@ -635,6 +638,8 @@ def delay(rows: Rows) -> Table:
     heads = [f"delay, s; {runs}", "more than the first line, s", "more than perfect counts, s"]
     table = [["control", *heads]]
     for name, words in _CONTROLS.items():
+        if name not in by:  # added since it was measured
+            continue
         cells = [
             "" if name == base else _between([by[name][s] - by[base][s] for s in by[name]], 1)
             for base in (first, "perfect counts")

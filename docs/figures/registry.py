@@ -66,6 +66,15 @@ _RESCO = (
     'for net in cologne3 ingolstadt7; do [ -e resco/$net ] || { echo "runs/figures/resco/$net is '
     "missing: a folder of RESCO's nets\" >&2; exit 1; }; done; "
 )
+_MINE = (
+    'python -c \'import os, re, pathlib; page = pathlib.Path(os.environ["ROOT"]); '
+    'text = (page / "docs/own-junction.md").read_text("utf-8"); '
+    'found = re.findall(r"```xml\\n(.*?)```", text, re.DOTALL); '
+    '[pathlib.Path(f"mine.{n}.xml").write_text(one) '
+    'for n, one in zip(("nod", "edg"), found)]\'; '
+    "netconvert --node-files mine.nod.xml --edge-files mine.edg.xml "
+    "--output-file mine.net.xml >&2;"
+)
 _GLANCE = "docs/figures-at-a-glance.md"
 _RUN = "cpnet up t_junction --cav-rate 0.05 --duration 120 --seed 1"
 _CITY_UP = "cpnet up --tls all --cav-rate 0.05 --duration 3600 --seed 1 --set frame_period_s=1"
@@ -223,6 +232,21 @@ _LIST = (
         3,
         (),
         files=("docs/frame.png",),
+    ),
+    Figure(
+        "gallery",
+        "rm -rf gallery-run gallery-compare; mkdir -p $ROOT/docs/gallery; "
+        "cpnet up --duration 60 --out gallery-run >&2; "
+        "cpnet report gallery-run --markdown gallery-report.md >&2; "
+        f"{_MINE} cpnet compare --net mine.net.xml --demand 300 --seeds 1 --duration 300 "
+        "--tuning 0 --out gallery-compare --markdown gallery-compare.md >&2; "
+        "cp gallery-report/gallery-report-1.png $ROOT/docs/gallery/counts.png; "
+        "cp gallery-report/gallery-report-14.png $ROOT/docs/gallery/map.png; "
+        "cp gallery-compare/gallery-compare-2.png $ROOT/docs/gallery/approaches.png",
+        (*SYSTEM, "studies/run_page.py", "studies/compare.py", "studies/compare_page.py"),
+        5,
+        (),
+        files=("docs/gallery/*.png",),
     ),
     Figure(
         "city",

@@ -12,6 +12,7 @@ import pytest
 
 from cpnet.study_cells import resolved
 from protocol.errors import ConfigError
+from studies.compare import perceived_cases
 from studies.compare_question import Question, prepare
 from studies.sumo_config import write_config
 
@@ -64,6 +65,15 @@ def test_a_sumocfg_beside_the_net_is_named(tmp_path) -> None:
         Question(net=tmp_path / "x.net.xml").check()
 
 
+@pytest.mark.parametrize("realism", ["clear", "hard"])
+def test_nobody_stops_vehicles_in_the_runs_with_perception_alone(net, tmp_path, realism) -> None:
+    question = Question(net=net, demand_vph=300.0, settings={"realism": realism})
+    comparison = prepare(question, tmp_path, "mine", resolve)
+    (case, *_) = perceived_cases(comparison, "predictive", "posts", None, resolve)
+    assert case.scenario["traffic"]["pedestrians_per_hour"] == 0
+    assert case.scenario["traffic"]["lateral"]["lane_change_s"] == 0
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -71,6 +81,7 @@ def test_a_sumocfg_beside_the_net_is_named(tmp_path) -> None:
         ({"demand_vph": 300.0, "seeds": (1, 101)}, "101 is a seed that baselines are tuned with"),
         ({"demand_vph": 300.0, "settings": {"seed": 3}}, "--set seed: give --seeds instead"),
         ({"demand_vph": 3.0, "settings": {"cabinet.yellow_s": 3}}, "is the same for all"),
+        ({"demand_vph": 3.0, "settings": {"traffic.pedestrians_per_hour": 9}}, "the same for all"),
     ],
 )
 def test_options_that_contradict_each_other_are_refused(options, message) -> None:

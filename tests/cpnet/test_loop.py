@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import sqlite3
 import time
@@ -179,6 +180,16 @@ def test_the_page_of_a_run_names_the_command_that_makes_it(shell, first_run):
     assert "cpnet up t_junction --" in page
     assert "traffic.warmup_s=30.0" in page
     assert len(page) < 6_000_000
+
+
+def test_the_page_of_a_run_comes_as_markdown_with_pictures_too(shell, first_run):
+    pytest.importorskip("polars", reason="extra study")
+    status, output = shell.run("report", str(first_run), "--markdown", "run.md")
+    page = (shell.folder / "run.md").read_text("utf-8")
+    assert (status, output) == (0, "wrote run.md\n")
+    pictures = re.findall(r"!\[.*\]\((run/run-\d+\.png)\)", page)
+    assert len(pictures) > 5
+    assert all((shell.folder / name).is_file() for name in pictures)
 
 
 def test_the_report_has_its_stable_keys(shell, first_run):
