@@ -27,6 +27,9 @@ MIN_TIMEOUT_NS = 200_000_000
 MAX_TIMEOUT_NS = 120_000_000_000
 _FIRST_TIMEOUT_NS = 1_000_000_000  # before a round trip is known
 _LEAST_TIMER_NS = 2_000_000  # the kernel adds it to a probe's and to a reordering wait
+# The kernel's timers wait for a tick (HZ 250), long ones for every eighth, one more at most.
+_TICK_NS = 4_000_000
+_FINE_TICKS, _COARSE_TICKS = 64, 8
 _DUPLICATES = 3  # packets acknowledged selectively, from which on a gap is a loss at once
 _MAX_BACKOFF = 9  # doublings of a timeout
 
@@ -38,6 +41,7 @@ class _Segment:
     size_bytes: int
     sent_ns: int = -1
     transmissions: int = 0
+    copies_in_flight: int = 0  # two after a tail loss probe that repeats it
     is_sacked: bool = False
     is_lost: bool = False
 
@@ -266,6 +270,7 @@ class TcpSender:
             self._congestion.on_start(self._now_ns, self._now_ns - self._last_sent_ns)
         segment.sent_ns = self._last_sent_ns = self._now_ns
         segment.transmissions += 1
+        segment.copies_in_flight += 1
         self._in_flight += 1
         self._congestion.on_transmit()
         begin_ns = max(self._now_ns, self._free_ns)
@@ -336,7 +341,7 @@ class TcpSender:
         arrived = [number for number in numbers if not self._segments[number].is_sacked]
         for number in arrived:
             segment = self._segments[number]
-            self._in_flight -= not segment.is_lost
+            self._land(segment)
             self._lost -= segment.is_lost
             segment.is_sacked, segment.is_lost = True, False
             self._sacked += 1
@@ -380,7 +385,11 @@ class TcpSender:
     def _mark_lost(self, segment: _Segment) -> None:
         segment.is_lost = True
         self._lost += 1
-        self._in_flight -= 1
+        self._land(segment)
+
+    def _land(self, segment: _Segment) -> None:
+        self._in_flight -= segment.copies_in_flight
+        segment.copies_in_flight = 0
 
     def _enter_or_leave_recovery(self) -> None:
         if self._state is not _State.OPEN and self._acked >= self._recovered_at:
@@ -410,16 +419,22 @@ class TcpSender:
         if self._next == self._acked:
             return
         if self._reordered_ns is not None:
-            self._timer = (max(self._reordered_ns, self._now_ns + 1), _Timer.REORDER)
+            self._set_timer(self._reordered_ns, _Timer.REORDER)
             return
         timeout_ns = self._round_trip.timeout_ns << self._backoff
-        timeout_at_ns = max(self._segments[self._acked].sent_ns + timeout_ns, self._now_ns + 1)
+        timeout_at_ns = self._segments[self._acked].sent_ns + timeout_ns
         if self._state is not _State.OPEN or self._probed_at is not None or self._sacked:
-            self._timer = (timeout_at_ns, _Timer.TIMEOUT)
+            self._set_timer(timeout_at_ns, _Timer.TIMEOUT)
             return
         wait_ns = 2 * self._round_trip.smoothed_ns or _FIRST_TIMEOUT_NS
         wait_ns += MIN_TIMEOUT_NS if self._next - self._acked == 1 else _LEAST_TIMER_NS
-        self._timer = (min(self._now_ns + wait_ns, timeout_at_ns), _Timer.PROBE)
+        self._set_timer(min(self._now_ns + wait_ns, timeout_at_ns), _Timer.PROBE)
+
+    def _set_timer(self, due_ns: int, timer: _Timer) -> None:
+        ticks = max(1, -(-(due_ns - self._now_ns) // _TICK_NS))
+        step = _TICK_NS if ticks < _FINE_TICKS else _COARSE_TICKS * _TICK_NS
+        expiry_ns = (self._now_ns // _TICK_NS + ticks) * _TICK_NS
+        self._timer = ((expiry_ns // step + 1) * step, timer)
 
     def _give_up_reordered(self) -> None:
         if self._find_lost() and self._state is _State.OPEN:
@@ -432,11 +447,9 @@ class TcpSender:
         self._probe_is_new = self._next < self._written
         if self._probe_is_new:
             self._next += 1
-        else:
-            self._in_flight -= 1  # it is the same packet
         self._probed_at = self._next
         self._transmit(self._next - 1)
-        self._timer = (self._now_ns + self._round_trip.timeout_ns, _Timer.TIMEOUT)
+        self._set_timer(self._now_ns + self._round_trip.timeout_ns, _Timer.TIMEOUT)
 
     def _time_out(self) -> None:
         for number in range(self._acked, self._next):
