@@ -31,6 +31,8 @@ _LEAST_TIMER_NS = 2_000_000  # the kernel adds it to a probe's and to a reorderi
 _TICK_NS = 4_000_000
 _FINE_TICKS, _COARSE_TICKS = 64, 8
 _DUPLICATES = 3  # packets acknowledged selectively, from which on a gap is a loss at once
+_LEAST_BURST = 2  # packets that the kernel hands to a device at once; more above 36 Mbit/s
+_SOON_NS = 1_000_000
 _MAX_BACKOFF = 9  # doublings of a timeout
 
 
@@ -234,20 +236,21 @@ class TcpSender:
 
     def _send(self) -> None:
         """Sends what the window takes: first what was lost, then what is new."""
-        first_new, sent = self._next, 0
-        while (self._lost or self._next < self._written) and self._has_window():
-            if self._lost:
-                number = next(
-                    n for n in range(self._acked, self._next) if self._segments[n].is_lost
-                )
-                self._segments[number].is_lost = False
-                self._lost -= 1
-            else:
-                number = self._next
-                self._next += 1
+        first_new, sent, is_deferred = self._next, 0, False
+        while self._lost and self._has_window():
+            number = next(n for n in range(self._acked, self._next) if self._segments[n].is_lost)
+            self._segments[number].is_lost = False
+            self._lost -= 1
             self._transmit(number)
             sent += 1
-        is_limited = not self._has_window()
+        while self._next < self._written and self._has_window():
+            if is_deferred := self._waits_for_ack():
+                break
+            for _ in range(self._burst):
+                self._next += 1
+                self._transmit(self._next - 1)
+                sent += 1
+        is_limited = is_deferred or not self._has_window()
         if self._next > first_new or (is_limited and self._next < self._written):
             self._congestion.on_new_data(
                 self._now_ns,
@@ -259,6 +262,32 @@ class TcpSender:
             )
         if sent:
             self._arm()
+
+    @property
+    def _burst(self) -> int:
+        """How many new packets leave together."""
+        window, unsent = self._congestion.window, self._written - self._next
+        return min(max(1, window // 2), window - self._in_flight, unsent, _LEAST_BURST)
+
+    def _waits_for_ack(self) -> bool:
+        """Whether what little window is left waits for an acknowledgement that is due.
+
+        The kernel hands packets on in pairs at least (segmentation offload): the first of two
+        waits, right after others have left, if it may soon be sent together with the second.
+        """
+        room = self._congestion.window - self._in_flight
+        if (
+            self._state is not _State.OPEN
+            or self._next == self._acked
+            or self._written - self._next < _LEAST_BURST
+            or room >= _LEAST_BURST
+            or 3 * room >= self._congestion.window
+            or self._now_ns - self._last_sent_ns > _SOON_NS
+        ):
+            return False
+        smoothed_ns = self._round_trip.smoothed_ns
+        due_ns = self._segments[self._acked].sent_ns + smoothed_ns
+        return due_ns - self._now_ns <= min(smoothed_ns // 2, _SOON_NS)
 
     def _has_window(self) -> bool:
         return self._in_flight < self._congestion.window
