@@ -487,7 +487,8 @@ class TcpSender:
             if segment.is_sacked or segment.is_lost or (is_recent and number != self._acked):
                 continue
             self._mark_lost(segment)
-        self._congestion.on_timeout(self._in_flight, is_first=self._state is not _State.LOSS)
+        is_first = self._state is _State.OPEN or (self._state is _State.LOSS and not self._backoff)
+        self._congestion.on_timeout(self._in_flight, is_first=is_first)
         self._state = _State.LOSS
         self._recovered_at = self._next
         self._probed_at = self._reordered_ns = None
