@@ -167,14 +167,17 @@ class Shaper:
         self, source: socket.socket, line: asyncio.Queue[tuple[int, bytes]], sender: TcpSender
     ) -> None:
         """Reads what the window of a TCP over the channel takes; delivers what has arrived."""
-        segments: dict[int, bytes] = {}
+        undelivered, delivered_bytes = bytearray(), 0
         receiving: asyncio.Task[tuple[bytes, bool]] | None = None
         is_open = True
         try:
             while is_open or not sender.is_done:
                 sender.advance(self._now_ns())
                 for one in sender.delivered:
-                    await line.put((one.arrival_ns, segments.pop(one.segment)))
+                    size = one.end_byte - delivered_bytes
+                    await line.put((one.arrival_ns, bytes(undelivered[:size])))
+                    del undelivered[:size]
+                    delivered_bytes = one.end_byte
                 sender.delivered.clear()
                 sender.transmitted.clear()
                 if is_open and receiving is None and sender.room:
@@ -186,8 +189,8 @@ class Shaper:
                     receiving, is_open = None, bool(data)
                     if data:
                         sender.advance(self._now_ns())
-                        for number in sender.write(len(data)):
-                            segments[number], data = data[:SEGMENT_BYTES], data[SEGMENT_BYTES:]
+                        undelivered += data
+                        sender.write(len(data))
         finally:
             if receiving is not None:
                 receiving.cancel()

@@ -38,9 +38,10 @@ _MAX_BACKOFF = 9  # doublings of a timeout
 
 @dataclass(slots=True)
 class _Segment:
-    """A packet's payload, from its write until it is acknowledged."""
+    """A packet's payload, from its first transmission until it is acknowledged."""
 
     size_bytes: int
+    end_byte: int
     sent_ns: int = -1
     transmissions: int = 0
     copies_in_flight: int = 0  # two after a tail loss probe that repeats it
@@ -50,9 +51,9 @@ class _Segment:
 
 @dataclass(frozen=True, slots=True)
 class Transmitted:
-    """A segment, by its number, on the channel; `is_first` if it is no repetition."""
+    """Bytes of the stream on the channel, in one packet; `is_first` if it is no repetition."""
 
-    segment: int
+    begin_byte: int
     size_bytes: int
     first_bit_ns: int
     last_bit_ns: int
@@ -61,9 +62,9 @@ class Transmitted:
 
 @dataclass(frozen=True, slots=True)
 class Delivered:
-    """A segment that the receiver has read, all before it included."""
+    """Up to where the receiver has read the stream."""
 
-    segment: int
+    end_byte: int
     arrival_ns: int
 
 
@@ -128,7 +129,8 @@ class TcpSender:
         self._now_ns = 0
         # Segments by number: acknowledged before `_acked`, sent before `_next`.
         self._segments: dict[int, _Segment] = {}
-        self._acked = self._next = self._written = 0
+        self._acked = self._next = 0
+        self._sent_bytes = self._written_bytes = 0
         self._in_flight = self._sacked = self._lost = 0
         self._state = _State.OPEN
         self._recovered_at = 0  # the segment up to which a recovery lasts
@@ -144,7 +146,7 @@ class TcpSender:
         # The channel and the receiver.
         self._packets = 0
         self._free_ns = self._last_arrival_ns = self._last_ack_ns = 0
-        self._expected = 0
+        self._expected = self._delivered_bytes = 0
         self._beyond: set[int] = set()
         self._acks: deque[_Ack] = deque()
         self._delayed_ns: int | None = None  # when the last of them leaves, if it waits
@@ -167,38 +169,39 @@ class TcpSender:
     @property
     def is_done(self) -> bool:
         """Whether all that was written has been acknowledged."""
-        return self._acked == self._written
+        return self._acked == self._next and not self._unsent
 
-    def has_delivered(self, segment: int) -> bool:
-        """Whether it is known when this segment arrives, all before it included."""
-        return segment < self._expected
+    def has_delivered(self, end_byte: int) -> bool:
+        """Whether it is known when the stream arrives up to here."""
+        return end_byte <= self._delivered_bytes
 
     @property
     def room(self) -> int:
-        """How many more segments would leave at once."""
-        waiting = self._written - self._next
-        return max(0, self._congestion.window - self._in_flight - self._lost - waiting)
+        """How many more full segments would leave at once."""
+        return max(0, self._congestion.window - self._in_flight - self._lost - self._unsent)
 
-    def write(self, size_bytes: int) -> range:
-        """Writes a message now; returns the numbers of its segments, which it shares with none."""
-        first = self._written
-        if self._acked == self._written:
+    @property
+    def _unsent(self) -> int:
+        """How many segments wait for their first transmission."""
+        return -(-(self._written_bytes - self._sent_bytes) // SEGMENT_BYTES)
+
+    def write(self, size_bytes: int) -> int:
+        """Writes a message now; returns where in the stream it ends.
+
+        It fills the last segment of those that wait, as the kernel does.
+        """
+        if self.is_done:
             idle_ns = self._now_ns - self._last_sent_ns
             self._congestion.on_idle(self._now_ns, idle_ns, self._round_trip.timeout_ns)
-        for begin in range(0, size_bytes, SEGMENT_BYTES):
-            segment = _Segment(min(SEGMENT_BYTES, size_bytes - begin))
-            self._segments[self._written] = segment
-            self._written += 1
+        self._written_bytes += size_bytes
         self._send()
-        return range(first, self._written)
+        return self._written_bytes
 
-    def withdraw(self, since: int) -> bool:
-        """Takes back what was written from this segment on; False if some of it has been sent."""
-        if since < self._next:
+    def withdraw(self, since_byte: int) -> bool:
+        """Takes back what was written from here on; False if some of it has been sent."""
+        if since_byte < self._sent_bytes:
             return False
-        for number in range(since, self._written):
-            del self._segments[number]
-        self._written = since
+        self._written_bytes = since_byte
         return True
 
     def advance(self, until_ns: int) -> None:
@@ -243,15 +246,14 @@ class TcpSender:
             self._lost -= 1
             self._transmit(number)
             sent += 1
-        while self._next < self._written and self._has_window():
+        while self._unsent and self._has_window():
             if is_deferred := self._waits_for_ack():
                 break
             for _ in range(self._burst):
-                self._next += 1
-                self._transmit(self._next - 1)
+                self._transmit(self._segment_next())
                 sent += 1
         is_limited = is_deferred or not self._has_window()
-        if self._next > first_new or (is_limited and self._next < self._written):
+        if self._next > first_new or (is_limited and self._unsent):
             self._congestion.on_new_data(
                 self._now_ns,
                 self._acked,
@@ -263,11 +265,19 @@ class TcpSender:
         if sent:
             self._arm()
 
+    def _segment_next(self) -> int:
+        """Cuts the next segment off what waits; returns its number."""
+        size_bytes = min(SEGMENT_BYTES, self._written_bytes - self._sent_bytes)
+        self._sent_bytes += size_bytes
+        self._segments[self._next] = _Segment(size_bytes, self._sent_bytes)
+        self._next += 1
+        return self._next - 1
+
     @property
     def _burst(self) -> int:
         """How many new packets leave together."""
-        window, unsent = self._congestion.window, self._written - self._next
-        return min(max(1, window // 2), window - self._in_flight, unsent, _LEAST_BURST)
+        window = self._congestion.window
+        return min(max(1, window // 2), window - self._in_flight, self._unsent, _LEAST_BURST)
 
     def _waits_for_ack(self) -> bool:
         """Whether what little window is left waits for an acknowledgement that is due.
@@ -279,7 +289,7 @@ class TcpSender:
         if (
             self._state is not _State.OPEN
             or self._next == self._acked
-            or self._written - self._next < _LEAST_BURST
+            or self._unsent < _LEAST_BURST
             or room >= _LEAST_BURST
             or 3 * room >= self._congestion.window
             or self._now_ns - self._last_sent_ns > _SOON_NS
@@ -305,7 +315,13 @@ class TcpSender:
         begin_ns = max(self._now_ns, self._free_ns)
         self._free_ns = self._channel.departure_ns(begin_ns, segment.size_bytes)
         self.transmitted.append(
-            Transmitted(number, segment.size_bytes, begin_ns, self._free_ns, is_first)
+            Transmitted(
+                segment.end_byte - segment.size_bytes,
+                segment.size_bytes,
+                begin_ns,
+                self._free_ns,
+                is_first,
+            )
         )
         packet, self._packets = self._packets, self._packets + 1
         if not self._losses[packet]:
@@ -320,7 +336,8 @@ class TcpSender:
             self._beyond.add(number)
         while self._expected in self._beyond:
             self._beyond.remove(self._expected)
-            self.delivered.append(Delivered(self._expected, arrival_ns))
+            self._delivered_bytes = self._segments[self._expected].end_byte
+            self.delivered.append(Delivered(self._delivered_bytes, arrival_ns))
             self._expected += 1
         if self._delayed_ns is not None and arrival_ns <= self._delayed_ns:
             self._acks.pop()  # one acknowledgement for both
@@ -473,11 +490,10 @@ class TcpSender:
 
     def _probe(self) -> None:
         """Sends the next new packet, or the last one again, to learn whether the tail is lost."""
-        self._probe_is_new = self._next < self._written
-        if self._probe_is_new:
-            self._next += 1
+        self._probe_is_new = self._unsent > 0
+        number = self._segment_next() if self._probe_is_new else self._next - 1
         self._probed_at = self._next
-        self._transmit(self._next - 1)
+        self._transmit(number)
         self._set_timer(self._now_ns + self._round_trip.timeout_ns, _Timer.TIMEOUT)
 
     def _time_out(self) -> None:
