@@ -44,7 +44,6 @@ class _Segment:
     end_byte: int
     sent_ns: int = -1
     transmissions: int = 0
-    copies_in_flight: int = 0  # two after a tail loss probe that repeats it
     is_sacked: bool = False
     is_lost: bool = False
 
@@ -309,7 +308,6 @@ class TcpSender:
             self._congestion.on_start(self._now_ns, self._now_ns - self._last_sent_ns)
         segment.sent_ns = self._last_sent_ns = self._now_ns
         segment.transmissions += 1
-        segment.copies_in_flight += 1
         self._in_flight += 1
         self._congestion.on_transmit()
         begin_ns = max(self._now_ns, self._free_ns)
@@ -387,7 +385,7 @@ class TcpSender:
         arrived = [number for number in numbers if not self._segments[number].is_sacked]
         for number in arrived:
             segment = self._segments[number]
-            self._land(segment)
+            self._in_flight -= not segment.is_lost
             self._lost -= segment.is_lost
             segment.is_sacked, segment.is_lost = True, False
             self._sacked += 1
@@ -431,11 +429,7 @@ class TcpSender:
     def _mark_lost(self, segment: _Segment) -> None:
         segment.is_lost = True
         self._lost += 1
-        self._land(segment)
-
-    def _land(self, segment: _Segment) -> None:
-        self._in_flight -= segment.copies_in_flight
-        segment.copies_in_flight = 0
+        self._in_flight -= 1
 
     def _enter_or_leave_recovery(self) -> None:
         if self._state is not _State.OPEN and self._acked >= self._recovered_at:
@@ -491,7 +485,11 @@ class TcpSender:
     def _probe(self) -> None:
         """Sends the next new packet, or the last one again, to learn whether the tail is lost."""
         self._probe_is_new = self._unsent > 0
-        number = self._segment_next() if self._probe_is_new else self._next - 1
+        if self._probe_is_new:
+            number = self._segment_next()
+        else:
+            number = self._next - 1
+            self._in_flight -= 1  # the kernel does not count a repeated probe
         self._probed_at = self._next
         self._transmit(number)
         self._set_timer(self._now_ns + self._round_trip.timeout_ns, _Timer.TIMEOUT)
