@@ -109,7 +109,8 @@ class _RoundTrip:
     def timeout_ns(self) -> int:
         if self.smoothed_ns == 0:
             return _FIRST_TIMEOUT_NS
-        return min(self.smoothed_ns + max(4 * self.variance_ns, MIN_TIMEOUT_NS), MAX_TIMEOUT_NS)
+        wait_ns = self.smoothed_ns + max(4 * self.variance_ns, MIN_TIMEOUT_NS)
+        return min(-(-wait_ns // _TICK_NS) * _TICK_NS, MAX_TIMEOUT_NS)
 
 
 class TcpSender:
