@@ -126,6 +126,7 @@ class TcpSender:
         self._losses = losses
         self._congestion = Cubic()
         self._round_trip = _RoundTrip()
+        self._round_trip.add(2 * channel.delay_ns(0))  # of the handshake
         self._now_ns = 0
         # Segments by number: acknowledged before `_acked`, sent before `_next`.
         self._segments: dict[int, _Segment] = {}
