@@ -1,10 +1,12 @@
 """TCP over a channel that loses packets: when what is written arrives, in computed time.
 
 The sender of Linux 6, as far as it decides delays: selective acknowledgements, RACK and tail loss
-probes (RFC 8985), retransmission timeouts (RFC 6298, 200 ms at least), congestion control. The
-receiver delivers in order, so that a lost packet holds up all behind it, and acknowledges every
-second full packet, the last of a message and whatever is out of order at once. Acknowledgements are
-not lost, and no packet overtakes another. The queue before the channel has no limit.
+probes (RFC 8985), retransmission timeouts (RFC 6298, 200 ms at least), congestion control, timers
+of 4 ms, packets that leave in pairs. What waits is one stream: the tail of a message shares its
+packet with the next. The receiver delivers in order, so that a lost packet holds up all behind it,
+and acknowledges every second full packet, the last of a message and whatever is out of order at
+once. Acknowledgements are not lost, and no packet overtakes another. The queue before the channel
+has no limit.
 
 No clock is read: `advance` carries out what happens until a time. A fork that is advanced further
 tells the future, if nothing more is written.
@@ -27,7 +29,7 @@ MIN_TIMEOUT_NS = 200_000_000
 MAX_TIMEOUT_NS = 120_000_000_000
 _FIRST_TIMEOUT_NS = 1_000_000_000  # before a round trip is known
 _LEAST_TIMER_NS = 2_000_000  # the kernel adds it to a probe's and to a reordering wait
-# The kernel's timers wait for a tick (HZ 250), long ones for every eighth, one more at most.
+# The kernel's timers wait for the tick (HZ 250) after they are due, long ones for an eighth one.
 _TICK_NS = 4_000_000
 _FINE_TICKS, _COARSE_TICKS = 64, 8
 _DUPLICATES = 3  # packets acknowledged selectively, from which on a gap is a loss at once
@@ -178,8 +180,9 @@ class TcpSender:
 
     @property
     def room(self) -> int:
-        """How many more full segments would leave at once."""
-        return max(0, self._congestion.window - self._in_flight - self._lost - self._unsent)
+        """How many more full segments would leave at once or wait as the next to leave together."""
+        open_window = self._congestion.window - self._in_flight - self._lost
+        return max(0, open_window + _LEAST_BURST - self._unsent)
 
     @property
     def _unsent(self) -> int:
