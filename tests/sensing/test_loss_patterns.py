@@ -21,10 +21,15 @@ TICK_MS = 4.0  # a kernel's timer is late by two at most
 FIRST = 50  # packet of the message in which losses begin: its window has settled
 
 
+def sender_losing(*lost: int, link: str = "5mbit,20ms") -> TcpSender:
+    return TcpSender(
+        Channel.draw(profile_named(link) or LinkProfile(), 3, "cav"), LostPackets(*lost)
+    )
+
+
 def delays_ms(*lost: int, messages: int = 14, period_ms: int = 100) -> list[float]:
     """Returns the delays from the tenth message on; lost are packets from its first on."""
-    channel = Channel.draw(profile_named("5mbit,20ms") or LinkProfile(), 3, "cav")
-    sender = TcpSender(channel, LostPackets(*(FIRST + packet for packet in lost)))
+    sender = sender_losing(*(FIRST + packet for packet in lost))
     ends = []
     for number in range(messages):
         sender.advance(number * period_ms * MS)
@@ -129,8 +134,7 @@ def test_the_kernel_with_the_same_packets_lost_takes_as_long(lost):
 
 def test_what_waits_is_one_stream_whose_packets_two_messages_share():
     """70 kB wait after a timeout: full packets but the last, as the kernel sends them."""
-    channel = Channel.draw(profile_named("5mbit,20ms") or LinkProfile(), 3, "cav")
-    sender = TcpSender(channel, LostPackets(0))
+    sender = sender_losing(0)
     for _ in range(10):
         sender.write(7000)
     while not sender.is_done:
@@ -138,3 +142,51 @@ def test_what_waits_is_one_stream_whose_packets_two_messages_share():
     *sizes, last = [one.size_bytes for one in sender.transmitted if one.is_first][10:]
     assert set(sizes) == {1448}
     assert last < 1448
+
+
+def leaving_at_once(sender: TcpSender, size: int, messages: int) -> list[int]:
+    """Writes a message every 100 ms; returns how many packets leave at the time of each write."""
+    counts = []
+    for number in range(messages):
+        sender.advance(number * 100 * MS)
+        sender.transmitted.clear()
+        sender.write(size)
+        counts.append(len(sender.transmitted))
+    return counts
+
+
+def test_the_last_place_in_the_window_waits_for_an_acknowledgement_that_is_overdue():
+    """Three of six are out when the next message comes: a pair leaves, the third waits for more."""
+    assert leaving_at_once(sender_losing(10, 31, 94, 95, 96, 97), 7000, 20)[-3:] == [5, 5, 2]
+
+
+def test_a_timeout_within_a_recovery_does_not_shrink_the_window_again():
+    sender = sender_losing(52, 55)
+    leaving_at_once(sender, 7000, 16)
+    sender.advance(2000 * MS)
+    sender.transmitted.clear()
+    sender.write(40_000)
+    assert len(sender.transmitted) == 7  # 0.7 of ten, as after one loss
+
+
+def test_a_window_that_is_not_used_stays_while_acknowledgements_come():
+    sender = sender_losing(200, link="6mbit,50ms")
+    leaving_at_once(sender, 33_000, 12)
+    sender.advance(1199 * MS)
+    room = sender.room
+    for number in range(12, 40):
+        sender.advance(number * 100 * MS)
+        sender.write(33_000)
+    sender.advance(3999 * MS)
+    assert sender.room == room
+
+
+def test_timeouts_end_at_ticks_and_long_ones_at_every_eighth():
+    sender = sender_losing(*range(4))
+    sender.advance(1 * MS)
+    sender.write(1448)
+    while not sender.is_done:
+        sender.step()
+    *_, second_ns, third_ns, fourth_ns = [one.first_bit_ns for one in sender.transmitted]
+    assert second_ns % (4 * MS) == 0
+    assert third_ns % (32 * MS) == fourth_ns % (32 * MS) == 0
