@@ -176,7 +176,8 @@ def bench_control_command(  # noqa: PLR0913 - one parameter per option of the co
     as_json: AsJson = False,
 ) -> None:
     """Measure signal policies on SUMO alone, with perfect positions near the signals."""
-    from studies.bench_control import ControlCase, measure_control, print_control
+    from studies.bench_control import measure_control, print_control
+    from studies.control_case import ControlCase
 
     cases = [
         ControlCase(

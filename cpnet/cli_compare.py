@@ -65,9 +65,10 @@ def compare_command(  # noqa: PLR0913 - one parameter per option of the command
     """Compare fixed plans and loops with LiDAR on posts, on CAVs and on both, at your junctions."""
     with explained_if_missing():
         from recording.database import versions
-        from studies.compare import Question, prepare, run_comparison, weights
+        from studies.compare import run_comparison, weights
         from studies.compare_page import as_json as json_of
         from studies.compare_page import compare_page, print_comparison_table
+        from studies.compare_question import Question, prepare
         from studies.page.write import save_html
         from studies.sweep.cluster import usable_cores
     listed = [one.strip() for one in posts.split(",")]

@@ -37,7 +37,7 @@ class KittiObject:
     """A label: box (7,) in the LiDAR's frame, NaN where it has none.
 
     `image` (4,) is left, top, right, bottom in pixels; `truncated` and `occluded` are KITTI's, and
-    negative where nobody told.
+    negative where it is not given.
     """
 
     kind: str

@@ -14,7 +14,7 @@ import numpy as np
 from learning.dataset import REACH_M, Kind, ScanRow, SceneSample, SensorPoses, sample_of
 from learning.kitti import Label, into_sensor
 from learning.sites import Sensors, Site, draw_mounts, draw_site
-from perception.arrays import Floats, Floats32
+from perception.arrays import Floats, Floats32, Ints
 from protocol.errors import ConfigError
 from protocol.geometry import SE3
 from protocol.messages import Equipment, is_bystander
@@ -155,43 +155,47 @@ class JunctionScanner:
         frame, agent, kind = source
         true, believed = poses
         own = bodies.ids.index(agent) if kind == "vehicle" else None
-        rng = stream(self.site.seed, "scan", agent, frame)
         lidar = self._sensors.lidar(kind)
-        paint = paints_of(self.site.seed, bodies.ids)
         seen = self._lidars[lidar].scan(
-            true, bodies.poses, bodies.types, own, rng, paint, bodies.speeds_mps
+            true,
+            bodies.poses,
+            bodies.types,
+            own,
+            stream(self.site.seed, "scan", agent, frame),
+            paints_of(self.site.seed, bodies.ids),
+            bodies.speeds_mps,
         )
-        range_m, intensity = seen.scan.range_m, seen.scan.intensity
-        boxes = into_sensor(boxes_m, true)
-        near = np.linalg.norm(boxes[:, :3], axis=1) <= REACH_M
-        if own is not None:
-            near[own] = False
-        hit = range_m > 0
-        points = lidar.pattern.directions[hit] * range_m[hit][:, None]
+        cloud = seen.scan.cloud()
         return LabelledScan(
-            points=np.column_stack([points, intensity[hit]]).astype(np.float32),
-            labels=[
-                Label(
-                    bodies.ids[n],
-                    tuple(boxes[n].tolist()),
-                    int(seen.points_on[n]),
-                    self._classes[bodies.types[n]],
-                )
-                for n in np.flatnonzero(near)
-            ],
+            points=np.column_stack([cloud.points, cloud.intensity]).astype(np.float32),
+            labels=self._labels(bodies, into_sensor(boxes_m, true), own, seen.points_on),
             row=ScanRow(
                 index=0,
                 network=self.site.name,
                 frame=frame,
                 agent=agent,
                 kind=kind,
-                map_SE3_sensor=SensorPoses(
-                    believed=_rounded(believed),
-                    true=_rounded(true),
-                ),
+                map_SE3_sensor=SensorPoses(believed=_rounded(believed), true=_rounded(true)),
                 own=None if own is None else bodies.ids[own],
             ),
         )
+
+    def _labels(
+        self, bodies: TrafficState, boxes: Floats, own: int | None, points_on: Ints
+    ) -> list[Label]:
+        """Returns labels of the bodies in reach, of boxes (N, 7) in the sensor frame."""
+        near = np.linalg.norm(boxes[:, :3], axis=1) <= REACH_M
+        if own is not None:
+            near[own] = False
+        return [
+            Label(
+                bodies.ids[n],
+                tuple(boxes[n].tolist()),
+                int(points_on[n]),
+                self._classes[bodies.types[n]],
+            )
+            for n in np.flatnonzero(near)
+        ]
 
 
 def _boxes(poses: Floats, sizes_m: Floats) -> Floats:

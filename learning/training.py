@@ -42,7 +42,7 @@ class PlacedSamples:
         self._samples = dataset.samples(split)
         self._kept: dict[int, PlacedSample] = {}
         self._kept_bytes = 0
-        self._roads = lru_cache(64)(lambda network: RoadRasters(dataset.road_map(network)))
+        self._roads = lru_cache(1024)(lambda network: RoadRasters(dataset.road_map(network)))
 
     def __len__(self) -> int:
         return len(self._samples)
@@ -104,10 +104,10 @@ def _box_loss(head: Tensor, targets: list[Targets], device: torch.device) -> Ten
     by_anchor = terms.permute(0, 1, 3, 2).reshape(-1, BOX_TERMS)
     anchors = kinds * cells
     places = [number * anchors + t.place.astype(np.int64) for number, t in enumerate(targets)]
-    said = by_anchor[torch.from_numpy(np.concatenate(places)).to(device)].float()
-    wanted = torch.from_numpy(np.concatenate([t.terms for t in targets])).to(device)
-    off = said[:, :6] - wanted[:, :6]
-    turn = torch.sin(said[:, 6] - wanted[:, 6])
+    predicted = by_anchor[torch.from_numpy(np.concatenate(places)).to(device)].float()
+    target = torch.from_numpy(np.concatenate([t.terms for t in targets])).to(device)
+    off = predicted[:, :6] - target[:, :6]
+    turn = torch.sin(predicted[:, 6] - target[:, 6])
     both = torch.cat([off, turn[:, None]], 1)
     return smooth_l1_loss(both, torch.zeros_like(both), beta=_BETA, reduction="sum")
 

@@ -11,8 +11,16 @@ import numpy as np
 from numba import njit
 
 from perception.arrays import Bools, Floats, Floats32, Ints, Ints32
+from perception.cluster import cluster_means, cluster_runs
 from perception.detector import Vehicles
-from perception.object_classes import MAX_WIDTH_M, PERSON_TOP_M, TALL_M, Shapes, classes_of, usual_m
+from perception.object_classes import (
+    PERSON_TOP_M,
+    TALL_M,
+    WIDEST_VEHICLE_M,
+    Shapes,
+    classes_of,
+    usual_m,
+)
 from perception.roadway import Roadway
 
 FIT_POINTS = 160  # of a cluster at most: more do not change the direction
@@ -47,7 +55,10 @@ def fit_boxes(
     """
     if len(labels) == 0 or labels.max() < 0:
         return Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
-    members, starts, middles, floor_m = _middles(points, ground_m, labels, int(labels.max()) + 1)
+    runs = cluster_runs(labels)
+    members, middles = cluster_means(points, runs, int(labels.max()) + 1)
+    starts = np.concatenate([[0], np.cumsum(members)])
+    floor_m = _floor_m(ground_m, runs, members)
     yaws = roadway.yaw_at(middles)
     extents = _fit(points, labels, starts, middles, yaws, floor_m)
     along_m, across_m, height_m = (extents[:, 1] - extents[:, 0]).T
@@ -142,41 +153,17 @@ def _boxes(extents: Floats, middles: Floats, yaws: Floats) -> Floats:
     return np.column_stack([x, y, up, extents[:, 1] - extents[:, 0], yaws])
 
 
-@njit(
-    "Tuple((int64[::1], int64[::1], float64[:,::1], float64[::1]))"
-    "(float32[:,::1], float32[::1], int32[::1], int64)",
-    cache=True,
-    nogil=True,
-)
-def _middles(
-    points: Floats32, ground_m: Floats32, labels: Ints32, count: int
-) -> tuple[Ints, Ints, Floats, Floats]:
-    """Returns the clusters' points' numbers (C,) and their sum before each (C + 1,), means (C, 3).
-
-    The last is the mean height of the ground below each (C,).
-    """
-    members, starts = np.zeros(count, np.int64), np.zeros(count + 1, np.int64)
-    sums, floor_m = np.zeros((count, 3)), np.zeros(count)
-    first = 0
-    while first < labels.size:  # points of a cluster come in runs
-        label, end = labels[first], first
-        x = y = z = below_m = 0.0
-        while end < labels.size and labels[end] == label:
-            x, y, z = x + points[end, 0], y + points[end, 1], z + points[end, 2]
-            below_m += ground_m[end]
-            end += 1
-        if label >= 0:
-            members[label] += end - first
-            floor_m[label] += below_m
-            sums[label, 0], sums[label, 1] = sums[label, 0] + x, sums[label, 1] + y
-            sums[label, 2] += z
-        first = end
-    for label in range(count):
-        starts[label + 1] = starts[label] + members[label]
-        floor_m[label] /= members[label]
-        for axis in range(3):
-            sums[label, axis] /= members[label]
-    return members, starts, sums, floor_m
+@njit("float64[::1](float32[::1], int64[:,::1], int64[::1])", cache=True, nogil=True)
+def _floor_m(ground_m: Floats32, runs: Ints, members: Ints) -> Floats:
+    """Returns the mean height of the ground below clusters (C,) of so many points."""
+    floor_m = np.zeros(members.size)
+    for run in range(runs.shape[0]):
+        label, first, end = runs[run, 0], runs[run, 1], runs[run, 2]
+        below_m = 0.0
+        for index in range(first, end):
+            below_m += ground_m[index]
+        floor_m[label] += below_m
+    return floor_m / members
 
 
 @njit("void(float64[:,::1], float64, float64[:,::1])", cache=True, nogil=True)
@@ -257,7 +244,7 @@ def _fit(
         _measure(local[first:end], yaws[index], extents[index])
         sizes = extents[index, 1] - extents[index, 0]
         is_tall = extents[index, 1, 2] - floor_m[index] > TALL_M
-        if sizes[1] > (MAX_WIDTH_M if is_tall else WIDE_M) and sizes[1] > sizes[0]:
+        if sizes[1] > (WIDEST_VEHICLE_M if is_tall else WIDE_M) and sizes[1] > sizes[0]:
             yaws[index] += np.pi / 2
             _measure(local[first:end], yaws[index], extents[index])
     return extents

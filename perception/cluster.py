@@ -387,3 +387,43 @@ def _numbered(labels: Ints32, order: Ints32) -> Ints32:
         result[np.uint32(order[place])] = labels[place]
     renumber(result)
     return result
+
+
+@njit("int64[:,::1](int32[::1])", cache=True, nogil=True)
+def cluster_runs(labels: Ints32) -> Ints:
+    """Returns the runs (R, 3) of neighbouring indices with one label: label, first index, end.
+
+    Points of a cluster come in runs, as a sensor scans them; runs of noise are left out.
+    """
+    runs = np.empty((labels.size, 3), np.int64)
+    count = first = 0
+    while first < labels.size:
+        label, end = labels[first], first + 1
+        while end < labels.size and labels[end] == label:
+            end += 1
+        if label != NOISE:
+            runs[count, 0], runs[count, 1], runs[count, 2] = label, first, end
+            count += 1
+        first = end
+    return runs[:count].copy()
+
+
+@njit(
+    "Tuple((int64[::1], float64[:,::1]))(float32[:,::1], int64[:,::1], int64)",
+    cache=True,
+    nogil=True,
+)
+def cluster_means(points: Floats32, runs: Ints, count: int) -> tuple[Ints, Floats]:
+    """Returns how many points each of so many clusters has (C,), and their means (C, 3)."""
+    members, means = np.zeros(count, np.int64), np.zeros((count, 3))
+    for run in range(runs.shape[0]):
+        label, first, end = runs[run, 0], runs[run, 1], runs[run, 2]
+        x = y = z = 0.0
+        for index in range(first, end):
+            x, y, z = x + points[index, 0], y + points[index, 1], z + points[index, 2]
+        members[label] += end - first
+        means[label, 0], means[label, 1] = means[label, 0] + x, means[label, 1] + y
+        means[label, 2] += z
+    for label in range(count):
+        means[label] /= max(members[label], 1)
+    return members, means

@@ -13,12 +13,12 @@ from numba import njit
 
 from perception.arrays import Bools, Floats32, Ints, Ints32
 from perception.boxes import fit_boxes, main_sensors
-from perception.cluster import NOISE, cluster, renumber
+from perception.cluster import NOISE, cluster, cluster_runs, renumber
 from perception.config import ClusterConfig, DetectionConfig
 from perception.detector import Cloud, Stage, Vehicles, untimed
 from perception.ground import remove_ground
 from perception.large_vehicles import join_parts
-from perception.object_classes import MAX_LENGTH_M, MAX_WIDTH_M
+from perception.object_classes import LONGEST_VEHICLE_M, WIDEST_VEHICLE_M
 from perception.roadway import Roadway, merge
 from perception.solid import solid_of
 
@@ -38,7 +38,7 @@ def split(points: Floats32, labels: Ints32, *, config: ClusterConfig) -> Ints32:
     closer = config.model_copy(update={"eps_m": config.split_eps_m})
     labels = _parted(points, labels, (LONGEST_M, WIDEST_M), config=closer)
     closest = config.model_copy(update={"eps_m": config.split_eps_m * CLOSEST})
-    return _parted(points, labels, (MAX_LENGTH_M, MAX_WIDTH_M), config=closest)
+    return _parted(points, labels, (LONGEST_VEHICLE_M, WIDEST_VEHICLE_M), config=closest)
 
 
 def _parted(
@@ -47,8 +47,8 @@ def _parted(
     """Clusters anew what is longer, or to both sides wider, than so many metres."""
     if len(labels) == 0 or labels.max() < 0:
         return labels
-    too_large = np.zeros(int(labels.max()) + 1, np.bool_)
-    again = _to_part(points, labels, *most_m, too_large)
+    too_large = _too_large(points, cluster_runs(labels), int(labels.max()) + 1, *most_m)
+    again = np.flatnonzero((labels != NOISE) & too_large[labels])
     if len(again) == 0:
         return labels
     parts = cluster(points[again], config=config)
@@ -58,40 +58,29 @@ def _parted(
     return result
 
 
-@njit("int64[::1](float32[:,::1], int32[::1], float64, float64, boolean[::1])", cache=True)
-def _to_part(
-    points: Floats32, labels: Ints32, longest_m: float, widest_m: float, too_long: Bools
-) -> Ints:
-    """Marks the clusters (C,) that are too large, and returns the indices of their points."""
-    low = np.full((too_long.size, 3), np.float32(np.inf))
-    high = np.full((too_long.size, 3), np.float32(-np.inf))
-    first = 0
-    while first < labels.size:  # in a scan, points of a cluster come in runs
-        label, end = labels[first], first
-        low_x, low_y, low_z = points[first, 0], points[first, 1], points[first, 2]
-        high_x, high_y, high_z = low_x, low_y, low_z
-        while end < labels.size and labels[end] == label:
-            x, y, z = points[end, 0], points[end, 1], points[end, 2]
+@njit("boolean[::1](float32[:,::1], int64[:,::1], int64, float64, float64)", cache=True)
+def _too_large(
+    points: Floats32, runs: Ints, count: int, longest_m: float, widest_m: float
+) -> Bools:
+    """Marks which of so many clusters (C,) are longer, or to both sides wider, than allowed."""
+    low = np.full((count, 2), np.float32(np.inf))
+    high = np.full((count, 2), np.float32(-np.inf))
+    for run in range(runs.shape[0]):
+        label, first, end = runs[run, 0], runs[run, 1], runs[run, 2]
+        low_x, low_y = low[label, 0], low[label, 1]
+        high_x, high_y = high[label, 0], high[label, 1]
+        for index in range(first, end):
+            x, y = points[index, 0], points[index, 1]
             low_x, high_x = x if x < low_x else low_x, x if x > high_x else high_x
             low_y, high_y = y if y < low_y else low_y, y if y > high_y else high_y
-            low_z, high_z = z if z < low_z else low_z, z if z > high_z else high_z
-            end += 1
-        if label != NOISE:
-            low[label, 0], high[label, 0] = min(low[label, 0], low_x), max(high[label, 0], high_x)
-            low[label, 1], high[label, 1] = min(low[label, 1], low_y), max(high[label, 1], high_y)
-            low[label, 2], high[label, 2] = min(low[label, 2], low_z), max(high[label, 2], high_z)
-        first = end
-    for label in range(too_long.size):
+        low[label, 0], low[label, 1] = low_x, low_y
+        high[label, 0], high[label, 1] = high_x, high_y
+    too_large = np.empty(count, np.bool_)
+    for label in range(count):
         sides_m = high[label] - low[label]
         is_long = sides_m[0] ** 2 + sides_m[1] ** 2 > longest_m**2
-        too_long[label] = is_long or min(sides_m[0], sides_m[1]) > widest_m
-    again = np.empty(labels.size, np.int64)
-    count = 0
-    for index in range(labels.size):
-        if labels[index] != NOISE and too_long[labels[index]]:
-            again[count] = index
-            count += 1
-    return again[:count].copy()
+        too_large[label] = is_long or min(sides_m[0], sides_m[1]) > widest_m
+    return too_large
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,8 +11,8 @@ import numpy as np
 from numba import njit
 
 from perception.arrays import Floats, Floats32, Ints, Ints32
-from perception.cluster import renumber
-from perception.object_classes import HIGH_M, MAX_LENGTH_M, MAX_WIDTH_M, TALL_M
+from perception.cluster import cluster_means, cluster_runs, renumber
+from perception.object_classes import HIGH_M, LONGEST_VEHICLE_M, TALL_M, WIDEST_VEHICLE_M
 from perception.roadway import Roadway
 
 GAP_M = 1.3  # between parts, along the road; vehicles that queue keep 2 m and more
@@ -28,11 +28,13 @@ def join_parts(points: Floats32, ground_m: Floats32, labels: Ints32, *, roadway:
     count = int(labels.max(initial=-1)) + 1
     if count < 2:
         return labels
-    middles, top_m = _outline(points, ground_m, labels, count)
+    runs = cluster_runs(labels)
+    top_m = _top_m(points, ground_m, runs, count)
     if not (top_m > TALL_M).any():
         return labels
+    _, middles = cluster_means(points, runs, count)
     yaws = roadway.yaw_at(middles)
-    extents = _extents(points, labels, middles, yaws)
+    extents = _extents(points, runs, middles, yaws)
     owner = _join(middles, yaws, extents, top_m)
     if (owner == np.arange(count)).all():
         return labels
@@ -51,65 +53,44 @@ def _joined(labels: Ints32, owner: Ints) -> Ints32:
 
 
 @njit(
-    "Tuple((float64[:,::1], float64[::1]))(float32[:,::1], float32[::1], int32[::1], int64)",
+    "float64[::1](float32[:,::1], float32[::1], int64[:,::1], int64)",
     cache=True,
     nogil=True,
 )
-def _outline(
-    points: Floats32, ground_m: Floats32, labels: Ints32, count: int
-) -> tuple[Floats, Floats]:
-    """Returns the clusters' means (C, 3) and how high they reach over the ground (C,)."""
-    sums, members, top_m = np.zeros((count, 3)), np.zeros(count), np.zeros(count)
-    first = 0
-    while first < labels.size:  # points of a cluster come in runs
-        label, end = labels[first], first
-        x = y = z = highest_m = 0.0
-        while end < labels.size and labels[end] == label:
-            x, y, z = x + points[end, 0], y + points[end, 1], z + points[end, 2]
-            highest_m = max(highest_m, points[end, 2] - ground_m[end])
-            end += 1
-        if label >= 0:
-            members[label] += end - first
-            top_m[label] = max(top_m[label], highest_m)
-            sums[label, 0], sums[label, 1] = sums[label, 0] + x, sums[label, 1] + y
-            sums[label, 2] += z
-        first = end
-    for label in range(count):
-        sums[label] /= max(members[label], 1)
-    return sums, top_m
+def _top_m(points: Floats32, ground_m: Floats32, runs: Ints, count: int) -> Floats:
+    """Returns how high so many clusters reach over the ground (C,)."""
+    top_m = np.zeros(count)
+    for run in range(runs.shape[0]):
+        label, first, end = runs[run, 0], runs[run, 1], runs[run, 2]
+        for index in range(first, end):
+            top_m[label] = max(top_m[label], points[index, 2] - ground_m[index])
+    return top_m
 
 
 @njit(
-    "float64[:,::1](float32[:,::1], int32[::1], float64[:,::1], float64[::1])",
+    "float64[:,::1](float32[:,::1], int64[:,::1], float64[:,::1], float64[::1])",
     cache=True,
     nogil=True,
 )
-def _extents(points: Floats32, labels: Ints32, middles: Floats, yaws: Floats) -> Floats:
+def _extents(points: Floats32, runs: Ints, middles: Floats, yaws: Floats) -> Floats:
     """Returns how far clusters reach about their means, along and across the road (C, 4), m.
 
     Backward and forward, then to the right and to the left.
     """
     extents = np.zeros((middles.shape[0], 4))
     cos, sin = np.cos(yaws), np.sin(yaws)
-    first = 0
-    while first < labels.size:  # points of a cluster come in runs
-        label, end = labels[first], first
-        if label < 0:
-            first += 1
-            continue
+    for run in range(runs.shape[0]):
+        label, first, end = runs[run, 0], runs[run, 1], runs[run, 2]
         ahead, aside = cos[label], sin[label]
-        back = front = right = left = 0.0
-        while end < labels.size and labels[end] == label:
-            x, y = points[end, 0] - middles[label, 0], points[end, 1] - middles[label, 1]
+        back, front = extents[label, 0], extents[label, 1]
+        right, left = extents[label, 2], extents[label, 3]
+        for index in range(first, end):
+            x, y = points[index, 0] - middles[label, 0], points[index, 1] - middles[label, 1]
             along, across = ahead * x + aside * y, ahead * y - aside * x
             back, front = min(back, along), max(front, along)
             right, left = min(right, across), max(left, across)
-            end += 1
-        extents[label, 0] = min(extents[label, 0], back)
-        extents[label, 1] = max(extents[label, 1], front)
-        extents[label, 2] = min(extents[label, 2], right)
-        extents[label, 3] = max(extents[label, 3], left)
-        first = end
+        extents[label, 0], extents[label, 1] = back, front
+        extents[label, 2], extents[label, 3] = right, left
     return extents
 
 
@@ -130,7 +111,7 @@ def _are_one(whole: Floats, part: Floats, most_gap_m: float) -> bool:
     aside_m = max(part[2] - whole[3], whole[2] - part[3])
     length_m = max(part[1], whole[1]) - min(part[0], whole[0])
     width_m = max(part[3], whole[3]) - min(part[2], whole[2])
-    fits = length_m <= MAX_LENGTH_M and width_m <= MAX_WIDTH_M
+    fits = length_m <= LONGEST_VEHICLE_M and width_m <= WIDEST_VEHICLE_M
     return bool(fits and gap_m <= most_gap_m and aside_m <= 0)
 
 

@@ -9,9 +9,9 @@ import numpy as np
 from perception.arrays import Bools, Bytes, Floats, Ints
 from protocol.messages import ObjectClass
 
-MAX_LENGTH_M = 18.75  # of a road train (Directive 96/53/EC); an articulated bus has 18 m
-MAX_WIDTH_M = 3.2  # 2.55 m of a lorry, and its mirrors
-MAX_TOP_M = 4.3  # 4 m are allowed (Directive 96/53/EC)
+LONGEST_VEHICLE_M = 18.75  # of a road train (Directive 96/53/EC); an articulated bus has 18 m
+WIDEST_VEHICLE_M = 3.2  # 2.55 m of a lorry, and its mirrors
+HIGHEST_VEHICLE_M = 4.3  # 4 m are allowed (Directive 96/53/EC)
 TALL_M = 2.2  # what is higher is a van, a lorry or a bus
 HIGH_M = 2.9  # what is higher is a lorry or a bus, however short
 LONG_M = 7.2  # what is longer is, however low
@@ -67,7 +67,11 @@ class Shapes:
         """Whether an object may be one, (C,)."""
         long_m = np.maximum(self.along_m, self.across_m)
         wide_m = np.minimum(self.along_m, self.across_m)
-        fits = (long_m <= MAX_LENGTH_M) & (wide_m <= MAX_WIDTH_M) & (self.top_m <= MAX_TOP_M)
+        fits = (
+            (long_m <= LONGEST_VEHICLE_M)
+            & (wide_m <= WIDEST_VEHICLE_M)
+            & (self.top_m <= HIGHEST_VEHICLE_M)
+        )
         is_pole = (long_m < POLE_M) & (self.top_m > TALL_M)
         is_pole |= (long_m < MAST_M) & (self.top_m > HIGH_M)
         is_crown = self.bottom_m > TALL_M

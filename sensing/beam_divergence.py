@@ -19,6 +19,7 @@ from protocol.scans import ScanPattern
 
 PULSE_M = 0.75  # 5 ns there and back, as of the HDL-64E's data sheet
 _LEAST_STEP_M = 0.1  # between neighbours; less is a slope, not an edge
+_RIGHT, _LEFT, _ABOVE = 0, 1, 2  # sides of a beam; the fourth is below
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +60,34 @@ def _returned(
     return own_m, np.float32((1 - share) * own)
 
 
+@njit("UniTuple(int64, 2)(int64, int64, int64, int64, int64)", cache=True)
+def _neighbour(ring: int, column: int, side: int, channels: int, columns: int) -> tuple[int, int]:
+    """Returns the ring and column beside a beam; the beam itself above the first, below the last.
+
+    In the order of `side`: to the right, to the left, above, below.
+    """
+    if side == _RIGHT:
+        return ring, (column + 1) % columns
+    if side == _LEFT:
+        return ring, column - 1 if column else columns - 1
+    if side == _ABOVE:
+        return max(ring - 1, 0), column
+    return min(ring + 1, channels - 1), column
+
+
+@njit("float32(float32, int64, float32)", cache=True)
+def _share_of_other(draw: np.float32, side: int, half: np.float32) -> np.float32:
+    """Returns the share of a beam, by half its width, beyond the edge to a side; 0 for none.
+
+    Where the edge lies follows from the last bits of the beam's draw, others for each side.
+    """
+    scaled = draw * np.float32(1024 << side)
+    edge = scaled - np.floor(scaled)  # from the own axis to the other one
+    if edge < half:
+        return min((half - edge) / (2 * half), np.float32(0.5))
+    return np.float32(0.0)
+
+
 @njit(
     "void(float32[:,::1], float32[:,::1], float32[:,::1], float64, float32[::1], float32[:,::1], "
     "float32[:,::1])",
@@ -90,32 +119,16 @@ def mix_at_edges(
     channels, columns = distance_m.shape
     mixed_m[:], mixed[:] = distance_m, strength
     for ring in range(channels):
-        above, below = max(ring - 1, 0), min(ring + 1, channels - 1)
         for column in range(columns):
-            left, right = column - 1 if column else columns - 1, (column + 1) % columns
             own_m, own = distance_m[ring, column], strength[ring, column]
-            if (
-                abs(distance_m[ring, right] - own_m) < _LEAST_STEP_M
-                and abs(distance_m[ring, left] - own_m) < _LEAST_STEP_M
-                and abs(distance_m[above, column] - own_m) < _LEAST_STEP_M
-                and abs(distance_m[below, column] - own_m) < _LEAST_STEP_M
-            ):
-                continue
             for side in range(4):
-                other_ring, other_column, half = ring, right, np.float32(along)
-                if side == 1:
-                    other_column = left
-                elif side == 2:
-                    other_ring, other_column, half = above, column, across[above]
-                elif side == 3:
-                    other_ring, other_column, half = below, column, across[ring]
+                other_ring, other_column = _neighbour(ring, column, side, channels, columns)
                 other_m = distance_m[other_ring, other_column]
                 if abs(other_m - own_m) < _LEAST_STEP_M:
                     continue
-                scaled = draw[ring, column] * np.float32(1024 << side)
-                edge = scaled - np.floor(scaled)  # from the own axis to the other one
-                if edge < half:
-                    share = min((half - edge) / (2 * half), np.float32(0.5))
+                half = across[min(ring, other_ring)] if side >= _ABOVE else np.float32(along)
+                share = _share_of_other(draw[ring, column], side, half)
+                if share > 0:
                     other = strength[other_ring, other_column]
                     mixed_m[ring, column], mixed[ring, column] = _returned(
                         own_m, own, other_m, other, share

@@ -230,6 +230,28 @@ class _Rays:
         )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _BodiesInView:
+    """Bodies (N,) as a sensor has them before it: see `sensing.candidates`.
+
+    Attributes:
+        mesh: index of each body's unit mesh (N,).
+        bounds: lowest and highest corner of that mesh (N, 6).
+        placed: where each is about the sensor (N, 12, 3).
+        windows: the rings and columns whose beams may hit each (N, 4).
+    """
+
+    mesh: Ints
+    bounds: Floats
+    placed: Floats
+    windows: Ints
+
+    @property
+    def rays(self) -> Ints:
+        """How many beams may hit each (N,)."""
+        return np.asarray((self.windows[:, 1] - self.windows[:, 0]) * self.windows[:, 3])
+
+
 class Lidar:
     """Casts scans; one object serves any number of sensors of one kind.
 
@@ -347,47 +369,58 @@ class Lidar:
         own: int | None,
         paint: Floats32,
     ) -> None:
+        bodies = self._bodies_in_view(map_SE3_sensor, poses, types, own)
+        for mesh in range(len(self._casters)):
+            members = np.flatnonzero((bodies.mesh == mesh) & (bodies.rays > 0))
+            if len(members):
+                self._add_bodies_of_mesh(view, mesh, bodies, members, paint)
+
+    def _bodies_in_view(
+        self, map_SE3_sensor: SE3, poses: Floats, types: Sequence[str], own: int | None
+    ) -> _BodiesInView:
+        """Places the bodies about the sensor and finds the beams that may hit them."""
         bodies = self._shapes.bodies(types)
         bounds = self._bounds[bodies.mesh]
         placed = np.empty((len(poses), 12, 3))
         rotation, translation = map_SE3_sensor.rotation.copy(), map_SE3_sensor.translation.copy()
         place(np.array(poses, np.float64), bodies.size_m, bounds, rotation, translation, placed)
         parts = np.empty((len(poses), 4), np.int64)
-        pattern = self._pattern
-        range_m = float(self._config.range)
+        pattern, range_m = self._pattern, float(self._config.range)
         windows(placed, pattern.elevations_rad, pattern.columns, range_m, parts)
         if own is not None:
             parts[own] = 0
-        sizes = (parts[:, 1] - parts[:, 0]) * parts[:, 3]
-        for index, caster in enumerate(self._casters):
-            members = np.flatnonzero((bodies.mesh == index) & (sizes > 0))
-            if len(members):
-                buffers = self._rays.reserved(int(sizes[members].sum()))
-                count = gather(
-                    pattern.directions,
-                    view.distance_m,
-                    placed,
-                    bounds,
-                    parts,
-                    members,
-                    *buffers[:5],
-                )
-                origins, directions, limits, beams, owners, faces = buffers
-                caster.cast(origins, directions, limits[:count], faces)
-                flat = view.distance_m.reshape(-1), view.body.reshape(-1)
-                found = beams[:count], owners[:count], limits[:count]
-                if self._surfaces is None:
-                    keep_nearest(*flat, *found)
-                    continue
-                surfaces = self._surfaces[index]
-                keep_nearest_lit(
-                    *flat,
-                    view.strength.reshape(-1),
-                    *found,
-                    faces,
-                    directions,
-                    placed,
-                    surfaces.normals,
-                    surfaces.reflectivity,
-                    paint,
-                )
+        return _BodiesInView(bodies.mesh, bounds, placed, parts)
+
+    def _add_bodies_of_mesh(
+        self, view: RayHits, mesh: int, bodies: _BodiesInView, members: Ints, paint: Floats32
+    ) -> None:
+        """Casts the rays that may hit bodies of one unit mesh, and keeps what is nearest."""
+        buffers = self._rays.reserved(int(bodies.rays[members].sum()))
+        origins, directions, limits, beams, owners, faces = buffers
+        count = gather(
+            self._pattern.directions,
+            view.distance_m,
+            bodies.placed,
+            bodies.bounds,
+            bodies.windows,
+            members,
+            *buffers[:5],
+        )
+        self._casters[mesh].cast(origins, directions, limits[:count], faces)
+        flat = view.distance_m.reshape(-1), view.body.reshape(-1)
+        found = beams[:count], owners[:count], limits[:count]
+        if self._surfaces is None:
+            keep_nearest(*flat, *found)
+            return
+        surfaces = self._surfaces[mesh]
+        keep_nearest_lit(
+            *flat,
+            view.strength.reshape(-1),
+            *found,
+            faces,
+            directions,
+            bodies.placed,
+            surfaces.normals,
+            surfaces.reflectivity,
+            paint,
+        )

@@ -59,39 +59,94 @@ def draw_parked(
         return ParkedCars([], np.zeros((0, 6)))
     area = RoadArea(roads)
     edges = area.edges()
-    junctions = _Places(_junction_places(roads))
-    lights = _Places(street_light_feet(edges, area, scene)[:, :2])
+    kerb = _Kerb(
+        area,
+        junctions=_Places(_junction_places(roads)),
+        lights=_Places(street_light_feet(edges, area, scene)[:, :2]),
+        taken=_Places(np.zeros((0, 2))),
+    )
     rng = stream(seed, "parked")
     share = per_100m * SPACE_M / 100
-    taken = _Places(np.zeros((0, 2)))
     found: list[tuple[VehicleType, Floats]] = []
     for edge in edges:
-        for middle, ahead, outward, level_m in _spaces(edge):
+        for space in _spaces(edge):
             # Every space draws alike, so that what is near it changes no other.
-            occupied, kind_at, gap, shift, turn = rng.random(5).tolist()
-            kind = kinds[int(kind_at * len(kinds))]
-            aside_m = _GAP_M[0] + gap * (_GAP_M[1] - _GAP_M[0]) + kind.width_m / 2
-            place = middle + outward * aside_m + ahead * (2 * shift - 1) * _JITTER_M
-            yaw = np.arctan2(ahead[1], ahead[0]) + (2 * turn - 1) * _JITTER_RAD
-            corners = _corners(place, yaw, kind)
-            if (
-                occupied >= share
-                or junctions.distance_m(place) < _FROM_JUNCTION_M
-                or area.clearance_m(corners, 1.0).min() < _CLEAR_M
-                or taken.distance_m(place) < SPACE_M - 2 * _JITTER_M
-                or lights.distance_m(corners) < _FROM_LIGHT_M + kind.width_m / 2
-            ):
-                continue
-            taken.add(place)
-            found.append((kind, np.array([*place, yaw, level_m])))
+            occupied, *draws = rng.random(5).tolist()
+            car = _car_in(space, kinds, *draws)
+            if occupied < share and kerb.has_room_for(car):
+                kerb.taken.add(car.place)
+                found.append((car.kind, np.array([*car.place, car.yaw, space.level_m])))
     return _standing(found, roads, scene, seed)
 
 
-def _spaces(edge: Edge) -> Iterator[tuple[Floats, Floats, Floats, float]]:
-    """Yields middles of spaces on an edge, its direction, the unit vector off the road, its height.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Space:
+    """A space along an edge: its middle (2,), the unit vectors (2,) ahead and off the road.
 
-    That of the lane, in m.
+    `level_m` is the height of the lane beside it.
     """
+
+    middle: Floats
+    ahead: Floats
+    outward: Floats
+    level_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Car:
+    """A car of a type that may park: the middle of its footprint (2,), and its yaw."""
+
+    kind: VehicleType
+    place: Floats
+    yaw: float
+
+    @property
+    def corners(self) -> Floats:
+        """The corners of its footprint and the middles of its ends (6, 2)."""
+        cos, sin = np.cos(self.yaw), np.sin(self.yaw)
+        turned = np.array([[cos, sin], [-sin, cos]])
+        sides_m = self.kind.length_m, self.kind.width_m
+        return np.asarray(self.place + _CORNERS * sides_m @ turned)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Kerb:
+    """Where cars may park: off the road, away from junctions, lights and who has parked there."""
+
+    area: RoadArea
+    junctions: _Places
+    lights: _Places
+    taken: _Places
+
+    def has_room_for(self, car: _Car) -> bool:
+        """Whether a car may park in its place."""
+        corners = car.corners
+        return bool(
+            self.junctions.distance_m(car.place) >= _FROM_JUNCTION_M
+            and self.area.clearance_m(corners, 1.0).min() >= _CLEAR_M
+            and self.taken.distance_m(car.place) >= SPACE_M - 2 * _JITTER_M
+            and self.lights.distance_m(corners) >= _FROM_LIGHT_M + car.kind.width_m / 2
+        )
+
+
+def _car_in(
+    space: _Space,
+    kinds: Sequence[VehicleType],
+    kind_at: float,
+    gap: float,
+    shift: float,
+    turn: float,
+) -> _Car:
+    """Returns the car that four uniform draws from 0 to 1 put into a space."""
+    kind = kinds[int(kind_at * len(kinds))]
+    aside_m = _GAP_M[0] + gap * (_GAP_M[1] - _GAP_M[0]) + kind.width_m / 2
+    place = space.middle + space.outward * aside_m + space.ahead * (2 * shift - 1) * _JITTER_M
+    yaw = np.arctan2(space.ahead[1], space.ahead[0]) + (2 * turn - 1) * _JITTER_RAD
+    return _Car(kind, place, float(yaw))
+
+
+def _spaces(edge: Edge) -> Iterator[_Space]:
+    """Yields the spaces along an edge."""
     length_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(edge.points, axis=0).T))])
     for start_m, end_m in pairwise(np.arange(0.0, length_m[-1], SPACE_M)):
         ends = [
@@ -103,13 +158,7 @@ def _spaces(edge: Edge) -> Iterator[tuple[Floats, Floats, Floats, float]]:
         right = np.array([ahead[1], -ahead[0]])
         middle = int(np.searchsorted(length_m, (start_m + end_m) / 2))
         outward = right if right @ edge.outward[middle] > 0 else -right
-        yield (ends[0] + ends[1]) / 2, ahead, outward, float(edge.level_m[middle])
-
-
-def _corners(place: Floats, yaw: float, kind: VehicleType) -> Floats:
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    turned = np.array([[cos, sin], [-sin, cos]])
-    return np.asarray(place + _CORNERS * (kind.length_m, kind.width_m) @ turned)
+        yield _Space((ends[0] + ends[1]) / 2, ahead, outward, float(edge.level_m[middle]))
 
 
 def _junction_places(roads: RoadMap) -> Floats:

@@ -13,15 +13,12 @@ from studies.compare import (
     ACTUATED,
     ALL_KNOWN,
     BASELINES,
-    BOTH,
-    CAVS,
     PLAN,
-    POSTS,
     PREDICTIVE,
     WEBSTER,
-    Comparison,
     Variant,
 )
+from studies.compare_question import BOTH, CAVS, POSTS, Comparison
 from studies.control_study import paired
 from studies.outlines import road_rings
 from studies.page.model import (

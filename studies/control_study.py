@@ -24,13 +24,20 @@ from scipy.special import stdtrit
 
 from protocol.errors import ConfigError
 from sim_host.setup import sumo_files
-from studies.bench_control import OWN_PLAN, WEBSTER, ControlCase, lane_flows_vph, run_case_in_detail
+from studies.bench_control import lane_flows_vph, run_case_in_detail
 from studies.control_baselines import TUNINGS, Tuning
+from studies.control_case import OWN_PLAN, WEBSTER, ControlCase
 from studies.control_file import NETS, ControlStudy
 from studies.sweep.cells import code_digest, write_atomically
 
 _ROOT = Path(__file__).resolve().parents[1]
-_OWN_CODE = ("bench_control.py", "control_baselines.py", "approach_log.py")
+_OWN_CODE = (
+    "bench_control.py",
+    "control_case.py",
+    "control_run.py",
+    "control_baselines.py",
+    "approach_log.py",
+)
 _CONFIDENCE = 0.95
 Row = dict[str, Any]
 Report = Callable[[int, int, str], None]

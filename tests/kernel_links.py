@@ -60,26 +60,43 @@ def shaped_connection(rate_bps: int) -> Iterator[tuple[socket.socket, socket.soc
         inside = [f"address add {agent}/31 dev uplink", "link set uplink up", "link set lo up"]
         call("ip", "-netns", namespace, lines=inside)
         call("tc", "-netns", namespace, *shaped.split())
-        # A socket belongs to the namespace of the thread that made it: here one that then ends.
-        with (
-            ThreadPoolExecutor(1) as thread,
-            socket.create_server((host, 0)) as server,
-            thread.submit(socket_in, namespace).result() as sender,
-        ):
-            server.settimeout(5)
-            sender.settimeout(5)
-            sender.connect(server.getsockname())
-            sender.settimeout(None)
-            receiver, _ = server.accept()
-            with receiver:
-                yield sender, receiver
+        with connection_from(namespace, host) as connection:
+            yield connection
     finally:
         with suppress(KernelError):
             call("ip", "link", "delete", device)
         call("ip", "netns", "delete", namespace)
 
 
-def socket_in(namespace: str) -> socket.socket:
+@contextmanager
+def connection_from(
+    namespace: str, host: str, options: Sequence[tuple[int, int, int | bytes]] = ()
+) -> Iterator[tuple[socket.socket, socket.socket]]:
+    """Gives both ends of a TCP connection from a network namespace to an address outside it.
+
+    Args:
+        namespace: where the sender is.
+        host: the address that the receiver listens on.
+        options: of the sender's socket, set before it connects.
+    """
+    # A socket belongs to the namespace of the thread that made it: here one that then ends.
+    with (
+        ThreadPoolExecutor(1) as thread,
+        socket.create_server((host, 0)) as server,
+        thread.submit(_socket_in, namespace).result() as sender,
+    ):
+        for option in options:
+            sender.setsockopt(*option)
+        server.settimeout(10)
+        sender.settimeout(10)
+        sender.connect(server.getsockname())
+        sender.settimeout(None)
+        receiver, _ = server.accept()
+        with receiver:
+            yield sender, receiver
+
+
+def _socket_in(namespace: str) -> socket.socket:
     """Returns a TCP socket of a network namespace."""
     entry = os.open(f"/run/netns/{namespace}", os.O_RDONLY)
     try:

@@ -13,17 +13,21 @@ import struct
 import subprocess
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from itertools import count
 from json import dumps
 from pathlib import Path
 
-from tests.kernel_links import MTU, KernelError, call, socket_in
+from tests.kernel_links import MTU, KernelError, call, connection_from
 
 _TUNSETIFF = 0x400454CA
 _IFF_TUN_NO_PI = 0x1001
+_SENDER = (
+    (socket.IPPROTO_TCP, socket.TCP_CONGESTION, b"cubic"),
+    (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),
+    (socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 21),
+)
 _NUMBERS = count()
 _FORWARDER = Path(__file__).with_name("path_forwarder.py")
 
@@ -57,20 +61,8 @@ def lossy_connection(path: KernelPath) -> Iterator[tuple[socket.socket, socket.s
             call("ip", *inside, "link", "set", device, "mtu", str(MTU), "txqueuelen", "20000", "up")
         command = [sys.executable, str(_FORWARDER), *map(str, files), dumps(asdict(path))]
         forwarder = subprocess.Popen(command, pass_fds=files)
-        with (
-            ThreadPoolExecutor(1) as thread,
-            socket.create_server((host, 0)) as server,
-            thread.submit(socket_in, namespace).result() as sender,
-        ):
-            sender.setsockopt(socket.IPPROTO_TCP, socket.TCP_CONGESTION, b"cubic")
-            sender.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            sender.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 21)
-            sender.settimeout(10)
-            sender.connect(server.getsockname())
-            sender.settimeout(None)
-            receiver, _ = server.accept()
-            with receiver:
-                yield sender, receiver
+        with connection_from(namespace, host, _SENDER) as connection:
+            yield connection
     finally:
         if forwarder is not None:
             forwarder.kill()

@@ -73,7 +73,7 @@ class Engine:
     ) -> tuple[Floats, Floats, Bytes, Ints]:
         """Returns boxes (N, 7), z over the road, scores, classes and windows (N,).
 
-        All windows are of one size; `seen` says which of the pillars known stand in each, and
+        All windows are of one size; `seen` has which of the pillars known stand in each, and
         where.
         """
         rows, columns = windows[0].size
@@ -121,8 +121,8 @@ class Engine:
         if len(place) > _MOST:
             place = place[torch.topk(logits[place], _MOST).indices]
         kind, cell = place // places, place % places
-        said = terms.permute(1, 2, 0).reshape(places, -1)[cell, kinds:].float()
-        boxes = said.view(-1, kinds, BOX_TERMS)[torch.arange(len(cell)), kind]
+        predicted = terms.permute(1, 2, 0).reshape(places, -1)[cell, kinds:].float()
+        boxes = predicted.view(-1, kinds, BOX_TERMS)[torch.arange(len(cell)), kind]
         middle = middle_of(cell.numpy(), window, self.config)
         scores = torch.sigmoid(logits[place]).double().numpy()
         found = boxes_of(boxes.numpy(), middle, kind.numpy(), self.config)
@@ -151,7 +151,7 @@ class _Relu:
 class _Up:
     """A block's share of the head's output: two products of matrices for each pixel.
 
-    The head is linear in what the blocks say together, so that these need not be put side by side,
+    The head is linear in the blocks' outputs together, so that these need not be put side by side,
     nor scaled up before the last product.
     """
 

@@ -39,7 +39,7 @@ def save(network: PointPillars, path: Path, about: Mapping[str, Any]) -> None:
 
 
 def describe(path: Path, more: Mapping[str, Any]) -> None:
-    """Adds to what a file says of its weights; these stay as they are.
+    """Adds to the description of weights in a file; these stay as they are.
 
     Raises:
         ConfigError: see `load`.
@@ -86,9 +86,9 @@ def load(path: Path) -> tuple[PointPillars, dict[str, Any]]:
     try:
         config, about = _described(metadata)
     except (ValueError, KeyError, RecursionError) as error:
-        said = _first_of(error) if isinstance(error, ValidationError) else str(error)
-        raise ConfigError(f"weights {path}: its description is not valid: {said}") from None
-    with torch.device("meta"):  # takes no room, however large it says it is
+        reason = _first_of(error) if isinstance(error, ValidationError) else str(error)
+        raise ConfigError(f"weights {path}: its description is not valid: {reason}") from None
+    with torch.device("meta"):  # takes no room, however large it is declared
         network = PointPillars(config)
     if wrong := _mismatch(network.state_dict(), tensors):
         raise ConfigError(f"weights {path}: not those of its network: {wrong}")
@@ -130,7 +130,7 @@ def _described(metadata: Mapping[str, str]) -> tuple[PillarsConfig, dict[str, An
 
 
 def _mismatch(needed: Mapping[str, Tensor], given: Mapping[str, Tensor]) -> str:
-    """Says the first thing by which tensors are not those that are needed; empty if they are."""
+    """Returns the first difference of tensors from those that are needed; empty if none."""
     if missing := [name for name in needed if name not in given]:
         return f"{len(missing)} tensors are missing, the first is {missing[0]}"
     if more := sorted(given.keys() - needed.keys()):

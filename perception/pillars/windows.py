@@ -74,11 +74,11 @@ def known_of(
     weight: Floats32,
     bias: Floats32,
 ) -> tuple[Floats32, Ints]:
-    """Says what is known of each pillar, as `pillars_of`, but without putting points in order.
+    """Encodes each pillar from the features of `pillars_of`, but without putting points in order.
 
     Returns:
-        The most that any of a pillar's points says (P, C), from 0, and the pillars' cells (P,). A
-        point says its features (6,) times `weight` (6, C), and `bias` (C,).
+        The highest output of any of a pillar's points (P, C), from 0, and the pillars' cells (P,).
+        A point's output is its features (6,) times `weight` (6, C), plus `bias` (C,).
     """
     kept, keys = _keep(points, height_m, _frame(window, config), np.array(window.size))
     first = runs(keys)
@@ -219,9 +219,9 @@ def _ask(
             x, y, z = points[index, 0], points[index, 1], points[index, 2]
             f1, f2, f3, f4, f5 = x - mean_x, y - mean_y, z - mean_z, x - middle_x, y - middle_y
             for c in range(most.size):
-                said = bias[c] + z * weight[0, c] + f1 * weight[1, c] + f2 * weight[2, c]
-                said += f3 * weight[3, c] + f4 * weight[4, c] + f5 * weight[5, c]
-                most[c] = max(most[c], said)
+                output = bias[c] + z * weight[0, c] + f1 * weight[1, c] + f2 * weight[2, c]
+                output += f3 * weight[3, c] + f4 * weight[4, c] + f5 * weight[5, c]
+                most[c] = max(most[c], output)
         for c in range(most.size):
             known[pillar, begin + c] = most[c]
 

@@ -22,7 +22,7 @@ from perception.tracking.sightlines import SightLines
 BOX_STD = np.array([0.35, 0.2, 0.08])  # of a box near a sensor: along, across, heading
 FAR_STD, FAR_M = 0.015, 40.0  # along, more for each metre beyond: only an end is seen
 NEAR_STD, NEAR_M = 1.5, 6.0  # along, nearer to a sensor, which sees over a part of the vehicle
-POSE_STD = np.array([0.1, 0.1, 0.02])  # of an agent's own pose, beside what it says of itself
+POSE_STD = np.array([0.1, 0.1, 0.02])  # of an agent's own pose, beside the deviation that it states
 JUMP_STD = np.array([1.5, 1.3, 2.0])  # along, across (a lane is 3.5 m wide), in speed
 JUMP_STD_OFF_MAP = np.array([0.5, 0.5, 1.0])
 JUMPED_STD = np.array([0.3, 1.3, 0.0])  # of what has jumped: a change of lane, or another side seen

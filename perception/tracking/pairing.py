@@ -10,7 +10,7 @@ import numpy as np
 
 from perception.arrays import Bools, Floats, Ints
 from perception.detector import LIDAR, Vehicles
-from perception.object_classes import MAX_LENGTH_M
+from perception.object_classes import LONGEST_VEHICLE_M
 from perception.tracking import motion
 from perception.tracking.association import associate, is_person
 from perception.tracking.places import overlapping
@@ -81,7 +81,7 @@ def _reclaim(states: TrackStates, observed: Vehicles, pairs: Ints, time_ns: int)
     boxes = states.boxes
     for i in order:
         n = left[i]
-        near = taken[np.abs(observed.boxes[taken, 0] - boxes[n, 0]) < MAX_LENGTH_M]
+        near = taken[np.abs(observed.boxes[taken, 0] - boxes[n, 0]) < LONGEST_VEHICLE_M]
         near = near[overlapping(observed.boxes[near], boxes[n : n + 1])]
         for m in near:
             other = pairs[m]

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from perception.arrays import Bools, Floats, Ints
-from perception.object_classes import MAX_LENGTH_M
+from perception.object_classes import LONGEST_VEHICLE_M
 
 SAME_ALONG, SAME_ACROSS_M = 0.6, 1.2  # boxes nearer, of their mean length, are of one vehicle
 
@@ -26,7 +26,9 @@ def overlapping(boxes: Floats, others: Floats) -> Bools:
     result = np.zeros(boxes.shape[0], np.bool_)
     for n in range(boxes.shape[0]):
         for m in range(others.shape[0]):
-            if abs(boxes[n, 0] - others[m, 0]) < MAX_LENGTH_M and _is_same(boxes[n], others[m]):
+            if abs(boxes[n, 0] - others[m, 0]) < LONGEST_VEHICLE_M and _is_same(
+                boxes[n], others[m]
+            ):
                 result[n] = True
                 break
     return result

@@ -7,13 +7,16 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from perception.arrays import Bools, Floats, Ints
+from protocol.messages import ObjectClass
+
+CLASSES = len(ObjectClass)
 
 
 @dataclass(slots=True, eq=False)
 class TrackStates:
     """What is known of each of N tracks; see `motion` for `mean` and `covariance`.
 
-    `dims` (N, 4) are z, length, width, height, `votes` (N, 4) detections by class. `lane`,
+    `dims` (N, 4) are z, length, width, height, `votes` (N, classes) detections by class. `lane`,
     `along_m` and `off_m` are as of `LaneGraph.locate` in this frame; `origin` is the lane that a
     track was on for sure before, -1 for none. `owner` is the agent whose
     poses a track follows, "lidar" for none; `seen` whether it was detected in this frame, else
@@ -47,7 +50,7 @@ class TrackStates:
             mean=np.zeros((0, 6)),
             covariance=np.zeros((0, 6, 6)),
             dims=np.zeros((0, 4)),
-            votes=np.zeros((0, 4)),
+            votes=np.zeros((0, CLASSES)),
             score=real,
             existence=real,
             hits=whole,

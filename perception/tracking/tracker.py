@@ -8,12 +8,18 @@ import numpy as np
 
 from perception.arrays import Bools, Floats, Ints
 from perception.detector import LIDAR, Vehicles
-from perception.tracking import existence, motion
+from perception.tracking import motion
 from perception.tracking.association import PERSON
-from perception.tracking.birth import born, place_on_lanes
 from perception.tracking.config import TrackingConfig
 from perception.tracking.lane_following import follow_lanes
 from perception.tracking.lane_graph import LaneGraph
+from perception.tracking.life_cycle import (
+    born,
+    lower_existence,
+    place_on_lanes,
+    position_known,
+    raised_existence,
+)
 from perception.tracking.pairing import pair
 from perception.tracking.places import first_of_each, nearest, overlapping
 from perception.tracking.sightlines import SightLines
@@ -23,7 +29,7 @@ from protocol.limits import MAX_POSITION_STD_M
 
 FASTEST_MPS = 70.0
 LONG_GAP_S = 0.3  # over longer ones who is on a lane follows it, seen or not
-ADOPTED_STD_MPS = 1.0  # of the speed that another tracker tells
+ADOPTED_STD_MPS = 1.0  # of the speed that another tracker states
 ADOPTED_M = 2.5  # tracks of two trackers that are nearer are of one vehicle
 SURE_M = 8.0  # so far on, a lane is no longer mistaken for one that begins beside it
 SIZES = 10  # detections over which a size is the mean
@@ -87,7 +93,7 @@ class Tracker:
         gate = self._config.gate
         pairs = pair(self._states, observed, std, time_ns, gate=gate, jump_std=jump_std)
         self._correct(time_ns, observed, std, seen, pairs)
-        existence.lower(self._states, time_ns, dt_s, visible, self._config)
+        lower_existence(self._states, time_ns, dt_s, visible, self._config)
         self._states = self._states.take(self._states.existence >= self._config.min_existence)
         new = self._is_new(observed, pairs)
         self._states = self._states + self._born(time_ns, observed.take(new), std[new])
@@ -206,7 +212,7 @@ class Tracker:
         states.hits[tracks] += 1
         states.last_ns[tracks] = time_ns
         states.score[tracks] = seen.scores
-        states.existence[tracks] = existence.raised(states.existence[tracks])
+        states.existence[tracks] = raised_existence(states.existence[tracks])
         dims = seen.boxes[:, 2:6]
         new = 1 / np.minimum(states.hits[tracks], SIZES)[:, None]
         states.dims[tracks, 1:] += new * (dims[:, 1:] - states.dims[tracks, 1:])
@@ -263,7 +269,7 @@ class Tracker:
         variance = p[:, 0, 0] * cos**2 + 2 * p[:, 0, 1] * cos * sin + p[:, 1, 1] * sin**2
         along_m = np.sqrt(np.maximum(variance, 0))
         confirmed = states.hits >= config.confirm_hits
-        known = existence.known(states, along_m)
+        known = position_known(states, along_m)
         coasts = confirmed & (known >= config.publish_probability)
         shown = np.where(states.seen, confirmed | (states.score >= config.birth_score), coasts)
         chosen = np.flatnonzero(shown)

@@ -51,7 +51,7 @@ class Agent:
 
     @property
     def times_s(self) -> Floats | None:
-        """When each frame was (N,); None if nobody told, or of the one pose alone."""
+        """When each frame was (N,); None if not given, or of the one pose alone."""
         times_s = self.track.times_s
         return times_s if times_s is not None and len(times_s) == len(self.files) else None
 

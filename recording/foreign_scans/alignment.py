@@ -64,7 +64,7 @@ def _level(name: str, points: Floats) -> _Levelled:
     up, height_m, share = ground_plane(near)
     if share < _LEAST_SHARE:
         raise ConfigError(f"the sensor {name} sees no ground to be levelled by")
-    # The forward axis stays ahead: what it is turned by is told by the guess.
+    # The forward axis stays ahead: the guess gives what it is turned by.
     ahead = np.array([1.0, 0.0, 0.0]) - up[0] * up
     if np.linalg.norm(ahead) < 0.1:
         raise ConfigError(f"the sensor {name} looks straight up or down: it has no heading")

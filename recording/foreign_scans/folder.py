@@ -63,8 +63,8 @@ def sensors_in(folder: Path, sensors: Sequence[str]) -> dict[str, list[Path]]:
         found[max(fitting, key=len)].append(file)
     counts = {name: len(files) for name, files in found.items()}
     if len(set(counts.values())) > 1:
-        told = ", ".join(f"{name}: {count}" for name, count in counts.items())
-        raise ConfigError(f"{folder}: sensors have not equally many files ({told})")
+        listed = ", ".join(f"{name}: {count}" for name, count in counts.items())
+        raise ConfigError(f"{folder}: sensors have not equally many files ({listed})")
     return found
 
 

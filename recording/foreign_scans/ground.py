@@ -26,7 +26,7 @@ _SEED_M = 15.0
 _STEEPEST_DEG = 20.0
 _TOLERANCES_M = (0.5, 0.3)  # from the plane that is expected: votes that count, in turn
 _FITS_M, _STANDS_M = 0.2, 0.5  # over or below the ground: it fits; above: something that stands
-_PRIOR = 8.0  # votes: so much counts what the neighbours say
+_PRIOR = 8.0  # votes: the weight of the neighbours' heights
 _FITS_WELL = 0.7
 
 
@@ -77,16 +77,16 @@ class Ground:
         return _height_m(self.nodes, self.planes, xy)
 
     def __str__(self) -> str:
-        """What a user is told of it."""
-        said = (
+        """The message for the user."""
+        message = (
             f"ground: slopes up to {self.slope_deg:.1f} degrees; {100 * self.fit:.0f} % of the "
             f"square metres within {_SEEN_M:g} m of a sensor lie within {_FITS_M:g} m of it"
         )
         if self.fit >= _FITS_WELL:
-            return said
+            return message
         return (
-            f"{said}. It fits badly: detection needs the ground, so check heights, roll and pitch "
-            "of the poses (m, rad or deg?), the mounts, and --height"
+            f"{message}. It fits badly: detection needs the ground, so check heights, roll and "
+            "pitch of the poses (m, rad or deg?), the mounts, and --height"
         )
 
 

@@ -161,7 +161,7 @@ class ImportedScans:
     def of(
         cls, agents: Sequence[Agent], frames: int | None, height_m: float | None
     ) -> ImportedScans:
-        """Finds the ground below each agent, unless it is told how high they are over it.
+        """Finds the ground below each agent, unless their heights over it are given.
 
         Raises:
             ConfigError: a cloud cannot be read, the first of an agent is empty, or a name or the
@@ -207,7 +207,7 @@ class ImportedScans:
         return self.frames > self._numbers
 
     def times_ns(self, period_ns: int) -> list[int]:
-        """Returns the simulated time of each frame: as told, else by the period."""
+        """Returns the simulated time of each frame: as given, else by the period."""
         for agent in self.agents:
             if (times_s := agent.times_s) is not None and not self.repeats:
                 return [round((time_s - times_s[0]) * 1e9) for time_s in times_s[: self.frames]]
@@ -265,7 +265,7 @@ class _FrameWriter:
         about = {"frame": frame, "sim_time_ns": now_ns}
         state = self._state(frame, now_ns)
         roster = Roster(frame=frame, process=PROCESS, agents=names, scanning=names)
-        said = [
+        messages = [
             self._item("state", state, tls=self._tls),
             self._item("tick", _empty_tick(frame, now_ns)),
             self._item("roster", roster, region=self._region, process=PROCESS),
@@ -275,11 +275,11 @@ class _FrameWriter:
             where = {"region": self._region, "process": PROCESS, "agent": agent.name}
             scan = self._scan(agent, number).model_copy(update=about)
             self.empty += not scan.points
-            said += [
+            messages += [
                 self._item("pose", self._pose(agent, number).model_copy(update=about), **where),
                 self._item("scan", scan, **where, chunk="0"),
             ]
-        return said
+        return messages
 
     def _pose(self, agent: Agent, number: int) -> AgentPose:
         return AgentPose(

@@ -1,4 +1,4 @@
-"""Mutual alignment: whether what agents see together lies where their poses say.
+"""Mutual alignment: whether what agents see together lies where their poses put it.
 
 Walls that several agents see are doubled where a pose is wrong. What stands upright in a scan is
 moved until most of it lies over what the others see: first by a search in the plane, then by
@@ -43,7 +43,7 @@ class Misplaced:
     after: float
 
     def __str__(self) -> str:
-        """What a user is told of it."""
+        """The message for the user."""
         x_m, y_m, z_m, yaw_rad = (-self.offset).tolist()
         yaw_deg, before, after = np.degrees(yaw_rad), 100 * self.before, 100 * self.after
         return (

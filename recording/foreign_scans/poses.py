@@ -1,6 +1,6 @@
 """Poses of agents and mounts of sensors, from tables and text files of other people.
 
-A pose is that of the sensor, or of the vehicle where extrinsics say how sensors are mounted on it.
+A pose is that of the sensor, or of the vehicle where extrinsics give how sensors are mounted on it.
 
 - CSV: columns x_m, y_m, z_m and, optionally, roll_deg, pitch_deg, yaw_deg (0), time_s, agent. One
   line per frame and agent.
@@ -55,7 +55,7 @@ def lines_of(path: Path) -> list[str]:
 
 
 def numbers_of(words: Sequence[str | None], where: str) -> list[float]:
-    """Returns finite numbers of words; `where` begins what an error says.
+    """Returns finite numbers of words; `where` begins the text of an error.
 
     Raises:
         ConfigError: a word is none.
@@ -139,9 +139,9 @@ _AV2_TIME = "timestamp_ns"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """An agent's poses (N, 6) in the map frame, and their times in s (N,), None if not told.
+    """An agent's poses (N, 6) in the map frame, and their times in s (N,), None if not given.
 
-    `clock` says that the times are those of a clock that files may be named by.
+    `clock`: whether the times are those of a clock that files may be named by.
     """
 
     poses: Floats
@@ -149,7 +149,7 @@ class Track:
     clock: bool = False
 
     def at(self, times_s: Floats, within_s: float) -> Track | None:
-        """Returns the poses nearest to times (N,); None if one is farther off, or none is told."""
+        """Returns the poses nearest to times (N,); None if one is farther off, or none is given."""
         if self.times_s is None or not self.clock:
             return None
         after = np.searchsorted(self.times_s, times_s).clip(1, max(len(self.times_s) - 1, 1))

@@ -12,7 +12,8 @@ import pytest
 
 from cpnet.study_cells import resolved
 from protocol.errors import ConfigError
-from studies.compare import Question, prepare, write_config
+from studies.compare_question import Question, prepare
+from studies.sumo_config import write_config
 
 pytest.importorskip("polars", reason="needs the extra `study`")
 

@@ -11,6 +11,8 @@ from fuzz_watch import forget_peak, peak_kib
 
 from cpnet.limits import MAX_UNEXPECTED
 from cpnet.watch import PresenceTable
+from edge_server import static_map
+from edge_server.alignment import MOST_AGENTS, Align
 from edge_server.assembler import (
     MAX_AGENTS,
     MAX_BOXES,
@@ -20,10 +22,18 @@ from edge_server.assembler import (
     Assembler,
     FrameAssembly,
 )
+from edge_server.config import PlanConfig
 from edge_server.decoding import PER_THREAD, DecoderPool
 from edge_server.frame import Chunk, Frame
 from edge_server.misbehaviour import MAX_PUBLISHED
-from edge_server.planner import MAX_SITES, MAX_UPLINKS, Bandwidth, SensorSites
+from edge_server.planner import (
+    KEPT_PLANS,
+    MAX_SITES,
+    MAX_UPLINKS,
+    Bandwidth,
+    Planner,
+    SensorSites,
+)
 from edge_server.role import _arrivals, _waits, _within_message
 from perception.parallel import threads
 from protocol import messages as m
@@ -35,18 +45,25 @@ from protocol.messages import MAX_ITEMS
 from protocol.process import Context
 from protocol.topics import TOPICS, BusName
 from protocol.wire import encode
-from recording.limits import MAX_ENTRIES, MAX_PENDING_ROWS, MAX_REASONS, MAX_WIRED
+from recording.limits import (
+    MAX_ENTRIES,
+    MAX_PENDING_BYTES,
+    MAX_PENDING_ROWS,
+    MAX_REASONS,
+    MAX_WIRED,
+)
 from recording.limits import MAX_OPEN_FRAMES as MAX_RECORDED_FRAMES
 from recording.limits import MAX_PROCESSES as MAX_RECORDED
 from recording.limits import MAX_PROGRESS_AGENTS as MAX_RATED
 from recording.losses import DropCounts
 from recording.role import RecordRole
+from recording.tables import CloudRow
 from sensing.limits import MAX_AGE_FRAMES, MAX_AHEAD_FRAMES
 from sensing.uplink import PlanHistory
 from sim_host.limits import MAX_PROCESSES as MAX_HOSTS
 from sim_host.presence import Fleet, Readiness
 from tests.messages import tracked
-from tests.roads import no_road
+from tests.roads import MAIN_AND_SIDE, no_road
 
 LONG = "x" * 120  # of an agent's id
 KEY = "cpnet/v4/r0/roster/p"
@@ -261,6 +278,31 @@ def test_an_edge_remembers_no_more_agents_than_it_serves():
     assert len(bandwidth._histories) == MAX_UPLINKS
 
 
+def test_an_edge_aligns_so_many_agents_to_a_scene_of_so_many_voxels(monkeypatch):
+    align = Align([])
+    for n in range(2 * MOST_AGENTS):
+        align._remember(f"{n}", n)
+    assert len(align._known) == MOST_AGENTS
+    monkeypatch.setattr(static_map, "MOST_VOXELS", 5000)
+    scene, rng = static_map.StaticMap(), np.random.default_rng(1)
+    for _ in range(20):
+        scene.add(rng.uniform(-500, 500, (1000, 3)))
+    assert 5000 <= len(scene._keys) < 5000 + 1000  # the scan that fills it is added whole
+
+
+def test_an_edge_keeps_the_borders_of_a_few_plans():
+    scenario = {
+        "mode": "realtime",
+        "upload": {"policy": "reap"},
+        "link": {"profile": "5mbit,20ms"},
+    }
+    planner = Planner(scenario, PlanConfig(), MAIN_AND_SIDE)
+    assert planner.ends_early
+    for frame in range(500):
+        planner.plans(Frame(frame, frame, ["a"], [], [], complete=True, first_ns=0, ready_ns=1))
+        assert len(planner._borders) <= KEPT_PLANS
+
+
 def test_an_agent_keeps_the_plans_of_a_few_frames():
     plans = PlanHistory()
     for frame in range(500):
@@ -329,6 +371,20 @@ def test_a_recorder_keeps_so_much_of_each_frame_and_writes_the_rest(recorder: Re
         assert max(note.entries for note in notes) <= MAX_ENTRIES
         assert len(notes) <= 2 * MAX_RECORDED_FRAMES + 1
         assert growth.mib < 128
+    finally:
+        recorder.close()
+
+
+def test_a_recorders_scans_are_to_be_written_once_they_take_so_much_memory(recorder: RecordRole):
+    try:
+        database, added = recorder._database, 0
+        while not database.is_full and added <= MAX_PENDING_BYTES:
+            payload = bytes(1 << 20)
+            database.add(CloudRow, [CloudRow(0, "r0", f"{added}", 0, 1, *[0.0] * 6, payload)])
+            added += len(payload)
+        assert MAX_PENDING_BYTES < added <= MAX_PENDING_BYTES + (1 << 20)
+        database.commit()
+        assert not database.is_full
     finally:
         recorder.close()
 

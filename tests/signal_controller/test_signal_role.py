@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from protocol import messages as m
 from protocol.in_process import InProcessRouter
 from protocol.inbox import Envelope, Inbox, Presence
 from protocol.process import Context
 from protocol.topics import BusName
-from signal_controller.role import SignalRole
+from signal_controller.role import MAX_KEPT, SignalRole
 from tests.roads import MAIN_AND_SIDE
 
 
@@ -175,6 +177,29 @@ def test_one_absurd_frame_number_stops_no_decisions(mode: str, absurd: int) -> N
         rig.say_counts(frame, 1, 3)
         (request,) = requests(rig.turn())
         assert request[0] == frame
+
+
+FRAMES = st.integers(0, 60) | st.integers(0, 1 << 35)
+
+
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+@settings(max_examples=30, deadline=None)
+@given(
+    sent=st.lists(st.tuples(st.sampled_from(["counts", "state", "vehicles"]), FRAMES), min_size=30)
+)
+def test_whatever_frames_are_sent_a_few_wait(mode: str, sent: list[tuple[str, int]]) -> None:
+    rig = Rig(mode=mode, policy="predictive")
+    publish = {
+        "counts": lambda frame: rig.say_counts(frame, 1, 3),
+        "state": lambda frame: rig.say_state(frame, "Gr"),
+        "vehicles": lambda frame: rig.say_detections(frame, 5.0),
+    }
+    for topic, frame in sent:
+        publish[topic](frame)
+        rig.turn()
+        for control in rig.role._deciders.values():
+            for kept in (control._counts, control._shown, control._vehicles):
+                assert len(kept) <= MAX_KEPT
 
 
 def test_a_controller_that_starts_in_mid_run_finds_in_by_the_signals_states() -> None:

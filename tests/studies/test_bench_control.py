@@ -10,8 +10,9 @@ from protocol.errors import ConfigError
 from signal_controller.observation import CabinetTimes, Observation
 from sim_host.cabinet import SignalCabinet
 from sim_host.config import CabinetConfig
-from studies.bench_control import ControlCase, measure_control, run_case
+from studies.bench_control import measure_control, run_case
 from studies.control_baselines import WeightedPressure, webster_signal
+from studies.control_case import ControlCase
 from tests.signal_controller.crossing import LANES, PHASES, SIGNAL, SITE, S, counts, green, vehicles
 
 TIMES = CabinetTimes()

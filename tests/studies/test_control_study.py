@@ -8,8 +8,8 @@ import pytest
 
 from protocol.errors import ConfigError
 from studies import control_study
-from studies.bench_control import ControlCase
 from studies.control_baselines import OWN_SETTINGS, TUNINGS
+from studies.control_case import ControlCase
 from studies.control_file import ControlStudy, read_control_study
 from studies.control_page import control_page
 from studies.control_study import Group, PolicyResult, paired, summaries

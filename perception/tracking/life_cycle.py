@@ -1,0 +1,133 @@
+"""The life cycle of tracks: birth by a detection, and the probability that they still exist.
+
+A track's existence is the probability that its vehicle is there. With each detection it rises.
+Without one it falls: fast where a sensor sees through the place, slowly in a shadow.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from perception.arrays import Floats
+from perception.detector import Vehicles
+from perception.tracking import motion
+from perception.tracking.association import PERSON
+from perception.tracking.config import TrackingConfig
+from perception.tracking.lane_graph import LaneGraph
+from perception.tracking.places import overlapping
+from perception.tracking.sightlines import SightLines
+from perception.tracking.states import CLASSES, TrackStates
+
+NEIGHBOUR_M = 40.0  # a new track on a lane takes the speed of one that is nearer
+NEIGHBOUR_STD_MPS = 9.0
+UNKNOWN_MPS = 8.0  # deviation of the speed of who was seen once, off the map
+TURN_RPS = 0.2  # and of its yaw rate
+FIRST_EXISTENCE = 0.6
+MOST_EXISTENCE = 0.99
+HIT_ODDS = 4.0  # of a detection of a vehicle to one of nothing
+UNSURE_LIFE_S = 0.5  # of a track that is not confirmed
+HALF_CAR_M = 2.5  # a position is known where its error is less
+
+
+def born(time_ns: int, new: Vehicles, std: Floats, first_id: int) -> TrackStates:
+    """Returns new tracks (N,) of detections with deviations (N, 3), standing, on no lane."""
+    count = len(new)
+    mean = np.column_stack([new.boxes[:, :2], new.boxes[:, 6], np.zeros((count, 3))])
+    covariance = np.zeros((count, 6, 6))
+    cos, sin = np.cos(mean[:, 2]), np.sin(mean[:, 2])
+    along, across = std[:, 0] ** 2, std[:, 1] ** 2
+    covariance[:, 0, 0] = along * cos**2 + across * sin**2
+    covariance[:, 1, 1] = along * sin**2 + across * cos**2
+    covariance[:, 0, 1] = covariance[:, 1, 0] = (along - across) * cos * sin
+    covariance[:, 2, 2] = std[:, 2] ** 2
+    covariance[:, 3, 3] = UNKNOWN_MPS**2
+    covariance[:, 4, 4] = TURN_RPS**2
+    covariance[:, 5, 5] = motion.STEADY_ACCEL_STD_MPS2**2
+    votes = np.zeros((count, CLASSES))
+    votes[np.arange(count), new.classes] = new.scores + 1e-3
+    number, stamp = np.full(count, -1), np.full(count, time_ns)
+    return TrackStates(
+        ids=first_id + np.arange(count),
+        mean=mean,
+        covariance=covariance,
+        dims=new.boxes[:, 2:6].copy(),
+        votes=votes,
+        score=new.scores.copy(),
+        existence=np.full(count, FIRST_EXISTENCE),
+        hits=np.ones(count, np.int64),
+        first_ns=stamp,
+        last_ns=stamp.copy(),
+        lane=number,
+        along_m=np.zeros(count),
+        off_m=np.zeros(count),
+        origin=number.copy(),
+        in_view=np.zeros(count),
+        seen=np.ones(count, np.bool_),
+        owner=np.array(new.sources, object),
+    )
+
+
+def place_on_lanes(born: TrackStates, known: TrackStates, lanes: LaneGraph) -> None:
+    """Gives new tracks their lanes, and the speed of the nearest known one there, or the lane's.
+
+    People are on no lane.
+    """
+    born.lane, born.along_m, born.off_m = lanes.locate(born.boxes)
+    born.lane[born.votes.argmax(axis=1) == PERSON] = -1
+    for n in np.flatnonzero(born.lane >= 0):
+        near = np.flatnonzero(known.lane == born.lane[n])
+        gap_m = np.abs(known.along_m[near] - born.along_m[n])
+        is_alone = not len(near) or gap_m.min() > NEIGHBOUR_M
+        limit_mps = lanes.speed_mps[born.lane[n]]
+        likely = limit_mps if is_alone else known.mean[near[gap_m.argmin()], 3]
+        born.mean[n, 3] = likely
+        born.covariance[n, 3, 3] = NEIGHBOUR_STD_MPS**2
+
+
+def raised_existence(existence: Floats) -> Floats:
+    """Returns the existence (N,) of tracks that were detected once more."""
+    odds = existence * HIT_ODDS
+    return np.asarray(np.minimum(odds / (odds + 1 - existence), MOST_EXISTENCE))
+
+
+def lower_existence(
+    states: TrackStates,
+    time_ns: int,
+    dt_s: float,
+    visible: SightLines | None,
+    config: TrackingConfig,
+) -> None:
+    """Lowers the existence of who was not detected, by what should have been seen there.
+
+    It ends where another one was detected.
+    """
+    missed = np.flatnonzero(~states.seen)
+    if not len(missed):
+        return
+    existence = states.existence[missed]
+    if visible is None:
+        existence = existence * np.exp(-dt_s / config.blind_life_s)
+    else:
+        empty = visible.empty(states.boxes[missed])
+        states.in_view[missed] = empty
+        lives_per_s = (1 - empty) / config.shadow_life_s + empty / config.empty_life_s
+        existence = existence * np.exp(-dt_s * lives_per_s)
+    unsure = states.hits[missed] < config.confirm_hits
+    existence = existence * np.where(unsure, np.exp(-dt_s / UNSURE_LIFE_S), 1.0)
+    existence[(time_ns - states.last_ns[missed]) / 1e9 > config.max_coast_s] = 0.0
+    existence[overlapping(states.boxes[missed], states.boxes[states.seen])] = 0.0
+    states.existence[missed] = existence
+
+
+def position_known(states: TrackStates, along_std_m: Floats) -> Floats:
+    """Returns the probability (N,) that a vehicle is where its track says, of some deviation."""
+    return np.asarray(states.existence * (1 - states.in_view) * _within(along_std_m))
+
+
+def _within(std_m: Floats) -> Floats:
+    """Returns the probability (N,) of an error of less than half a car, normally distributed.
+
+    By the logistic approximation of the normal distribution (Bowling et al. 2009).
+    """
+    t = HALF_CAR_M / np.maximum(std_m, 1e-3)
+    return np.asarray(2 / (1 + np.exp(-np.minimum(1.5976 * t + 0.07056 * t**3, 700.0))) - 1)

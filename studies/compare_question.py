@@ -1,0 +1,198 @@
+"""What `cpnet compare` is asked: roads, demand, signals, and who sees the vehicles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from protocol.errors import ConfigError
+from protocol.roadmap import RoadMap
+from sim_host.setup import build_setup, config_file, sumo_files, traffic_config
+from studies.sumo_config import write_config
+from studies.sweep.cells import Resolve
+
+POSTS, CAVS, BOTH = "posts", "CAVs", "posts and CAVs"
+TUNING_SEEDS = (101, 102)
+MIN_TUNING_S = 60
+_RULED = {
+    "seed": "--seeds",
+    "duration_s": "--duration",
+    "frame_period_s": "--frame-period",
+    "junctions": "--tls",
+    "roadside_mounts": "--posts",
+    "traffic.cav_rate": "--cav-rate",
+    "traffic.warmup_s": "--warmup",
+    "traffic.net": "--net",
+    "traffic.routes": "--routes",
+    "traffic.sumocfg": "--sumocfg",
+    "traffic.default_demand_vph_per_lane": "--demand",
+}
+"""Keys of a scenario that options of the command set."""
+_SAME_FOR_ALL = ("mode", "cabinet", "traffic.step_s", "traffic.lateral.lane_change_s")
+"""Keys that would change SUMO or the cabinet in a part of the runs only."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What the user asks for.
+
+    Attributes:
+        net, sumocfg, routes: files of SUMO; a sumocfg names its own net.
+        demand_vph: vehicles per hour and lane, of one signal.
+        tls: "all", ids, or None for the only signal of the net.
+        posts: "all", "none" or ids of signals with a roadside LiDAR.
+        cav_rate: share of vehicles with LiDAR and radio.
+        seeds: of traffic, paired; others than those for tuning.
+        duration_s, warmup_s, tuning_s: simulated time of a run, before it, and of one for tuning;
+            0: nothing is tuned.
+        frame_period_s: between scans, and between decisions.
+        settings: dotted keys of the scenario.
+    """
+
+    net: Path | None = None
+    sumocfg: Path | None = None
+    routes: Path | None = None
+    demand_vph: float | None = None
+    tls: str | list[str] | None = None
+    posts: str | list[str] = "all"
+    cav_rate: float = 0.05
+    seeds: tuple[int, ...] = (1, 2, 3)
+    duration_s: int = 600
+    warmup_s: int = 120
+    tuning_s: int = 600
+    frame_period_s: float = 1.0
+    settings: Mapping[str, Any] | None = None
+
+    def check(self) -> None:
+        """Checks what can be known without reading a file.
+
+        Raises:
+            ConfigError: options contradict each other, or there is no net or no demand.
+        """
+        if self.net is None and self.sumocfg is None:
+            raise ConfigError("--net X.net.xml or --sumocfg F is needed: which roads?")
+        demands = {"--sumocfg": self.sumocfg, "--routes": self.routes, "--demand": self.demand_vph}
+        given = [name for name, value in demands.items() if value is not None]
+        if len(given) > 1:
+            raise ConfigError(f"{' and '.join(given)}: give one of them, each is a demand")
+        if not given:
+            raise ConfigError(f"{self.net}: no demand. {_advice(self.net)}")
+        both = sorted(set(self.seeds) & set(TUNING_SEEDS))
+        if both:
+            raise ConfigError(f"--seeds: {both[0]} is a seed that baselines are tuned with")
+        if 0 < self.tuning_s < MIN_TUNING_S:
+            raise ConfigError(f"--tuning {self.tuning_s}: must be 0 or {MIN_TUNING_S} and more")
+        for key in self.settings or {}:
+            if key in _RULED:
+                raise ConfigError(f"--set {key}: give {_RULED[key]} instead")
+            if any(f"{key}.".startswith(f"{one}.") for one in _SAME_FOR_ALL):
+                raise ConfigError(
+                    f"--set {key}: is the same for all that is compared, and cannot be set here"
+                )
+
+    @property
+    def common_settings(self) -> dict[str, Any]:
+        """Keys of every scenario that is compared."""
+        return {
+            "realism": "clear",
+            "mode": "lockstep",
+            "frame_period_s": self.frame_period_s,
+            "duration_s": self.duration_s,
+            "traffic.warmup_s": self.warmup_s,
+            "traffic.lateral.lane_change_s": 0,  # SUMO is the same in all runs
+            **(self.settings or {}),
+        }
+
+
+def _advice(net: Path | None) -> str:
+    beside = sorted(net.parent.glob("*.sumocfg")) if net is not None else []
+    found = f" (beside the net lies {beside[0]})" if beside else ""
+    return (
+        f"Give --sumocfg FILE{found}, --routes FILE.rou.xml, or --demand N, vehicles per hour and "
+        "lane"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """What is run: the roads with their demand as one sumocfg, and where posts stand."""
+
+    question: Question
+    name: str
+    config: Path
+    road_map: RoadMap
+    posts: list[str]
+
+    @property
+    def sights(self) -> list[str]:
+        """What perception is compared with: posts, CAVs, both, as far as there are any."""
+        found = [POSTS] if self.posts else []
+        found += [CAVS] if self.question.cav_rate > 0 else []
+        return [*found, BOTH] if len(found) == 2 else found
+
+    @property
+    def lead_sight(self) -> str:
+        """What the answer's sentence is about: posts where there are any."""
+        return self.sights[0]
+
+
+def prepare(question: Question, folder: Path, name: str, resolve: Resolve) -> Comparison:
+    """Reads the net, and writes roads and demand as one sumocfg into a folder.
+
+    Raises:
+        ConfigError: the question contradicts itself, a file is wrong, a signal is unknown.
+    """
+    question.check()
+    traffic: dict[str, Any] = {
+        "traffic.net": question.net,
+        "traffic.routes": question.routes,
+        "traffic.sumocfg": question.sumocfg,
+        "traffic.default_demand_vph_per_lane": question.demand_vph,
+    }
+    if question.sumocfg is not None:
+        _check_same_net(question.net, question.sumocfg)
+        traffic["traffic.net"] = None
+    given = {key: one for key, one in traffic.items() if one is not None}
+    given = {
+        key: str(one.resolve()) if isinstance(one, Path) else one for key, one in given.items()
+    }
+    scenario = resolve(
+        {**question.common_settings, **given, "junctions": question.tls, "name": name}
+    )
+    setup = build_setup(scenario, folder)
+    signals = len(setup.road_map.intersections)
+    if question.demand_vph is not None and signals > 1:
+        raise ConfigError(
+            f"--demand: goes with one signal, and --tls chooses {signals}; "
+            "give --routes or --sumocfg"
+        )
+    config = folder / f"{name}.sumocfg"
+    write_config(config_file(traffic_config(setup.scenario), folder), config)
+    known = sorted(setup.road_map.by_tls)
+    comparison = Comparison(question, name, config, setup.road_map, _posts(question.posts, known))
+    if not comparison.sights:
+        raise ConfigError("--posts none and --cav-rate 0: nobody sees anything; give one of them")
+    return comparison
+
+
+def _check_same_net(net: Path | None, sumocfg: Path) -> None:
+    named = sumo_files(sumocfg).net
+    if net is not None and net.resolve() != named.resolve():
+        raise ConfigError(
+            f"--net {net}: {sumocfg} names another net, {named}; --net can be left out"
+        )
+
+
+def _posts(asked: str | list[str], known: list[str]) -> list[str]:
+    if asked == "all":
+        return known
+    if asked == "none":
+        return []
+    for tls in asked:
+        if tls not in known:
+            raise ConfigError(
+                f"--posts {tls}: is none of the controlled signals: {', '.join(known[:20])}"
+            )
+    return list(asked)
