@@ -26,6 +26,7 @@ BUFFER_NS = 20_000_000  # what the receive buffer may hide from the sender, in t
 LEAST_BUFFER_BYTES = 4096
 MOST_BUFFER_BYTES = 1 << 20
 LINE_CHUNKS = 1024  # on their way: bounds memory
+PART_NS = 500_000  # that a part of a packet waits for its rest
 SLACK_NS = 5_000_000  # a timer that fires late does not slow the link
 _log = logging.getLogger(__name__)
 
@@ -166,28 +167,42 @@ class Shaper:
     async def _read_lossy(
         self, source: socket.socket, line: asyncio.Queue[tuple[int, bytes]], sender: TcpSender
     ) -> None:
-        """Reads what the window of a TCP over the channel takes; delivers what has arrived."""
-        segments: dict[int, bytes] = {}
+        """Reads what the window of a TCP over the channel takes; delivers what has arrived.
+
+        A read ends anywhere in a packet: a part waits for its rest while full ones leave.
+        """
+        read, undelivered, delivered_bytes, written_ns = bytearray(), bytearray(), 0, 0
         receiving: asyncio.Task[tuple[bytes, bool]] | None = None
         is_open = True
         try:
-            while is_open or not sender.is_done:
+            while is_open or read or not sender.is_done:
                 sender.advance(self._now_ns())
                 for one in sender.delivered:
-                    await line.put((one.arrival_ns, segments.pop(one.segment)))
+                    size = one.end_byte - delivered_bytes
+                    await line.put((one.arrival_ns, bytes(undelivered[:size])))
+                    del undelivered[:size]
+                    delivered_bytes = one.end_byte
                 sender.delivered.clear()
                 sender.transmitted.clear()
                 if is_open and receiving is None and sender.room:
                     size = min(sender.room * SEGMENT_BYTES, MOST_BYTES)
                     receiving = self._loop.create_task(self._receive(source, size))
-                await self._wait(receiving, sender.next_event_ns())
+                await self._wait(
+                    receiving, _earlier(sender, written_ns + PART_NS if read else None)
+                )
+                size = len(read) if self._now_ns() >= written_ns + PART_NS else 0
                 if receiving is not None and receiving.done():
                     data, _ = receiving.result()
                     receiving, is_open = None, bool(data)
-                    if data:
-                        sender.advance(self._now_ns())
-                        for number in sender.write(len(data)):
-                            segments[number], data = data[:SEGMENT_BYTES], data[SEGMENT_BYTES:]
+                    read += data
+                    is_part = len(data) >= SEGMENT_BYTES
+                    size = len(read) - (len(read) % SEGMENT_BYTES if is_part else 0)
+                if size:
+                    written_ns = self._now_ns()
+                    sender.advance(written_ns)
+                    sender.write(size)
+                    undelivered += read[:size]
+                    del read[:size]
         finally:
             if receiving is not None:
                 receiving.cancel()
@@ -225,6 +240,11 @@ class Shaper:
 
     def _now_ns(self) -> int:
         return time.monotonic_ns() - self._since_ns
+
+
+def _earlier(sender: TcpSender, time_ns: int | None) -> int | None:
+    """Returns when the sender's next event is, or a time before it."""
+    return min((t for t in (sender.next_event_ns(), time_ns) if t is not None), default=None)
 
 
 def _buffer_bytes(channel: Channel) -> int:

@@ -127,8 +127,10 @@ class Cubic:
         """Grows the window, or spreads its reduction over a round trip."""
         if ack.is_recovering:
             self._reduce_in_proportion(ack)
-        elif ack.is_advanced and self._is_window_used():
-            self._grow(ack)
+        elif ack.is_advanced:
+            self._judged_ns = ack.now_ns
+            if self._is_window_used():
+                self._grow(ack)
 
     def _is_window_used(self) -> bool:
         in_slow_start = self.window < self._threshold

@@ -1,10 +1,12 @@
 """TCP over a channel that loses packets: when what is written arrives, in computed time.
 
 The sender of Linux 6, as far as it decides delays: selective acknowledgements, RACK and tail loss
-probes (RFC 8985), retransmission timeouts (RFC 6298, 200 ms at least), congestion control. The
-receiver delivers in order, so that a lost packet holds up all behind it, and acknowledges every
-second full packet, the last of a message and whatever is out of order at once. Acknowledgements are
-not lost, and no packet overtakes another. The queue before the channel has no limit.
+probes (RFC 8985), retransmission timeouts (RFC 6298, 200 ms at least), congestion control, timers
+of 4 ms, packets that leave in pairs. What waits is one stream: the tail of a message shares its
+packet with the next. The receiver delivers in order, so that a lost packet holds up all behind it,
+and acknowledges every second full packet, the last of a message and whatever is out of order at
+once. Acknowledgements are not lost, and no packet overtakes another. The queue before the channel
+has no limit.
 
 No clock is read: `advance` carries out what happens until a time. A fork that is advanced further
 tells the future, if nothing more is written.
@@ -27,15 +29,21 @@ MIN_TIMEOUT_NS = 200_000_000
 MAX_TIMEOUT_NS = 120_000_000_000
 _FIRST_TIMEOUT_NS = 1_000_000_000  # before a round trip is known
 _LEAST_TIMER_NS = 2_000_000  # the kernel adds it to a probe's and to a reordering wait
+# The kernel's timers wait for the tick (HZ 250) after they are due, long ones for an eighth one.
+_TICK_NS = 4_000_000
+_FINE_TICKS, _COARSE_TICKS = 64, 8
 _DUPLICATES = 3  # packets acknowledged selectively, from which on a gap is a loss at once
+_LEAST_BURST = 2  # packets that the kernel hands to a device at once; more above 36 Mbit/s
+_SOON_NS = 1_000_000
 _MAX_BACKOFF = 9  # doublings of a timeout
 
 
 @dataclass(slots=True)
 class _Segment:
-    """A packet's payload, from its write until it is acknowledged."""
+    """A packet's payload, from its first transmission until it is acknowledged."""
 
     size_bytes: int
+    end_byte: int
     sent_ns: int = -1
     transmissions: int = 0
     is_sacked: bool = False
@@ -44,9 +52,9 @@ class _Segment:
 
 @dataclass(frozen=True, slots=True)
 class Transmitted:
-    """A segment, by its number, on the channel; `is_first` if it is no repetition."""
+    """Bytes of the stream on the channel, in one packet; `is_first` if it is no repetition."""
 
-    segment: int
+    begin_byte: int
     size_bytes: int
     first_bit_ns: int
     last_bit_ns: int
@@ -55,9 +63,9 @@ class Transmitted:
 
 @dataclass(frozen=True, slots=True)
 class Delivered:
-    """A segment that the receiver has read, all before it included."""
+    """Up to where the receiver has read the stream."""
 
-    segment: int
+    end_byte: int
     arrival_ns: int
 
 
@@ -103,7 +111,8 @@ class _RoundTrip:
     def timeout_ns(self) -> int:
         if self.smoothed_ns == 0:
             return _FIRST_TIMEOUT_NS
-        return min(self.smoothed_ns + max(4 * self.variance_ns, MIN_TIMEOUT_NS), MAX_TIMEOUT_NS)
+        wait_ns = self.smoothed_ns + max(4 * self.variance_ns, MIN_TIMEOUT_NS)
+        return min(-(-wait_ns // _TICK_NS) * _TICK_NS, MAX_TIMEOUT_NS)
 
 
 class TcpSender:
@@ -119,10 +128,12 @@ class TcpSender:
         self._losses = losses
         self._congestion = Cubic()
         self._round_trip = _RoundTrip()
+        self._round_trip.add(2 * channel.delay_ns(0))  # of the handshake
         self._now_ns = 0
         # Segments by number: acknowledged before `_acked`, sent before `_next`.
         self._segments: dict[int, _Segment] = {}
-        self._acked = self._next = self._written = 0
+        self._acked = self._next = 0
+        self._sent_bytes = self._written_bytes = 0
         self._in_flight = self._sacked = self._lost = 0
         self._state = _State.OPEN
         self._recovered_at = 0  # the segment up to which a recovery lasts
@@ -138,7 +149,7 @@ class TcpSender:
         # The channel and the receiver.
         self._packets = 0
         self._free_ns = self._last_arrival_ns = self._last_ack_ns = 0
-        self._expected = 0
+        self._expected = self._delivered_bytes = 0
         self._beyond: set[int] = set()
         self._acks: deque[_Ack] = deque()
         self._delayed_ns: int | None = None  # when the last of them leaves, if it waits
@@ -161,38 +172,40 @@ class TcpSender:
     @property
     def is_done(self) -> bool:
         """Whether all that was written has been acknowledged."""
-        return self._acked == self._written
+        return self._acked == self._next and not self._unsent
 
-    def has_delivered(self, segment: int) -> bool:
-        """Whether it is known when this segment arrives, all before it included."""
-        return segment < self._expected
+    def has_delivered(self, end_byte: int) -> bool:
+        """Whether it is known when the stream arrives up to here."""
+        return end_byte <= self._delivered_bytes
 
     @property
     def room(self) -> int:
-        """How many more segments would leave at once."""
-        waiting = self._written - self._next
-        return max(0, self._congestion.window - self._in_flight - self._lost - waiting)
+        """How many more full segments would leave at once or wait as the next to leave together."""
+        open_window = self._congestion.window - self._in_flight - self._lost
+        return max(0, open_window + _LEAST_BURST - self._unsent)
 
-    def write(self, size_bytes: int) -> range:
-        """Writes a message now; returns the numbers of its segments, which it shares with none."""
-        first = self._written
-        if self._acked == self._written:
+    @property
+    def _unsent(self) -> int:
+        """How many segments wait for their first transmission."""
+        return -(-(self._written_bytes - self._sent_bytes) // SEGMENT_BYTES)
+
+    def write(self, size_bytes: int) -> int:
+        """Writes a message now; returns where in the stream it ends.
+
+        It fills the last segment of those that wait, as the kernel does.
+        """
+        if self.is_done:
             idle_ns = self._now_ns - self._last_sent_ns
             self._congestion.on_idle(self._now_ns, idle_ns, self._round_trip.timeout_ns)
-        for begin in range(0, size_bytes, SEGMENT_BYTES):
-            segment = _Segment(min(SEGMENT_BYTES, size_bytes - begin))
-            self._segments[self._written] = segment
-            self._written += 1
+        self._written_bytes += size_bytes
         self._send()
-        return range(first, self._written)
+        return self._written_bytes
 
-    def withdraw(self, since: int) -> bool:
-        """Takes back what was written from this segment on; False if some of it has been sent."""
-        if since < self._next:
+    def withdraw(self, since_byte: int) -> bool:
+        """Takes back what was written from here on; False if some of it has been sent."""
+        if since_byte < self._sent_bytes:
             return False
-        for number in range(since, self._written):
-            del self._segments[number]
-        self._written = since
+        self._written_bytes = since_byte
         return True
 
     def advance(self, until_ns: int) -> None:
@@ -230,21 +243,21 @@ class TcpSender:
 
     def _send(self) -> None:
         """Sends what the window takes: first what was lost, then what is new."""
-        first_new, sent = self._next, 0
-        while (self._lost or self._next < self._written) and self._has_window():
-            if self._lost:
-                number = next(
-                    n for n in range(self._acked, self._next) if self._segments[n].is_lost
-                )
-                self._segments[number].is_lost = False
-                self._lost -= 1
-            else:
-                number = self._next
-                self._next += 1
+        first_new, sent, is_deferred = self._next, 0, False
+        while self._lost and self._has_window():
+            number = next(n for n in range(self._acked, self._next) if self._segments[n].is_lost)
+            self._segments[number].is_lost = False
+            self._lost -= 1
             self._transmit(number)
             sent += 1
-        is_limited = not self._has_window()
-        if self._next > first_new or (is_limited and self._next < self._written):
+        while self._unsent and self._has_window():
+            if is_deferred := self._waits_for_ack():
+                break
+            for _ in range(self._burst):
+                self._transmit(self._segment_next())
+                sent += 1
+        is_limited = is_deferred or not self._has_window()
+        if self._next > first_new or (is_limited and self._unsent):
             self._congestion.on_new_data(
                 self._now_ns,
                 self._acked,
@@ -255,6 +268,40 @@ class TcpSender:
             )
         if sent:
             self._arm()
+
+    def _segment_next(self) -> int:
+        """Cuts the next segment off what waits; returns its number."""
+        size_bytes = min(SEGMENT_BYTES, self._written_bytes - self._sent_bytes)
+        self._sent_bytes += size_bytes
+        self._segments[self._next] = _Segment(size_bytes, self._sent_bytes)
+        self._next += 1
+        return self._next - 1
+
+    @property
+    def _burst(self) -> int:
+        """How many new packets leave together."""
+        window = self._congestion.window
+        return min(max(1, window // 2), window - self._in_flight, self._unsent, _LEAST_BURST)
+
+    def _waits_for_ack(self) -> bool:
+        """Whether what little window is left waits for an acknowledgement that is due.
+
+        The kernel hands packets on in pairs at least (segmentation offload): the first of two
+        waits, right after others have left, if it may soon be sent together with the second.
+        """
+        room = self._congestion.window - self._in_flight
+        if (
+            self._state is not _State.OPEN
+            or self._next == self._acked
+            or self._unsent < _LEAST_BURST
+            or room >= _LEAST_BURST
+            or 3 * room >= self._congestion.window
+            or self._now_ns - self._last_sent_ns > _SOON_NS
+        ):
+            return False
+        smoothed_ns = self._round_trip.smoothed_ns
+        due_ns = self._segments[self._acked].sent_ns + smoothed_ns
+        return due_ns - self._now_ns <= min(smoothed_ns // 2, _SOON_NS)
 
     def _has_window(self) -> bool:
         return self._in_flight < self._congestion.window
@@ -271,7 +318,13 @@ class TcpSender:
         begin_ns = max(self._now_ns, self._free_ns)
         self._free_ns = self._channel.departure_ns(begin_ns, segment.size_bytes)
         self.transmitted.append(
-            Transmitted(number, segment.size_bytes, begin_ns, self._free_ns, is_first)
+            Transmitted(
+                segment.end_byte - segment.size_bytes,
+                segment.size_bytes,
+                begin_ns,
+                self._free_ns,
+                is_first,
+            )
         )
         packet, self._packets = self._packets, self._packets + 1
         if not self._losses[packet]:
@@ -286,7 +339,8 @@ class TcpSender:
             self._beyond.add(number)
         while self._expected in self._beyond:
             self._beyond.remove(self._expected)
-            self.delivered.append(Delivered(self._expected, arrival_ns))
+            self._delivered_bytes = self._segments[self._expected].end_byte
+            self.delivered.append(Delivered(self._delivered_bytes, arrival_ns))
             self._expected += 1
         if self._delayed_ns is not None and arrival_ns <= self._delayed_ns:
             self._acks.pop()  # one acknowledgement for both
@@ -410,16 +464,22 @@ class TcpSender:
         if self._next == self._acked:
             return
         if self._reordered_ns is not None:
-            self._timer = (max(self._reordered_ns, self._now_ns + 1), _Timer.REORDER)
+            self._set_timer(self._reordered_ns, _Timer.REORDER)
             return
         timeout_ns = self._round_trip.timeout_ns << self._backoff
-        timeout_at_ns = max(self._segments[self._acked].sent_ns + timeout_ns, self._now_ns + 1)
+        timeout_at_ns = self._segments[self._acked].sent_ns + timeout_ns
         if self._state is not _State.OPEN or self._probed_at is not None or self._sacked:
-            self._timer = (timeout_at_ns, _Timer.TIMEOUT)
+            self._set_timer(timeout_at_ns, _Timer.TIMEOUT)
             return
         wait_ns = 2 * self._round_trip.smoothed_ns or _FIRST_TIMEOUT_NS
         wait_ns += MIN_TIMEOUT_NS if self._next - self._acked == 1 else _LEAST_TIMER_NS
-        self._timer = (min(self._now_ns + wait_ns, timeout_at_ns), _Timer.PROBE)
+        self._set_timer(min(self._now_ns + wait_ns, timeout_at_ns), _Timer.PROBE)
+
+    def _set_timer(self, due_ns: int, timer: _Timer) -> None:
+        ticks = max(1, -(-(due_ns - self._now_ns) // _TICK_NS))
+        step = _TICK_NS if ticks < _FINE_TICKS else _COARSE_TICKS * _TICK_NS
+        expiry_ns = (self._now_ns // _TICK_NS + ticks) * _TICK_NS
+        self._timer = ((expiry_ns // step + 1) * step, timer)
 
     def _give_up_reordered(self) -> None:
         if self._find_lost() and self._state is _State.OPEN:
@@ -429,14 +489,15 @@ class TcpSender:
 
     def _probe(self) -> None:
         """Sends the next new packet, or the last one again, to learn whether the tail is lost."""
-        self._probe_is_new = self._next < self._written
+        self._probe_is_new = self._unsent > 0
         if self._probe_is_new:
-            self._next += 1
+            number = self._segment_next()
         else:
-            self._in_flight -= 1  # it is the same packet
+            number = self._next - 1
+            self._in_flight -= 1  # the kernel does not count a repeated probe
         self._probed_at = self._next
-        self._transmit(self._next - 1)
-        self._timer = (self._now_ns + self._round_trip.timeout_ns, _Timer.TIMEOUT)
+        self._transmit(number)
+        self._set_timer(self._now_ns + self._round_trip.timeout_ns, _Timer.TIMEOUT)
 
     def _time_out(self) -> None:
         for number in range(self._acked, self._next):
@@ -445,7 +506,8 @@ class TcpSender:
             if segment.is_sacked or segment.is_lost or (is_recent and number != self._acked):
                 continue
             self._mark_lost(segment)
-        self._congestion.on_timeout(self._in_flight, is_first=self._state is not _State.LOSS)
+        is_first = self._state is _State.OPEN or (self._state is _State.LOSS and not self._backoff)
+        self._congestion.on_timeout(self._in_flight, is_first=is_first)
         self._state = _State.LOSS
         self._recovered_at = self._next
         self._probed_at = self._reordered_ns = None

@@ -14,18 +14,9 @@ from sensing.link_profile import LinkProfile, PacketLoss
 from sensing.lossy_link import LossyLink, link_over
 from sensing.packet_loss import LossPattern
 from sensing.tcp_sender import MIN_TIMEOUT_NS, TcpSender
+from tests.lost_packets import LostPackets
 
 MS = 1_000_000
-
-
-class Losing(LossPattern):
-    """Loses the packets of these numbers."""
-
-    def __init__(self, *lost: int) -> None:
-        self._lost = lost
-
-    def __getitem__(self, packet: int) -> bool:
-        return packet in self._lost
 
 
 def channel(name: str) -> Channel:
@@ -34,7 +25,7 @@ def channel(name: str) -> Channel:
 
 def delays_ms(name: str, *lost: int, size: int = 33_000, messages: int = 5) -> list[float]:
     """Returns the delay of a message every 200 ms."""
-    link = LossyLink(channel(name), Losing(*lost))
+    link = LossyLink(channel(name), LostPackets(*lost))
     return [round(link.send(200 * MS * n, size).latency_ns / MS, 1) for n in range(messages)]
 
 
@@ -92,14 +83,14 @@ def test_a_loss_shrinks_the_window_so_that_later_messages_take_more_round_trips(
 def test_the_kernels_delays_with_the_same_packets_lost_are_met():
     """Measured over `tests.kernel_path`, CUBIC of Linux 6.18."""
     lost = (54, 104, 105, 156, 208, 259, 260, 261)
-    sender = TcpSender(channel("3mbit,100ms"), Losing(*lost))
+    sender = TcpSender(channel("3mbit,100ms"), LostPackets(*lost))
     last = []
     for number in range(54):
         sender.advance(200 * MS * number)
-        last.append(sender.write(7000)[-1])
+        last.append(sender.write(7000))
     sender.advance(20_000 * MS)
-    arrivals = {one.segment: one.arrival_ns / MS for one in sender.delivered}
-    found = [arrivals[segment] - 200 * number for number, segment in enumerate(last)]
+    arrivals = {one.end_byte: one.arrival_ns / MS for one in sender.delivered}
+    found = [arrivals[end] - 200 * number for number, end in enumerate(last)]
     kernel = {9: 69.5, 10: 357.9, 11: 157.9, 12: 69.5, 20: 365.7, 21: 165.7, 22: 161.8}
     kernel |= {23: 69.5, 30: 203.1, 31: 214.9, 32: 118.5, 40: 357.9, 42: 161.9, 53: 81.5}
     for number, delay_ms in kernel.items():
@@ -145,15 +136,18 @@ def test_all_that_is_written_is_delivered_once_and_in_order(name, sends, seed):
         sender.write(size)
     while not sender.is_done:
         sender.step()
-    segments = [one.segment for one in sender.delivered]
+    ends = [0, *(one.end_byte for one in sender.delivered)]
     arrivals = [one.arrival_ns for one in sender.delivered]
-    assert segments == list(range(len(segments)))
     assert arrivals == sorted(arrivals)
-    assert sum(one.is_first for one in sender.transmitted) == len(segments)
+    assert ends[-1] == sum(size for _, size in sends)
+    firsts = [one for one in sender.transmitted if one.is_first]
+    assert [(one.begin_byte, one.size_bytes) for one in firsts] == [
+        (begin, end - begin) for begin, end in pairwise(ends)
+    ]
 
 
 def test_a_pose_that_is_lost_is_known_by_the_scan_that_follows_it():
-    link = LossyLink(channel("6mbit,50ms"), Losing(11))
+    link = LossyLink(channel("6mbit,50ms"), LostPackets(11))
     delays = []
     for n in range(2):
         delays += [
