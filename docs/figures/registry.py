@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import layouts
-from layouts import Table
+from layouts import cities, codecs, comparison, detection, links, runs, worlds
+from layouts.tables import Table
 
 AGENTS = ("protocol", "sensing", "vehicle_agent", "infra_agent", "sim_host")
 PERCEPTION = ("perception", "edge_server")
@@ -100,10 +100,10 @@ _LIST = (
         SYSTEM,
         2,
         (
-            Part("text", "README.md", layouts.run_text),
-            Part("table", _GLANCE, layouts.run_readme),
+            Part("text", "README.md", runs.run_text),
+            Part("table", _GLANCE, runs.run_readme),
         ),
-        read=layouts.summary_and_text,
+        read=runs.summary_and_text,
     ),
     Figure(
         "codec",
@@ -111,9 +111,9 @@ _LIST = (
         ("protocol/codec", "sensing", "studies/bench_codec.py", "studies/sensor_clouds.py"),
         5,
         (
-            Part("kinds", "docs/codec.md", layouts.codec_kinds),
-            Part("scans", "docs/codec.md", layouts.codec_scans),
-            Part("floor", "docs/codec.md", layouts.codec_floor),
+            Part("kinds", "docs/codec.md", codecs.codec_kinds),
+            Part("scans", "docs/codec.md", codecs.codec_scans),
+            Part("floor", "docs/codec.md", codecs.codec_floor),
         ),
     ),
     Figure(
@@ -122,9 +122,9 @@ _LIST = (
         (*SYSTEM, "studies/bench_uplink.py", "studies/bench_sharing.py"),
         15,
         (
-            *(Part(link, "docs/uplink.md", layouts.uplink(link)) for link in layouts.LINKS),
-            Part("readme", _GLANCE, layouts.uplink_readme),
-            Part("emp", _GLANCE, layouts.uplink_emp),
+            *(Part(link, "docs/uplink.md", links.uplink(link)) for link in links.LINKS),
+            Part("readme", _GLANCE, links.uplink_readme),
+            Part("emp", _GLANCE, links.uplink_emp),
         ),
     ),
     Figure(
@@ -132,7 +132,7 @@ _LIST = (
         "cpnet bench rate --json",
         (*SYSTEM, "studies/bench_uplink.py"),
         5,
-        (Part("highest", "docs/uplink.md", layouts.rates),),
+        (Part("highest", "docs/uplink.md", links.rates),),
     ),
     Figure(
         "emulated",
@@ -142,7 +142,7 @@ _LIST = (
         "echo '['; cpnet report virtual --json; echo ','; cpnet report emulated --json; echo ']'",
         SYSTEM,
         1,
-        (Part("link", "docs/uplink.md", layouts.emulated),),
+        (Part("link", "docs/uplink.md", links.emulated),),
     ),
     Figure(
         "lossy",
@@ -158,21 +158,21 @@ _LIST = (
             "tests/link_relay/lossy_bench.py",
         ),
         4,
-        (Part("tcp", "docs/uplink.md", layouts.lossy),),
+        (Part("tcp", "docs/uplink.md", links.lossy),),
     ),
     Figure(
         "edge",
         "cpnet bench edge --agents 1,2,4,6,8,16 --frames 8 --json",
         (*PERCEPTION, "protocol", "studies/bench_edge.py"),
         8,
-        (Part("all", "docs/detection.md", layouts.edge),),
+        (Part("all", "docs/detection.md", detection.edge),),
     ),
     Figure(
         "recorder",
         "cpnet bench recorder --json",
         ("protocol", "recording", "studies/bench_recorder.py"),
         1,
-        (Part("all", "docs/running.md", layouts.recorder),),
+        (Part("all", "docs/running.md", runs.recorder),),
     ),
     Figure(
         "accuracy",
@@ -180,8 +180,8 @@ _LIST = (
         (*PERCEPTION, "sensing", "learning", "studies/evaluate.py", "studies/average_precision.py"),
         40,
         (
-            Part("all", "docs/detection.md", layouts.accuracy),
-            Part("classes", "docs/detection.md", layouts.accuracy_by_class),
+            Part("all", "docs/detection.md", detection.accuracy),
+            Part("classes", "docs/detection.md", detection.accuracy_by_class),
         ),
     ),
     Figure(
@@ -190,14 +190,14 @@ _LIST = (
         "cpnet eval data3 --detectors fast,reference --json",
         (*PERCEPTION, "sensing", "learning", "studies/evaluate.py", "studies/average_precision.py"),
         10,
-        (Part("all", "docs/detection.md", layouts.accuracy),),
+        (Part("all", "docs/detection.md", detection.accuracy),),
     ),
     Figure(
         "misbehaviour",
         "$ROOT/scripts/misbehaviour --seconds 30 --set traffic.cv_rate=0.05 --json",
         (*AGENTS, *PERCEPTION, "tests/misbehaviour"),
         10,
-        (Part("all", "docs/reliability.md", layouts.misbehaviour),),
+        (Part("all", "docs/reliability.md", detection.misbehaviour),),
     ),
     Figure(
         "soak",
@@ -205,8 +205,8 @@ _LIST = (
         "--markdown soak.md >&2; cat soak.md",
         (*SYSTEM, "tests/soak"),
         31,
-        (Part("all", "docs/reliability.md", layouts.text),),
-        read=layouts.as_text,
+        (Part("all", "docs/reliability.md", runs.text),),
+        read=runs.as_text,
     ),
     Figure(
         "paper",
@@ -223,6 +223,13 @@ _LIST = (
         60,
         (Part("age", "docs/bandwidth.md"),),
         files=("docs/bandwidth.md", "docs/bandwidth/*.png"),
+    ),
+    Figure(  # of the same runs, which are not run again
+        "bandwidth-readme",
+        "cpnet study bandwidth --out bandwidth >&2; " + _rows_of("bandwidth"),
+        STUDY,
+        60,
+        (Part("table", "README.md", links.bandwidth_readme),),
     ),
     Figure(
         "frame",
@@ -253,7 +260,7 @@ _LIST = (
         f"{_RESCO}cpnet study $ROOT/docs/figures/city.yaml --out city >&2; " + _rows_of("city"),
         STUDY,
         60,
-        (Part("control", "docs/city.md", layouts.city),),
+        (Part("control", "docs/city.md", cities.city),),
     ),
     Figure(
         "unseen",
@@ -261,7 +268,7 @@ _LIST = (
         "cpnet study $ROOT/docs/figures/unseen.yaml --out unseen >&2; " + _rows_of("unseen"),
         (*STUDY, "cpnet/realism"),
         10,
-        (Part("all", "docs/realism.md", layouts.unseen),),
+        (Part("all", "docs/realism.md", worlds.unseen),),
     ),
     Figure(
         "realism",
@@ -274,9 +281,9 @@ _LIST = (
         (*STUDY, "cpnet/realism", "docs/figures/accuracy_by_part.py"),
         30,
         (
-            Part("parts", "docs/realism.md", layouts.realism),
-            Part("accuracy", "docs/realism.md", layouts.realism_accuracy),
-            Part("readme", _GLANCE, layouts.realism_readme),
+            Part("parts", "docs/realism.md", worlds.realism),
+            Part("accuracy", "docs/realism.md", worlds.realism_accuracy),
+            Part("readme", _GLANCE, worlds.realism_readme),
         ),
     ),
     Figure(
@@ -286,9 +293,9 @@ _LIST = (
         STUDY,
         15,
         (
-            Part("steps", "docs/comparison.md", layouts.ecvpr_steps),
-            Part("shares", "docs/comparison.md", layouts.ecvpr_shares),
-            Part("readme", _GLANCE, layouts.ecvpr_shares),
+            Part("steps", "docs/comparison.md", comparison.ecvpr_steps),
+            Part("shares", "docs/comparison.md", comparison.ecvpr_shares),
+            Part("readme", _GLANCE, comparison.ecvpr_shares),
         ),
     ),
     Figure(
@@ -297,8 +304,8 @@ _LIST = (
         STUDY,
         12,
         (
-            Part("all", "docs/comparison.md", layouts.delay),
-            Part("readme", "README.md", layouts.delay),
+            Part("all", "docs/comparison.md", comparison.delay),
+            Part("readme", "README.md", comparison.delay),
         ),
     ),
     Figure(
@@ -307,9 +314,9 @@ _LIST = (
         ("sensing/config.py", "cpnet/realism", "cpnet/scenarios", "docs/figures/study_rows.py"),
         0,
         (
-            Part("readme", _GLANCE, layouts.lidars),
-            Part("realism", "docs/realism.md", layouts.lidars),
-            Part("city", "docs/city.md", layouts.lidars),
+            Part("readme", _GLANCE, worlds.lidars),
+            Part("realism", "docs/realism.md", worlds.lidars),
+            Part("city", "docs/city.md", worlds.lidars),
         ),
     ),
     Figure(
@@ -318,7 +325,7 @@ _LIST = (
         + _rows_of("alignment"),
         STUDY,
         15,
-        (Part("poses", "docs/realism.md", layouts.alignment),),
+        (Part("poses", "docs/realism.md", worlds.alignment),),
     ),
     Figure(
         "city-run",
@@ -330,8 +337,8 @@ _LIST = (
         SYSTEM,
         15,
         (
-            Part("runs", "docs/city.md", layouts.city_runs),
-            Part("junctions", "docs/city.md", layouts.city_junctions),
+            Part("runs", "docs/city.md", cities.city_runs),
+            Part("junctions", "docs/city.md", cities.city_junctions),
         ),
     ),
     Figure(
@@ -340,13 +347,12 @@ _LIST = (
         (*SYSTEM, "cpnet/bench_scale.py"),
         8,
         (
-            Part("cost", "docs/city.md", layouts.scale),
-            Part("parts", "docs/city.md", layouts.scale_parts),
+            Part("cost", "docs/city.md", cities.scale),
+            Part("parts", "docs/city.md", cities.scale_parts),
         ),
     ),
     # By hand: from the pages of the studies, from a browser.
     Figure("paper-readme", "", STUDY, 0, (Part("table", _GLANCE),)),
-    Figure("bandwidth-readme", "", STUDY, 0, (Part("table", "README.md"),)),
     Figure("view", "", ("viewer",), 0, (), files=("docs/view.png",)),
 )
 FIGURES = {figure.name: figure for figure in _LIST}

@@ -138,20 +138,20 @@ def speed(way_m):  # a function
 
 
 def test_delays_are_paired_by_seed_and_of_few_seeds_each_is_shown(make) -> None:
-    layouts = importlib.import_module("layouts")
+    comparison = importlib.import_module("layouts.comparison")
     rows = [
         {"control": name, "seed": seed, "frames": 300, "delay_s": seed + more}
-        for more, name in enumerate(layouts._CONTROLS)
+        for more, name in enumerate(comparison._CONTROLS)
         for seed in range(1, 4)
     ]
-    head, first, second, *_ = layouts.delay(rows)
+    head, first, second, *_ = comparison.delay(rows)
     assert head[1] == "delay, s; 3 seeds of 300 s"
     assert first[1:3] == ["1.0, 2.0, 3.0", ""]
     assert second[2] == "1.0, 1.0, 1.0"
 
 
 def test_each_step_of_e_cvpr_is_paired_with_the_one_before_and_names_its_lidar(make) -> None:
-    layouts = importlib.import_module("layouts")
+    comparison = importlib.import_module("layouts.comparison")
     lidar = {"channels": 64, "points_per_second": 56000, "range": 80.0}
     rows = [
         {"grid": "steps", "step": step, "seed": seed, "lidar": lidar, "visible_share": 0.5,
@@ -159,7 +159,7 @@ def test_each_step_of_e_cvpr_is_paired_with_the_one_before_and_names_its_lidar(m
         for step, less in (("ours", 0.0), ("theirs", 0.05))
         for seed in range(1, 6)
     ]  # fmt: skip
-    _, ours, theirs = layouts.ecvpr_steps(rows)
+    _, ours, theirs = comparison.ecvpr_steps(rows)
     assert ours[1:4] == ["64", "56,000", "80"]
     assert (ours[5], theirs[5]) == ("", "-5.0 ± 0.0")
 

@@ -1,0 +1,93 @@
+"""Beside Chen et al. and other control: E-CVPR step by step, delay."""
+
+from __future__ import annotations
+
+from layouts.tables import Rows, Table, between, fixed
+from layouts.worlds import LIDAR_HEADS, lidar_cells
+
+
+def ecvpr_steps(rows: Rows) -> Table:
+    """Returns E-CVPR step by step from ours to theirs, each paired by seed with the one before."""
+    own = [row for row in rows if row["grid"] == "steps"]
+    table = [["each with what stands above it", *LIDAR_HEADS, "E-CVPR, %", "this step, points",
+              "of the visible, %"]]  # fmt: skip
+    before: dict[int, float] = {}
+    for step in dict.fromkeys(row["step"] for row in own):
+        part = [row for row in own if row["step"] == step]
+        now = {row["seed"]: 100 * row["e_cvpr"] for row in part}
+        change = [now[seed] - before[seed] for seed in now] if before else []
+        table.append(
+            [
+                step,
+                *lidar_cells(part[0]["lidar"]),
+                between([*now.values()], 1),
+                between(change, 1) if change else "",
+                between([100 * row["e_cvpr"] / row["visible_share"] for row in part], 1),
+            ]
+        )
+        before = now
+    return table
+
+
+_THEIRS = {0: (29.9, 31.4), 0.01: (35.4, 35.7), 0.02: (38.3, 37.4), 0.05: (None, 46.6)}
+_AS_THEIRS = {
+    "`reference`, their DBSCAN and size filter": "as theirs: `reference`, duplicates by radius",
+    "CARLA's 56,000 points a second": "the same, range of 80 m, CARLA's default points a second",
+}
+
+
+def ecvpr_shares(rows: Rows) -> Table:
+    """Returns E-CVPR by share of CAVs: ours, with their detector and fusion, and as published."""
+    shown = {}
+    for row in rows:
+        share = 0.05 if row["grid"] == "steps" else row["traffic.cav_rate"]
+        shown.setdefault(row["step"], {}).setdefault(share, []).append(row)
+    heads = [f"{100 * share:g} % CAVs" for share in _THEIRS]
+    table = [["E-CVPR, %", *LIDAR_HEADS, *heads]]
+    for step, by_share in shown.items():
+        if set(by_share) == set(_THEIRS):
+            cells = [
+                between([100 * row["e_cvpr"] for row in by_share[share]], 1) for share in _THEIRS
+            ]
+            table.append(
+                [_AS_THEIRS.get(step, step), *lidar_cells(by_share[0][0]["lidar"]), *cells]
+            )
+    for place, name in enumerate(("DBSCAN", "PointPillars")):
+        cells = [fixed(theirs[place], 1) for theirs in _THEIRS.values()]
+        table.append([f"Chen et al., {name}", "64", "not stated", "not stated", *cells])
+    return table
+
+
+_CONTROLS = {
+    "perception": "max pressure on perception (a post, no CAV), 200 m before and 100 m behind",
+    "perception, unseen empty": "the same, what no LiDAR sees taken for empty, as in Chen et al.",
+    "perception, 50 m": "max pressure on perception, 50 m before and nothing behind",
+    "perception, held": "the same, greens of 10 s at least",
+    "perfect counts": "max pressure on perfect counts, 200 m before and 100 m behind",
+    "perfect counts, 50 m": "max pressure on perfect counts, 50 m before and nothing behind",
+    "perfect counts, held": "the same, greens of 10 s at least",
+    "max wave": "max wave on perfect counts: 200 m before and nothing behind",
+    "actuated": "SUMO's actuated control, loops",
+    "webster": "fixed plan by Webster's formula for this demand",
+    "own plan": "the net's own fixed plan",
+}
+
+
+def delay(rows: Rows) -> Table:
+    """Returns delay by control, and how much more it is than on perception, paired by seed."""
+    by: dict[str, dict[int, float]] = {}
+    for row in rows:
+        by.setdefault(row["control"], {})[row["seed"]] = row["delay_s"]
+    first, *_ = _CONTROLS
+    runs = f"{len(by[first])} seeds of {rows[0]['frames']} s"
+    heads = [f"delay, s; {runs}", "more than the first line, s", "more than perfect counts, s"]
+    table = [["control", *heads]]
+    for name, words in _CONTROLS.items():
+        if name not in by:  # added since it was measured
+            continue
+        cells = [
+            "" if name == base else between([by[name][s] - by[base][s] for s in by[name]], 1)
+            for base in (first, "perfect counts")
+        ]
+        table.append([words, between([*by[name].values()], 1), *cells])
+    return table
