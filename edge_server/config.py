@@ -102,7 +102,7 @@ class EdgeConfig(DetectionConfig):
         "learns; agents' poses are corrected by what they are off",
     )
     upstream_m: float = Field(200.0, gt=0, description="vehicles so far before the stop bar count")
-    downstream_m: float = Field(100.0, gt=0, description="vehicles so far behind it count")
+    downstream_m: float = Field(100.0, ge=0, description="vehicles so far behind it count")
     coverage_range_m: float = Field(
         100.0,
         gt=0,

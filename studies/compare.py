@@ -32,9 +32,7 @@ STAGES = ("demand", "tuning", "baselines", "perception")
 _POST = "post"
 _FRAME_WORK = 10.0  # of a frame with perception, over a second of SUMO alone
 _TUNED: Mapping[str, Sequence[Tuning]] = {
-    WEBSTER: TUNINGS[WEBSTER],
-    ACTUATED: TUNINGS[ACTUATED],
-    MAX_PRESSURE: [one for one in TUNINGS[MAX_PRESSURE] if not one.own.get("hold_s")],
+    policy: TUNINGS[policy] for policy in (WEBSTER, ACTUATED, MAX_PRESSURE)
 }
 
 
@@ -141,6 +139,8 @@ def perceived_cases(
     }
     if fence is not None:
         settings |= {"edge.upstream_m": fence.upstream_m, "edge.downstream_m": fence.downstream_m}
+        if hold_s := fence.own.get("hold_s"):
+            settings["cabinet.min_green_s"] = hold_s
     for seed in asked.seeds:
         title = f"{comparison.name} {policy} {sight} seed={seed}"
         scenario = resolve({**asked.common_settings, **settings, "seed": seed})

@@ -14,6 +14,7 @@ from cpnet.study_cells import resolved
 from protocol.errors import ConfigError
 from studies.compare import perceived_cases
 from studies.compare_question import Question, prepare
+from studies.control_baselines import TUNINGS
 from studies.sumo_config import write_config
 
 pytest.importorskip("polars", reason="needs the extra `study`")
@@ -63,6 +64,14 @@ def test_a_sumocfg_beside_the_net_is_named(tmp_path) -> None:
     (tmp_path / "x.sumocfg").write_text("<configuration/>")
     with pytest.raises(ConfigError, match=r"beside the net lies .*x\.sumocfg"):
         Question(net=tmp_path / "x.net.xml").check()
+
+
+@pytest.mark.parametrize("tuning", TUNINGS["max_pressure"], ids=lambda one: one.text)
+def test_any_fence_that_tuning_may_choose_can_be_perceived(net, tmp_path, tuning) -> None:
+    comparison = prepare(Question(net=net, demand_vph=300.0), tmp_path, "mine", resolve)
+    (case, *_) = perceived_cases(comparison, "max_pressure", "posts", tuning, resolve)
+    assert case.scenario["edge"]["downstream_m"] == tuning.downstream_m
+    assert case.scenario["cabinet"]["min_green_s"] == (tuning.own["hold_s"] or 5)
 
 
 @pytest.mark.parametrize("realism", ["clear", "hard"])

@@ -108,6 +108,13 @@ def test_a_vehicle_as_far_away_as_the_limit_counts_and_one_farther_does_not(
     assert (before["in_0"], behind["out_1"]) == (0, 0)
 
 
+def test_none_behind_counts_where_nothing_is_to_count_there(road_map: RoadMap) -> None:
+    index = LaneIndex(road_map)
+    place = locate(index, (-20, -1.75, 0), (30, 1.75, 0))
+    before, behind = index.count(place, "j", upstream_m=100.0, downstream_m=0.0)
+    assert (before["in_0"], set(behind.values())) == (1, {0})
+
+
 def test_every_vehicle_behind_the_stop_bar_counts(road_map: RoadMap) -> None:
     index = LaneIndex(road_map)
     place = locate(index, (30, 1.75, 0), (40, 1.75, 0), (50, 1.75, 0))

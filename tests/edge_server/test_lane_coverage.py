@@ -64,6 +64,8 @@ def test_shares_have_three_digits_and_a_lane_without_a_place_has_none():
     assert short.shares(np.array([[-9.0, 0.0]]), 1.0)[0] == {"in": 0.333}
     none = LaneCoverage(road, lanes, upstream_m=0.5, downstream_m=100)
     assert none.shares(np.array([[0.0, 0.0]]), 200.0) == ({}, {"out": 1.0})
+    none_behind = LaneCoverage(road, lanes, upstream_m=12, downstream_m=0)
+    assert none_behind.shares(np.array([[0.0, 0.0]]), 200.0) == ({"in": 1.0}, {})
 
 
 def test_places_follow_a_lane_around_a_bend_and_sensors_see_their_own_side():

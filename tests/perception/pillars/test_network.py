@@ -164,7 +164,7 @@ def test_the_shipped_weights_load_and_say_how_they_were_made() -> None:
     assert network.config.channels == SMALL.channels
     assert set(network.config.classes().tolist()) == set(ObjectClass)
     assert about["recipe"]["seed"] == 1
-    assert about["dataset"]["networks"] == 100
+    assert about["dataset"]["networks"] == 300
     assert about["dataset"]["realism"] == "hard"
 
 
