@@ -13,6 +13,7 @@ from studies.compare import (
     ACTUATED,
     ALL_KNOWN,
     BASELINES,
+    MAX_PRESSURE,
     PLAN,
     PREDICTIVE,
     WEBSTER,
@@ -44,7 +45,7 @@ _NAMES = {
     PLAN: "the net's own plan",
     WEBSTER: "Webster's fixed plan",
     ACTUATED: "actuated by loops",
-    "max_pressure": "max pressure",
+    MAX_PRESSURE: "max pressure",
     PREDICTIVE: "predictive",
 }
 _MAX_APPROACHES = 12  # that are drawn; more are in a table
@@ -69,7 +70,8 @@ def best_baseline(variants: Sequence[Variant]) -> Variant:
 def answer(comparison: Comparison, variants: Sequence[Variant]) -> str:
     """Returns what a city wants to know: how much delay, how many posts, what uplink.
 
-    It is about the predictive policy, which is chosen beforehand, not about the best of all.
+    It is about the predictive policy, which is chosen beforehand, not about the best of all; max
+    pressure on the same LiDARs stands beside it.
     """
     plan, baseline = variants[0], best_baseline(variants)
     found = {one.sight: one for one in variants if one.is_perceived and one.policy == PREDICTIVE}
@@ -83,6 +85,10 @@ def answer(comparison: Comparison, variants: Sequence[Variant]) -> str:
         f"{lead.mean('uplink_mbps') or 0:.1f} Mbit/s at a scan every "
         f"{comparison.question.frame_period_s:g} s."
     )
+    pressure = next(
+        one for one in variants if (one.policy, one.sight) == (MAX_PRESSURE, lead.sight)
+    )
+    text += f" Max pressure on what they see: {pressure.delay_s:.1f} s."
     for one in found.values():
         text += (
             f" With {_equipment(comparison, one.sight)} it is {one.delay_s:.1f} s and "
