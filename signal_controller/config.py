@@ -67,6 +67,13 @@ class SignalConfig(Section):
         "stand still (edge.stationary_mps); how far from the stop bar, edge.upstream_m and "
         "edge.downstream_m say",
     )
+    hold_s: float = Field(
+        0,
+        ge=0,
+        le=120,
+        description="ours. max_pressure: a green lasts so long before pressures may end it; 0 is "
+        "Chen et al. 2022, where the cabinet's minimum green alone holds it",
+    )
     stale_after_s: float = Field(
         1.0,
         gt=0,

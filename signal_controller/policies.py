@@ -136,7 +136,7 @@ def policy_of(config: SignalConfig, site: SignalSite) -> SignalPolicy:
         case "fixed":
             return FixedPlan(site.signal)
         case "max_pressure":
-            return MaxPressure(config, site)
+            return HeldGreens(MaxPressure(config, site), config.hold_s)
         case "predictive":
             return Predictive(config, site)
         case name:
@@ -183,6 +183,29 @@ class MaxPressure:
                 return fallback_plan(self._signal, counts.sim_time_ns, estimate.vehicles)
             estimated = estimate.vehicles
         return max_pressure(self._signal, counts, shown, config.weight, config.unseen, estimated)
+
+
+class HeldGreens:
+    """Asks a policy again only once a green has lasted: what switches less often loses less."""
+
+    def __init__(self, policy: SignalPolicy, hold_s: float) -> None:
+        self._policy = policy
+        self._hold_s = hold_s
+        self._green, self._since_s = "", 0.0
+        self.needs_vehicles = bool(getattr(policy, "needs_vehicles", False))
+
+    def decide(self, observation: Observation) -> Decision:
+        """See `SignalPolicy.decide`."""
+        decision, shown = self._policy.decide(observation), observation.shown
+        if shown is None or shown.stage != "green":
+            self._green = ""
+            return decision
+        time_s = observation.counts.sim_time_ns / 1e9
+        if shown.green != self._green:
+            self._green, self._since_s = shown.green, time_s
+        if time_s - self._since_s < self._hold_s:
+            return Decision(shown.green, decision.pressures, decision.policy, decision.unknown)
+        return decision
 
 
 class Predictive:

@@ -139,8 +139,7 @@ def perceived_cases(
     }
     if fence is not None:
         settings |= {"edge.upstream_m": fence.upstream_m, "edge.downstream_m": fence.downstream_m}
-        if hold_s := fence.own.get("hold_s"):
-            settings["cabinet.min_green_s"] = hold_s
+        settings["signal.hold_s"] = fence.own["hold_s"]
     for seed in asked.seeds:
         title = f"{comparison.name} {policy} {sight} seed={seed}"
         scenario = resolve({**asked.common_settings, **settings, "seed": seed})

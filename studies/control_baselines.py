@@ -15,7 +15,6 @@ from signal_controller.observation import CabinetTimes, LaneVehicles, Observatio
 from signal_controller.policies import (
     Decision,
     FixedPlan,
-    SignalPolicy,
     max_pressure,
     phase_of_highest,
     pressure,
@@ -93,29 +92,6 @@ def webster(
     return FixedPlan(
         webster_signal(site.signal, flows_vph, SATURATION_VPH, site.cabinet, cycle_factor)
     )
-
-
-class HeldGreens:
-    """Asks a policy again only once a green has lasted: what switches less often loses less."""
-
-    def __init__(self, policy: SignalPolicy, hold_s: float) -> None:
-        self._policy = policy
-        self._hold_s = hold_s
-        self._green, self._since_s = "", 0.0
-        self.needs_vehicles = bool(getattr(policy, "needs_vehicles", False))
-
-    def decide(self, observation: Observation) -> Decision:
-        """See `SignalPolicy.decide`."""
-        decision, shown = self._policy.decide(observation), observation.shown
-        if shown is None or shown.stage != "green":
-            self._green = ""
-            return decision
-        time_s = observation.counts.sim_time_ns / 1e9
-        if shown.green != self._green:
-            self._green, self._since_s = shown.green, time_s
-        if time_s - self._since_s < self._hold_s:
-            return Decision(shown.green, decision.pressures, decision.policy, decision.unknown)
-        return decision
 
 
 class WeightedPressure:

@@ -20,7 +20,7 @@ from protocol.messages import LaneCounts, SignalRequest
 from protocol.roadmap import RoadMap
 from signal_controller.config import SignalConfig
 from signal_controller.observation import CabinetTimes, LaneVehicles, Observation, SignalSite
-from signal_controller.policies import Predictive, SignalPolicy, policy_of
+from signal_controller.policies import HeldGreens, Predictive, SignalPolicy, policy_of
 from sim_host.cabinet import SignalCabinet
 from sim_host.config import CabinetConfig
 from sim_host.sumo import load_libsumo
@@ -29,7 +29,6 @@ from studies.bench import JsonRow
 from studies.control_baselines import (
     PRESSURES,
     SUMO_TYPES,
-    HeldGreens,
     WeightedPressure,
     webster,
 )
@@ -344,13 +343,11 @@ def _policy(case: ControlCase, site: SignalSite) -> SignalPolicy:
         return policy_of(
             SignalConfig.model_validate({"policy": case.policy, **case.settings}), site
         )
-    policy: SignalPolicy
+    hold_s = case.own.get("hold_s", 0.0)
     if kind in ("vehicles", "queued"):
-        settings = {"policy": "max_pressure", "weight": kind, **case.settings}
-        policy = policy_of(SignalConfig.model_validate(settings), site)
-    else:
-        policy = WeightedPressure(site, kind, case.downstream_m)
-    return HeldGreens(policy, case.own.get("hold_s", 0.0))
+        settings = {"policy": "max_pressure", "weight": kind, "hold_s": hold_s, **case.settings}
+        return policy_of(SignalConfig.model_validate(settings), site)
+    return HeldGreens(WeightedPressure(site, kind, case.downstream_m), hold_s)
 
 
 def delays_s(trips: Path, since_s: float = -math.inf) -> tuple[list[float], int]:

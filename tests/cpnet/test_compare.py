@@ -71,7 +71,7 @@ def test_any_fence_that_tuning_may_choose_can_be_perceived(net, tmp_path, tuning
     comparison = prepare(Question(net=net, demand_vph=300.0), tmp_path, "mine", resolve)
     (case, *_) = perceived_cases(comparison, "max_pressure", "posts", tuning, resolve)
     assert case.scenario["edge"]["downstream_m"] == tuning.downstream_m
-    assert case.scenario["cabinet"]["min_green_s"] == (tuning.own["hold_s"] or 5)
+    assert case.scenario["signal"]["hold_s"] == tuning.own["hold_s"]
 
 
 @pytest.mark.parametrize("realism", ["clear", "hard"])

@@ -136,6 +136,19 @@ def test_the_fixed_plan_follows_the_clock_to_the_nanosecond(second, green) -> No
     assert fixed(SIGNAL, round(second * 1e9)).state == green
 
 
+def test_a_green_is_held_before_pressures_may_end_it() -> None:
+    policy = policy_of(SignalConfig(policy="max_pressure", hold_s=10, unseen="empty"), SITE)
+    full = {"upstream": {"main": 1, "side": 9}, "coverage_upstream": {"main": 1.0, "side": 1.0}}
+
+    def decided(second: float, green: str) -> str:
+        return policy.decide(Observation(counts(second=second, **full), shown(1, green))).state
+
+    assert [decided(second, MAIN) for second in (3, 4, 12.9)] == [MAIN] * 3
+    assert decided(13, MAIN) == SIDE
+    assert decided(20, SIDE) == SIDE
+    assert SignalConfig().hold_s == 0
+
+
 def test_a_permissive_green_opens_its_lane_too() -> None:
     assert pressure(SIGNAL, SIDE, {"main": 5, "side": 2}, {"out": 1}) == 1.0
 
