@@ -73,6 +73,7 @@ class JunctionModel:
             self.lane_of[index, movement.lane] = 1.0
         self._ways = {lane: self._way(lane) for lane in self.approaches.upstream}
         self.reach_m, self.reach_s = np.array([self._reach(lane) for lane in self.lanes]).T
+        self._in_the_way = self._find_in_the_way()
         self.foes = self._foes()
         self.change_steps = np.array(
             [[_change_steps(a, b, site.cabinet) for b in self.phases] for a in self.phases]
@@ -125,25 +126,35 @@ class JunctionModel:
         reach_m = min(self.site.upstream_m, within[farthest])
         return reach_m, self.free_flow_s(farthest, reach_m)
 
-    def _foes(self) -> Ints:
+    def foe_shares(self, shares: Floats) -> Floats:
+        """Returns the share (P, L, F) of the vehicles of `foes` that are in a lane's way.
+
+        Args:
+            shares: (M,) of each movement among the vehicles of its lane.
+        """
+        by_lane = (self._in_the_way * shares) @ self.lane_of
+        found = np.take_along_axis(by_lane, np.maximum(self.foes, 0), axis=2)
+        return np.asarray(np.where(self.foes >= 0, found, 0.0))
+
+    def _find_in_the_way(self) -> Bools:
+        """Returns whether a movement (P, L, M) has right of way over a lane's permitted ones."""
         by_link = {link: m for m, one in enumerate(self.movements) for link in one.links}
-        found = [[set[int]() for _ in self.lanes] for _ in self.phases]
+        found = np.zeros((len(self.phases), len(self.lanes), len(self.movements)), np.bool_)
         for a, b in self.site.signal.conflicts:
             for link, other in ((a, b), (b, a)):
                 m, foe = by_link.get(link), by_link.get(other)
-                if m is None or foe is None:
+                if m is None or foe is None or self.movements[m].lane == self.movements[foe].lane:
                     continue
-                lane, foe_lane = self.movements[m].lane, self.movements[foe].lane
-                for phase in range(len(self.phases)):
-                    yields = self.status[phase, m] == PERMITTED
-                    if yields and self.status[phase, foe] == PROTECTED and lane != foe_lane:
-                        found[phase][lane].add(foe_lane)
-        most = max((len(foes) for row in found for foes in row), default=0)
-        table = np.full((len(self.phases), len(self.lanes), max(1, most)), -1, np.int64)
-        for phase, row in enumerate(found):
-            for lane, foes in enumerate(row):
-                table[phase, lane, : len(foes)] = sorted(foes)
-        return table
+                yields = self.status[:, m] == PERMITTED
+                found[:, self.movements[m].lane, foe] |= yields & (self.status[:, foe] == PROTECTED)
+        return found
+
+    def _foes(self) -> Ints:
+        """Returns the lanes (P, L, F) of the movements that are in a lane's way."""
+        is_foe = (self._in_the_way @ self.lane_of) > 0
+        most = max(1, int(is_foe.sum(axis=2).max(initial=0)))
+        first = np.argsort(~is_foe, axis=2, kind="stable")[:, :, :most]
+        return np.where(np.take_along_axis(is_foe, first, axis=2), first, -1)
 
     def _min_green_steps(self, pedestrian_green_s: float) -> Ints:
         """A phase that shows green where no vehicle passes lets people walk."""

@@ -46,8 +46,10 @@ class Problem:
         protected: (R, L) share of a lane's vehicles that may go, with right of way.
         permitted: (R, L) share that may go and yields.
         head: (P, L) probability that the first vehicle of a lane may go in a phase.
+        inside: (L,) vehicles of a lane that wait for a gap behind its stop bar and block it.
         headway_s: (L,) between vehicles of a queue; `lost_s` (L,) from green to the first one.
         begin: (L,) step from which on a lane discharges, in what is shown now.
+        foe_shares: (P, L, F) share of the vehicles of `foes` that are in a lane's way.
         foes, change_steps, min_green_steps: of `JunctionModel`.
         phase: that is shown, or that the present change leads to.
         before: row of what is green during the rest of the present change.
@@ -59,10 +61,12 @@ class Problem:
     protected: Floats
     permitted: Floats
     head: Floats
+    inside: Floats
     headway_s: Floats
     lost_s: Floats
     begin: Floats
     foes: Ints
+    foe_shares: Floats
     change_steps: Ints
     min_green_steps: Ints
     phase: int
@@ -97,10 +101,12 @@ def search(
         np.ascontiguousarray(problem.protected),
         np.ascontiguousarray(problem.permitted),
         np.ascontiguousarray(problem.head),
+        problem.inside,
         problem.headway_s,
         problem.lost_s,
         problem.begin,
         problem.foes,
+        problem.foe_shares,
         problem.change_steps,
         problem.min_green_steps,
         np.array(
@@ -119,14 +125,43 @@ def search(
     return Plan(tuple((int(phase), int(step)) for phase, step in path), float(cost), int(nodes))
 
 
-_GAP_HEADWAY_S = 2.5  # of permitted turns through a free opposing stream
+_FOLLOW_UP_S = 2.5  # between permitted turns that use the same gap in the opposing traffic
+_CRITICAL_GAP_STEPS = 4  # the least gap that they take
 _FORCED_HEADWAY_S = 25.0  # through a dense one: at the end of green
+
+
+@njit(cache=True)
+def _gap_headway_s(
+    queue: Floats,
+    lane: int,
+    phase: int,
+    step: int,
+    arrivals: Floats,
+    foes: Ints,
+    foe_shares: Floats,
+) -> float:
+    """Returns the headway of a lane's permitted turns, by gap acceptance.
+
+    With the probability that nobody is in the way for a critical gap they follow each other, as in
+    the Highway Capacity Manual's model of permitted left turns.
+    """
+    free, steps = 1.0, arrivals.shape[1]
+    for index in range(foes.shape[2]):
+        foe = foes[phase, lane, index]
+        if foe < 0:
+            break
+        coming = max(queue[foe], 0.0)
+        for ahead in range(step, min(step + _CRITICAL_GAP_STEPS, steps)):
+            coming += arrivals[foe, ahead]
+        free *= 1.0 - min(1.0, coming) * foe_shares[phase, lane, index]
+    return 1.0 / (free / _FOLLOW_UP_S + (1.0 - free) / _FORCED_HEADWAY_S)
 
 
 @njit(cache=True)
 def _run(
     queue: Floats,
     fresh: Floats,
+    inside: Floats,
     begin: Floats,
     row: int,
     phase: int,
@@ -137,6 +172,7 @@ def _run(
     permitted: Floats,
     headway_s: Floats,
     foes: Ints,
+    foe_shares: Floats,
     stop_price: float,
 ) -> float:
     """Lets lanes discharge by a row from step `first` to `last`; returns the cost."""
@@ -147,6 +183,8 @@ def _run(
             come = arrivals[lane, step] if step < steps else 0.0
             before = queue[lane]
             open_share = protected[row, lane] + permitted[row, lane]
+            if permitted[row, lane] <= 0.0:
+                inside[lane] = 0.0  # the opposing traffic has stopped
             part = min(1.0, step + 1.0 - begin[lane])
             if open_share <= 0.0 or part <= 0.0:
                 after = max(before, 0.0) + come
@@ -156,17 +194,11 @@ def _run(
                 continue
             need_s = protected[row, lane] * headway_s[lane]
             if permitted[row, lane] > 0.0:
-                busy = 0.0
-                for index in range(foes.shape[2]):
-                    foe = foes[phase, lane, index]
-                    if foe < 0:
-                        break
-                    coming = max(queue[foe], 0.0)
-                    for ahead in range(step, min(step + 4, steps)):
-                        coming += arrivals[foe, ahead]
-                    busy = max(busy, min(1.0, coming))
-                gap_s = _GAP_HEADWAY_S + (_FORCED_HEADWAY_S - _GAP_HEADWAY_S) * busy
+                gap_s = _gap_headway_s(queue, lane, phase, step, arrivals, foes, foe_shares)
                 need_s += permitted[row, lane] * gap_s
+                cost += inside[lane]
+                part *= 1.0 - inside[lane]
+                inside[lane] *= max(0.0, 1.0 - 1.0 / gap_s)
             rate = part * open_share / need_s
             may = rate * fresh[lane]
             after = max(before + come - may, fresh[lane] * (min(1.0, rate) - 1.0))
@@ -246,10 +278,12 @@ def _search(
     protected: Floats,
     permitted: Floats,
     head: Floats,
+    inside0: Floats,
     headway_s: Floats,
     lost_s: Floats,
     begin0: Floats,
     foes: Ints,
+    foe_shares: Floats,
     change_steps: Ints,
     min_green: Ints,
     start: Ints,
@@ -262,6 +296,7 @@ def _search(
     slots = (steps + 1) * phases * kept
     queue = np.zeros((slots + 1, lanes))
     fresh = np.zeros((slots + 1, lanes))
+    inside = np.zeros((slots + 1, lanes))
     begin = np.zeros((slots + 1, lanes))
     last_open = np.zeros((slots + 1, lanes), np.int64)
     cost = np.zeros(slots)
@@ -276,19 +311,22 @@ def _search(
     begin[work] = begin0
     last_open[work] = -1
     fresh[work] = head[first_phase]
+    inside[work] = inside0
     paid = 0.0
     ready, free = min(ready, steps), min(max(free, ready), steps)
     if ready > 0:
-        paid += _run(queue[work], fresh[work], begin[work], before, first_phase, 0, ready,
-                     arrivals, protected, permitted, headway_s, foes, stop_price)  # fmt: skip
+        paid += _run(queue[work], fresh[work], inside[work], begin[work], before,
+                     first_phase, 0, ready, arrivals, protected, permitted, headway_s, foes,
+                     foe_shares, stop_price)  # fmt: skip
         for lane in range(lanes):
             if protected[before, lane] + permitted[before, lane] <= 0.0:
                 begin[work, lane] = ready + lost_s[lane]
-    paid += _run(queue[work], fresh[work], begin[work], first_phase, first_phase, ready, free,
-                 arrivals, protected, permitted, headway_s, foes, stop_price)  # fmt: skip
+    paid += _run(queue[work], fresh[work], inside[work], begin[work], first_phase,
+                 first_phase, ready, free, arrivals, protected, permitted, headway_s, foes,
+                 foe_shares, stop_price)  # fmt: skip
     slot = (free * phases + first_phase) * kept
     queue[slot], fresh[slot], begin[slot] = queue[work], fresh[work], begin[work]
-    last_open[slot] = last_open[work]
+    inside[slot], last_open[slot] = inside[work], last_open[work]
     cost[slot] = paid
     value[slot] = paid + _left(queue[work], fresh[work], first_phase, protected, permitted,
                                headway_s, left_s)  # fmt: skip
@@ -317,15 +355,15 @@ def _search(
                     ):
                         continue
                     queue[work], fresh[work], begin[work] = queue[slot], fresh[slot], begin[slot]
-                    last_open[work] = last_open[slot]
+                    inside[work], last_open[work] = inside[slot], last_open[slot]
                     paid = cost[slot]
                     if is_kept:
                         until = min(steps, step + (1 if step < 12 else 2 if step < 30 else 3))
                         if is_spent:
                             until = steps
-                        paid += _run(queue[work], fresh[work], begin[work], phase, phase,
-                                     step, until, arrivals, protected, permitted, headway_s,
-                                     foes, stop_price)  # fmt: skip
+                        paid += _run(queue[work], fresh[work], inside[work], begin[work], phase,
+                                     phase, step, until, arrivals, protected, permitted, headway_s,
+                                     foes, foe_shares, stop_price)  # fmt: skip
                     else:
                         change = change_steps[phase, after]
                         used = min(change, YELLOW_USED_STEPS)
@@ -334,20 +372,20 @@ def _search(
                         green = min(steps, step + change)
                         until = min(steps, max(step + change + min_green[after], step + 1))
                         paid += switch_price
-                        paid += _run(queue[work], fresh[work], begin[work], phase, phase,
-                                     step, middle, arrivals, protected, permitted, headway_s,
-                                     foes, stop_price)  # fmt: skip
-                        paid += _run(queue[work], fresh[work], begin[work], pair, phase,
-                                     middle, green, arrivals, protected, permitted, headway_s,
-                                     foes, stop_price)  # fmt: skip
+                        paid += _run(queue[work], fresh[work], inside[work], begin[work], phase,
+                                     phase, step, middle, arrivals, protected, permitted, headway_s,
+                                     foes, foe_shares, stop_price)  # fmt: skip
+                        paid += _run(queue[work], fresh[work], inside[work], begin[work], pair,
+                                     phase, middle, green, arrivals, protected, permitted,
+                                     headway_s, foes, foe_shares, stop_price)  # fmt: skip
                         _turn_head(queue[work], fresh[work], last_open[work], phase, after,
                                    phases, protected, permitted, head)  # fmt: skip
                         for lane in range(lanes):
                             if protected[pair, lane] + permitted[pair, lane] <= 0.0:
                                 begin[work, lane] = step + change + lost_s[lane]
-                        paid += _run(queue[work], fresh[work], begin[work], after, after,
-                                     green, until, arrivals, protected, permitted, headway_s,
-                                     foes, stop_price)  # fmt: skip
+                        paid += _run(queue[work], fresh[work], inside[work], begin[work], after,
+                                     after, green, until, arrivals, protected, permitted, headway_s,
+                                     foes, foe_shares, stop_price)  # fmt: skip
                     worth = paid + _left(queue[work], fresh[work], after, protected, permitted,
                                          headway_s, left_s)  # fmt: skip
                     base = (until * phases + after) * kept
@@ -363,6 +401,7 @@ def _search(
                         count[until, after] += 1
                     queue[place], fresh[place] = queue[work], fresh[work]
                     begin[place], last_open[place] = begin[work], last_open[work]
+                    inside[place] = inside[work]
                     cost[place], value[place] = paid, worth
                     parent[place] = slot
                     asked[place] = asked[slot] if is_kept else step

@@ -127,6 +127,15 @@ class TrafficMemory:
             result[:, lane] = ((status[:, own] != RED) & self.has_room[own]) @ wanted
         return result
 
+    def waiting_inside(self, time_s: float) -> Floats:
+        """Returns 1 for each lane (L,) whose last vehicle stands behind the stop bar, else 0."""
+        result = np.zeros(len(self._model.lanes))
+        for track in self._tracks.values():
+            stands = track.time_s == time_s and track.speed_mps < STOPPED_MPS
+            if stands and track.passed >= 0 and track.lane in self._model.approaches.inside:
+                result[track.passed] = 1.0
+        return result
+
     def chosen_lanes(self, lane: str) -> Floats:
         """Returns the probability (L,) of each stop bar for a vehicle on a lane before them.
 

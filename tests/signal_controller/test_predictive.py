@@ -21,6 +21,7 @@ from signal_controller.predictive_search import Prices, Problem, search
 from signal_controller.predictive_traffic import TrafficMemory
 from sim_host.cabinet import SignalCabinet
 from sim_host.config import CabinetConfig
+from tests.roads import lane, one_junction
 from tests.signal_controller.crossing import (
     LANES,
     PHASES,
@@ -56,10 +57,12 @@ def two_lanes(waiting: float, coming: float, ahead: int = 40) -> Problem:
         protected=rows,
         permitted=np.zeros_like(rows),
         head=rows[:2],
+        inside=np.zeros(2),
         headway_s=np.full(2, 2.0),
         lost_s=np.full(2, 1.5),
         begin=np.array([-60.0, 1.5]),
         foes=np.full((2, 2, 1), -1),
+        foe_shares=np.zeros((2, 2, 1)),
         change_steps=np.array([[0, 5], [5, 0]]),
         min_green_steps=np.array([5, 5]),
         phase=0,
@@ -90,8 +93,58 @@ def test_a_plan_costs_what_a_calculation_by_hand_says() -> None:
     # so much is left at the end of each step. Beside that it stops and the phase changes.
     waits = [1.0] * 6 + [0.75, 0.25]
     prices = Prices()
-    cost = sum(waits) + prices.stop + prices.switch
-    assert search(waiting, prices, 1000).cost == pytest.approx(cost)
+    by_hand = sum(waits) + prices.stop + prices.switch
+    assert search(waiting, prices, 1000).cost == pytest.approx(by_hand)
+
+
+def yielding(opposing: float, foe_share: float, inside: float = 0.0) -> Problem:
+    """Lane 0 is green and yields to lane 1, green too, where so many stand; nobody else waits."""
+    problem = two_lanes(waiting=opposing, coming=0)
+    problem.arrivals[0, 0] = 2
+    protected, permitted = np.zeros((7, 2)), np.zeros((7, 2))
+    permitted[0, 0], protected[0, 1], protected[1, 1] = 1.0, 1.0, 1.0
+    foes, foe_shares = np.full((2, 2, 1), -1), np.zeros((2, 2, 1))
+    foes[0, 0, 0], foe_shares[0, 0, 0] = 1, foe_share
+    return replace(
+        problem,
+        protected=protected,
+        permitted=permitted,
+        head=(protected + permitted)[:2],
+        begin=np.array([-60.0, -60.0]),
+        inside=np.array([inside, 0.0]),
+        foes=foes,
+        foe_shares=foe_shares,
+    )
+
+
+def cost(problem: Problem) -> float:
+    return search(problem, Prices(), 1000).cost
+
+
+def test_permitted_turns_wait_for_opposing_vehicles_that_are_in_their_way_only() -> None:
+    alone, opposed = cost(yielding(0, 1.0)), cost(yielding(8, 1.0))
+    opposing_alone = yielding(8, 1.0)
+    opposing_alone.arrivals[0] = 0.0
+    both_turn = cost(yielding(8, 0.0))
+    assert both_turn == pytest.approx(alone + cost(opposing_alone))
+    assert opposed > both_turn + 10
+
+
+def test_who_waits_for_a_gap_behind_the_stop_bar_blocks_his_lane_until_the_gap() -> None:
+    free, blocked = cost(yielding(8, 1.0)), cost(yielding(8, 1.0, inside=1.0))
+    assert blocked > free + 5
+    assert cost(yielding(0, 1.0, inside=1.0)) < cost(yielding(0, 1.0)) + 10
+
+
+def test_lanes_in_the_way_of_permitted_turns_count_by_their_share_of_conflicting_turns() -> None:
+    model = JunctionModel(SITE, 7)
+    left, ahead = model.lane_index["n_1"], model.lane_index["s_0"]
+    assert model.foes[0, left].tolist() == [ahead]
+    assert model.foes[1, left].tolist() == [-1]
+    shares = np.ones(len(model.movements))
+    shares[[m.lane == ahead for m in model.movements]] = 0.3
+    assert model.foe_shares(shares)[0, left].tolist() == [0.3]
+    assert model.foe_shares(shares)[1, left].tolist() == [0.0]
 
 
 def test_with_more_nodes_no_plan_is_worse_and_with_one_there_still_is_a_plan() -> None:
@@ -191,6 +244,21 @@ def test_turns_headways_and_arrivals_are_learnt_from_tracks() -> None:
         )
     assert memory.arrivals_per_s[model.lane_index["n_0"]] > 4 * before
     assert memory.arrivals_per_s[model.lane_index["e_0"]] < before
+
+
+def test_who_stands_behind_the_stop_bar_waits_inside_until_he_has_left_the_junction() -> None:
+    inner = lane(":j_0", [(-3, 10, 0), (5, 0, 0)], "oute_0")
+    lanes = {one.id: one for one in [*SITE.road_map.lanes, inner]}
+    lanes["n_1"] = lanes["n_1"].model_copy(update={"successors": [inner.id]})
+    road_map = one_junction("crossing", list(lanes.values()), SIGNAL)
+    model = JunctionModel(replace(SITE, road_map=road_map), 7)
+    memory, waits = TrafficMemory(model, 500, 1900), []
+    places = [("n_1", 3.0, 5.0), (":j_0", -4.0, 0.0), (":j_0", -4.0, 3.0), ("oute_0", -20.0, 0.0)]
+    for second, place in enumerate(places):
+        memory.take(second, vehicles(place), NS)
+        waits.append(memory.waiting_inside(second))
+    assert [one.sum() for one in waits] == [0, 1, 0, 0]
+    assert waits[1][model.lane_index["n_1"]] == 1
 
 
 def test_an_exit_without_room_is_no_green() -> None:
