@@ -151,7 +151,7 @@ def test_two_runs_stand_side_by_side_with_the_difference(tmp_path: Path) -> None
         text = io.StringIO()
         print_comparison(tmp_path / a, tmp_path / b, Console(file=text, width=100))
         rows = [line.split("  ") for line in text.getvalue().splitlines()]
-        return {row[0].strip(): [cell.strip() for cell in row[1:] if cell] for row in rows}
+        return {row[0].strip(): [cell.strip() for cell in row[1:] if cell.strip()] for row in rows}
 
     same = compared("one", "other")
     assert same["frames"] == ["10", "10", "0"]
