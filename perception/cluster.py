@@ -395,7 +395,11 @@ def cluster_runs(labels: Ints32) -> Ints:
 
     Points of a cluster come in runs, as a sensor scans them; runs of noise are left out.
     """
-    runs = np.empty((labels.size, 3), np.int64)
+    most, before = 0, NOISE
+    for label in labels:
+        most += label not in (before, NOISE)
+        before = label
+    runs = np.empty((most, 3), np.int64)
     count = first = 0
     while first < labels.size:
         label, end = labels[first], first + 1
@@ -405,7 +409,7 @@ def cluster_runs(labels: Ints32) -> Ints:
             runs[count, 0], runs[count, 1], runs[count, 2] = label, first, end
             count += 1
         first = end
-    return runs[:count].copy()
+    return runs
 
 
 @njit(

@@ -48,9 +48,9 @@ def _parted(
     if len(labels) == 0 or labels.max() < 0:
         return labels
     too_large = _too_large(points, cluster_runs(labels), int(labels.max()) + 1, *most_m)
-    again = np.flatnonzero((labels != NOISE) & too_large[labels])
-    if len(again) == 0:
+    if not too_large.any():
         return labels
+    again = np.flatnonzero((labels != NOISE) & too_large[labels])
     parts = cluster(points[again], config=config)
     result = labels.copy()
     result[again] = np.where(parts >= 0, parts + len(too_large), NOISE)

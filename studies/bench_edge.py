@@ -128,9 +128,15 @@ def _measure(traffic: Path, detector: str, agents: int) -> list[EdgeRow]:
     post = rsu_pose(road_map, Terrain(road_map, SceneConfig(), SEED))
     times_ms: dict[str, list[float]] = {stage: [] for stage in STAGES}
     points, detections = [], []
-    for frame, truth in enumerate(recording.truths):
-        scans = [uploaded_scan(recording, agent, truth, post) for agent in chosen]
-        poses = agent_poses(chosen, truth, setup)
+    frames = [
+        (
+            [uploaded_scan(recording, agent, truth, post) for agent in chosen],
+            agent_poses(chosen, truth, setup),
+            truth,
+        )
+        for truth in recording.truths
+    ]
+    for frame, (scans, poses, truth) in enumerate(frames):
         spent, seen, found = _run(pipeline, pool, scans, poses, truth)
         if frame >= WARM_UP:
             points.append(seen)
