@@ -21,6 +21,7 @@ from perception.object_classes import (
     classes_of,
     usual_m,
 )
+from perception.parallel import each, threads
 from perception.roadway import Roadway
 
 FIT_POINTS = 160  # of a cluster at most: more do not change the direction
@@ -213,16 +214,32 @@ def _direction(local: Floats32, road_yaw: float) -> float:
     return best_yaw
 
 
-@njit(
-    "float64[:,:,::1](float32[:,::1], int32[::1], int64[::1], float64[:,::1], float64[::1], "
-    "float64[::1])",
-    cache=True,
-    nogil=True,
-)
 def _fit(
     points: Floats32, labels: Ints32, starts: Ints, middles: Floats, yaws: Floats, floor_m: Floats
 ) -> Floats:
     """Turns each cluster's yaw to the best one; returns extents (C, 2, 3) along the box's axes."""
+    local, extents = _about_middles(points, labels, starts, middles)
+
+    def fit(first: int) -> None:
+        _fit_some(local, starts, floor_m, yaws, extents, first, threads())
+
+    each(fit, range(threads()))
+    return np.asarray(extents)
+
+
+@njit(
+    "Tuple((float64[:,::1], float64[:,:,::1]))"
+    "(float32[:,::1], int32[::1], int64[::1], float64[:,::1])",
+    cache=True,
+    nogil=True,
+)
+def _about_middles(
+    points: Floats32, labels: Ints32, starts: Ints, middles: Floats
+) -> tuple[Floats, Floats]:
+    """Returns points (M, 2) about their clusters' middles, cluster by cluster, and extents.
+
+    Of those (C, 2, 3) the heights are written.
+    """
     local, extents = np.empty((starts[-1], 2)), np.empty((middles.shape[0], 2, 3))
     extents[:, 0, 2], extents[:, 1, 2] = np.inf, -np.inf
     following = starts.copy()
@@ -235,11 +252,29 @@ def _fit(
             local[place, 1] = points[index, 1] - middles[label, 1]
             extents[label, 0, 2] = min(extents[label, 0, 2], z)
             extents[label, 1, 2] = max(extents[label, 1, 2], z)
-    for index in range(middles.shape[0]):
+    return local, extents
+
+
+@njit(
+    "void(float64[:,::1], int64[::1], float64[::1], float64[::1], float64[:,:,::1], int64, int64)",
+    cache=True,
+    nogil=True,
+)
+def _fit_some(
+    local: Floats,
+    starts: Ints,
+    floor_m: Floats,
+    yaws: Floats,
+    extents: Floats,
+    begin: int,
+    step: int,
+) -> None:
+    """Turns the yaw of every so many-th cluster, and writes its extents along and across."""
+    for index in range(begin, extents.shape[0], step):
         first, end = starts[index], starts[index + 1]
         if end - first >= FEW_POINTS:
-            step = max((end - first) // FIT_POINTS, 1)
-            sample = local[first:end:step].T.astype(np.float32)
+            stride = max((end - first) // FIT_POINTS, 1)
+            sample = local[first:end:stride].T.astype(np.float32)
             yaws[index] = _direction(np.ascontiguousarray(sample), yaws[index])
         _measure(local[first:end], yaws[index], extents[index])
         sizes = extents[index, 1] - extents[index, 0]
@@ -247,7 +282,6 @@ def _fit(
         if sizes[1] > (WIDEST_VEHICLE_M if is_tall else WIDE_M) and sizes[1] > sizes[0]:
             yaws[index] += np.pi / 2
             _measure(local[first:end], yaws[index], extents[index])
-    return extents
 
 
 def overlaps(a: Floats, b: Floats) -> tuple[Floats, Floats]:
