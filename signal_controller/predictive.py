@@ -85,9 +85,7 @@ class PredictivePlanner:
         model, memory = self.model, self.memory
         unseen = uncovered_lanes(model.lanes, coverage) if coverage else model.lanes
         memory.take(time_s, vehicles, shown.state, unseen)
-        self.queues.take(
-            time_s, vehicles, memory.open_shares(shown.state), memory.arrivals_per_s, coverage
-        )
+        self.queues.take(time_s, vehicles, memory.open_shares(shown.state), coverage)
         phase = model.phase_of(shown.green)
         if shown.stage != "green":
             self._green_since_s = "", 0.0
@@ -146,8 +144,12 @@ class PredictivePlanner:
         model, memory = self.model, self.memory
         steps = round(self._settings.horizon_s / STEP_S)
         result = np.zeros((len(model.lanes), steps))
-        upstream = model.approaches.upstream
-        chosen = [i for i, lane in enumerate(vehicles.lanes) if lane in upstream]
+        upstream, parked = model.approaches.upstream, memory.parked
+        chosen = [
+            index
+            for index, (lane, name) in enumerate(zip(vehicles.lanes, vehicles.ids, strict=True))
+            if lane in upstream and name not in parked
+        ]
         if chosen:
             lanes = [vehicles.lanes[i] for i in chosen]
             distances_m = vehicles.distances_m[chosen]

@@ -31,8 +31,11 @@ _HEADWAY_S, _LOST_S = (1.0, 4.0), (0.0, 6.0)  # samples outside are no discharge
 _LEARNING = 0.05  # weight of a new sample
 _HEAD_M = 10.0  # a vehicle so near the stop bar is the first
 _REACTION_S = 3.0  # after which a first vehicle that may go has gone
+_START_MPS = 4.0  # how fast the begin of green travels back along a queue
 _PATIENCE_S = {PROTECTED: 1.5, PERMITTED: 15.0}  # how fast doubt grows that it wants to
-_STUCK_PRIOR = 0.02  # that it wants nothing: a ghost, a breakdown
+_STUCK_PRIOR = 0.02  # that it wants nothing: a ghost, a parked car, a breakdown
+_PARKED = 0.5  # it is taken for parked from such a probability on
+_FORGIVEN_S = 120.0  # in which doubt fades
 _GREENS = (PROTECTED, PERMITTED)
 _ROOM_M = 8.0  # that an exit needs for one more vehicle
 _ACCELERATION_MPS2 = 2.0
@@ -42,7 +45,12 @@ _TURN_OFF_S = 1.5  # one that vanishes so near the end of its lane has turned of
 
 @dataclass(slots=True)
 class _Track:
-    """A vehicle as last seen; `passed` is the lane whose stop bar it has crossed."""
+    """A vehicle as last seen; `passed` is the lane whose stop bar it has crossed.
+
+    `wish` is the probability of what it wants, movements of its stop bar and then nothing, since it
+    was the first at `first_s`. It is on its lane since `since_s`, from `from_m` on, and has stood
+    since `stands_since_s`.
+    """
 
     lane: str
     incoming: int
@@ -52,15 +60,32 @@ class _Track:
     visited: set[str] = field(default_factory=set)
     has_stopped: bool = False
     passed: int = -1
+    wish: Floats | None = None
+    first_s: float = math.nan
+    since_s: float = math.nan
+    from_m: float = math.nan
+    stands_since_s: float = math.inf
 
+    @property
+    def is_parked(self) -> bool:
+        """Whether it stands where others drive by: no queue that a green would discharge."""
+        return self.wish is not None and self.wish[-1] > _PARKED and self.distance_m >= _HEAD_M
 
-@dataclass(slots=True)
-class _Head:
-    """The first vehicle of a lane, and what it wants: movements of the lane, then nothing."""
+    def move(self, lane: str, distance_m: float, time_s: float, speed_mps: float) -> None:
+        """Takes where it is seen now."""
+        stands = speed_mps < STOPPED_MPS
+        if lane != self.lane or (self.is_parked and not stands):
+            self.wish = None
+        if lane != self.lane or math.isnan(self.since_s):
+            self.since_s, self.from_m = time_s, distance_m
+        self.stands_since_s = min(self.stands_since_s, time_s) if stands else math.inf
+        self.lane, self.distance_m, self.time_s = lane, distance_m, time_s
+        self.speed_mps = speed_mps
 
-    id: str = ""
-    since_s: float = 0.0
-    belief: Floats = field(default_factory=lambda: np.zeros(0))
+    def has_overtaken(self, other: _Track) -> bool:
+        """Whether it came from behind another that stood on its lane all the time."""
+        is_behind = self.from_m > other.distance_m + _ROOM_M
+        return other.lane == self.lane and is_behind and other.stands_since_s <= self.since_s
 
 
 class TrafficMemory:
@@ -87,10 +112,11 @@ class TrafficMemory:
         self._turns = np.full(movements, _TURN_PRIOR)
         self._choice: dict[str, Floats] = {}
         self._passed = np.zeros(lanes)
-        self._watched_s = 0.0
+        self._watched_s = np.zeros(lanes)
+        self._is_seen = np.zeros(lanes, np.bool_)
         self._inflow_per_s = inflow_vph / 3600
         self._last_passage_s = np.full(lanes, -math.inf)
-        self._heads = [_Head() for _ in range(lanes)]
+        self._heads: list[Floats | None] = [None] * lanes  # what the first vehicles want
         self._tracks: dict[str, _Track] = {}
         self._exits = _exit_starts(model)
         self._ends_m = _lane_ends(model)
@@ -113,19 +139,23 @@ class TrafficMemory:
 
     @property
     def arrivals_per_s(self) -> Floats:
-        """Vehicles that come on each lane (L,), of the last ten minutes."""
-        known_s = _RATE_WINDOW_S * (1 - math.exp(-self._watched_s / _RATE_WINDOW_S))
+        """Vehicles that come on each lane (L,), of the last ten minutes in which it was seen."""
         prior = self._inflow_per_s * _RATE_PRIOR_S
-        return (self._passed + prior) / (known_s + _RATE_PRIOR_S)
+        return np.asarray((self._passed + prior) / (self._watched_s + _RATE_PRIOR_S))
 
     def head_may_go(self, status: Ints) -> Floats:
         """Returns the probability (P, L) that a lane's first vehicle goes, by status (P, M)."""
         shares, result = self.shares, np.zeros((len(status), len(self._model.lanes)))
         for lane, own in enumerate(self._of_lane):
-            belief = self._heads[lane].belief
-            wanted = belief[:-1] if len(belief) else shares[own]
+            wish = self._heads[lane]
+            wanted = shares[own] if wish is None else wish[:-1]
             result[:, lane] = ((status[:, own] != RED) & self.has_room[own]) @ wanted
         return result
+
+    @property
+    def parked(self) -> set[str]:
+        """Those that stand, and did not go when they might have: cars beside the lane, ghosts."""
+        return {name for name, track in self._tracks.items() if track.is_parked}
 
     def waiting_inside(self, time_s: float) -> Floats:
         """Returns 1 for each lane (L,) whose last vehicle stands behind the stop bar, else 0."""
@@ -177,13 +207,16 @@ class TrafficMemory:
         """
         passed_s = 0.0 if self._time_s is None else max(0.0, min(10.0, time_s - self._time_s))
         self._time_s = time_s
-        self._watched_s += passed_s
-        self._passed *= math.exp(-passed_s / _RATE_WINDOW_S)
+        fading = math.exp(-passed_s / _RATE_WINDOW_S)
+        self._is_seen = np.array([lane not in unseen for lane in self._model.lanes])
+        self._watched_s = fading * self._watched_s + self._is_seen * _RATE_WINDOW_S * (1 - fading)
+        self._passed *= fading
         self.served_s[np.isnan(self.served_s)] = time_s
         shown = self._note_signal(time_s, state)
         self._note_room(vehicles)
         self._follow(time_s, vehicles)
-        self._watch_heads(time_s, passed_s, vehicles, shown)
+        self._forgive(passed_s)
+        self._watch_heads(time_s, passed_s, shown)
         self._note_service(time_s, shown, unseen)
 
     def open_shares(self, state: str) -> Floats:
@@ -255,8 +288,7 @@ class TrafficMemory:
                 self._note_passage(track, time_s - max(0.0, late_s))
             if track.passed >= 0:
                 self._note_exit(track, lane)
-            track.lane, track.distance_m, track.time_s = lane, distance_m, time_s
-            track.speed_mps = speed_mps
+            track.move(lane, distance_m, time_s, speed_mps)
         for name in [n for n, t in self._tracks.items() if time_s - t.time_s > _LOST_AFTER_S]:
             track = self._tracks.pop(name)
             if track.incoming >= 0 and track.distance_m < _HEAD_M:
@@ -284,7 +316,7 @@ class TrafficMemory:
 
     def _note_passage(self, track: _Track, time_s: float) -> None:
         lane, track.passed, track.incoming = track.incoming, track.incoming, -1
-        self._passed[lane] += 1
+        self._passed[lane] += self._is_seen[lane]
         self._note_choice(track, lane)
         since_s = float(np.min(self.green_since_s[self._of_lane[lane]]))
         if track.has_stopped and math.isfinite(since_s):
@@ -294,6 +326,10 @@ class TrafficMemory:
             if bounds[0] <= sample_s <= bounds[1]:
                 values[lane] += _LEARNING * (sample_s - values[lane])
         self._last_passage_s[lane] = time_s
+        own = self._of_lane[lane]
+        for other in self._tracks.values():
+            if track.has_overtaken(other):
+                other.wish = np.append(np.zeros(len(own)), 1.0)
 
     def _note_exit(self, track: _Track, lane: str) -> None:
         edge = edge_of(self._model.site.road_map, lane)
@@ -306,42 +342,53 @@ class TrafficMemory:
                 track.passed = -1
                 return
 
-    def _watch_heads(
-        self, time_s: float, passed_s: float, vehicles: LaneVehicles, shown: Ints
-    ) -> None:
+    def _watch_heads(self, time_s: float, passed_s: float, shown: Ints) -> None:
         """Doubts that a vehicle which does not go wants what it may do."""
-        firsts: dict[int, tuple[float, str, float]] = {}
-        rows = zip(
-            vehicles.lanes,
-            vehicles.distances_m.tolist(),
-            vehicles.ids,
-            vehicles.speeds_mps.tolist(),
-            strict=True,
-        )
-        for lane, distance_m, name, speed_mps in rows:
-            index = self._model.lane_index.get(lane)
-            if index is not None and distance_m < firsts.get(index, (_HEAD_M, "", 0.0))[0]:
-                firsts[index] = distance_m, name, speed_mps
         shares = self.shares
-        for index, head in enumerate(self._heads):
-            first = firsts.get(index)
-            if first is None:
-                head.id, head.belief = "", np.zeros(0)
+        for lane, track in enumerate(self._firsts(time_s)):
+            self._heads[lane] = None
+            if track is None:
                 continue
-            _, name, speed_mps = first
-            own = self._of_lane[index]
-            if not len(head.belief) or name != head.id:
-                head.id, head.since_s = name, time_s
-                head.belief = np.append(shares[own] * (1 - _STUCK_PRIOR), _STUCK_PRIOR)
-            if speed_mps >= STOPPED_MPS:
+            own = self._of_lane[lane]
+            usual = np.append(shares[own] * (1 - _STUCK_PRIOR), _STUCK_PRIOR)
+            if track.wish is None:
+                track.wish, track.first_s = usual, time_s
+            if track.speed_mps < STOPPED_MPS:
+                self._doubt(track, own, shown, passed_s)
+            if track.distance_m < _HEAD_M:
+                self._heads[lane] = track.wish
+
+    def _firsts(self, time_s: float) -> list[_Track | None]:
+        """Returns the first vehicle before each stop bar (L,) that is not parked."""
+        firsts: list[_Track | None] = [None] * len(self._heads)
+        upstream, index_of = self._model.approaches.upstream, self._model.lane_index
+        for track in self._tracks.values():
+            side = upstream.get(track.lane)
+            if side is None or track.time_s != time_s or track.is_parked:
                 continue
-            for place, movement in enumerate(own):
-                since_s = max(self.green_since_s[movement], head.since_s)
-                may_go = shown[movement] != RED and self.has_room[movement]
-                if may_go and time_s - since_s > _REACTION_S:
-                    patience_s = _PATIENCE_S[int(shown[movement])]
-                    head.belief[place] *= math.exp(-passed_s / patience_s)
-            head.belief /= head.belief.sum()
+            lane = index_of[side.counts_for]
+            first = firsts[lane]
+            if first is None or track.distance_m < first.distance_m:
+                firsts[lane] = track
+        return firsts
+
+    def _doubt(self, track: _Track, own: Ints, shown: Ints, passed_s: float) -> None:
+        """Takes that a vehicle stood while it might have gone, if it might."""
+        assert track.wish is not None
+        starts_s = _REACTION_S + max(0.0, track.distance_m) / _START_MPS
+        for place, movement in enumerate(own):
+            since_s = max(self.green_since_s[movement], track.first_s)
+            may_go = shown[movement] != RED and self.has_room[movement]
+            if may_go and track.time_s - since_s > starts_s:
+                track.wish[place] *= math.exp(-passed_s / _PATIENCE_S[int(shown[movement])])
+        track.wish /= track.wish.sum()
+
+    def _forgive(self, passed_s: float) -> None:
+        """Lets doubt fade that a vehicle is parked: it may have waited for something unseen."""
+        for track in self._tracks.values():
+            if track.wish is not None and track.wish[-1] > _STUCK_PRIOR:
+                track.wish[-1] += passed_s / _FORGIVEN_S * (_STUCK_PRIOR - track.wish[-1])
+                track.wish /= track.wish.sum()
 
     def _note_service(self, time_s: float, shown: Ints, unseen: Collection[str]) -> None:
         """Notes which movements had their chance: nobody waits, or a green long enough."""
@@ -351,7 +398,7 @@ class TrafficMemory:
             is_green = shown[index] != RED and time_s - self.green_since_s[index] >= min_green_s
             is_right = shown[index] == PROTECTED or not self._has_protected[index]
             has_moved = time_s - self._last_passage_s[lane] < min_green_s
-            is_empty = not len(self._heads[lane].belief) and self._model.lanes[lane] not in unseen
+            is_empty = self._heads[lane] is None and self._model.lanes[lane] not in unseen
             if is_empty or (is_green and (is_right or has_moved)):
                 self.served_s[index] = time_s
 

@@ -34,7 +34,8 @@ _PLACE_M, _PLACE_SHARE = 3.0, 0.08  # how far off its place in the queue one sta
 _MISTAKE = 1e-3  # likelihood of what cannot be: places are not exact, lanes are changed
 _LOST_AFTER_S = 2.0
 _HEAD_M = 10.0  # who vanishes so near the stop bar has passed it
-_FULL = 0.9  # of the seen part of a lane: a queue so long may go on beyond
+_WHOLE = 0.9  # of a lane: what is seen of it is all
+_HIDDEN_M = 20.0  # before the end of what is seen, vehicles are often hidden by those before them
 _INSIDE = 0.9  # of the probability, in the interval
 
 
@@ -79,7 +80,6 @@ class QueueFilter:
         self._seen: dict[str, _Seen] = {}
         self._green_s = np.zeros(lanes)
         self._time_s: float | None = None
-        self._was_seen = np.zeros(lanes, np.bool_)
         self.shares = np.ones(lanes)
         self._unseen_s = 0.0
 
@@ -128,7 +128,6 @@ class QueueFilter:
         time_s: float,
         vehicles: LaneVehicles,
         open_shares: Floats,
-        counted_per_s: Floats,
         coverage: Mapping[str, float],
     ) -> None:
         """Takes a frame.
@@ -137,7 +136,6 @@ class QueueFilter:
             time_s: of the frame.
             vehicles: all that are known, with ids.
             open_shares: (L, 2) of a lane's vehicles that may go, with right of way and yielding.
-            counted_per_s: (L,) rate of arrival as counted where lanes are seen.
             coverage: share by lane that sensors cover; without any, vehicles report themselves.
         """
         passed_s = 0.0 if self._time_s is None else max(0.0, min(10.0, time_s - self._time_s))
@@ -149,7 +147,6 @@ class QueueFilter:
         self._unseen_s = self._unseen_s + passed_s if is_blind else 0.0
         for part_s in _parts(passed_s):
             self._predict(part_s, open_shares)
-        self._note_rates(counted_per_s)
         self._follow(time_s, vehicles, is_red=open_shares.sum(axis=1) <= 0)
         self._note_seen()
         self._joint /= self._joint.sum(axis=(1, 2), keepdims=True)
@@ -171,20 +168,12 @@ class QueueFilter:
         moved = joint * come
         joint -= moved
         joint[:, :, 1:] += moved[:, :, :-1]
-        # Nobody reported himself meanwhile, else he is counted in `_follow`; and rates change.
-        quiet = np.exp(-self._rates_per_s * self.reporting * passed_s)
-        joint *= np.where(self.is_seen[:, None], 1.0, quiet[None])[:, :, None]
+        # Nobody came of whom one would know, else he is counted in `_follow`; and rates change.
+        known = np.where(self.is_seen, 1.0, self.reporting)
+        joint *= np.exp(-known[:, None] * self._rates_per_s * passed_s)[:, :, None]
         change = passed_s / _RATE_MEMORY_S
         joint += change * (joint.mean(axis=1, keepdims=True) - joint)
         self._joint = joint / joint.sum(axis=(1, 2), keepdims=True)
-
-    def _note_rates(self, counted_per_s: Floats) -> None:
-        """Takes over the counted rate where a lane is seen no longer."""
-        for lane in np.flatnonzero(self._was_seen & ~self.is_seen):
-            numbers = self._joint[lane].sum(axis=0)
-            weights = _rate_weights(self._rates_per_s, float(counted_per_s[lane]))
-            self._joint[lane] = weights[:, None] * numbers
-        self._was_seen = self.is_seen
 
     def _follow(self, time_s: float, vehicles: LaneVehicles, *, is_red: Bools) -> None:
         """Follows each vehicle from where it is first known until it passes the stop bar."""
@@ -209,7 +198,11 @@ class QueueFilter:
         gone += [n for n, one in self._seen.items() if time_s - one.time_s > _LOST_AFTER_S]
         for name in gone:
             one = self._seen.pop(name, None)
-            if one is not None and one.distance_m < _HEAD_M and not self.is_seen[one.lane]:
+            if one is None or one.distance_m >= _HEAD_M:
+                continue
+            if self.is_seen[one.lane]:
+                self._weigh(one.lane, self._rates_per_s[:, None])
+            else:
                 self._pass(one, time_s)
 
     def _note_speed(self, one: _Seen, speed_mps: float, *, is_red: bool) -> None:
@@ -275,7 +268,8 @@ class QueueFilter:
         for lane in np.flatnonzero(self.is_seen):
             share = self.shares[lane]
             number = min(int(queued[lane]), len(self._numbers) - 1)
-            is_whole = share > _FULL or tails_m[lane] < _FULL * share * self._reach_m[lane]
+            seen_m = share * self._reach_m[lane]
+            is_whole = share > _WHOLE or tails_m[lane] < seen_m - _HIDDEN_M
             allowed = self._numbers == number if is_whole else self._numbers >= number
             weights = self._joint[lane].sum(axis=1, keepdims=True)
             joint = self._joint[lane] * allowed

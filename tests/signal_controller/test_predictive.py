@@ -246,6 +246,23 @@ def test_turns_headways_and_arrivals_are_learnt_from_tracks() -> None:
     assert memory.arrivals_per_s[model.lane_index["e_0"]] < before
 
 
+def test_arrivals_are_counted_over_the_time_that_a_lane_is_seen() -> None:
+    model = JunctionModel(SITE, 7)
+    memory, index = TrafficMemory(model, 100, 1800), model.lane_index["n_0"]
+    before = memory.arrivals_per_s[index]
+    for second in range(0, 1200, 3):
+        is_seen = second % 600 < 60
+        found = vehicles(("n_0", 6.0, 8.0), ("outs_0", -20.0, 8.0)) if is_seen else vehicles()
+        ids = [f"v{second}", f"v{second - 3}"] if is_seen else []
+        memory.take(
+            second,
+            LaneVehicles(found.lanes, found.distances_m, found.speeds_mps, found.lengths_m, ids),
+            NS,
+            () if is_seen else LANES,
+        )
+    assert memory.arrivals_per_s[index] > 3 * before
+
+
 def test_who_stands_behind_the_stop_bar_waits_inside_until_he_has_left_the_junction() -> None:
     inner = lane(":j_0", [(-3, 10, 0), (5, 0, 0)], "oute_0")
     lanes = {one.id: one for one in [*SITE.road_map.lanes, inner]}

@@ -14,12 +14,11 @@ MODEL = JunctionModel(SITE, 7)
 LANE = MODEL.lane_index["n_0"]
 RED = np.zeros((len(LANES), 2))
 GREEN = np.array([[1.0, 0.0]] * len(LANES))
-COUNTED = np.full(len(LANES), 0.1)
 NOBODY: dict[str, float] = {}  # is covered
 
 
 def take(known: QueueFilter, second: float, *rows, shares=RED, coverage=NOBODY) -> None:
-    known.take(second, vehicles(*rows), shares, COUNTED, coverage)
+    known.take(second, vehicles(*rows), shares, coverage)
 
 
 def test_at_red_an_unseen_queue_grows_by_the_expected_inflow_and_its_interval_widens() -> None:
@@ -93,3 +92,15 @@ def test_whatever_is_reported_probabilities_stay_probabilities(frames, share: fl
             queue = known.queue(lane)
             assert 0 <= queue.low <= queue.high <= 60
             assert 0 <= queue.mean <= 60
+
+
+def test_of_a_lane_seen_half_of_the_time_the_same_rate_is_learnt() -> None:
+    always, at_times = (QueueFilter(MODEL, 500, 1900) for _ in range(2))
+    for second in range(600):
+        rows = [] if second % 12 > 2 else [("n_0", 4.0 - second % 12, 8.0)]
+        take(always, second, *rows, shares=GREEN, coverage=dict.fromkeys(LANES, 1.0))
+        share = 1.0 if second % 120 < 60 else 0.0
+        shown = rows if share else []
+        take(at_times, second, *shown, shares=GREEN, coverage=dict.fromkeys(LANES, share))
+    assert abs(always.arrivals_per_s[LANE] - 1 / 12) < 0.03
+    assert abs(at_times.arrivals_per_s[LANE] - 1 / 12) < 0.03
