@@ -31,13 +31,13 @@ from protocol.errors import ConfigError
 from protocol.roadmap import Signal
 from sim_host.config import TrafficConfig
 from sim_host.demand import MIX, Movement, movement_name, vehicle_type_lines
-from sim_host.netfile import Net, NetConnection, Point
+from sim_host.netfile import TURNAROUND_DEG, Net, NetConnection, Point
 
 SATURATION_FLOW_VPH = 1800.0
 SATURATION = 0.8
 _TURN_WEIGHT, _TURN_S = 0.3, 5.0
 _TIME_ERROR, _SEED = 0.2, 0  # of the travel times that drivers perceive
-_TURN_DEG, _TURNAROUND_DEG = 45.0, 170.0
+_TURN_DEG = 45.0
 _SAME_PLACE_M = 50.0  # who ends this near to where he came in has turned round
 _MAX_FAR_EDGES = 40  # entries and exits of a net without a border
 _MAX_FLOWS = 10_000
@@ -211,8 +211,8 @@ class _Roads:
         for connection in net.connections:
             pair = self._pair(connection)
             if pair and pair not in self._turn_deg:
-                turn_deg = _turn_deg(net, connection)
-                if turn_deg < _TURNAROUND_DEG:
+                turn_deg = net.turn_deg(connection)
+                if turn_deg < TURNAROUND_DEG:
                     self._turn_deg[pair] = turn_deg
                     self._next[pair[0]].append(pair[1])
 
@@ -278,15 +278,3 @@ class _Roads:
 
     def _shape(self, edge: str) -> list[Point]:
         return self._net.lanes[self._net.edges[edge][0]].shape
-
-
-def _turn_deg(net: Net, connection: NetConnection) -> float:
-    """Returns by how much the heading changes over a connection, 0 to 180."""
-    before = net.lanes[connection.from_lane].shape[-2:]
-    after = net.lanes[connection.to_lane].shape[:2]
-    return abs(math.degrees(math.remainder(_heading(after) - _heading(before), math.tau)))
-
-
-def _heading(points: Sequence[Point]) -> float:
-    (ax, ay, _), (bx, by, _) = points[0], points[-1]
-    return math.atan2(by - ay, bx - ax)

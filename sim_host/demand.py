@@ -16,7 +16,7 @@ from protocol.messages import ObjectClass, VehicleType
 from protocol.roadmap import Signal
 from sim_host.config import TrafficConfig, VehicleSpec
 from sim_host.limits import MAX_NAME_CHARS
-from sim_host.netfile import UNREADABLE, Net, open_file
+from sim_host.netfile import TURNAROUND_DEG, UNREADABLE, Net, open_file
 from sim_host.vehicle_meshes import BOX
 
 # SUMO's default length, width and height in m by vClass (page "Vehicle Type Parameter Defaults").
@@ -243,17 +243,32 @@ def movements(net: Net, signal: Signal, config: TrafficConfig) -> list[Movement]
 
 
 def _targets(net: Net, signal: Signal) -> dict[str, list[str]]:
-    """Maps each lane before the signal that cars may use to the edges it leads to."""
-    result: dict[str, list[str]] = {}
+    """Maps each lane before the signal that cars may use to the edges it leads to.
+
+    Nobody turns around but from a lane that leads nowhere else.
+    """
+    back = {
+        (one.from_lane, one.to_lane)
+        for one in net.connections
+        if one.tls == signal.tls
+        and {one.from_lane, one.to_lane} <= net.lanes.keys()
+        and net.turn_deg(one) >= TURNAROUND_DEG
+    }
+    ways: dict[str, list[tuple[str, bool]]] = {}
     for link in signal.links:
-        if net.lanes[link.from_lane].passenger and net.lanes[link.to_lane].passenger:
-            exits = result.setdefault(link.from_lane, [])
-            to_edge = net.lanes[link.to_lane].edge
-            if to_edge not in exits:
-                exits.append(to_edge)
-    if not result:
+        lanes = net.lanes[link.from_lane], net.lanes[link.to_lane]
+        if all(lane.passenger for lane in lanes):
+            way = lanes[1].edge, (link.from_lane, link.to_lane) in back
+            ways.setdefault(link.from_lane, []).append(way)
+    if not ways:
         raise ConfigError(f"signal {signal.tls} in {net.path} controls no lane for passenger cars")
-    return result
+    return {lane: _onward(exits) for lane, exits in ways.items()}
+
+
+def _onward(exits: list[tuple[str, bool]]) -> list[str]:
+    """Returns each edge once, without those that lead back if there are others."""
+    onward = [edge for edge, is_back in exits if not is_back]
+    return list(dict.fromkeys(onward or [edge for edge, _ in exits]))
 
 
 def vehicle_type_lines(specs: list[VehicleSpec]) -> list[str]:

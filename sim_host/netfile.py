@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 import math
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from io import BufferedReader
 from pathlib import Path
@@ -29,6 +29,7 @@ def open_file(path: Path) -> _Stream:
 Point = tuple[float, float, float]
 _NOT_IN_IDS = frozenset(" \t\n\r|\\'\";,<>&*?")  # for SUMO they end or divide names
 _WALKS = {"crossing", "walkingarea"}
+TURNAROUND_DEG = 170.0  # who turns so far goes back where he came from
 _ROAD_CLASSES = {"passenger", "private", "taxi", "bus", "coach", "delivery", "truck", "trailer"}
 
 
@@ -80,6 +81,17 @@ class Net:
     connections: list[NetConnection] = field(default_factory=list)
     junctions: dict[str, NetJunction] = field(default_factory=dict)
     programs: dict[str, tuple[float, list[PlanPhase]]] = field(default_factory=dict)
+
+    def turn_deg(self, connection: NetConnection) -> float:
+        """Returns by how much the heading changes over a connection, 0 to 180."""
+        before = self.lanes[connection.from_lane].shape[-2:]
+        after = self.lanes[connection.to_lane].shape[:2]
+        return abs(math.degrees(math.remainder(_heading(after) - _heading(before), math.tau)))
+
+
+def _heading(points: Sequence[Point]) -> float:
+    (ax, ay, _), (bx, by, _) = points[0], points[-1]
+    return math.atan2(by - ay, bx - ax)
 
 
 def read_net(path: Path) -> Net:

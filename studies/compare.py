@@ -21,6 +21,7 @@ from studies.control_baselines import TUNINGS, Tuning
 from studies.control_file import ControlStudy
 from studies.control_study import CaseStore, Report, Row, run_control_study
 from studies.perceived_case import PerceivedCase, run_perceived
+from studies.post_places import HEIGHT_M, post_place
 from studies.sweep.cells import Resolve
 
 ALL_KNOWN = "every vehicle"
@@ -134,7 +135,7 @@ def perceived_cases(
         "junctions": sorted(comparison.road_map.by_tls),
         "traffic.sumocfg": str(comparison.config),
         "traffic.cav_rate": 0 if sight == POSTS else asked.cav_rate,
-        "roadside_mounts": [{"id": f"{_POST}-{n}", "tls": tls} for n, tls in enumerate(mounts)],
+        "roadside_mounts": _mounts(comparison, mounts),
         "signal.policy": policy,
     }
     if fence is not None:
@@ -145,6 +146,14 @@ def perceived_cases(
         scenario = resolve({**asked.common_settings, **settings, "seed": seed})
         draws = policy == PREDICTIVE and seed == asked.seeds[0]
         yield PerceivedCase(title, scenario, draws)
+
+
+def _mounts(comparison: Comparison, signals: Sequence[str]) -> list[dict[str, Any]]:
+    places = [post_place(comparison.road_map, tls) for tls in signals]
+    return [
+        {"id": f"{_POST}-{n}", "tls": tls, "x_m": x_m, "y_m": y_m, "height_m": HEIGHT_M}
+        for n, (tls, (x_m, y_m)) in enumerate(zip(signals, places, strict=True))
+    ]
 
 
 def weights(comparison: Comparison) -> dict[str, tuple[int, float]]:

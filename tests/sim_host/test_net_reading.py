@@ -147,6 +147,26 @@ def test_demand_goes_over_the_signal_and_on_as_far_as_asked(tmp_path: Path) -> N
     ]
 
 
+def test_nobody_turns_around_where_another_way_is_open(tmp_path: Path) -> None:
+    around = [
+        *(one.replace('state="yy"', 'state="yyy"').replace("{green}", "rGG") for one in CROSS),
+        lane("back", "-10,3 -120,3"),
+        lane(":J_3", "-10,0 -10,3"),
+        connect("w", "back", ":J_3_0", 2),
+        connect(":J_3", "back"),
+    ]
+    net = read_net(write(tmp_path, net=around))
+    signal = road_map(net, ["T"]).intersections[0].signal
+    flows = movements(net, signal, TrafficConfig())
+    assert [(f.from_edge, f.to_edge) for f in flows] == [("s", "n"), ("w", "e")]
+    only = [one for one in around if 'to="e"' not in one]
+    net = read_net(write(tmp_path, net=[one.replace('"2"/>', '"1"/>') for one in only]))
+    signal = road_map(net, ["T"]).intersections[0].signal
+    assert ("w", "back") in [
+        (f.from_edge, f.to_edge) for f in movements(net, signal, TrafficConfig())
+    ]
+
+
 def test_demand_for_an_edge_elsewhere_is_refused_with_those_allowed(tmp_path: Path) -> None:
     net = read_net(write(tmp_path))
     config = TrafficConfig(demand_vph_per_lane={"nowhere": 100})
