@@ -12,13 +12,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 
 from protocol.approaches import Approaches
 from protocol.config import is_folder
 from protocol.errors import ConfigError
 from protocol.messages import ObjectClass
-from protocol.roadmap import RoadMap
+from protocol.roadmap import Lane, RoadMap
 from recording.run import Run
 
 SCHEMA: dict[str, type[pl.DataType]] = {
@@ -49,6 +50,7 @@ QUEUE_GAP_M = (
 )
 STARTUP = 4  # vehicles of a queue whose headways are longer, as they start (HCM)
 ARRIVAL_M = 100.0  # before the stop bar, where arrivals are counted
+THROUGH_DEG, U_TURN_DEG = 35.0, 135.0  # a turn by less, by more
 GREEN = "Gg"
 PATH = "--trajectories"
 _ROWS = """
@@ -100,6 +102,7 @@ class Layout:
 
     `approach` is the lane at the stop bar that a lane leads to, or is; `behind` are those lanes
     that come after it. `links` are a signal and its link numbers by lane at its stop bar.
+    `headings_deg` are the directions at a lane's begin and end, counter-clockwise from east.
     """
 
     edge: Mapping[str, str]
@@ -107,6 +110,7 @@ class Layout:
     approach: Mapping[str, str]
     behind: frozenset[str]
     links: Mapping[str, tuple[str, tuple[int, ...]]]
+    headings_deg: Mapping[str, tuple[float, float]]
 
     @classmethod
     def of(cls, road_map: RoadMap) -> Layout:
@@ -128,7 +132,25 @@ class Layout:
             approach,
             frozenset(behind - set(approach)),
             links,
+            {lane.id: _headings_deg(lane) for lane in road_map.lanes},
         )
+
+    def turn(self, lane: str, to: str) -> str:
+        """Returns what a turn from the end of a lane to the begin of another is called."""
+        turn_deg = self.headings_deg[to][0] - self.headings_deg[lane][1]
+        turn_deg = math.remainder(turn_deg, 360.0)
+        if abs(turn_deg) > U_TURN_DEG:
+            return "U-turn"
+        if abs(turn_deg) < THROUGH_DEG:
+            return "through"
+        return "left" if turn_deg > 0 else "right"
+
+
+def _headings_deg(lane: Lane) -> tuple[float, float]:
+    """Returns the directions of a lane's first and last part."""
+    steps = np.diff(lane.points[:, :2], axis=0)
+    begin, end = np.degrees(np.arctan2(steps[[0, -1], 1], steps[[0, -1], 0])).tolist()
+    return begin, end
 
 
 def greens_of_run(run: Run, layout: Layout) -> pl.DataFrame:
@@ -229,11 +251,11 @@ def _queue(before: pl.DataFrame) -> pl.DataFrame:
 
 
 def crossings(trajectories: pl.DataFrame, layout: Layout) -> pl.DataFrame:
-    """Returns when tracks' centres crossed stop bars: `track`, `lane`, `time_s`, `to`, `turn_rad`.
+    """Returns when tracks' centres crossed stop bars: `track`, `lane`, `time_s`, `to`.
 
     `lane` is the lane at the stop bar, `to` the first lane outside the junction on which a track
-    was seen behind it, null if there is none; `turn_rad` how far it turned on its way there,
-    counter-clockwise. A track that jumps over the bar without a frame on either side is not there.
+    was seen behind it, null if there is none. A track that jumps over the bar without a frame on
+    either side is not there.
     """
     known = _vehicles(trajectories).with_columns(
         pl.col("lane").replace_strict(dict(layout.approach), default=None).alias("approach"),
@@ -251,33 +273,25 @@ def crossings(trajectories: pl.DataFrame, layout: Layout) -> pl.DataFrame:
         "track",
         pl.col("sim_time_s").alias("out_s"),
         pl.col("lane").alias("to"),
-        pl.col("yaw_rad").alias("out_rad"),
     )
-    turn = (pl.col("out_rad") - pl.col("yaw_rad") + math.pi) % (2 * math.pi) - math.pi
     return (
-        crossed.select("track", "time_s", pl.col("approach").alias("lane"), "yaw_rad")
+        crossed.select("track", "time_s", pl.col("approach").alias("lane"))
         .sort("time_s")
         .join_asof(
             out.sort("out_s"), left_on="time_s", right_on="out_s", by="track", strategy="forward",
             check_sortedness=False,
         )
-        .select("track", "lane", "time_s", "to", turn.alias("turn_rad"))
+        .select("track", "lane", "time_s", "to")
     )  # fmt: skip
 
 
-def movements(crossings: pl.DataFrame, edge: Mapping[str, str]) -> pl.DataFrame:
+def movements(crossings: pl.DataFrame, layout: Layout) -> pl.DataFrame:
     """Returns how many `vehicles` went `from` which edge `to` which, and by which `turn`."""
-    degrees = pl.col("turn_rad").degrees()
-    turn = (
-        pl.when(degrees.abs() > 135).then(pl.lit("U-turn"))
-        .when(degrees > 35).then(pl.lit("left"))
-        .when(degrees < -35).then(pl.lit("right"))
-        .otherwise(pl.lit("through"))
-    )  # fmt: skip
-    named = crossings.drop_nulls("to").select(
-        pl.col("lane").replace(dict(edge)).alias("from"),
-        pl.col("to").replace(dict(edge)),
-        turn.alias("turn"),
+    lanes = crossings.drop_nulls("to").select("lane", "to").rows()
+    named = pl.DataFrame(
+        [(layout.edge[lane], layout.edge[to], layout.turn(lane, to)) for lane, to in lanes],
+        {"from": pl.String, "to": pl.String, "turn": pl.String},
+        orient="row",
     )
     return named.group_by("from", "to", "turn").agg(pl.len().alias("vehicles")).sort("from", "to")
 

@@ -47,7 +47,7 @@ def trajectory_section(run: Run) -> Section:
         (
             _speeds(speeds_by_lane(trajectories), layout.limit_mps),
             *_queues(queues_at_green(trajectories, greens, layout.approach)),
-            _movements(movements(crossed, layout.edge), hours),
+            _movements(movements(crossed, layout), hours),
             *_headways(shown),
             *_arrivals(arrivals(trajectories, greens, layout)),
         ),

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
@@ -128,21 +129,27 @@ def test_crossings_lie_between_frames() -> None:
     (row,) = crossings(table(rows), LAYOUT).rows(named=True)
     assert (row["track"], row["lane"], row["to"]) == (1, "in_0", "out_0")
     assert row["time_s"] == pytest.approx(1 / 3)
-    assert row["turn_rad"] == pytest.approx(0.1)
 
 
-def test_movements_are_named_by_where_they_turn() -> None:
+def test_movements_are_named_by_the_roads_that_they_join_whatever_the_boxes_say() -> None:
     def trip(
         track: int, lane: str, yaw: float, to: str, out: float
     ) -> list[tuple[int, float, float, float, str, float]]:
         return [(track, 0.0, 4.0, 9.0, lane, yaw), (track, 1.0, -4.0, 9.0, to, out)]
 
-    rows = trip(1, "in_0", 0, "out_0", 0) + trip(2, "in_0", 0.1, "out_1", -0.1)
-    rows += trip(3, "side_0", math.pi / 2, "out_0", 0) + trip(4, "in_1", 3.1, "out_1", -1.6)
-    found = movements(crossings(table(rows), LAYOUT), LAYOUT.edge)
-    assert sorted(found.rows()) == [
-        ("in", "out", "left", 1), ("in", "out", "through", 2), ("side", "out", "right", 1),
-    ]  # fmt: skip
+    rows = trip(1, "in_0", 0, "out_0", 0) + trip(2, "in_1", 3.1, "out_1", -1.6)
+    rows += trip(3, "side_0", math.pi / 2, "out_0", 0)
+    found = movements(crossings(table(rows), LAYOUT), LAYOUT)
+    assert sorted(found.rows()) == [("in", "out", "through", 2), ("side", "out", "right", 1)]
+
+
+@pytest.mark.parametrize(
+    ("out_deg", "turn"),
+    [(0, "through"), (90, "left"), (-90, "right"), (180, "U-turn"), (-175, "U-turn")],
+)
+def test_a_turn_is_told_by_how_far_the_heading_changes(out_deg: float, turn: str) -> None:
+    headings_deg = {"in_0": (0.0, 350.0), "out_0": (out_deg - 10, 0.0)}
+    assert replace(LAYOUT, headings_deg=headings_deg).turn("in_0", "out_0") == turn
 
 
 def test_saturation_flow_leaves_the_first_four_aside() -> None:
