@@ -72,7 +72,7 @@ _MINE = (
     'found = re.findall(r"```xml\\n(.*?)```", text, re.DOTALL); '
     '[pathlib.Path(f"mine.{n}.xml").write_text(one) '
     'for n, one in zip(("nod", "edg"), found)]\'; '
-    "netconvert --node-files mine.nod.xml --edge-files mine.edg.xml "
+    "netconvert --node-files mine.nod.xml --edge-files mine.edg.xml --no-turnarounds "
     "--output-file mine.net.xml >&2;"
 )
 _GLANCE = "docs/figures-at-a-glance.md"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -30,13 +31,39 @@ def resolve(settings):
 def net(tmp_path_factory) -> Path:
     """Draws the junction of the tutorial by the tutorial's own files and command."""
     folder, text = tmp_path_factory.mktemp("own"), PAGE.read_text("utf-8")
-    nodes, edges = re.findall(r"```xml\n(.*?)```", text, re.DOTALL)
-    (folder / "mine.nod.xml").write_text(nodes)
-    (folder / "mine.edg.xml").write_text(edges)
+    blocks = re.findall(r"```xml\n(.*?)```", text, re.DOTALL)
+    for name, block in zip(("nod", "edg", "tll", "rou"), blocks, strict=True):
+        (folder / f"mine.{name}.xml").write_text(block)
     (command,) = re.findall(r"```\n(netconvert .*)\n```", text)
+    netconvert(command, folder)
+    return folder / "mine.net.xml"
+
+
+def netconvert(command: str, folder: Path) -> None:
     words = [str(Path(sys.executable).parent / "netconvert"), *command.split()[1:]]
     subprocess.run(words, cwd=folder, check=True, capture_output=True)
-    return folder / "mine.net.xml"
+
+
+def test_the_tutorials_timing_and_turning_counts_are_what_is_compared(net, tmp_path) -> None:
+    folder, text = tmp_path / "timed", PAGE.read_text("utf-8")
+    shutil.copytree(net.parent, folder)
+    (command,) = re.findall(r"```text\n(netconvert .*--tllogic-files .*)\n```", text)
+    netconvert(command, folder)
+    routes = folder / "mine.rou.xml"
+    question = Question(net=folder / net.name, routes=routes)
+    comparison = prepare(question, tmp_path, "mine", resolve)
+    (junction,) = comparison.road_map.intersections
+    assert [one.duration_s for one in junction.signal.plan if one.is_green] == [35, 25]
+    edges = {one.get("id") for one in ElementTree.parse(net).iter("edge")}
+    flows = list(ElementTree.parse(routes).iter("flow"))
+    assert {one.get(end) for one in flows for end in ("from", "to")} <= edges
+    assert str(routes) in comparison.config.read_text("utf-8")
+
+
+def test_the_tutorials_net_has_no_turns_back(net) -> None:
+    turns = [one.get("dir") for one in ElementTree.parse(net).iter("connection") if one.get("tl")]
+    assert len(turns) == 16
+    assert "t" not in turns
 
 
 @pytest.mark.slow
