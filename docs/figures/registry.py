@@ -305,7 +305,7 @@ _LIST = (
         12,
         (
             Part("all", "docs/comparison.md", comparison.delay),
-            Part("readme", "README.md", comparison.delay),
+            Part("readme", "README.md", comparison.delay_short),
         ),
     ),
     Figure(

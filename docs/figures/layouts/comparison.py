@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from layouts.tables import Rows, Table, between, fixed
 from layouts.worlds import LIDAR_HEADS, lidar_cells
 
@@ -63,18 +65,34 @@ _CONTROLS = {
     "perception, unseen empty": "the same, what no LiDAR sees taken for empty, as in Chen et al.",
     "perception, 50 m": "max pressure on perception, 50 m before and nothing behind",
     "perception, held": "the same, greens of 10 s at least",
+    "perception, predictive": "predictive control on perception",
     "perfect counts": "max pressure on perfect counts, 200 m before and 100 m behind",
     "perfect counts, 50 m": "max pressure on perfect counts, 50 m before and nothing behind",
     "perfect counts, held": "the same, greens of 10 s at least",
+    "perfect, predictive": "predictive control that knows every vehicle",
     "max wave": "max wave on perfect counts: 200 m before and nothing behind",
     "actuated": "SUMO's actuated control, loops",
     "webster": "fixed plan by Webster's formula for this demand",
     "own plan": "the net's own fixed plan",
 }
+_SHORT = (
+    *("perception", "perception, 50 m", "perception, predictive"),
+    *("perfect counts", "perfect counts, 50 m", "perfect, predictive"),
+    *("actuated", "webster", "own plan"),
+)
 
 
 def delay(rows: Rows) -> Table:
     """Returns delay by control, and how much more it is than on perception, paired by seed."""
+    return _delay(rows, tuple(_CONTROLS))
+
+
+def delay_short(rows: Rows) -> Table:
+    """Returns `delay` without variants of a control."""
+    return _delay(rows, _SHORT)
+
+
+def _delay(rows: Rows, names: Sequence[str]) -> Table:
     by: dict[str, dict[int, float]] = {}
     for row in rows:
         by.setdefault(row["control"], {})[row["seed"]] = row["delay_s"]
@@ -82,12 +100,12 @@ def delay(rows: Rows) -> Table:
     runs = f"{len(by[first])} seeds of {rows[0]['frames']} s"
     heads = [f"delay, s; {runs}", "more than the first line, s", "more than perfect counts, s"]
     table = [["control", *heads]]
-    for name, words in _CONTROLS.items():
+    for name in names:
         if name not in by:  # added since it was measured
             continue
         cells = [
             "" if name == base else between([by[name][s] - by[base][s] for s in by[name]], 1)
             for base in (first, "perfect counts")
         ]
-        table.append([words, between([*by[name].values()], 1), *cells])
+        table.append([_CONTROLS[name], between([*by[name].values()], 1), *cells])
     return table
