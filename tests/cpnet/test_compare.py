@@ -88,6 +88,13 @@ def test_nobody_stops_vehicles_in_the_runs_with_perception_alone(net, tmp_path, 
     [
         ({"demand_vph": 300.0, "routes": Path("r.rou.xml")}, "--routes and --demand: give one"),
         ({"demand_vph": 300.0, "seeds": (1, 101)}, "101 is a seed that baselines are tuned with"),
+        ({"tls": ["A", "B"]}, r"or --routes FILE\.rou\.xml$"),
+        ({"tls": "all"}, "or with one signal --demand N"),
+        ({"demand_vph": 0.0}, "--demand 0: must be more than 0"),
+        ({"demand_vph": -5.0}, "--demand -5: must be more than 0"),
+        ({"demand_vph": 3.0, "frame_period_s": 0.0}, "--frame-period 0: must be more than 0"),
+        ({"demand_vph": 3.0, "posts": ["all", "centre"]}, "--posts all,centre: all stands alone"),
+        ({"net": Path()}, r"--net \.: is a folder"),
         ({"demand_vph": 300.0, "settings": {"seed": 3}}, "--set seed: give --seeds instead"),
         ({"demand_vph": 3.0, "settings": {"cabinet.yellow_s": 3}}, "is the same for all"),
         ({"demand_vph": 3.0, "settings": {"traffic.pedestrians_per_hour": 9}}, "the same for all"),
@@ -95,7 +102,7 @@ def test_nobody_stops_vehicles_in_the_runs_with_perception_alone(net, tmp_path, 
 )
 def test_options_that_contradict_each_other_are_refused(options, message) -> None:
     with pytest.raises(ConfigError, match=message):
-        Question(net=Path("x.net.xml"), **options).check()
+        Question(**{"net": Path("x.net.xml"), **options}).check()
 
 
 @pytest.mark.parametrize(
@@ -109,6 +116,28 @@ def test_options_that_contradict_each_other_are_refused(options, message) -> Non
 def test_unknown_signals_and_blind_comparisons_are_refused(net, tmp_path, options, message) -> None:
     with pytest.raises(ConfigError, match=message):
         prepare(Question(net=net, demand_vph=300, **options), tmp_path, "mine", resolve)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<routes><vType id='a'/></routes>", "--routes .*: holds no vehicle, trip or flow"),
+        ("<routes><route", "--routes .*: cannot be read as XML"),
+        ("<net/>", "--routes .*: is a net; use --net"),
+    ],
+)
+def test_routes_on_which_nobody_drives_are_refused_at_once(net, tmp_path, text, message) -> None:
+    (tmp_path / "r.rou.xml").write_text(text)
+    question = Question(net=net, routes=tmp_path / "r.rou.xml")
+    with pytest.raises(ConfigError, match=message):
+        prepare(question, tmp_path, "mine", resolve)
+
+
+def test_a_net_that_is_given_as_a_sumocfg_is_told_apart(net, tmp_path) -> None:
+    with pytest.raises(ConfigError, match="is a net; use --net"):
+        prepare(Question(sumocfg=net), tmp_path, "mine", resolve)
+    with pytest.raises(ConfigError, match="--routes .*: there is no such file"):
+        prepare(Question(net=net, routes=tmp_path / "none"), tmp_path, "mine", resolve)
 
 
 def test_a_sumocfg_is_written_anew_with_absolute_files_and_without_teleporting(tmp_path) -> None:
