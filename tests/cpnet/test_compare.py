@@ -12,7 +12,9 @@ import pytest
 
 from cpnet.study_cells import resolved
 from protocol.errors import ConfigError
-from studies.compare import perceived_cases
+from studies.compare import Variant, perceived_cases
+from studies.compare_answer import answer, caveat
+from studies.compare_page import compare_page, seen_table
 from studies.compare_question import Question, prepare
 from studies.control_baselines import TUNINGS
 from studies.sumo_config import write_config
@@ -53,6 +55,78 @@ def test_the_tutorials_command_gives_a_sentence_and_a_page(net, shell) -> None:
     page = (shell.folder / "answer" / "report.html").read_text("utf-8")
     for title in ("By approach", "Queues over time", "What was seen", "How it was made"):
         assert title in page
+
+
+def variant(policy: str, sight: str, delay_s: float, east_s: float = 20.0) -> Variant:
+    row = {
+        "delay_s": delay_s,
+        "delay_p95_s": 60.0,
+        "vehicles": 122,
+        "arrived": 78,
+        "approaches": {"from east": east_s},
+        "queues": [1.0, None],
+    }
+    if sight in ("posts", "CAVs", "posts and CAVs"):
+        row |= {"uplink_mbps": 0.3, "uplink_peak_mbps": 0.4, "scan_kb": 38.0, "scan_peak_kb": 42.0}
+    return Variant(policy, sight, "", [row])
+
+
+@pytest.fixture
+def posts_only(net, tmp_path):
+    question = Question(
+        net=net, demand_vph=300.0, cav_rate=0.0, seeds=(1,), duration_s=60, tuning_s=0
+    )
+    return prepare(question, tmp_path, "mine", resolve)
+
+
+VARIANTS = [
+    variant("plan", "", 22.0),
+    variant("webster", "", 23.0),
+    variant("actuated", "", 21.0),
+    variant("max_pressure", "posts", 19.0),
+    variant("predictive", "posts", 20.0, east_s=23.4),
+]
+
+
+def test_the_sentence_says_what_a_link_needs_not_only_what_is_sent_on_average(posts_only) -> None:
+    text = answer(posts_only, VARIANTS)
+    assert "send 0.3 Mbit/s on average, 0.4 Mbit/s at most" in text
+    assert "needs 3.4 Mbit/s for its largest scan (42 kB) to be there within 100 ms" in text
+    assert "0.3 Mbit/s for within the frame period" in text
+    assert seen_table(posts_only, VARIANTS).rows[1][-3:] == pytest.approx((42.0, 3.36, 0.336))
+
+
+def test_the_sentence_owns_up_to_short_runs_and_to_who_loses(posts_only) -> None:
+    text = answer(posts_only, VARIANTS)
+    assert text.startswith("A direction only: 1 seed of 60 s, baselines not tuned. With 1 roadside")
+    assert text.endswith("in the last 300 m: from east 3.4 s more a vehicle.")
+    assert "Worse" not in answer(posts_only, [*VARIANTS[:4], variant("predictive", "posts", 20.0)])
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"seeds": range(5)}, ""),
+        ({"seeds": (1, 2, 3)}, "A direction only: 3 seeds of 600 s."),
+        ({"seeds": range(5), "duration_s": 599}, "A direction only: 5 seeds of 599 s."),
+        ({"seeds": range(5), "tuning_s": 0}, "5 seeds of 600 s, baselines not tuned."),
+    ],
+)
+def test_five_long_and_tuned_seeds_are_more_than_a_direction(options, text) -> None:
+    assert caveat(Question(**options)).endswith(text)
+    assert bool(caveat(Question(**options))) == bool(text)
+
+
+def test_the_page_shows_peak_and_link_and_axes_with_their_quantity(posts_only) -> None:
+    page = compare_page(posts_only, VARIANTS, "cpnet compare", {})
+    facts = {one.name: (one.value, one.note) for one in page.facts}
+    assert facts["sent on average"] == ("0.3 Mbit/s", "all LiDARs together; peak 0.4 Mbit/s")
+    assert facts["link of a LiDAR"][0] == "3.4 Mbit/s"
+    charts = page.figures()
+    assert all(chart.from_zero for chart in charts)
+    assert [chart.y_label for chart in charts] == [
+        *("delay of a vehicle, s", "time lost by a vehicle, s", "vehicles that stand"),
+    ]
 
 
 def test_a_net_without_demand_is_refused_with_what_to_give(net) -> None:
