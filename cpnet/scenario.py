@@ -315,7 +315,7 @@ def _explain(item: dict[str, Any]) -> str:
     *path, key = item["loc"]
     allowed = _keys_at(path)
     close = difflib.get_close_matches(str(key), allowed, n=1)
-    hint = f"; did you mean {close[0]}?" if close else ""
+    hint = f"; did you mean {close[0]}?" if close else ";"
     section = f"section {'.'.join(map(str, path))}" if path else "a scenario"
     return f"unknown key {where}{hint} {section} allows: {', '.join(allowed)}"
 

@@ -63,6 +63,10 @@ class Variant:
         found = self.values(measure)
         return mean(found) if found else None
 
+    def greatest(self, measure: str) -> float | None:
+        """Returns a measure's greatest value of all seeds; None if no run yields it."""
+        return max(self.values(measure), default=None)
+
     @property
     def delay_s(self) -> float:
         """Mean delay of a vehicle, over the seeds."""

@@ -1,4 +1,4 @@
-"""The answer of `cpnet compare`: its sentence, its table on a terminal, its page."""
+"""The answer of `cpnet compare`: its tables on a terminal, its page."""
 
 from __future__ import annotations
 
@@ -9,17 +9,21 @@ from rich.console import Console
 
 from studies.approach_log import INTERVAL_S
 from studies.bench import empty_table, print_whole
-from studies.compare import (
-    ACTUATED,
-    ALL_KNOWN,
-    BASELINES,
-    MAX_PRESSURE,
-    PLAN,
-    PREDICTIVE,
-    WEBSTER,
-    Variant,
+from studies.compare import ALL_KNOWN, PREDICTIVE, Variant
+from studies.compare_answer import (
+    MIN_SEEDS,
+    NAMES,
+    PROMPT_S,
+    answer,
+    approaches,
+    best_baseline,
+    difference,
+    link_mbps,
+    mbps,
+    mean_of,
+    name_of,
 )
-from studies.compare_question import BOTH, CAVS, POSTS, Comparison
+from studies.compare_question import Comparison
 from studies.control_study import paired
 from studies.outlines import road_rings
 from studies.page.model import (
@@ -39,83 +43,18 @@ from studies.page.model import (
     text_rows,
 )
 
-MIN_SEEDS = 5
-"""From which on an interval is given; below, the least and the greatest of the seeds."""
-_NAMES = {
-    PLAN: "the net's own plan",
-    WEBSTER: "Webster's fixed plan",
-    ACTUATED: "actuated by loops",
-    MAX_PRESSURE: "max pressure",
-    PREDICTIVE: "predictive",
-}
+_DELAY = "delay of a vehicle, s"
 _MAX_APPROACHES = 12  # that are drawn; more are in a table
 _HEADS = (
-    *("control", "it sees", "what its tuning set", "arrived", "delay by seed, s", "delay, s"),
+    *("control", "it sees", "what its tuning set", "arrived by the end"),
+    *("delay by seed, s", "delay, s"),
     *("95th percentile, s", "over own plan, s", "over best baseline, s"),
 )
-_SEEN_HEADS = ("control", "it sees", "E-CVPR, %", "false boxes a frame", "uplink, Mbit/s", "peak")
-
-
-def name_of(one: Variant) -> str:
-    """Returns what a variant is called in charts."""
-    return f"{_NAMES[one.policy]}: {one.sight}" if one.sight else _NAMES[one.policy]
-
-
-def best_baseline(variants: Sequence[Variant]) -> Variant:
-    """Returns the tuned timer or loop control of least delay on the reported seeds."""
-    found = [one for one in variants if one.policy in BASELINES and one.policy != PLAN]
-    return min(found, key=lambda one: one.delay_s)
-
-
-def answer(comparison: Comparison, variants: Sequence[Variant]) -> str:
-    """Returns what a city wants to know: how much delay, how many posts, what uplink.
-
-    It is about the predictive policy, which is chosen beforehand, not about the best of all; max
-    pressure on the same LiDARs stands beside it.
-    """
-    plan, baseline = variants[0], best_baseline(variants)
-    found = {one.sight: one for one in variants if one.is_perceived and one.policy == PREDICTIVE}
-    lead = found.pop(comparison.lead_sight)
-    tuned = ", tuned" if baseline.setting else ""
-    text = (
-        f"With {_equipment(comparison, lead.sight)} and predictive control a vehicle loses "
-        f"{lead.delay_s:.1f} s, {_against(lead, plan)} the net's own plan "
-        f"({plan.delay_s:.1f} s) and {_against(lead, baseline)} {_NAMES[baseline.policy]}{tuned} "
-        f"({baseline.delay_s:.1f} s); all LiDARs together upload "
-        f"{lead.mean('uplink_mbps') or 0:.1f} Mbit/s at a scan every "
-        f"{comparison.question.frame_period_s:g} s."
-    )
-    pressure = next(
-        one for one in variants if (one.policy, one.sight) == (MAX_PRESSURE, lead.sight)
-    )
-    text += f" Max pressure on what they see: {pressure.delay_s:.1f} s."
-    for one in found.values():
-        text += (
-            f" With {_equipment(comparison, one.sight)} it is {one.delay_s:.1f} s and "
-            f"{one.mean('uplink_mbps') or 0:.1f} Mbit/s."
-        )
-    return text
-
-
-def _equipment(comparison: Comparison, sight: str) -> str:
-    number = len(comparison.posts)
-    posts = "1 roadside post" if number == 1 else f"{number} roadside posts"
-    cavs = f"{100 * comparison.question.cav_rate:g} % CAVs (vehicles with LiDAR and radio)"
-    return {POSTS: posts, CAVS: cavs, BOTH: f"{posts} and {cavs}"}[sight]
-
-
-def _against(one: Variant, other: Variant) -> str:
-    """Returns how far a delay lies below or above another, and whether that is certain."""
-    less_s = -_difference(one, other)
-    word = "less than" if less_s >= 0 else "more than"
-    pairs = zip(one.values("delay_s"), other.values("delay_s"), strict=True)
-    signs = {a < b for a, b in pairs}
-    doubt = " (seeds disagree)" if len(signs) > 1 else ""
-    return f"{abs(less_s):.1f} s{doubt} {word}"
-
-
-def _difference(one: Variant, other: Variant) -> float:
-    return paired(one.values("delay_s"), other.values("delay_s")).mean
+_SEEN_HEADS = (
+    *("control", "it sees", "E-CVPR, %", "false boxes a frame"),
+    *("sent on average, Mbit/s", "peak, Mbit/s", "largest scan, kB"),
+    *("its link for 100 ms, Mbit/s", "for a frame period, Mbit/s"),
+)
 
 
 def result_table(variants: Sequence[Variant]) -> Table:
@@ -123,15 +62,15 @@ def result_table(variants: Sequence[Variant]) -> Table:
     plan, baseline = variants[0], best_baseline(variants)
     rows = tuple(
         (
-            _NAMES[one.policy],
+            NAMES[one.policy],
             one.sight or None,
             one.setting or None,
             f"{one.mean('arrived'):.0f} of {one.mean('vehicles'):.0f}",
             _spread(one),
             one.delay_s,
             one.mean("delay_p95_s"),
-            None if one is plan else _difference(one, plan),
-            None if one is baseline else _difference(one, baseline),
+            None if one is plan else difference(one, plan),
+            None if one is baseline else difference(one, baseline),
         )
         for one in variants
     )
@@ -146,28 +85,35 @@ def _spread(one: Variant) -> str:
     return ", ".join(f"{value:.1f}" for value in values)
 
 
-def seen_table(variants: Sequence[Variant]) -> Table:
+def seen_table(comparison: Comparison, variants: Sequence[Variant]) -> Table:
     """Returns what was seen, and what it took to upload."""
     rows = tuple(
         (
-            _NAMES[one.policy],
+            NAMES[one.policy],
             one.sight,
             None if (share := one.mean("e_cvpr")) is None else 100 * share,
             one.mean("false_detections"),
             one.mean("uplink_mbps"),
-            one.mean("uplink_peak_mbps"),
+            one.greatest("uplink_peak_mbps"),
+            one.greatest("scan_peak_kb"),
+            link_mbps(one, PROMPT_S),
+            link_mbps(one, comparison.question.frame_period_s),
         )
         for one in variants
         if one.is_perceived
     )
-    return Table(tuple(map(Column, _SEEN_HEADS, ("", "", ".1f", ".2f", ".2f", ".2f"))), rows)
+    return Table(
+        tuple(map(Column, _SEEN_HEADS, ("", "", ".1f", ".2f", ".2f", ".2f", ".1f", ".2f", ".2f"))),
+        rows,
+    )
 
 
 def print_comparison_table(
     comparison: Comparison, variants: Sequence[Variant], console: Console
 ) -> None:
     """Prints the tables and the sentence."""
-    for heads, table in ((_HEADS, result_table(variants)), (_SEEN_HEADS, seen_table(variants))):
+    seen = seen_table(comparison, variants)
+    for heads, table in ((_HEADS, result_table(variants)), (_SEEN_HEADS, seen)):
         printed = empty_table(heads, left=5 if heads is _HEADS else 2)
         for cells in text_rows(table):
             printed.add_row(*cells)
@@ -177,13 +123,17 @@ def print_comparison_table(
 
 def as_json(comparison: Comparison, variants: Sequence[Variant]) -> dict[str, Any]:
     """Returns the answer for programs."""
-    measures = ("delay_s", "delay_p95_s", "e_cvpr", "uplink_mbps", "uplink_peak_mbps")
+    measures = ("delay_s", "delay_p95_s", "e_cvpr", "uplink_mbps", "scan_kb")
+    peaks = ("uplink_peak_mbps", "scan_peak_kb")
     rows = [
         {
             "policy": one.policy,
             "sees": one.sight or None,
             "setting": one.setting,
             **{measure: one.mean(measure) for measure in measures},
+            **{measure: one.greatest(measure) for measure in peaks},
+            "link_100ms_mbps": link_mbps(one, PROMPT_S),
+            "link_frame_mbps": link_mbps(one, comparison.question.frame_period_s),
             "delay_by_seed_s": one.values("delay_s"),
         }
         for one in variants
@@ -205,33 +155,58 @@ def compare_page(
     lead = next(
         one for one in variants if one.policy == PREDICTIVE and one.sight == comparison.lead_sight
     )
+    seen = seen_table(comparison, variants)
     drawn = [plan, baseline, *(one for one in variants if one.policy == PREDICTIVE)]
     sections = (
         Section("Delay", (_delays(variants), result_table(variants), Text(_MEASURE))),
         Section("By approach", _approaches(drawn)),
         Section("Queues over time", (_queues(drawn),)),
-        Section("What was seen", (seen_table(variants), *_maps(comparison, variants))),
+        Section("What was seen", (Text(_SEEN), seen, *_maps(comparison, variants))),
         _origin(comparison, command, versions),
     )
     facts = (
         Fact("the net's own plan", f"{plan.delay_s:.1f} s", "delay a vehicle"),
-        Fact(_NAMES[baseline.policy], f"{baseline.delay_s:.1f} s", "the best without LiDAR"),
+        Fact(NAMES[baseline.policy], f"{baseline.delay_s:.1f} s", "the best without LiDAR"),
         Fact(f"predictive: {lead.sight}", f"{lead.delay_s:.1f} s", "delay a vehicle"),
         Fact("roadside posts", str(len(comparison.posts))),
-        Fact("uplink", f"{lead.mean('uplink_mbps') or 0:.1f} Mbit/s", "all LiDARs together"),
+        *_uplink_facts(comparison, lead),
     )
     title = f"{comparison.name}: what LiDAR is worth"
     return Page(title, answer(comparison, variants), sections, facts)
 
 
+def _uplink_facts(comparison: Comparison, lead: Variant) -> list[Fact]:
+    period_s = comparison.question.frame_period_s
+    sent, peak = lead.mean("uplink_mbps") or 0.0, lead.greatest("uplink_peak_mbps") or 0.0
+    facts = [
+        Fact("sent on average", mbps(sent), f"all LiDARs together; peak {mbps(peak)}"),
+    ]
+    prompt, slow = link_mbps(lead, PROMPT_S), link_mbps(lead, period_s)
+    if prompt is not None and slow is not None:
+        note = (
+            f"for {lead.greatest('scan_peak_kb'):.0f} kB, its largest scan, to be there within "
+            f"{1e3 * PROMPT_S:g} ms; {mbps(slow)} within the frame period of {period_s:g} s"
+        )
+        facts.append(Fact("link of a LiDAR", mbps(prompt), note))
+    return facts
+
+
+_SEEN = (
+    "E-CVPR is the share of the vehicles present, from 200 m before the stop bars to 100 m behind, "
+    "that perception detects: what as many connected vehicles would be worth. Rates are payload "
+    "without headers. What all send on average is not what to buy: the link of each LiDAR must "
+    "carry its largest scan (kB times 8, over the time that it may take)."
+)
 _MEASURE = (
     "Delay is time loss plus departure delay of every vehicle that had not arrived when the "
-    "warm-up ended: those still on the way at the end and those kept outside count too. Every "
+    "warm-up ended: those still on the way at the end and those kept outside count too, which is "
+    "the rest where fewer have arrived than there are. Every "
     "variant has the same demand, seed by seed; differences are means of pairs. Timers, loops and "
     "the fence of max pressure are tuned on seeds of their own; the best baseline is the best on "
     "the seeds that are reported, which favours it. "
     f'"{ALL_KNOWN.capitalize()}" is the same policy on SUMO alone that knows where each vehicle '
-    "near the signals is: what better perception could still bring."
+    "near the signals is: about what better perception could still bring. It is no bound: "
+    "differences smaller than the spread of the seeds are noise."
 )
 
 
@@ -247,24 +222,28 @@ def _delays(variants: Sequence[Variant]) -> Chart:
         high = tuple(a + b for a, b in zip(means, halves, strict=True))
         series = (Series("mean delay", places, means, low, high),)
         return Chart(
-            "Mean delay of a vehicle", "", "s", series, "bar", x_categories=names,
-            notes=notes + "their 95 % intervals.",
+            "Mean delay of a vehicle", "", _DELAY, series, "bar", x_categories=names,
+            from_zero=True, notes=notes + "their 95 % intervals.",
         )  # fmt: skip
     x = tuple(place for place, own in zip(places, values, strict=True) for _ in own)
+    if len(values[0]) == 1:
+        points = Series("a seed", places, means, style="points")
+        return Chart(
+            "Mean delay of a vehicle", "", _DELAY, (points,), x_categories=names, from_zero=True,
+            notes="Of one seed: it has no spread to be judged by.",
+        )  # fmt: skip
     points = Series("a seed", x, tuple(v for own in values for v in own), style="points")
     mean_points = Series("mean of the seeds", places, means, style="points")
     return Chart(
-        "Mean delay of a vehicle", "", "s", (points, mean_points), x_categories=names,
+        "Mean delay of a vehicle", "", _DELAY, (points, mean_points), x_categories=names,
+        from_zero=True,
         notes=f"With fewer than {MIN_SEEDS} seeds there is no interval: each seed is a point.",
     )  # fmt: skip
 
 
 def _approaches(drawn: Sequence[Variant]) -> tuple[Block, ...]:
-    names = tuple(drawn[0].rows[0]["approaches"])
-    values = [
-        tuple(_mean_of([row["approaches"].get(name) for row in one.rows]) for name in names)
-        for one in drawn
-    ]
+    names = tuple(approaches(drawn[0]))
+    values = [tuple(map(approaches(one).get, names)) for one in drawn]
     if len(names) > _MAX_APPROACHES:
         columns = (Column("approach"), *(Column(name_of(one), ".1f") for one in drawn))
         return (Table(columns, tuple(zip(names, *values, strict=True)), "Time lost, s a vehicle"),)
@@ -273,30 +252,28 @@ def _approaches(drawn: Sequence[Variant]) -> tuple[Block, ...]:
         for one, own in zip(drawn, values, strict=True)
     )
     notes = "Of the last 300 m before the stop bars; vehicles kept outside are not in it."
-    chart = Chart(
-        "Time that a vehicle loses", "", "s", series, "bar", x_categories=names, notes=notes
-    )
-    return (chart,)
+    return (
+        Chart(
+            "Time that a vehicle loses", "", "time lost by a vehicle, s", series, "bar",
+            x_categories=names, notes=notes, from_zero=True,
+        ),
+    )  # fmt: skip
 
 
 def _queues(drawn: Sequence[Variant]) -> Chart:
     series = []
     for one in drawn:
         length = min(len(row["queues"]) for row in one.rows)
-        y = tuple(_mean_of([row["queues"][n] for row in one.rows]) for n in range(length))
+        y = tuple(mean_of([row["queues"][n] for row in one.rows]) for n in range(length))
         series.append(Series(name_of(one), tuple(INTERVAL_S * n for n in range(length)), y))
     return Chart(
         "Vehicles that stand before the stop bars",
-        "s since the end of warm-up",
-        "vehicles",
+        "time since the end of warm-up, s",
+        "vehicles that stand",
         tuple(series),
+        from_zero=True,
         notes="Of the last 300 m, a mean over the seeds.",
     )
-
-
-def _mean_of(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return sum(known) / len(known) if known else None
 
 
 def _maps(comparison: Comparison, variants: Sequence[Variant]) -> tuple[Block, ...]:
@@ -310,7 +287,12 @@ def _maps(comparison: Comparison, variants: Sequence[Variant]) -> tuple[Block, .
         x = [value for layer in points for value in layer.x_m]
         y = [value for layer in points for value in layer.y_m]
         window = (min(x), min(y), max(x), max(y)) if len(x) > 1 else None
-        maps.append(MapChart(f"Seen by {one.sight}", surfaces, lines, points, (), window))
+        title = f"Seen by {one.sight}"
+        notes = (
+            f"{NAMES[one.policy].capitalize()} control, {one.sight}, seed "
+            f"{comparison.question.seeds[0]}: each vehicle near the signals in each frame drawn."
+        )
+        maps.append(MapChart(title, surfaces, lines, points, (), window, notes))
     return (SideBySide(tuple(maps)),) if maps else ()
 
 

@@ -10,12 +10,15 @@ from typing import Any
 from protocol.errors import ConfigError
 from protocol.roadmap import RoadMap
 from sim_host.setup import build_setup, config_file, sumo_files, traffic_config
+from studies.compare_files import check_contents, check_no_folders
 from studies.sumo_config import write_config
 from studies.sweep.cells import Resolve
 
 POSTS, CAVS, BOTH = "posts", "CAVs", "posts and CAVs"
 TUNING_SEEDS = (101, 102)
 MIN_TUNING_S = 60
+MAX_DEMAND_VPH = 3600
+MAX_FRAME_PERIOD_S = 60
 _RULED = {
     "seed": "--seeds",
     "duration_s": "--duration",
@@ -74,6 +77,7 @@ class Question:
         Raises:
             ConfigError: options contradict each other, or there is no net or no demand.
         """
+        check_no_folders(self.files)
         if self.net is None and self.sumocfg is None:
             raise ConfigError("--net X.net.xml or --sumocfg F is needed: which roads?")
         demands = {"--sumocfg": self.sumocfg, "--routes": self.routes, "--demand": self.demand_vph}
@@ -81,12 +85,19 @@ class Question:
         if len(given) > 1:
             raise ConfigError(f"{' and '.join(given)}: give one of them, each is a demand")
         if not given:
-            raise ConfigError(f"{self.net}: no demand. {_advice(self.net)}")
+            raise ConfigError(f"{self.net}: no demand. {_advice(self.net, self.tls)}")
+        self._check_numbers()
         both = sorted(set(self.seeds) & set(TUNING_SEEDS))
         if both:
             raise ConfigError(f"--seeds: {both[0]} is a seed that baselines are tuned with")
         if 0 < self.tuning_s < MIN_TUNING_S:
             raise ConfigError(f"--tuning {self.tuning_s}: must be 0 or {MIN_TUNING_S} and more")
+        if isinstance(self.posts, list) and len(self.posts) > 1:
+            for word in {"all", "none"} & set(self.posts):
+                raise ConfigError(f"--posts {','.join(self.posts)}: {word} stands alone")
+        self._check_settings()
+
+    def _check_settings(self) -> None:
         for key in self.settings or {}:
             if key in _RULED:
                 raise ConfigError(f"--set {key}: give {_RULED[key]} instead")
@@ -94,6 +105,23 @@ class Question:
                 raise ConfigError(
                     f"--set {key}: is the same for all that is compared, and cannot be set here"
                 )
+
+    def _check_numbers(self) -> None:
+        if self.demand_vph is not None and not 0 < self.demand_vph <= MAX_DEMAND_VPH:
+            raise ConfigError(
+                f"--demand {self.demand_vph:g}: must be more than 0 and at most {MAX_DEMAND_VPH} "
+                "vehicles per hour and lane"
+            )
+        if not 0 < self.frame_period_s <= MAX_FRAME_PERIOD_S:
+            raise ConfigError(
+                f"--frame-period {self.frame_period_s:g}: must be more than 0 and at most "
+                f"{MAX_FRAME_PERIOD_S} s"
+            )
+
+    @property
+    def files(self) -> dict[str, Path | None]:
+        """The files that are given, by their option."""
+        return {"--net": self.net, "--sumocfg": self.sumocfg, "--routes": self.routes}
 
     @property
     def common_settings(self) -> dict[str, Any]:
@@ -110,12 +138,16 @@ class Question:
         }
 
 
-def _advice(net: Path | None) -> str:
+def _advice(net: Path | None, tls: str | list[str] | None) -> str:
+    """Returns how a demand is given; `--demand` goes with one signal only."""
     beside = sorted(net.parent.glob("*.sumocfg")) if net is not None else []
     found = f" (beside the net lies {beside[0]})" if beside else ""
+    if isinstance(tls, list) and len(tls) > 1:
+        return f"Give --sumocfg FILE{found} or --routes FILE.rou.xml"
+    one = "with one signal " if tls == "all" else ""
     return (
-        f"Give --sumocfg FILE{found}, --routes FILE.rou.xml, or --demand N, vehicles per hour and "
-        "lane"
+        f"Give --sumocfg FILE{found}, --routes FILE.rou.xml, or {one}--demand N, vehicles per hour "
+        "and lane"
     )
 
 
@@ -149,6 +181,7 @@ def prepare(question: Question, folder: Path, name: str, resolve: Resolve) -> Co
         ConfigError: the question contradicts itself, a file is wrong, a signal is unknown.
     """
     question.check()
+    check_contents(question.files)
     traffic: dict[str, Any] = {
         "traffic.net": question.net,
         "traffic.routes": question.routes,

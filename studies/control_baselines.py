@@ -223,7 +223,7 @@ _FENCES = (
 )
 TUNINGS: Mapping[str, tuple[Tuning, ...]] = {
     "webster": tuple(
-        Tuning(f"{factor:g} of Webster's cycle", own={"cycle_factor": factor})
+        Tuning(f"cycle x {factor:g}", own={"cycle_factor": factor})
         for factor in (1.0, 0.7, 0.85, 1.2, 1.5)
     ),
     "actuated": (

@@ -11,11 +11,12 @@ import hashlib
 import json
 import math
 import multiprocessing
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
 from functools import cache
+from itertools import islice
 from pathlib import Path
 from statistics import mean, stdev
 from typing import Any, Protocol, TypeVar
@@ -122,28 +123,41 @@ class CaseStore:
         paths = [self._path(work.__name__, case) for case in cases]
         todo = {path: case for path, case in zip(paths, cases, strict=True) if _read(path) is None}
         report(len(cases) - len(todo), len(cases), "")
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(processes, mp_context=context, max_tasks_per_child=1) as pool:
-            runs = {pool.submit(work, case): path for path, case in todo.items()}
-            try:
-                for number, future in enumerate(as_completed(runs), 1):
-                    path = runs[future]
-                    write_atomically(path, json.dumps(future.result(), indent=1).encode())
-                    report(len(cases) - len(todo) + number, len(cases), todo[path].title)
-            except BrokenProcessPool:
-                raise ConfigError(
-                    "a run's process was killed, as when memory runs out; the same command goes on "
-                    "with what is left"
-                ) from None
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+        kept = len(cases) - len(todo)
+        try:
+            for number, (path, row) in enumerate(_run_each(work, todo, processes), kept + 1):
+                write_atomically(path, json.dumps(row, indent=1).encode())
+                report(number, len(cases), todo[path].title)
+        except BrokenProcessPool:
+            raise ConfigError(
+                "a run's process was killed, as when memory runs out; the same command goes on "
+                "with what is left"
+            ) from None
         return [_read(path) or {} for path in paths]
 
     def _path(self, kind: str, case: Case) -> Path:
         decides = {"kind": kind, **case.identity()}
         found = hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest()
         return self._folder / f"{found[:16]}.json"
+
+
+def _run_each(
+    work: Callable[[C], Row], todo: Mapping[Path, C], processes: int
+) -> Iterator[tuple[Path, Row]]:
+    """Yields a row as soon as its case is run.
+
+    Only what a process is free for is handed to the pool: when a run fails none waits in its queue,
+    and the pool ends with those that drive. It is always waited for: its own thread still starts
+    processes for as long as it lives.
+    """
+    context, waiting = multiprocessing.get_context("spawn"), iter(todo.items())
+    with ProcessPoolExecutor(processes, mp_context=context, max_tasks_per_child=1) as pool:
+        runs = {pool.submit(work, case): path for path, case in islice(waiting, processes)}
+        while runs:
+            done, _ = wait(runs, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield runs.pop(future), future.result()
+                runs |= {pool.submit(work, case): path for path, case in islice(waiting, 1)}
 
 
 def run_row(one: BenchCase) -> Row:

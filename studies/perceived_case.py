@@ -24,8 +24,15 @@ from studies.run_sections import map_section
 from studies.sumo_config import write_config
 from studies.sweep.cells import Scenario, identify
 from studies.sweep.worker import measure
+from studies.uplink import scan_kilobytes
 
-_OWN_CODE = ("perceived_case.py", "control_run.py", "sumo_config.py", "approach_log.py")
+_OWN_CODE = (
+    "perceived_case.py",
+    "control_run.py",
+    "sumo_config.py",
+    "approach_log.py",
+    "uplink.py",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +76,9 @@ def run_perceived(case: PerceivedCase) -> Row:
         with Run(run_dir) as run:
             ((first_ns,),) = run.query("SELECT min(sim_time_ns) FROM frames")
             log = _log_of(run, first_ns)
+            scan = scan_kilobytes(run)
             found = {**measure(run_dir).row, **log.as_json()}
+            found |= {"scan_kb": scan["mean"], "scan_peak_kb": scan["peak"]}
             if case.draws:
                 found["map"] = _map_points(run)
         delays, arrived = delays_s(trips, first_ns / 1e9)

@@ -250,12 +250,13 @@ def _parsed(text: str) -> list[float]:
 MAX_POINTS = 4000
 _MARGIN_M = 8.0
 _CLASSES: tuple[tuple[str, float, Mark, str], ...] = (
-    ("detected", 4.5, "disc", palette.GOOD),
-    ("coasting", 4.5, "disc", palette.QUIET),
-    ("reports itself", 4.5, "disc", palette.PLAIN),
     ("missed", 4.5, "disc", palette.BAD),
+    ("coasting", 4.5, "disc", palette.QUIET),
+    ("detected", 4.5, "disc", palette.GOOD),
+    ("reports itself", 4.5, "disc", palette.PLAIN),
     ("false detection", 6.0, "cross", palette.INK),
 )
+"""What is drawn on the map, from below: who is missed in a frame hides nobody who is seen."""
 _FRAMES = """
     SELECT frame FROM frames WHERE detections IS NOT NULL
     INTERSECT SELECT frame FROM truth ORDER BY frame

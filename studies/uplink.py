@@ -51,6 +51,12 @@ def total_mbps(run: Run, frame_period_s: float) -> Figures:
     }
 
 
+def scan_kilobytes(run: Run) -> Figures:
+    """Returns mean and peak of the payload that an agent sends in a frame, in kB."""
+    sizes = [payload / 1e3 for _, _, payload in run.query(_SENT)]
+    return {"mean": sum(sizes) / len(sizes) if sizes else None, "peak": max(sizes, default=None)}
+
+
 def wire_mbps(run: Run, frame_period_s: float) -> Figures:
     """Returns the mean rate of all agents' links together, up and down, with all headers."""
     frames = run.query("SELECT count(*) FROM frames WHERE tick_ns IS NOT NULL")[0][0]

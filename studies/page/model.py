@@ -53,7 +53,8 @@ class Series:
 class Chart:
     """Series over one x axis. With `x_categories`, x are indices into them.
 
-    Bars of several series are side by side, or on top of each other if `stacked`.
+    Bars of several series are side by side, or on top of each other if `stacked`. `from_zero` has
+    its axes begin at 0. A series without values is not drawn.
     """
 
     title: str
@@ -65,6 +66,7 @@ class Chart:
     x_categories: tuple[str, ...] | None = None
     stacked: bool = False
     notes: str = ""
+    from_zero: bool = False
 
 
 @dataclass(frozen=True, slots=True)

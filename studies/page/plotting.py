@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from itertools import pairwise
+from dataclasses import replace
+from itertools import chain, pairwise
 from typing import Literal
 
 import matplotlib as mpl
@@ -28,6 +29,7 @@ _DASHES = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
 
 def draw_chart(chart: Chart, axes: Axes, colours: Colours) -> list[str]:
     """Draws a chart; returns the names for its legend."""
+    chart = replace(chart, series=tuple(filter(_has_values, chart.series)))
     axes.set(xlabel=chart.x_label, ylabel=chart.y_label)
     axes.set_xscale("log" if chart.x_log else "linear")
     if chart.x_log:  # what was studied, in plain numbers
@@ -46,7 +48,14 @@ def draw_chart(chart: Chart, axes: Axes, colours: Colours) -> list[str]:
             axes.tick_params("x", rotation=40)
             for label in axes.get_xticklabels():
                 label.set(ha="right", rotation_mode="anchor")
+    if chart.from_zero:
+        axes.set_ylim(bottom=0)
+        axes.set_xlim(left=None if chart.x_categories or chart.x_log else 0)
     return [series.name for series in chart.series]
+
+
+def _has_values(series: Series) -> bool:
+    return any(value is not None for value in (*series.y, *chain(*series.points)))
 
 
 def draw_timeline(timeline: Timeline, axes: Axes, colours: Colours) -> list[str]:

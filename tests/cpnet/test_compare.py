@@ -13,7 +13,9 @@ import pytest
 
 from cpnet.study_cells import resolved
 from protocol.errors import ConfigError
-from studies.compare import perceived_cases
+from studies.compare import Variant, perceived_cases
+from studies.compare_answer import answer, caveat
+from studies.compare_page import compare_page, seen_table
 from studies.compare_question import Question, prepare
 from studies.control_baselines import TUNINGS
 from studies.sumo_config import write_config
@@ -82,6 +84,78 @@ def test_the_tutorials_command_gives_a_sentence_and_a_page(net, shell) -> None:
         assert title in page
 
 
+def variant(policy: str, sight: str, delay_s: float, east_s: float = 20.0) -> Variant:
+    row = {
+        "delay_s": delay_s,
+        "delay_p95_s": 60.0,
+        "vehicles": 122,
+        "arrived": 78,
+        "approaches": {"from east": east_s},
+        "queues": [1.0, None],
+    }
+    if sight in ("posts", "CAVs", "posts and CAVs"):
+        row |= {"uplink_mbps": 0.3, "uplink_peak_mbps": 0.4, "scan_kb": 38.0, "scan_peak_kb": 42.0}
+    return Variant(policy, sight, "", [row])
+
+
+@pytest.fixture
+def posts_only(net, tmp_path):
+    question = Question(
+        net=net, demand_vph=300.0, cav_rate=0.0, seeds=(1,), duration_s=60, tuning_s=0
+    )
+    return prepare(question, tmp_path, "mine", resolve)
+
+
+VARIANTS = [
+    variant("plan", "", 22.0),
+    variant("webster", "", 23.0),
+    variant("actuated", "", 21.0),
+    variant("max_pressure", "posts", 19.0),
+    variant("predictive", "posts", 20.0, east_s=23.4),
+]
+
+
+def test_the_sentence_says_what_a_link_needs_not_only_what_is_sent_on_average(posts_only) -> None:
+    text = answer(posts_only, VARIANTS)
+    assert "send 0.3 Mbit/s on average, 0.4 Mbit/s at most" in text
+    assert "needs 3.4 Mbit/s for its largest scan (42 kB) to be there within 100 ms" in text
+    assert "0.3 Mbit/s for within the frame period" in text
+    assert seen_table(posts_only, VARIANTS).rows[1][-3:] == pytest.approx((42.0, 3.36, 0.336))
+
+
+def test_the_sentence_owns_up_to_short_runs_and_to_who_loses(posts_only) -> None:
+    text = answer(posts_only, VARIANTS)
+    assert text.startswith("A direction only: 1 seed of 60 s, baselines not tuned. With 1 roadside")
+    assert text.endswith("in the last 300 m: from east 3.4 s more a vehicle.")
+    assert "Worse" not in answer(posts_only, [*VARIANTS[:4], variant("predictive", "posts", 20.0)])
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"seeds": range(5)}, ""),
+        ({"seeds": (1, 2, 3)}, "A direction only: 3 seeds of 600 s."),
+        ({"seeds": range(5), "duration_s": 599}, "A direction only: 5 seeds of 599 s."),
+        ({"seeds": range(5), "tuning_s": 0}, "5 seeds of 600 s, baselines not tuned."),
+    ],
+)
+def test_five_long_and_tuned_seeds_are_more_than_a_direction(options, text) -> None:
+    assert caveat(Question(**options)).endswith(text)
+    assert bool(caveat(Question(**options))) == bool(text)
+
+
+def test_the_page_shows_peak_and_link_and_axes_with_their_quantity(posts_only) -> None:
+    page = compare_page(posts_only, VARIANTS, "cpnet compare", {})
+    facts = {one.name: (one.value, one.note) for one in page.facts}
+    assert facts["sent on average"] == ("0.3 Mbit/s", "all LiDARs together; peak 0.4 Mbit/s")
+    assert facts["link of a LiDAR"][0] == "3.4 Mbit/s"
+    charts = page.figures()
+    assert all(chart.from_zero for chart in charts)
+    assert [chart.y_label for chart in charts] == [
+        *("delay of a vehicle, s", "time lost by a vehicle, s", "vehicles that stand"),
+    ]
+
+
 def test_a_net_without_demand_is_refused_with_what_to_give(net) -> None:
     with pytest.raises(ConfigError, match="no demand. Give --sumocfg FILE, --routes FILE"):
         Question(net=net).check()
@@ -115,6 +189,13 @@ def test_nobody_stops_vehicles_in_the_runs_with_perception_alone(net, tmp_path, 
     [
         ({"demand_vph": 300.0, "routes": Path("r.rou.xml")}, "--routes and --demand: give one"),
         ({"demand_vph": 300.0, "seeds": (1, 101)}, "101 is a seed that baselines are tuned with"),
+        ({"tls": ["A", "B"]}, r"or --routes FILE\.rou\.xml$"),
+        ({"tls": "all"}, "or with one signal --demand N"),
+        ({"demand_vph": 0.0}, "--demand 0: must be more than 0"),
+        ({"demand_vph": -5.0}, "--demand -5: must be more than 0"),
+        ({"demand_vph": 3.0, "frame_period_s": 0.0}, "--frame-period 0: must be more than 0"),
+        ({"demand_vph": 3.0, "posts": ["all", "centre"]}, "--posts all,centre: all stands alone"),
+        ({"net": Path()}, r"--net \.: is a folder"),
         ({"demand_vph": 300.0, "settings": {"seed": 3}}, "--set seed: give --seeds instead"),
         ({"demand_vph": 3.0, "settings": {"cabinet.yellow_s": 3}}, "is the same for all"),
         ({"demand_vph": 3.0, "settings": {"traffic.pedestrians_per_hour": 9}}, "the same for all"),
@@ -122,7 +203,7 @@ def test_nobody_stops_vehicles_in_the_runs_with_perception_alone(net, tmp_path, 
 )
 def test_options_that_contradict_each_other_are_refused(options, message) -> None:
     with pytest.raises(ConfigError, match=message):
-        Question(net=Path("x.net.xml"), **options).check()
+        Question(**{"net": Path("x.net.xml"), **options}).check()
 
 
 @pytest.mark.parametrize(
@@ -136,6 +217,28 @@ def test_options_that_contradict_each_other_are_refused(options, message) -> Non
 def test_unknown_signals_and_blind_comparisons_are_refused(net, tmp_path, options, message) -> None:
     with pytest.raises(ConfigError, match=message):
         prepare(Question(net=net, demand_vph=300, **options), tmp_path, "mine", resolve)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<routes><vType id='a'/></routes>", "--routes .*: holds no vehicle, trip or flow"),
+        ("<routes><route", "--routes .*: cannot be read as XML"),
+        ("<net/>", "--routes .*: is a net; use --net"),
+    ],
+)
+def test_routes_on_which_nobody_drives_are_refused_at_once(net, tmp_path, text, message) -> None:
+    (tmp_path / "r.rou.xml").write_text(text)
+    question = Question(net=net, routes=tmp_path / "r.rou.xml")
+    with pytest.raises(ConfigError, match=message):
+        prepare(question, tmp_path, "mine", resolve)
+
+
+def test_a_net_that_is_given_as_a_sumocfg_is_told_apart(net, tmp_path) -> None:
+    with pytest.raises(ConfigError, match="is a net; use --net"):
+        prepare(Question(sumocfg=net), tmp_path, "mine", resolve)
+    with pytest.raises(ConfigError, match="--routes .*: there is no such file"):
+        prepare(Question(net=net, routes=tmp_path / "none"), tmp_path, "mine", resolve)
 
 
 def test_a_sumocfg_is_written_anew_with_absolute_files_and_without_teleporting(tmp_path) -> None:

@@ -36,9 +36,11 @@ def test_every_key_is_documented(section):
 
 
 def test_an_unknown_key_is_refused_with_those_that_are_allowed():
-    with pytest.raises(ConfigError, match=r"traffic\.cav_rat; did you mean cav_rate\?.*cv_rate"):
+    with pytest.raises(
+        ConfigError, match=r"traffic\.cav_rat; did you mean cav_rate\? section.*cv_rate"
+    ):
         load("t_junction", {"traffic.cav_rat": 0.1})
-    with pytest.raises(ConfigError, match="a scenario allows: name, seed, mode"):
+    with pytest.raises(ConfigError, match="key colour; a scenario allows: name, seed, mode"):
         load("t_junction", {"colour": "red"})
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from pathlib import Path
 
 import pytest
@@ -79,3 +80,12 @@ def test_a_case_that_was_run_is_not_run_again(tmp_path: Path) -> None:
     store._path("run_row", case).write_text('{"delay_s": 5.0}')
     run = control_study.run_row
     assert store.run(run, [case, case], 1, lambda *_: None) == [{"delay_s": 5.0}] * 2
+
+
+@pytest.mark.process
+def test_a_run_that_fails_ends_the_pool_in_order(tmp_path: Path) -> None:
+    """An error in a thread of the pool would fail this test."""
+    cases = [control_study.BenchCase(ControlCase("t_junction", "plan", seed)) for seed in range(4)]
+    with pytest.raises(TypeError):
+        control_study.CaseStore(tmp_path).run(float, cases, 2, lambda *_: None)
+    assert not multiprocessing.active_children()

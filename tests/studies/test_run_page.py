@@ -105,6 +105,7 @@ def test_the_map_shows_who_was_seen_and_who_was_missed(tmp_path: Path) -> None:
     places = next(f for f in run_page(tmp_path).figures() if isinstance(f, MapChart))
     points = {one.name: one for one in places.points}
     assert (len(points["detected"].x_m), len(points["missed"].x_m)) == (20, 60)
+    assert list(points).index("missed") < list(points).index("detected"), "seen lie over missed"
     assert points["roadside LiDAR"].x_m == (0.0,)
 
 

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from protocol.errors import ConfigError
 from recording.database import Database
+from recording.run import Run
 from recording.tables import (
     TABLES,
     AlignmentRow,
@@ -31,6 +32,7 @@ from recording.tables import (
 from studies.comparison import print_comparison
 from studies.latency import STAGE_GROUPS, STAGES
 from studies.summary import print_report, summarise, to_json
+from studies.uplink import scan_kilobytes
 from tests.studies.straight_runs import write_setup
 
 MS = 1_000_000
@@ -90,6 +92,8 @@ def test_the_summary_holds_the_figures_of_a_run(tmp_path: Path) -> None:
     assert agent["wire_mbps"] == pytest.approx(0.1584)
     assert agent["wire_down_mbps"] == pytest.approx(0.0396)
     assert summary["wire_mbps"] == {"up": pytest.approx(0.1584), "down": pytest.approx(0.0396)}
+    with Run(tmp_path) as run:
+        assert scan_kilobytes(run) == {"mean": 2.0, "peak": 2.0}
     assert list(summary["latency_ms"]) == list(STAGES)
     assert summary["latency_ms"]["end_to_end"]["p50"] == pytest.approx(44.5)
     assert summary["latency_ms"]["sense"]["p99"] is None

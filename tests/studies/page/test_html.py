@@ -14,7 +14,10 @@ from tests.studies.page.pages import HOSTILE, whole_page
 pytest.importorskip("jinja2", reason="extra study")
 pytest.importorskip("matplotlib", reason="extra study")
 
-from studies.page.model import Page, Section, Text
+from matplotlib.figure import Figure
+
+from studies.page.model import Chart, Colours, Page, Section, Series, Text
+from studies.page.plotting import draw_chart
 from studies.page.write import to_html
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
@@ -107,3 +110,12 @@ def test_a_browser_draws_every_chart(html: str, tmp_path: Path) -> None:
         capture_output=True, text=True, timeout=60, check=True,
     )  # fmt: skip
     assert f"<title>drawn {DRAWN}</title>" in done.stdout
+
+
+def test_axes_begin_at_zero_where_a_chart_says_so_and_empty_series_are_left_out() -> None:
+    series = Series("known", (10, 20), (15.0, 20.0)), Series("empty", (10, 20), (None, None))
+    chart = Chart("A chart", "time, s", "delay, s", series, from_zero=True)
+    axes = Figure().add_subplot()
+    colours = Colours.of(Page("A page", "", (Section("A section", (chart,)),)))
+    assert draw_chart(chart, axes, colours) == ["known"]
+    assert (axes.get_xlim()[0], axes.get_ylim()[0]) == (0, 0)
