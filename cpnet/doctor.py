@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import os
 import socket
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from cpnet.endpoints import address_of, connecting, resolve
 from cpnet.exit_report import signal_name
 from cpnet.processes import ROLES
 from cpnet.security import check_key
+from cpnet.shadowing import same_path
 from protocol.access import AUTHORITY
 from protocol.bus import SEND_BUFFER_BYTES, Endpoint, ZenohBus, open_bus
 from protocol.clock import BURST, Exchange, OffsetFilter, this_machine
@@ -168,7 +170,12 @@ def sumo_runs() -> list[Finding]:
     command = [sys.executable, "-m", "sim_host.sumo"]
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, timeout=TRIAL_TIMEOUT_S, check=False
+            command,
+            capture_output=True,
+            text=True,
+            timeout=TRIAL_TIMEOUT_S,
+            check=False,
+            env=os.environ | same_path(),
         )
     except subprocess.TimeoutExpired:
         return [_sumo("SUMO", f"it did not simulate one step in {TRIAL_TIMEOUT_S} s")]

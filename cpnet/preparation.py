@@ -13,7 +13,7 @@ from rich.console import Console
 from cpnet import scenario as scenarios
 from cpnet.discovery import connected_to_world
 from cpnet.endpoints import Endpoints, connecting
-from cpnet.fork_server import preload
+from cpnet.fork_server import LOG_NAME, preload
 from cpnet.processes import (
     MCAP,
     ProcessEntry,
@@ -121,7 +121,7 @@ def prepare_run(options: Options, console: Console, played: Replay | None) -> Pr
     try:
         run_dir = folder.make()
         with written(run_dir):  # imports while the setup is being made
-            preload(modules, run_dir / "logs" / "fork-server.log")
+            preload(modules, run_dir / "logs" / LOG_NAME)
         if played is not None:
             setup = played.setup(run_dir)
             scenario = scenarios.validate(setup.scenario, "the replay")

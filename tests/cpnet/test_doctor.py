@@ -70,7 +70,7 @@ def test_a_sumo_that_crashes_is_reported(monkeypatch, tmp_path, code, advice):
     (tmp_path / "sim_host").mkdir()
     (tmp_path / "sim_host" / "sumo.py").write_text(code)
     (tmp_path / "sim_host" / "__init__.py").write_text("")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(doctor, "TRIAL_TIMEOUT_S", 2)
     (found,) = doctor.sumo_runs()
