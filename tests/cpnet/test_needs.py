@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import sys
+from importlib import import_module
 
 import pytest
 from rich.console import Console
@@ -49,6 +50,13 @@ def test_a_run_is_refused_before_it_is_compiled_for(
     with pytest.raises(ConfigError, match=told):
         prepare_run(options, Console(file=io.StringIO()), None)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_environments_without_their_packages_say_what_to_install(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    monkeypatch.delitem(sys.modules, "cpnet.environments", raising=False)
+    with pytest.raises(ConfigError, match=r"need gymnasium \(extra `rl`\): .* -m pip install "):
+        import_module("cpnet.environments")
 
 
 @pytest.mark.parametrize("name", ["fast", "of-a-plug-in"])
