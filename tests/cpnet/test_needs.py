@@ -52,6 +52,14 @@ def test_a_run_is_refused_before_it_is_compiled_for(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_run_in_a_program_names_them_too(without, tmp_path) -> None:
+    from cpnet import python_api
+
+    without("torch")
+    with pytest.raises(ConfigError, match=r"needs torch \(extra `learn`\): .* -m pip install "):
+        python_api.run(out=tmp_path / "run", **{"edge.detector": "pointpillars"})
+
+
 def test_environments_without_their_packages_say_what_to_install(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     monkeypatch.delitem(sys.modules, "cpnet.environments", raising=False)
