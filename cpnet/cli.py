@@ -31,6 +31,7 @@ from cpnet.cli_setup import doctor_app, keys_app
 from cpnet.cli_study import study_app
 from cpnet.run_folder import newest_run
 from protocol.errors import ConfigError, CpnetError
+from protocol.extras import to_install
 
 RecordedRun = Annotated[
     Path | None, typer.Argument(help="run folder; default the newest run in runs/")
@@ -132,7 +133,9 @@ def _write_trajectories(run: Path, file: Path) -> None:
     try:
         from studies.trajectories import write_trajectories
     except ModuleNotFoundError as error:
-        raise ConfigError(f"--trajectories needs {error.name} (extra `study`)") from None
+        raise ConfigError(
+            f"--trajectories needs {error.name} (extra `study`): {to_install('study')}"
+        ) from None
     number = write_trajectories(run, file)
     console.print(f"wrote {number} tracks to {file}", highlight=False, soft_wrap=True)
 

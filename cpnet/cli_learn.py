@@ -21,10 +21,12 @@ from rich.progress import (
 
 from cpnet import scenario as scenarios
 from cpnet.cli_options import AsJson, assigned, console, errors, one_signal, show
+from cpnet.needs import check_detector
 from edge_server.config import EdgeConfig
 from perception.config import DETECTORS, DetectorName
 from perception.registry import check
 from protocol.errors import ConfigError
+from protocol.extras import to_install
 
 if TYPE_CHECKING:
     from studies.kitti_tracking import KittiScore
@@ -87,7 +89,9 @@ def train_command(
         from learning.training import Recipe, Training, train
         from perception.pillars.weights import describe
     except ImportError as error:
-        raise ConfigError(f"training needs PyTorch (extra `learn`): {error}") from None
+        raise ConfigError(
+            f"training needs PyTorch (extra `learn`): {error}; {to_install('learn')}"
+        ) from None
     recipe = Recipe(steps=steps, windows=windows, cells=cells, seed=seed)
     path = train(Training(dataset, out, network, recipe, start), errors)
     errors.print("measuring it on the networks kept for validation")
@@ -153,6 +157,7 @@ def eval_command(  # noqa: PLR0913 - one parameter per option of the command
     names = detectors_of(detectors)
     config = scenarios.load("t_junction", assigned(set_)).edge
     for name in names:
+        check_detector(name)
         check(config.model_copy(update={"detector": name}))
     if kitti is not None:
         if dataset is not None or net is not None:

@@ -16,6 +16,7 @@ import typer
 
 from cpnet.cli_options import AsJson, Override, assigned, console, errors, junctions_of
 from cpnet.compiling import compile_ahead
+from cpnet.needs import check_simulator
 from cpnet.study_cells import planned, resolved
 from protocol.errors import ConfigError
 from protocol.extras import to_install
@@ -77,6 +78,7 @@ def study_command(  # noqa: PLR0913 - one parameter per option of the command
     settings = {key: value for key, value in own.items() if value is not None} | assigned(set_)
     if markdown is not None:
         check_target(markdown, "--markdown")
+    check_simulator()
     compile_ahead(errors)
     study, cells = planned(file, settings, seeds_of(seeds))
     with explained_if_missing():

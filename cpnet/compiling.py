@@ -19,14 +19,15 @@ import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import import_module
 from importlib.metadata import version
+from itertools import count
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from cpnet.shadowing import ROOT
 from protocol.errors import ConfigError
@@ -39,6 +40,7 @@ _LATER = ("perception.pillars", "edge_server.alignment", "edge_server.static_map
 """Modules that few runs import; they are compiled when one does."""
 _MARK = b"njit("
 _MOST_PROCESSES = 8
+_TOLD_EACH = 10
 _LOCK = "compiling.lock"
 
 
@@ -72,11 +74,29 @@ def _compile_missing(folder: Path, stamps: dict[str, str], console: Console) -> 
         highlight=False,
         soft_wrap=True,
     )
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("compiling", total=len(todo))
-        _compile(todo, jobs, lambda: bar.advance(task))
+    with _progress(console, len(todo)) as advance:
+        _compile(todo, jobs, advance)
     _write_stamp(folder, stamps)
     return len(todo)
+
+
+@contextmanager
+def _progress(console: Console, total: int) -> Iterator[Callable[[], object]]:
+    """Shows how many are done: in place on a terminal, else by a line for each tenth module."""
+    if console.is_terminal:
+        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+        with Progress(*columns, console=console, transient=True) as bar:
+            task = bar.add_task("compiling", total=total)
+            yield lambda: bar.advance(task)
+        return
+    done = count(1)
+
+    def advance() -> None:
+        number = next(done)
+        if number % _TOLD_EACH == 0 and number < total:
+            console.print(f"compiled {number}/{total}", highlight=False)
+
+    yield advance
 
 
 def _compile(todo: dict[str, set[str]], jobs: int, advance: Callable[[], object]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-import importlib.util
+import os
 import socket
 import subprocess
 import sys
@@ -22,12 +22,15 @@ from rich.table import Table
 
 from cpnet.endpoints import address_of, connecting, resolve
 from cpnet.exit_report import signal_name
+from cpnet.needs import OPEN3D, SUMO, lacking
 from cpnet.processes import ROLES
 from cpnet.security import check_key
+from cpnet.shadowing import same_path
 from protocol.access import AUTHORITY
 from protocol.bus import SEND_BUFFER_BYTES, Endpoint, ZenohBus, open_bus
 from protocol.clock import BURST, Exchange, OffsetFilter, this_machine
 from protocol.errors import BusError, ConfigError
+from protocol.extras import to_install
 from protocol.inbox import Inbox
 from protocol.instances import ROUTER, WORLD_HOST
 from protocol.messages import Setup, TimeReply
@@ -41,7 +44,8 @@ Measured = Mapping[str, float | str | list[str]]
 class Finding:
     """One check: what was looked at, whether it is well, and what to do if not.
 
-    `check` never changes its name; what was measured stands in `measured`, with its unit.
+    `check` never changes its name; what was measured stands in `measured`, with its unit. What is
+    `absent` is not installed, and not every machine needs it.
     """
 
     check: str
@@ -50,6 +54,7 @@ class Finding:
     advice: str = ""
     optional: bool = False
     measured: Measured = field(default_factory=dict)
+    absent: bool = False
 
     @property
     def is_well(self) -> bool:
@@ -61,10 +66,16 @@ def print_findings(findings: Iterable[Finding], console: Console) -> None:
     """Prints a line per check."""
     table = Table(box=None, show_header=False)
     for finding in findings:
-        absent = "[yellow]hint[/]" if finding.optional else "[red]fault[/]"
-        mark = "[green]ok[/]" if finding.ok else absent
-        table.add_row(mark, escape(finding.what), escape(finding.advice))
+        table.add_row(_mark(finding), escape(finding.what), escape(finding.advice))
     console.print(table)
+
+
+def _mark(finding: Finding) -> str:
+    if finding.absent:
+        return "--"
+    if finding.ok:
+        return "[green]ok[/]"
+    return "[yellow]hint[/]" if finding.optional else "[red]fault[/]"
 
 
 def as_json(findings: list[Finding]) -> dict[str, Any]:
@@ -96,23 +107,31 @@ OPEN3D_LIBRARIES = {
 
 def missing_packages() -> list[str]:
     """Returns the system packages that SUMO, and Open3D if it is installed, lack here."""
-    has_open3d = importlib.util.find_spec("open3d") is not None
-    return _missing(SUMO_LIBRARIES | (OPEN3D_LIBRARIES if has_open3d else {}))
+    return _missing(SUMO_LIBRARIES | ({} if lacking(OPEN3D) else OPEN3D_LIBRARIES))
 
 
 def libraries() -> list[Finding]:
-    """Looks for the system libraries of SUMO, and of Open3D."""
-    return [
-        _of("sumo_libraries", "SUMO", SUMO_LIBRARIES),
-        _of("open3d_libraries", "Open3D (edge.detector=reference)", OPEN3D_LIBRARIES),
+    """Looks for the system libraries of SUMO and of Open3D, and for Open3D itself."""
+    user = "Open3D (edge.detector=reference)"
+    found = [
+        _of("sumo_libraries", "SUMO", SUMO_LIBRARIES, optional=bool(lacking(SUMO))),
+        _of("open3d_libraries", user, OPEN3D_LIBRARIES, optional=True),
     ]
+    if lacking(OPEN3D):
+        found.append(_absent("open3d", "Open3D", "reference", "edge.detector=reference"))
+    return found
 
 
-def _of(check: str, user: str, wanted: Mapping[str, str]) -> Finding:
+def _of(check: str, user: str, wanted: Mapping[str, str], *, optional: bool) -> Finding:
     missing = _missing(wanted)
     advice = f"apt-get install -y --no-install-recommends {' '.join(missing)}" if missing else ""
     what = f"{len(wanted)} system libraries of {user}"
-    return Finding(check, what, not missing, advice, optional=wanted is OPEN3D_LIBRARIES)
+    return Finding(check, what, not missing, advice, optional=optional)
+
+
+def _absent(check: str, package: str, extra: str, user: str) -> Finding:
+    what = f"{package} not installed (extra {extra}; only {user} needs it)"
+    return Finding(check, what, ok=False, advice=to_install(extra), optional=True, absent=True)
 
 
 def _missing(wanted: Mapping[str, str]) -> list[str]:
@@ -162,13 +181,18 @@ TRIAL_TIMEOUT_S = 15
 
 
 def sumo_runs() -> list[Finding]:
-    """Has SUMO simulate a step; nothing to say where it is not installed."""
-    if not all(map(importlib.util.find_spec, ("sumo", "libsumo"))):
-        return []
+    """Has SUMO simulate a step, where it is installed."""
+    if lacking(SUMO):
+        return [_absent("sumo", "SUMO", "sim", "the role sim")]
     command = [sys.executable, "-m", "sim_host.sumo"]
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, timeout=TRIAL_TIMEOUT_S, check=False
+            command,
+            capture_output=True,
+            text=True,
+            timeout=TRIAL_TIMEOUT_S,
+            check=False,
+            env=os.environ | same_path(),
         )
     except subprocess.TimeoutExpired:
         return [_sumo("SUMO", f"it did not simulate one step in {TRIAL_TIMEOUT_S} s")]

@@ -7,6 +7,8 @@
 An action is a green of the signal; the cabinet keeps minimum green, yellow and all-red, whatever is
 asked. Observation and reward come from lane counts, as any controller of cpnet has them: what no
 sensor covers is not in them. Truth is in `info` and, after an episode, in `run`.
+
+Importing it raises ConfigError where the extra `rl` is not installed.
 """
 
 from __future__ import annotations
@@ -17,20 +19,25 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
-import gymnasium
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Box, Discrete
-from pettingzoo import ParallelEnv
 
 from cpnet.python_api import Scenario, resolve, simulate
 from protocol.errors import ConfigError
+from protocol.extras import to_install
 from protocol.messages import Setup
 from protocol.roadmap import Intersection, Signal
 from signal_controller.observation import Observation
 from sim_host.setup import build_setup
 from studies.run_frames import Run
 from studies.simulated_frame import SimulatedFrame
+
+try:
+    import gymnasium
+    from gymnasium.spaces import Box, Discrete
+    from pettingzoo import ParallelEnv
+except ModuleNotFoundError as error:
+    raise ConfigError(f"environments need {error.name} (extra `rl`): {to_install('rl')}") from None
 
 Values = npt.NDArray[np.float32]
 MOST_VEHICLES = 255.0  # of a lane in an observation

@@ -8,7 +8,7 @@ import signal
 from dataclasses import dataclass
 from pathlib import Path
 
-from cpnet.fork_server import UNKNOWN_STATUS
+from cpnet.fork_server import LOG_NAME, UNKNOWN_STATUS
 
 
 def readable_line(line: str) -> str:
@@ -60,13 +60,21 @@ def signal_name(number: int) -> str:
 
 
 def log_tail(path: Path, lines: int = TAIL_LINES) -> str:
-    """Returns the last lines of a log."""
+    """Returns the last lines of a log; without one, those of the fork server's beside it."""
     try:
         text = path.read_text("utf-8", errors="replace")
     except OSError as error:
-        return f"(no log: {error})"
+        return _instead_of(path, error, lines)
     shown = "\n".join(map(readable_line, text.splitlines()[-lines:]))
     return "\n".join(shown.splitlines()[-lines:]) or _why_empty(path.parent)
+
+
+def _instead_of(path: Path, error: OSError, lines: int) -> str:
+    """Says why there is no log: who ends before it has one is heard by the fork server."""
+    other = path.with_name(LOG_NAME)
+    if path == other or not other.is_file():
+        return f"(no log: {error})"
+    return f"(no log of its own; the fork server's, {other}, ends so:)\n{log_tail(other, lines)}"
 
 
 def _why_empty(folder: Path) -> str:

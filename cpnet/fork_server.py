@@ -20,12 +20,12 @@ from pathlib import Path
 
 from setproctitle import setproctitle
 
+from cpnet.shadowing import same_path
 from protocol.errors import CpnetError
 
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """Processes are the unit that work is spread by: a BLAS that spins on all cores slows the rest."""
-
-
+LOG_NAME = "fork-server.log"
 UNKNOWN_STATUS = 255  # of multiprocessing, where the fork server has gone
 STATUS_WAIT_S = 1.0  # the fork server learns of an exit at once
 
@@ -108,7 +108,7 @@ def ensure_fork_server(log: Path) -> None:
     """
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        with _printing_to(log):
+        with _printing_to(log), _same_path():
             forkserver.ensure_running()
     except OSError as error:
         raise CpnetError(f"the fork server cannot be started: {error}") from None
@@ -134,7 +134,10 @@ def _fork(module: str, arguments: list[str], log: Path) -> ChildProcess:
     theirs, ours = multiprocessing.Pipe(duplex=False)
     with theirs:
         process = ForkServerProcess(
-            target=_run_module, args=(module, arguments, str(log), theirs), name=module, daemon=True
+            target=_run_module,
+            args=(module, arguments, str(log), theirs, _own_path()),
+            name=module,
+            daemon=True,
         )
         try:
             process.start()
@@ -160,13 +163,43 @@ def _printing_to(log: Path) -> Iterator[None]:
         os.close(written)
 
 
-def _run_module(module: str, arguments: list[str], log: str, lifeline: Connection) -> None:
-    """Runs the module in the forked process."""
+@contextmanager
+def _same_path() -> Iterator[None]:
+    """Has what is started meanwhile look for modules where this process does."""
+    before = _own_path()
+    os.environ.update(same_path())
+    try:
+        yield
+    finally:
+        _set(before)
+
+
+def _own_path() -> dict[str, str | None]:
+    return {name: os.environ.get(name) for name in same_path()}
+
+
+def _set(environment: dict[str, str | None]) -> None:
+    for name, value in environment.items():
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value
+
+
+def _run_module(
+    module: str,
+    arguments: list[str],
+    log: str,
+    lifeline: Connection,
+    environment: dict[str, str | None],
+) -> None:
+    """Runs the module in the forked process, where some settings are the fork server's own."""
     os.setsid()  # Ctrl-C reaches the supervisor, which stops in order
     signal.signal(signal.SIGINT, signal.default_int_handler)
     written = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
     for source, stream in ((lifeline.fileno(), 0), (written, 1), (written, 2)):
         os.dup2(source, stream)
+    _set(environment)
     lifeline.close()
     os.close(written)
     sys.argv = [module, *arguments]

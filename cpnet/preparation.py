@@ -11,9 +11,11 @@ from typing import Any
 from rich.console import Console
 
 from cpnet import scenario as scenarios
+from cpnet.compiling import compile_ahead
 from cpnet.discovery import connected_to_world
 from cpnet.endpoints import Endpoints, connecting
-from cpnet.fork_server import preload
+from cpnet.fork_server import LOG_NAME, preload
+from cpnet.needs import check_detector, check_run
 from cpnet.processes import (
     MCAP,
     ProcessEntry,
@@ -90,6 +92,8 @@ class PreparedRun:
 def prepare_run(options: Options, console: Console, played: Replay | None) -> PreparedRun:
     """Makes the run folder and all that stands in it before the first frame.
 
+    What runs need is compiled, once, when all is known that would refuse this one early.
+
     Raises:
         ConfigError: the options or the scenario cannot be.
         MessageError: the roads are too large for a message.
@@ -110,6 +114,7 @@ def prepare_run(options: Options, console: Console, played: Replay | None) -> Pr
     simulated = None
     if played is None and "sim" in choice.names:
         simulated = _simulated(options)
+        check_run(choice, simulated, detects=_detects(choice.names, simulated))
     elif options.overrides:
         raise ConfigError(
             f"{', '.join(options.overrides)}: the scenario is decided where the role sim runs"
@@ -118,10 +123,11 @@ def prepare_run(options: Options, console: Console, played: Replay | None) -> Pr
     folder = RunFolder.at(options.out, named.name if named else str(choice))
     rows = [row if played is None else in_replay(row) for row in choice.roles if row is not MCAP]
     modules = list(dict.fromkeys(f"{row.module}.role" for row in rows))
+    compile_ahead(console)
     try:
         run_dir = folder.make()
         with written(run_dir):  # imports while the setup is being made
-            preload(modules, run_dir / "logs" / "fork-server.log")
+            preload(modules, run_dir / "logs" / LOG_NAME)
         if played is not None:
             setup = played.setup(run_dir)
             scenario = scenarios.validate(setup.scenario, "the replay")
@@ -154,6 +160,7 @@ def _check(choice: RoleSelection, options: Options, scenario: scenarios.Scenario
     if scenario.replay is None:
         _check_scans(choice.names, scenario.model_dump(mode="json"))
     if _detects(choice.names, scenario):
+        check_detector(scenario.edge.detector)
         check(scenario.edge)
     if "edge" in choice.names:
         check_fusion(scenario.edge.fusion)

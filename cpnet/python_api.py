@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from cpnet import scenario as scenarios
+from cpnet.needs import check_detector, check_simulator
 from cpnet.run_folder import RunFolder
 from protocol.errors import BusError, ConfigError
 from protocol.messages import Setup
@@ -161,6 +162,8 @@ def _setup(scenario: scenarios.Scenario, run_dir: Path) -> Setup:
             f"mode is {scenario.mode}: a run in this process is in lockstep; cpnet.run with "
             "processes=True runs on the wall clock"
         )
+    check_simulator()
+    check_detector(scenario.edge.detector)
     return build_setup(scenario.model_dump(mode="json"), run_dir)
 
 

@@ -1,11 +1,14 @@
 """Finds a user's own module, such as `protocol.py`, that hides a package of cpnet.
 
 cpnet's packages have plain names. A file of such a name in the folder of a script, in the current
-one under `python -m`, or on PYTHONPATH comes first, and what fails then names neither.
+one under `python -m`, or on PYTHONPATH comes first, and what fails then names neither. What was
+checked holds for this process; processes that it starts are given the same path.
 """
 
 from __future__ import annotations
 
+import os
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -15,6 +18,15 @@ PACKAGES = (
     *("studies", "viewer"),
 )
 ROOT = Path(__file__).resolve().parents[1]
+
+
+def same_path() -> dict[str, str]:
+    """Returns the settings by which a new interpreter finds the modules that this one finds.
+
+    By itself, `python -c` and `python -m` would look in the current folder first.
+    """
+    folders = [os.path.abspath(folder) for folder in sys.path]  # noqa: PTH100 - "" is a folder
+    return {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(folders)}
 
 
 def check_packages() -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from cpnet.endpoints import Endpoints, connecting, free_locator
 from cpnet.exit_report import CLEAN_STATUSES, ExitReport, describe_status, log_tail
-from cpnet.fork_server import ChildProcess, ensure_fork_server, start_process
+from cpnet.fork_server import LOG_NAME, ChildProcess, ensure_fork_server, start_process
 from cpnet.processes import AGENTS, RELAY, ProcessEntry
 from cpnet.run_folder import written
 from protocol.bus import Endpoint
@@ -175,7 +175,7 @@ class Supervisor:
 
     @property
     def _fork_server_log(self) -> Path:
-        return self._run_dir / "logs" / f"{FORK_SERVER}.log"
+        return self._run_dir / "logs" / LOG_NAME
 
     def _list(self) -> None:
         """Writes the ids and process numbers to `processes.json`, for tools outside.

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from cpnet.compiling import compile_ahead
 from cpnet.discovery import discoverable
 from cpnet.endpoints import connecting
 from cpnet.preparation import Options, Replay, prepare_run
@@ -36,7 +35,6 @@ def up(options: Options, console: Console, played: Replay | None = None) -> tupl
         BusError: the other side cannot be reached.
     """
     check_viewing(options.view)
-    compile_ahead(console)
     address = _metrics_address(options.metrics)
     run = prepare_run(options, console, played)
     with (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -14,6 +15,7 @@ from pathlib import Path
 from rich.console import Console
 
 from cpnet.exit_report import describe_status, log_tail
+from cpnet.shadowing import same_path
 from protocol.errors import ConfigError
 from protocol.extras import to_install
 
@@ -42,10 +44,10 @@ def viewed(run_dir: Path, how: Viewing | None, console: Console) -> Iterator[Non
     command = [sys.executable, "-m", "cpnet", "view", str(run_dir)]
     command += ["--web"] if how is Viewing.WEB else []
     path = run_dir / "logs" / "view.log"
-    pipe = subprocess.PIPE
+    pipe, environment = subprocess.PIPE, os.environ | same_path()
     with (
         path.open("ab") as log,
-        subprocess.Popen(command, stdout=pipe, stderr=log, text=True) as viewer,
+        subprocess.Popen(command, stdout=pipe, stderr=log, text=True, env=environment) as viewer,
     ):
         telling = threading.Thread(target=_tell, args=(viewer, path, console), daemon=True)
         telling.start()

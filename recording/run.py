@@ -123,7 +123,9 @@ class Run:
         try:
             yield
         except sqlite3.DatabaseError as error:
-            raise ConfigError(f"{self._path} is not a run's database: {error}") from None
+            raise ConfigError(
+                f"{self._path} is not a run's database: {error}{_advice(str(error))}"
+            ) from None
 
     def _check_version(self) -> None:
         try:
@@ -136,6 +138,14 @@ class Run:
             raise ConfigError(
                 f"{self._path} has schema version {found}, this side reads {SCHEMA_VERSION}"
             )
+
+
+def _advice(error: str) -> str:
+    """Says where rows may be that a database lacks."""
+    if not error.startswith("no such table"):
+        return ""
+    wal = f"{FILE_NAME}-wal"
+    return f"; if it was copied: its last rows may be in {wal}, which must stand beside it"
 
 
 def _connect(path: Path) -> sqlite3.Connection:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from protocol.extras import to_install
+
 
 def read_feather(data: bytes) -> dict[str, npt.NDArray[np.generic]]:
     """Returns the columns of numbers by name (N,); others are left out.
@@ -15,7 +17,9 @@ def read_feather(data: bytes) -> dict[str, npt.NDArray[np.generic]]:
     try:
         import pyarrow as pa
     except ImportError:
-        raise ValueError("to read .feather needs pyarrow (extra `view`)") from None
+        raise ValueError(
+            f"to read .feather needs pyarrow (extra `view`): {to_install('view')}"
+        ) from None
     try:
         table = pa.ipc.open_file(pa.py_buffer(data)).read_all()
         table.validate(full=True)

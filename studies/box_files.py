@@ -19,6 +19,7 @@ from learning.kitti import into_sensor, line_of
 from perception.arrays import Floats
 from perception.detector import LIDAR
 from protocol.errors import ConfigError
+from protocol.extras import to_install
 from protocol.geometry import SE3
 from protocol.messages import ObjectClass
 from recording.run import Run
@@ -85,7 +86,9 @@ def _polars() -> ModuleType:
     try:
         return import_module("polars")
     except ImportError:
-        raise ConfigError("--boxes with .parquet needs polars (extra `study`)") from None
+        raise ConfigError(
+            f"--boxes with .parquet needs polars (extra `study`): {to_install('study')}"
+        ) from None
 
 
 def _write_table(rows: Sequence[DetectionRow], path: Path) -> None:

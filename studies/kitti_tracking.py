@@ -21,6 +21,7 @@ from perception.tracking.config import TrackingConfig
 from perception.tracking.tracker import Tracker
 from protocol.config import is_folder
 from protocol.errors import ConfigError
+from protocol.extras import to_install
 from protocol.geometry import SE3
 from protocol.messages import ObjectClass
 from recording.foreign_scans.poses import lines_of, read_poses
@@ -223,7 +224,9 @@ def score_files(tracks: Path, truth: Path, kind: str = "Car") -> KittiScore:
     try:
         import motrics  # noqa: F401
     except ModuleNotFoundError as error:
-        raise ConfigError(f"--tracks needs {error.name} (extra `study`)") from None
+        raise ConfigError(
+            f"--tracks needs {error.name} (extra `study`): {to_install('study')}"
+        ) from None
     labels, together = sequences_in(truth), Sequences([], [], [], [])
     files = sequences_in(tracks)
     missing = [name for name in files if name not in labels]

@@ -16,6 +16,7 @@ import numpy as np
 
 from perception.arrays import Floats
 from protocol.errors import ConfigError
+from protocol.extras import to_install
 from protocol.messages import VehicleType, is_bystander
 from recording.run import Run
 from recording.tables import DetectionRow, TruthRow
@@ -98,7 +99,9 @@ def evaluate_run(run_dir: Path) -> RunTracks:
         import motrics  # noqa: F401 - what is missing is said before a run is read
         import scipy  # noqa: F401
     except ModuleNotFoundError as error:
-        raise ConfigError(f"--tracks needs {error.name} (extra `study`)") from None
+        raise ConfigError(
+            f"--tracks needs {error.name} (extra `study`): {to_install('study')}"
+        ) from None
     with Run(run_dir) as run:
         if not run.query("SELECT 1 FROM detections WHERE track > 0 LIMIT 1"):
             raise ConfigError(

@@ -37,11 +37,22 @@ def compiled(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, set[str]]]:
 def test_it_says_so_and_does_it_once(cache, compiled) -> None:
     written = io.StringIO()
     assert compiling.compile_ahead(Console(file=written)) == len(compiled[0]) > 30
-    assert written.getvalue().startswith(f"compiling, once: {len(compiled[0])} modules on ")
+    lines = written.getvalue().splitlines()
+    total = len(compiled[0])
+    assert lines[0].startswith(f"compiling, once: {total} modules on ")
+    assert lines[1:] == [f"compiled {done}/{total}" for done in range(10, total, 10)]
     assert len([*cache.glob("compiled-*.json")]) == 1
     assert compiling.compile_ahead(Console(file=written)) == 0
     assert len(compiled) == 1
-    assert written.getvalue().count("\n") == 1
+    assert written.getvalue().splitlines() == lines
+
+
+def test_a_terminal_is_shown_how_many_are_done_in_one_place(cache, compiled) -> None:
+    written = io.StringIO()
+    compiling.compile_ahead(Console(file=written, force_terminal=True, width=100))
+    total = len(compiled[0])
+    assert f"{total}/{total}" in written.getvalue()
+    assert "compiled 10" not in written.getvalue()
 
 
 def test_only_what_changed_is_compiled_again(cache, compiled, monkeypatch) -> None:

@@ -1,5 +1,6 @@
 """What the doctor finds: on this machine, on a bus elsewhere, and when a check goes wrong."""
 
+import io
 import json
 import socket
 import threading
@@ -9,6 +10,7 @@ from contextlib import closing
 from datetime import UTC, datetime, timedelta
 
 import pytest
+from rich.console import Console
 
 from cpnet import doctor
 from cpnet.doctor import Check, Finding, as_json, carry_out
@@ -57,6 +59,21 @@ def test_sumo_simulates_a_step():
     assert "simulates a step" in found.what
 
 
+def test_what_only_some_machines_need_is_said_to_be_absent_and_is_no_fault(monkeypatch):
+    monkeypatch.setattr(doctor, "lacking", list)
+    monkeypatch.setattr(doctor, "_missing", list)
+    found = by_check([*doctor.libraries(), *doctor.sumo_runs()])
+    assert all(finding.is_well for finding in found.values())
+    written = io.StringIO()
+    doctor.print_findings(found.values(), Console(file=written, width=500))
+    lines = written.getvalue().splitlines()
+    (sumo,) = (line for line in lines if "SUMO not" in line)
+    assert sumo.split()[0] == "--"
+    assert "SUMO not installed (extra sim; only the role sim needs it)" in sumo
+    assert "-m pip install" in found["sumo"].advice
+    assert found["open3d"].what.startswith("Open3D not installed (extra reference; only edge.")
+
+
 @pytest.mark.parametrize(
     ("code", "advice"),
     [
@@ -70,7 +87,7 @@ def test_a_sumo_that_crashes_is_reported(monkeypatch, tmp_path, code, advice):
     (tmp_path / "sim_host").mkdir()
     (tmp_path / "sim_host" / "sumo.py").write_text(code)
     (tmp_path / "sim_host" / "__init__.py").write_text("")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(doctor, "TRIAL_TIMEOUT_S", 2)
     (found,) = doctor.sumo_runs()

@@ -30,3 +30,11 @@ def test_the_tail_of_a_log_ends_with_the_error(tmp_path):
     (tmp_path / "log").write_text(f"{json.dumps(record)}\nand a plain line\n")
     told = log_tail(tmp_path / "log", 3).splitlines()
     assert told == ["  line 39", "ValueError: no", "and a plain line"]
+
+
+def test_who_has_no_log_is_told_of_by_the_fork_server(tmp_path):
+    assert log_tail(tmp_path / "router.log").startswith("(no log: ")
+    (tmp_path / "fork-server.log").write_text("ModuleNotFoundError: no\n")
+    first, last = log_tail(tmp_path / "router.log").splitlines()
+    assert str(tmp_path / "fork-server.log") in first
+    assert last == "ModuleNotFoundError: no"

@@ -169,6 +169,12 @@ def test_foreign_databases_and_versions_are_refused(tmp_path: Path) -> None:
         Run(tmp_path / "newer")
 
 
+def test_a_copy_without_its_wal_is_told_what_it_lacks(tmp_path: Path) -> None:
+    sqlite3.connect(tmp_path / FILE_NAME).execute("PRAGMA journal_mode = wal").close()
+    with pytest.raises(ConfigError, match=r"no such table: meta; .* in run\.sqlite-wal, which"):
+        Run(tmp_path)
+
+
 def test_a_missing_or_damaged_setup_is_named(tmp_path: Path) -> None:
     Database(tmp_path).close()
     with Run(tmp_path) as run:
