@@ -157,8 +157,11 @@ def compare_page(
     )
     seen = seen_table(comparison, variants)
     drawn = [plan, baseline, *(one for one in variants if one.policy == PREDICTIVE)]
+    is_tuned = comparison.question.tuning_s > 0
+    tuned = "are tuned on seeds of their own" if is_tuned else "are not tuned (--tuning 0)"
+    measure = Text(_MEASURE.format(tuned=tuned))
     sections = (
-        Section("Delay", (_delays(variants), result_table(variants), Text(_MEASURE))),
+        Section("Delay", (_delays(variants), result_table(variants), measure)),
         Section("By approach", _approaches(drawn)),
         Section("Queues over time", (_queues(drawn),)),
         Section("What was seen", (Text(_SEEN), seen, *_maps(comparison, variants))),
@@ -202,7 +205,7 @@ _MEASURE = (
     "warm-up ended: those still on the way at the end and those kept outside count too, which is "
     "the rest where fewer have arrived than there are. Every "
     "variant has the same demand, seed by seed; differences are means of pairs. Timers, loops and "
-    "the fence of max pressure are tuned on seeds of their own; the best baseline is the best on "
+    "the fence of max pressure {tuned}; the best baseline is the best on "
     "the seeds that are reported, which favours it. "
     f'"{ALL_KNOWN.capitalize()}" is the same policy on SUMO alone that knows where each vehicle '
     "near the signals is: about what better perception could still bring. It is no bound: "
