@@ -75,7 +75,7 @@ def prune_command(
         float | None, typer.Option(min=0, help="others stay until they are so old; else none does")
     ] = None,
 ) -> None:
-    """Remove recorded runs that have ended, all but the newest."""
+    """Remove runs that have ended, all but the newest."""
     removed = prune(folder, keep, days, datetime.now(UTC))
     for run in removed:
         console.print(f"removed {run}", highlight=False, soft_wrap=True)

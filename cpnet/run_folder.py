@@ -14,9 +14,12 @@ from pathlib import Path
 
 from protocol.config import is_file
 from protocol.errors import ConfigError
+from protocol.instances import role_of
+from protocol.topics import ROLES
 
 RUNS = Path("runs")
 _DATABASE, _SETUP, _BUSES = "run.sqlite", "setup.msgpack", "buses.json"
+_SCENARIO, _LOGS = "scenario.json", "logs"
 _DAY_S = 86_400.0
 
 
@@ -103,9 +106,9 @@ def recorded_runs(folder: Path) -> list[Path]:
 
 
 def prune(folder: Path, keep: int, days: float | None, now: datetime) -> list[Path]:
-    """Removes recorded runs that have ended, but for the newest, and returns what it removed.
+    """Removes runs that have ended, but for the newest, and returns what it removed.
 
-    Only folders that a run made are touched: with a database and a setup, and no link to one.
+    Only folders that a run made are touched, recorded or not (see `_is_run`), and no link to one.
 
     Args:
         folder: that holds the runs' folders.
@@ -114,10 +117,10 @@ def prune(folder: Path, keep: int, days: float | None, now: datetime) -> list[Pa
         now: the time, with its zone.
 
     Raises:
-        ConfigError: a folder cannot be removed.
+        ConfigError: there is no such folder, or a run cannot be removed.
     """
     removed = []
-    for run in recorded_runs(folder)[keep:]:
+    for run in _runs(folder)[keep:]:
         age_s = now.timestamp() - _written_s(run)
         if (days is not None and age_s < days * _DAY_S) or not _has_ended(run):
             continue
@@ -129,13 +132,41 @@ def prune(folder: Path, keep: int, days: float | None, now: datetime) -> list[Pa
     return removed
 
 
+def _runs(folder: Path) -> list[Path]:
+    """Returns the runs within a folder, with a recorder or without, newest first."""
+    try:
+        found = [entry for entry in folder.iterdir() if _is_run(entry)]
+    except OSError as error:
+        raise ConfigError(f"{folder}: {error.strerror}") from None
+    return sorted(found, key=lambda run: (_written_s(run), run.name), reverse=True)
+
+
+def _is_run(run: Path) -> bool:
+    """Whether a run made it: a setup, and a database or, without recorder, a process's log."""
+    if run.is_symlink() or not is_file(run / _SETUP):
+        return False
+    return is_file(run / _DATABASE) or (is_file(run / _SCENARIO) and bool(_process_logs(run)))
+
+
+def _process_logs(run: Path) -> list[Path]:
+    """Returns the logs of a run's processes, which begin once `cpnet up` says that it goes on."""
+    return [path for path in (run / _LOGS).glob("*.log") if role_of(path.stem) in ROLES]
+
+
 def _has_ended(run: Path) -> bool:
-    """Whether it is a run's own folder, and no `cpnet up` says that it goes on."""
-    return not run.is_symlink() and is_file(run / _SETUP) and not (run / _BUSES).exists()
+    """Whether no `cpnet up` says that it goes on."""
+    return not (run / _BUSES).exists()
 
 
 def _written_s(run: Path) -> float:
+    """Returns when the database was written last, or without one the logs of its processes."""
+    database = run / _DATABASE
+    files = [database] if is_file(database) else _process_logs(run)
+    return max(map(_changed_s, files), default=0.0)
+
+
+def _changed_s(path: Path) -> float:
     try:
-        return (run / _DATABASE).stat().st_mtime
+        return path.stat().st_mtime
     except OSError:  # it was removed since
         return 0.0

@@ -30,6 +30,17 @@ def made(folder: Path, name: str, days_ago: float, *files: str) -> Path:
     return run
 
 
+def made_without_recorder(folder: Path, name: str, days_ago: float) -> Path:
+    """What `cpnet up --only vehicle` leaves."""
+    run = folder / name
+    (run / "logs").mkdir(parents=True)
+    for file in ("setup.msgpack", "scenario.json", "processes.json", "logs/vehicle-0.log"):
+        (run / file).touch()
+    written_s = NOW.timestamp() - days_ago * DAY_S
+    os.utime(run / "logs" / "vehicle-0.log", (written_s, written_s))
+    return run
+
+
 def test_the_newest_is_that_written_last_whatever_its_name(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match="there is no run in runs/"):
@@ -77,3 +88,34 @@ def test_what_is_no_ended_run_is_never_touched(tmp_path) -> None:
     link.symlink_to(elsewhere)
     assert prune(tmp_path, 0, None, NOW) == []
     assert all(path.exists() for path in (goes_on, foreign, link, elsewhere / "setup.msgpack"))
+
+
+def test_runs_of_a_machine_without_recorder_are_removed_too(tmp_path) -> None:
+    runs = [made_without_recorder(tmp_path, f"r{days}", days) for days in (1, 2, 40)]
+    recorded = made(tmp_path, "recorded", 3)
+    assert prune(tmp_path, 0, 30, NOW) == [runs[2]]
+    assert prune(tmp_path, 2, None, NOW) == [recorded]
+    assert prune(tmp_path, 0, 0, NOW) == runs[:2]
+
+
+def test_without_recorder_what_is_no_ended_run_is_never_touched(tmp_path) -> None:
+    goes_on = made_without_recorder(tmp_path, "goes-on", 99)
+    (goes_on / "buses.json").touch()
+    starts = made_without_recorder(tmp_path, "starts", 99)
+    (starts / "logs" / "vehicle-0.log").rename(starts / "logs" / "fork-server.log")
+    foreign = tmp_path / "foreign"
+    (foreign / "logs").mkdir(parents=True)
+    (foreign / "logs" / "vehicle-0.log").touch()
+    link = tmp_path / "link"
+    link.symlink_to(made_without_recorder(tmp_path.with_name("other-runs"), "run", 99))
+    assert prune(tmp_path, 0, None, NOW) == []
+    assert all(path.exists() for path in (goes_on, starts, foreign, link))
+
+
+def test_pruning_a_folder_that_is_not_there_is_an_error(tmp_path) -> None:
+    done = CliRunner().invoke(app, ["prune", str(tmp_path / "ruins")])
+    assert isinstance(done.exception, ConfigError)
+    assert "ruins: No such file" in str(done.exception)
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match="Not a directory"):
+        prune(tmp_path / "file", 0, None, NOW)
