@@ -19,7 +19,8 @@ from cpnet.keys import add_keys
 from cpnet.processes import ROLES, parse_only
 from protocol.access import roles_of
 
-DEPLOY = Path(__file__).parents[2] / "deploy"
+ROOT = Path(__file__).parents[2]
+DEPLOY = ROOT / "deploy"
 UNIT = DEPLOY / "systemd" / "cpnet@.service"
 COMPOSE: dict[str, Any] = yaml.safe_load((DEPLOY / "compose.yaml").read_text("utf-8"))
 SERVICES: dict[str, Any] = COMPOSE["services"]
@@ -116,7 +117,8 @@ def test_the_unit_counts_an_end_by_a_signal_as_success() -> None:
     assert service["SuccessExitStatus"] == "130"
     assert service["KillSignal"] == "SIGINT"
     assert service["User"] != "root"
-    assert "prune" in service["ExecStartPre"]
+    assert service["ExecStartPre"].startswith("-/opt/cpnet/bin/cpnet prune runs ")
+    assert "cpnet/%i/runs" in service["StateDirectory"].split()  # there at the first start too
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd")
@@ -139,3 +141,43 @@ def test_no_other_port_is_named_for_metrics() -> None:
     ports = re.compile(r"--metrics[ =](?:[\d.]+:)?(\d{4,})")
     found = {port for file in files for port in ports.findall(file.read_text("utf-8"))}
     assert found <= {METRICS_PORT}
+
+
+SECRET = ["keys/ca.key", "deploy/keys/ca.key", "deploy/keys-b/sim.key", "deploy/other/ca.key"]
+RUNS = ["runs/a/run.sqlite", "deploy/runs/world/runs/a/run.sqlite"]
+
+
+def is_sent_to_docker(path: str) -> bool:
+    """Whether a file of the build context is sent, by the rules of .dockerignore."""
+    text = (ROOT / ".dockerignore").read_text("utf-8")
+    is_sent = True
+    for line in text.splitlines():
+        pattern = line.strip().removeprefix("!")
+        if pattern and not pattern.startswith("#"):
+            inner = re.escape(pattern).replace(r"\*\*/", "(.*/)?").replace(r"\*", "[^/]*")
+            if re.fullmatch(rf"{inner}(/.*)?", path):
+                is_sent = line.startswith("!")
+    return is_sent
+
+
+def git(*arguments: str) -> list[str]:
+    done = subprocess.run(
+        ["git", "-C", str(ROOT), *arguments], capture_output=True, text=True, check=False
+    )
+    if done.returncode not in (0, 1):
+        pytest.skip("no checkout")
+    return done.stdout.splitlines()
+
+
+@pytest.mark.parametrize("path", SECRET + RUNS)
+def test_keys_and_runs_get_neither_into_an_image_nor_into_the_repository(path) -> None:
+    assert not is_sent_to_docker(path)
+    assert git("check-ignore", "--no-index", path) == [path]
+
+
+def test_no_source_file_is_kept_from_an_image_or_from_the_repository() -> None:
+    packages = [path.parent.name for path in ROOT.glob("*/__init__.py")]
+    assert "cpnet" in packages
+    tracked = git("ls-files", *packages, "requirements", "pyproject.toml")
+    assert [path for path in tracked if not is_sent_to_docker(path)] == []
+    assert git("ls-files", "--cached", "--ignored", "--exclude-standard") == []
