@@ -27,7 +27,7 @@ from cpnet.processes import (
     relays_of,
 )
 from cpnet.run_folder import RunFolder, written
-from cpnet.security import check_keys, secured_endpoints
+from cpnet.security import check_keys, check_keys_of_roles, secured_endpoints
 from cpnet.viewer_process import Viewing
 from edge_server.config import check_fusion
 from perception.registry import check
@@ -111,6 +111,8 @@ def prepare_run(options: Options, console: Console, played: Replay | None) -> Pr
     check_keys(
         options.keys, processes_without_scenario(choice)
     )  # the others' once the scenario is known
+    if "sim" not in choice.names:
+        check_keys_of_roles(options.keys, choice)
     simulated = None
     if played is None and "sim" in choice.names:
         simulated = _simulated(options)

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from cpnet.endpoints import Endpoints, address_of, resolve
-from cpnet.processes import ProcessEntry
+from cpnet.processes import AGENTS, ProcessEntry, RoleSelection
 from protocol.access import Keys
 from protocol.bus import Endpoint
 from protocol.config import is_file, is_folder
 from protocol.errors import ConfigError
+from protocol.instances import REGION_ROLES
 from protocol.topics import BusName
 
 
@@ -151,6 +152,29 @@ def check_keys(keys: Path | None, entries: list[ProcessEntry]) -> None:
         return
     for entry in entries:
         check_key(keys, entry.id, hosts=entry.role.hosts is not None)
+
+
+def check_keys_of_roles(keys: Path | None, choice: RoleSelection) -> None:
+    """Looks through all that a folder has for roles whose processes the scenario decides.
+
+    So keys that cannot be used are told before the machine of the scenario is waited for.
+
+    Raises:
+        ConfigError: a role has none, or a certificate or its key cannot be used.
+    """
+    if keys is None:
+        return
+    for row in choice.roles:
+        if row.role not in {*REGION_ROLES, *AGENTS} or choice.chosen(row, []):
+            continue
+        found = {path.stem for end in ("pem", "key") for path in keys.glob(f"{row.role}-*.{end}")}
+        if not found:
+            raise ConfigError(
+                f"{keys}: has no certificate of the role {row.role}, which runs here; copy its "
+                "files from where `cpnet keys` was run"
+            )
+        for name in sorted(found):
+            check_key(keys, name)
 
 
 def _is_on_loopback(endpoint: Endpoint) -> bool:

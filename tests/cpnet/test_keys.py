@@ -13,7 +13,8 @@ import zenoh
 from cpnet.cli_setup import keys_command
 from cpnet.endpoints import free_locator
 from cpnet.keys import ROUTER, router_config
-from cpnet.security import check_key, secured_endpoints
+from cpnet.processes import parse_only
+from cpnet.security import check_key, check_keys_of_roles, secured_endpoints
 from protocol.access import Keys
 from protocol.bus import Endpoint, open_bus
 from protocol.errors import ConfigError
@@ -179,6 +180,48 @@ def test_keys_that_are_surely_needed_are_missed_before_anybody_is_asked(
     assert f"keys/{missing}.pem: there is no such file, and {missing} runs here" in output
     assert "waiting" not in output
     assert not (shell.folder / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (
+            lambda f: [path.unlink() for path in f.glob("vehicle-*")],
+            "has no certificate of the role vehicle, which runs here",
+        ),
+        (lambda f: (f / "vehicle-1.key").unlink(), "vehicle-1.key: there is no such file"),
+        (lambda f: (f / "vehicle-1.pem").unlink(), "vehicle-1.pem: there is no such file"),
+        (
+            lambda f: shutil.copy(f / "sim.key", f / "vehicle-0.key"),
+            "its key is not .*vehicle-0.key",
+        ),
+    ],
+)
+def test_keys_of_a_role_that_cannot_be_are_told_without_a_world(folder, spoil, message):
+    check_keys_of_roles(folder, parse_only("vehicle"))
+    spoil(folder)
+    check_keys_of_roles(folder, parse_only("edge,record"))  # no matter what others' are
+    check_keys_of_roles(None, parse_only("vehicle"))
+    with pytest.raises(ConfigError, match=message):
+        check_keys_of_roles(folder, parse_only("vehicle"))
+
+
+def test_another_authoritys_keys_of_a_role_are_told_without_a_world(folder, tmp_path):
+    other = make_keys(tmp_path / "other")
+    for end in ("pem", "key"):
+        shutil.copy(other / f"edge-r0.{end}", folder / f"edge-r0.{end}")
+    with pytest.raises(ConfigError, match=r"edge-r0.pem: is not by the authority of"):
+        check_keys_of_roles(folder, parse_only("edge"))
+
+
+def test_a_role_without_usable_keys_waits_for_nobody(shell: Shell, folder):
+    (folder / "vehicle-1.key").unlink()
+    status, output = shell.run(
+        "up", "--only=vehicle", "--keys=keys", "--connect=127.0.0.1:1", "--restart", "--out=run"
+    )
+    assert status == 2, output
+    assert "keys/vehicle-1.key: there is no such file" in output
+    assert "waiting" not in output
 
 
 @pytest.mark.parametrize("place", ["0.0.0.0:7447", "[::]:7447", "192.0.2.1:7447", "edge.city:7447"])
