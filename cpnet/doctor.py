@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import socket
+import stat
 import subprocess
 import sys
 import threading
@@ -225,6 +226,23 @@ def certificates(folder: Path) -> Iterator[Finding]:
         yield Finding("certificates", "certificates", ok=False, advice=advice)
     for name in names:
         yield _certificate(folder, name)
+    yield from _exposed(folder)
+
+
+def _exposed(folder: Path) -> Iterator[Finding]:
+    """Tells of private keys that any user can read, and of the authority's beside machine's."""
+    for path in sorted(folder.glob("*.key")):
+        if path.stat().st_mode & stat.S_IROTH:
+            advice = f"any user of this machine can read it: chmod o-rwx {path}"
+            yield _key_hint("private_key", path, advice)
+    authority_key = folder / f"{Path(AUTHORITY).stem}.key"
+    if authority_key.exists():
+        advice = "belongs on the machine that makes keys only: it makes any certificate"
+        yield _key_hint("authority_key", authority_key, advice)
+
+
+def _key_hint(check: str, path: Path, advice: str) -> Finding:
+    return Finding(check, f"the private key {path.name}", ok=False, advice=advice, optional=True)
 
 
 def _certificate(folder: Path, name: str) -> Finding:

@@ -121,6 +121,18 @@ def test_the_unit_counts_an_end_by_a_signal_as_success() -> None:
     assert "cpnet/%i/runs" in service["StateDirectory"].split()  # there at the first start too
 
 
+def test_the_unit_takes_from_a_role_what_it_does_not_need() -> None:
+    service = unit()["Service"]
+    assert service["CapabilityBoundingSet"] == ""
+    families = service["RestrictAddressFamilies"].split()
+    assert families == ["AF_INET", "AF_INET6", "AF_UNIX", "AF_NETLINK"]  # Zenoh lists interfaces
+    assert service["UMask"] == "0077"
+    assert "MemoryDenyWriteExecute" not in service  # numba compiles
+    protected = ("KernelTunables", "KernelModules", "KernelLogs", "ControlGroups", "Home")
+    for name in ("PrivateDevices", "NoNewPrivileges", *(f"Protect{what}" for what in protected)):
+        assert service.getboolean(name), name
+
+
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd")
 def test_systemd_finds_no_fault_in_the_unit(tmp_path) -> None:
     text = UNIT.read_text("utf-8").replace("/opt/cpnet/bin/cpnet", "/bin/true")

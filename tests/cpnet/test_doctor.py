@@ -235,6 +235,25 @@ def test_certificates_are_looked_through(tmp_path):
     assert not found["the certificate of record"].is_well
 
 
+def test_private_keys_that_others_can_read_are_told(tmp_path):
+    make_keys(tmp_path)
+    (tmp_path / "ca.key").unlink()
+    assert all(finding.check == "certificate" for finding in doctor.examine_keys(tmp_path))
+    (tmp_path / "sim.key").chmod(0o640)  # for the group of the service
+    (tmp_path / "record.key").chmod(0o644)
+    (hint,) = (one for one in doctor.examine_keys(tmp_path) if one.check == "private_key")
+    assert hint.what == "the private key record.key"
+    assert (hint.ok, hint.is_well) == (False, True)
+    assert "chmod o-rwx" in hint.advice
+
+
+def test_the_authoritys_key_beside_a_machines_keys_is_told(tmp_path):
+    make_keys(tmp_path)
+    hint = by_check(doctor.examine_keys(tmp_path))["authority_key"]
+    assert "belongs on the machine that makes keys only" in hint.advice
+    assert hint.is_well
+
+
 def test_buses_with_keys_are_asked_with_the_keys_of_whoever_looks_on(shell: Shell):
     make_keys(shell.folder / "keys")
     with socket.socket() as first, socket.socket() as second:
