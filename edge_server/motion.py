@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 
 from perception.arrays import Floats
+from protocol.geometry import euler_rotation
 from protocol.messages import AgentPose
 
 FAST = 1.5  # times the highest speed that a lane allows
@@ -32,7 +33,8 @@ class ClaimedPose:
     """Pose (6,) that an agent claims, of a roadside unit its sensor's, and its standard deviation.
 
     `mount` (6,) is by how much its sensor stands ahead, to the left, over and turned of its own
-    place, None where it sent no scan.
+    place, in the vehicle's frame: pitching moves a sensor on the roof by decimetres in the map's.
+    None where it sent no scan.
     """
 
     sim_time_ns: int
@@ -59,7 +61,7 @@ class ClaimedPose:
         if sensor_pose is None:
             return cls(sim_time_ns, pose.pose, std_m, is_rsu=False)
         mount = np.array(sensor_pose - pose.pose)
-        mount[:2] = _turned(pose.pose[5], *mount[:2])
+        mount[:3] = euler_rotation(*pose.pose[3:]).T @ mount[:3]
         return cls(sim_time_ns, pose.pose, std_m, is_rsu=False, mount=mount)
 
     def leads_to(self, later: ClaimedPose, fast_mps: float) -> bool:

@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 from edge_server.misbehaviour import TrustScore
 from edge_server.motion import STEADY_FRAMES, ClaimedPose, MotionCheck, fastest_mps
+from protocol.geometry import SE3
+from protocol.messages import AgentPose, Equipment
 
 PERIOD_NS = 100_000_000
 FAST_MPS = fastest_mps([13.9])
@@ -66,6 +68,29 @@ def test_a_sensor_stays_on_its_vehicle():
         one = stand(frame, 0)
         scored = motion.score(ClaimedPose(one.sim_time_ns, one.pose, 0.05, False, mount), FAST_MPS)
     assert scored == 0.0
+
+
+@given(tilts=st.lists(st.tuples(*[st.floats(-0.3, 0.3)] * 2), min_size=2, max_size=20))
+def test_a_sensor_on_a_vehicle_that_pitches_and_rolls_stays_on_it(tilts) -> None:
+    motion = MotionCheck()
+    vehicle_SE3_sensor = SE3.from_pose([0.3, 0.1, 2.4, 0, 0, 0])
+    for frame, (roll_rad, pitch_rad) in enumerate(tilts):
+        pose = np.array([10.0 + frame, 5, 1, roll_rad, pitch_rad, 1.57])
+        said = AgentPose(
+            frame=frame,
+            sim_time_ns=frame * PERIOD_NS,
+            agent="cav",
+            equipment=Equipment.CAV,
+            pose=pose,
+            length_m=4.5,
+            width_m=1.8,
+            height_m=1.5,
+            position_std_m=0.05,
+        )
+        sensor_pose = (SE3.from_pose(pose) @ vehicle_SE3_sensor).as_pose()
+        claimed = ClaimedPose.of(frame * PERIOD_NS, said, sensor_pose)
+        assert claimed is not None
+        assert motion.score(claimed, FAST_MPS) == 1.0
 
 
 def test_one_odd_frame_costs_no_trust_and_one_in_four_does():
