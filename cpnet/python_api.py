@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from cpnet import scenario as scenarios
+from cpnet.main_module import check_not_again
 from cpnet.needs import check_detector, check_simulator
 from cpnet.run_folder import RunFolder
 from protocol.errors import BusError, ConfigError
@@ -65,6 +66,7 @@ def run(
         ConfigError: the scenario cannot be run.
         BusError: the roles wait for each other.
     """
+    check_not_again()
     own = OwnParts(detector, upload_policy, fusion, controller)
     if processes:
         return _run_processes(scenario, own, out, overrides)
@@ -95,6 +97,7 @@ def simulate(
         ConfigError: the scenario cannot be run, or another run of this process has not ended.
         BusError: the roles wait for each other.
     """
+    check_not_again()
     own = OwnParts(detector, upload_policy, fusion, controller)
     with provided(own.plugins()):
         resolved = resolve(scenario, overrides | own.settings())
@@ -130,6 +133,7 @@ def study(
     """
     from cpnet.study_cells import run_study
 
+    check_not_again()
     return run_study(what, out, jobs, seeds, flattened(overrides), keep_runs=keep_runs)
 
 

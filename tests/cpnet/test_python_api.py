@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +17,7 @@ from perception.detector import Vehicles
 from protocol.errors import ConfigError
 from recording.tables import RequestRow
 
+ROOT = Path(__file__).parents[2]
 LIDAR = {"channels": 16, "points_per_second": 72_000}
 SMALL = {
     "frame_period_s": 1,
@@ -190,6 +195,56 @@ def test_a_study_gives_its_table_and_runs_no_cell_twice(tmp_path, monkeypatch) -
 def test_processes_take_no_functions() -> None:
     with pytest.raises(ConfigError, match="functions of this program run in its process"):
         cpnet.run(SMALL, detector=one_box, processes=True)
+
+
+def test_a_child_that_runs_the_script_again_is_told_of_the_guard(monkeypatch) -> None:
+    monkeypatch.setattr(sys, "tracebacklimit", 1000, raising=False)
+    monkeypatch.setattr(multiprocessing.current_process(), "_inheriting", True, raising=False)
+    for call in (cpnet.run, lambda what: next(cpnet.simulate(what)), cpnet.study):
+        with pytest.raises(ConfigError, match='under `if __name__ == "__main__":`'):
+            call(SMALL)
+
+
+UNGUARDED = """
+import cpnet
+
+print("once")
+lidar = {lidar}
+print(cpnet.{call}, duration_s=1, frame_period_s=1, lidar=dict(vehicle=lidar, roadside=lidar)))
+"""
+
+
+def script(folder: Path, call: str) -> tuple[int, str, str]:
+    """Runs a script that calls this without a guard; returns its status and what it prints."""
+    (folder / "script.py").write_text(UNGUARDED.format(lidar=LIDAR, call=call), "utf-8")
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    done = subprocess.run(
+        [sys.executable, "script.py"],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.process
+def test_a_script_without_a_guard_may_run_many_processes(tmp_path: Path) -> None:
+    status, printed, errors = script(tmp_path, "run(processes=True, traffic={'warmup_s': 5}")
+    assert status == 0, errors
+    assert printed.splitlines()[0] == "once"
+    assert printed.count("once") == 1
+
+
+@pytest.mark.process
+def test_a_study_of_several_jobs_names_the_guard(tmp_path: Path) -> None:
+    what = "{'name': 'a', 'axes': {'traffic.cav_rate': [0, 0.1]}, 'seeds': [1]}"
+    status, _, errors = script(tmp_path, f"study({what}, jobs=2, traffic={{'warmup_s': 5}}")
+    assert status == 1
+    assert "jobs is 2: no process of them could be started" in errors.splitlines()[-1]
+    assert errors.splitlines()[-1].count('`if __name__ == "__main__":`') == 1
+    assert len(errors.splitlines()) < 40
 
 
 @pytest.mark.process
