@@ -126,13 +126,35 @@ def test_functions_take_the_place_of_the_parts(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("part", "said"),
     [
-        ({"detector": lambda cloud: np.zeros((2, 3))}, r"returned \(2, 3\), must return boxes"),
+        (
+            {"detector": lambda cloud: np.zeros((2, 3))},
+            r"returned float64 \(2, 3\), must return boxes",
+        ),
+        ({"detector": lambda cloud: None}, r"own:<lambda> .* returned a NoneType .*must return"),
+        ({"detector": lambda cloud: "box"}, r"own:<lambda> .* returned a str .*must return boxes"),
+        ({"detector": lambda cloud: np.full((1, 7), np.nan)}, r"own:<lambda> .* boxes with NaN"),
+        ({"upload_policy": lambda scan, pose: None}, r"own:<lambda> .* returned a NoneType"),
+        ({"upload_policy": lambda scan, pose: np.ones(3, bool)}, r"returned bool \(3,\), must"),
         (
             {"upload_policy": lambda scan, pose: scan.range_m},
-            r"returned float32, must return a mask",
+            r"returned float32 \(.*\), must return a mask",
         ),
         ({"fusion": lambda found, poses: 1}, r"found a int, must find Vehicles"),
         ({"controller": lambda observation, signal: 7}, r"chose green 7 of J, which has 0 to 1"),
+        ({"controller": lambda observation, signal: None}, r"own:<lambda> .* a NoneType \(None\)"),
+        ({"controller": lambda observation, signal: float("nan")}, r"chose a float \(nan\) for J"),
+        ({"controller": lambda observation, signal: np.zeros(2)}, r"chose float64 \(2,\) for J"),
+        ({"controller": lambda observation, signal: True}, r"chose a bool \(True\) for J"),
+        ({"controller": lambda observation, signal: "north"}, r"'north' for J, must choose one of"),
+        (
+            {"controller": lambda observation, signal: "r" * len(signal.greens[0])},
+            r"must choose one of its greens .*, not all r",
+        ),
+        (
+            {"controller": lambda observation, signal: "G" * len(signal.greens[0])},
+            r"own:<lambda> .* gives green to links that conflict: \d+ and \d+.*; its greens are",
+        ),
+        ({"detector": "fast"}, r"a name is a key of the scenario: \*\*{\"edge.detector\": 'fast'}"),
         ({"controller": 7}, r"signal\.policy: a int was given, must be a function"),
     ],
 )
