@@ -41,3 +41,7 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - the API loads all roles: wh
     from cpnet import python_api
 
     return getattr(python_api, name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

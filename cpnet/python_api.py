@@ -35,6 +35,13 @@ from studies.run_frames import Run
 from studies.simulated_frame import SimulatedFrame
 
 Scenario = str | Path | Mapping[str, Any]
+_ARGUMENTS = {
+    "edge.detector": "detector",
+    "upload.policy": "upload_policy",
+    "edge.fusion.rule": "fusion",
+    "signal.policy": "controller",
+}
+"""The arguments that take functions, by the scenario keys that take names."""
 
 
 def run(
@@ -144,9 +151,24 @@ def resolve(scenario: Scenario, overrides: Mapping[str, Any]) -> scenarios.Scena
         ConfigError: there is no such scenario, an unknown key or a value out of range.
     """
     settings = flattened(overrides)
+    name = str(scenario)
     if isinstance(scenario, Mapping):
-        return scenarios.load("t_junction", flattened(scenario) | settings)
-    return scenarios.load(str(scenario), settings)
+        name, settings = "t_junction", flattened(scenario) | settings
+    _check_names(settings)
+    return scenarios.load(name, settings)
+
+
+def _check_names(settings: Mapping[str, Any]) -> None:
+    """Checks that no function stands where a scenario has a name.
+
+    Raises:
+        ConfigError: one does.
+    """
+    for key, argument in _ARGUMENTS.items():
+        if callable(settings.get(key)):
+            raise ConfigError(
+                f"{key} is a function, must be a name: give functions by the argument {argument}="
+            )
 
 
 def flattened(overrides: Mapping[str, Any]) -> dict[str, Any]:

@@ -64,6 +64,13 @@ def test_the_same_seed_gives_the_same_rows_in_the_same_process(run) -> None:
     assert again.truth.equals(run.truth)
 
 
+def test_what_there_is_is_listed(run) -> None:
+    assert {"Run", "run", "simulate", "study"} <= set(dir(cpnet))
+    for row in ("uploads", int, ["uploads"]):
+        with pytest.raises(ConfigError, match=r"must be a class of recording\.tables.* UploadRow"):
+            run.table(row)
+
+
 def test_a_temporary_run_goes_with_its_object() -> None:
     made = cpnet.run(SMALL, duration_s=1)
     folder = made.dir
@@ -214,6 +221,12 @@ def test_a_study_gives_its_table_and_runs_no_cell_twice(tmp_path, monkeypatch) -
         cpnet.study({**study, "axis": 1})
 
 
+def test_a_function_where_a_name_is_meant_is_told_its_argument() -> None:
+    for keys in ({"edge": {"detector": one_box}}, {"signal.policy": second_green}):
+        with pytest.raises(ConfigError, match=r"a function, .*argument (detector|controller)="):
+            cpnet.run(SMALL, **keys)
+
+
 def test_processes_take_no_functions() -> None:
     with pytest.raises(ConfigError, match="functions of this program run in its process"):
         cpnet.run(SMALL, detector=one_box, processes=True)
@@ -267,6 +280,17 @@ def test_a_study_of_several_jobs_names_the_guard(tmp_path: Path) -> None:
     assert "jobs is 2: no process of them could be started" in errors.splitlines()[-1]
     assert errors.splitlines()[-1].count('`if __name__ == "__main__":`') == 1
     assert len(errors.splitlines()) < 40
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("arguments", [["--help"], ["runs"], ["run", "test"]])
+def test_setup_makes_nothing_of_an_unknown_argument(arguments, tmp_path: Path) -> None:
+    venv = tmp_path / "venv"
+    command = [str(ROOT / "scripts" / "setup"), *arguments]
+    environment = os.environ | {"CPNET_VENV": str(venv)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (2, "usage: scripts/setup [run | test]\n")
+    assert not venv.exists()
 
 
 @pytest.mark.process
