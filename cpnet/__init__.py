@@ -8,7 +8,8 @@
   `needs`, `preparation` and `run_folder` (before the first frame), `up`, `supervisor`,
   `fork_server`, `exit_report`, `run_monitor` (progress, stalls, failures, exit status), `watch`
   (the world bus).
-- Installed: `compiling` (Numba's functions, once), `shadowing` (a user's `protocol.py`).
+- Installed: `compiling` (Numba's functions, once), `main_module` (a user's script), `shadowing`
+  (a user's `protocol.py`).
 - Other machines: `endpoints` (where buses are), `discovery` (RUN/buses.json, joining a run),
   `security` (TLS or loopback), `keys` (certificates), `doctor` (checks), `metrics_page`.
 - Recordings: `replay`; `reproduce` (the command that repeats a run).
@@ -40,3 +41,7 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - the API loads all roles: wh
     from cpnet import python_api
 
     return getattr(python_api, name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

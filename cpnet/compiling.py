@@ -29,6 +29,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from cpnet.main_module import without_main
 from cpnet.shadowing import ROOT
 from protocol.errors import ConfigError
 
@@ -104,7 +105,7 @@ def _compile(todo: dict[str, set[str]], jobs: int, advance: Callable[[], object]
     waiting, running = dict(todo), dict[Future[None], str]()
     done: set[str] = set()
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+    with without_main(), ProcessPoolExecutor(jobs, mp_context=context) as pool:
         while waiting or running:
             ready = [name for name, needs in waiting.items() if needs <= done]
             for name in sorted(ready, key=lambda name: -_weight(name)):

@@ -130,10 +130,21 @@ class Episodes:
         self.is_over = False
         return next(self._frames)
 
+    def check_on(self) -> None:
+        """Checks that an episode goes on.
+
+        Raises:
+            ConfigError: none has begun, or it is over.
+        """
+        if self._frames is None:
+            raise ConfigError("no episode has begun: call reset() first")
+        if self.is_over:
+            raise ConfigError("the episode is over: call reset()")
+
     def advance(self) -> list[SimulatedFrame]:
         """Returns the frames until the next decision; fewer, or none, where the episode ends."""
-        if self._frames is None or self.is_over:
-            raise ConfigError("the episode is over: call reset()")
+        self.check_on()
+        assert self._frames is not None
         frames: list[SimulatedFrame] = []
         for frame in self._frames:
             frames.append(frame)
@@ -169,6 +180,20 @@ def _junctions(setup: Setup) -> dict[str, Junction]:
     return {one.tls: Junction(one) for one in setup.road_map.intersections}
 
 
+def _checked(action: object, space: Discrete, tls: str) -> int:
+    """Returns an action as a number.
+
+    Raises:
+        ValueError: it is no green of the signal.
+    """
+    if isinstance(action, bool | np.bool_) or not space.contains(action):
+        raise ValueError(
+            f"action {action!r:.80} of signal {tls}: must be an integer, a green from 0 to "
+            f"{space.n - 1}"
+        )
+    return int(cast("int", action))
+
+
 class SignalEnv(gymnasium.Env[Values, np.int64]):
     """A Gymnasium environment of one signal.
 
@@ -199,7 +224,7 @@ class SignalEnv(gymnasium.Env[Values, np.int64]):
             )
         self.junction = next(iter(self._episodes.junctions.values()))
         self.observation_space = self.junction.space()
-        self.action_space = Discrete(len(self.junction.greens))
+        self.action_space: Discrete = Discrete(len(self.junction.greens))
         self._last: SimulatedFrame | None = None
 
     def reset(
@@ -212,8 +237,15 @@ class SignalEnv(gymnasium.Env[Values, np.int64]):
         return self.junction.observe(self._last), self._info(self._last)
 
     def step(self, action: np.int64) -> tuple[Values, float, bool, bool, dict[str, Any]]:
-        """Shows a green until the next decision; see `gymnasium.Env.step`."""
-        self._episodes.wanted[self.junction.signal.tls] = int(action)
+        """Shows a green until the next decision; see `gymnasium.Env.step`.
+
+        Raises:
+            ValueError: the action is no green of the signal; the episode goes on without it.
+            ConfigError: no episode has begun, or it is over.
+        """
+        self._episodes.check_on()
+        tls = self.junction.signal.tls
+        self._episodes.wanted[tls] = _checked(action, self.action_space, tls)
         frames = self._episodes.advance()
         self._last = frames[-1] if frames else self._last
         assert self._last is not None
@@ -297,8 +329,14 @@ class JunctionsEnv(ParallelEnv[str, Values, int]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Shows greens until the next decision; see `pettingzoo.ParallelEnv.step`."""
-        self._episodes.wanted.update({tls: int(green) for tls, green in actions.items()})
+        """Shows greens until the next decision; see `pettingzoo.ParallelEnv.step`.
+
+        Raises:
+            ValueError: an action is no green of its signal; the episode goes on without it.
+            ConfigError: no episode has begun, or it is over.
+        """
+        self._episodes.check_on()
+        self._episodes.wanted.update(self._checked(actions))
         frames = self._episodes.advance()
         self._last = frames[-1] if frames else self._last
         assert self._last is not None
@@ -328,6 +366,15 @@ class JunctionsEnv(ParallelEnv[str, Values, int]):
     def close(self) -> None:
         """Ends the episode."""
         self._episodes.close()
+
+    def _checked(self, actions: Mapping[str, object]) -> dict[str, int]:
+        unknown = sorted(map(str, actions.keys() - self.action_spaces.keys()))
+        if unknown:
+            raise ValueError(
+                f"actions of {', '.join(unknown)}: the signals are "
+                f"{', '.join(self.possible_agents)}"
+            )
+        return {tls: _checked(one, self.action_spaces[tls], tls) for tls, one in actions.items()}
 
     def _observed(self, frame: SimulatedFrame) -> dict[str, Values]:
         return {tls: self.junctions[tls].observe(frame) for tls in self.agents}

@@ -20,6 +20,7 @@ from pathlib import Path
 
 from setproctitle import setproctitle
 
+from cpnet.main_module import without_main
 from cpnet.shadowing import same_path
 from protocol.errors import CpnetError
 
@@ -140,7 +141,8 @@ def _fork(module: str, arguments: list[str], log: Path) -> ChildProcess:
             daemon=True,
         )
         try:
-            process.start()
+            with without_main():  # roles need nothing of it
+                process.start()
             return ChildProcess(process, ours)
         except BaseException:
             ours.close()  # a process that was started after all ends by that

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from cpnet import scenario as scenarios
+from cpnet.main_module import check_not_again
 from cpnet.needs import check_detector, check_simulator
 from cpnet.run_folder import RunFolder
 from protocol.errors import BusError, ConfigError
@@ -34,6 +35,13 @@ from studies.run_frames import Run
 from studies.simulated_frame import SimulatedFrame
 
 Scenario = str | Path | Mapping[str, Any]
+_ARGUMENTS = {
+    "edge.detector": "detector",
+    "upload.policy": "upload_policy",
+    "edge.fusion.rule": "fusion",
+    "signal.policy": "controller",
+}
+"""The arguments that take functions, by the scenario keys that take names."""
 
 
 def run(
@@ -65,6 +73,7 @@ def run(
         ConfigError: the scenario cannot be run.
         BusError: the roles wait for each other.
     """
+    check_not_again()
     own = OwnParts(detector, upload_policy, fusion, controller)
     if processes:
         return _run_processes(scenario, own, out, overrides)
@@ -95,6 +104,7 @@ def simulate(
         ConfigError: the scenario cannot be run, or another run of this process has not ended.
         BusError: the roles wait for each other.
     """
+    check_not_again()
     own = OwnParts(detector, upload_policy, fusion, controller)
     with provided(own.plugins()):
         resolved = resolve(scenario, overrides | own.settings())
@@ -130,6 +140,7 @@ def study(
     """
     from cpnet.study_cells import run_study
 
+    check_not_again()
     return run_study(what, out, jobs, seeds, flattened(overrides), keep_runs=keep_runs)
 
 
@@ -140,9 +151,24 @@ def resolve(scenario: Scenario, overrides: Mapping[str, Any]) -> scenarios.Scena
         ConfigError: there is no such scenario, an unknown key or a value out of range.
     """
     settings = flattened(overrides)
+    name = str(scenario)
     if isinstance(scenario, Mapping):
-        return scenarios.load("t_junction", flattened(scenario) | settings)
-    return scenarios.load(str(scenario), settings)
+        name, settings = "t_junction", flattened(scenario) | settings
+    _check_names(settings)
+    return scenarios.load(name, settings)
+
+
+def _check_names(settings: Mapping[str, Any]) -> None:
+    """Checks that no function stands where a scenario has a name.
+
+    Raises:
+        ConfigError: one does.
+    """
+    for key, argument in _ARGUMENTS.items():
+        if callable(settings.get(key)):
+            raise ConfigError(
+                f"{key} is a function, must be a name: give functions by the argument {argument}="
+            )
 
 
 def flattened(overrides: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cpnet import scenario as scenarios
+from cpnet.main_module import guard_needed
 from edge_server.config import EdgeConfig
 from perception.registry import check
 from protocol.errors import ConfigError, CpnetError
@@ -19,6 +21,7 @@ from studies.sweep.study_file import Study, StudyFile, read_study, study_of
 
 if TYPE_CHECKING:
     import polars as pl
+    from distributed import Client
 
     from studies.sweep.engine import Failure
 
@@ -121,11 +124,28 @@ def _run_in_processes(
 ) -> list[Failure]:
     from rich.console import Console
 
-    from studies.sweep.cluster import local
     from studies.sweep.engine import Engine, ProgressDisplay
 
     if not todo:
         return []
     quiet = ProgressDisplay(Console(quiet=True), len(todo), 0)
-    with quiet, local(min(jobs, len(todo))) as client:
+    with quiet, _workers(min(jobs, len(todo))) as client:
         return Engine(client, store, quiet, keep_runs=keep_runs).run(todo)
+
+
+@contextmanager
+def _workers(jobs: int) -> Iterator[Client]:
+    """Starts worker processes here.
+
+    Raises:
+        ConfigError: they cannot be started.
+    """
+    from studies.sweep.cluster import local
+
+    with ExitStack() as stack:
+        try:
+            client = stack.enter_context(local(jobs))
+        except RuntimeError as error:
+            why = f"jobs is {jobs}: no process of them could be started ({error}); in a script"
+            raise ConfigError(guard_needed(why)) from None
+        yield client

@@ -6,9 +6,10 @@ agent, gives what an entry point would name (a class or `Policy`), see docs/plug
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
@@ -82,7 +83,13 @@ def _is_maker(part: object) -> bool:
 def _name(key: str, part: object) -> str:
     """Returns the name by which a scenario calls it."""
     if not callable(part) and not isinstance(part, Policy):
-        raise ConfigError(f"{key}: a {type(part).__name__} was given, must be a function")
+        what = f"a {type(part).__name__} was given"
+        if isinstance(part, str):
+            raise ConfigError(
+                f"{key}: {what}, must be a function; a name is a key of the scenario: "
+                f'**{{"{key}": {part!r}}}'
+            )
+        raise ConfigError(f"{key}: {what}, must be a function")
     return f"{OWN}{getattr(part, '__name__', type(part).__name__)}"
 
 
@@ -100,14 +107,18 @@ class _FunctionDetector:
             found = self.function(cloud)
         if isinstance(found, Vehicles):
             return found
-        rows = np.asarray(found, np.float64)
-        if rows.size == 0:
+        rows = _numbers(found)
+        if rows is not None and rows.size == 0:
             rows = rows.reshape(0, 7)
-        if rows.ndim != 2 or rows.shape[1] not in (7, 8):
-            raise ConfigError(
-                f"the detector {_name('edge.detector', self.function)} of this program returned "
-                f"{rows.shape}, must return boxes (N, 7), with scores (N, 8), or Vehicles"
+        if rows is None or rows.ndim != 2 or rows.shape[1] not in (7, 8):
+            raise _wrong(
+                "detector",
+                self.function,
+                f"returned {_shown(found)}, must return boxes (N, 7), with scores (N, 8), "
+                "or Vehicles",
             )
+        if not np.isfinite(rows).all():
+            raise _wrong("detector", self.function, "returned boxes with NaN or infinity")
         scores = rows[:, 7] if rows.shape[1] == 8 else np.ones(len(rows))
         return Vehicles.from_lidar(rows[:, :7], scores)
 
@@ -125,12 +136,14 @@ class _FunctionChooser:
 
     def choose(self, scan: RangeScan, map_SE3_sensor: SE3) -> Bytes:
         """See `Chooser.choose`."""
-        sent = np.asarray(self.function(scan, map_SE3_sensor))
-        if sent.dtype != np.bool_:
-            raise ConfigError(
-                f"the upload policy {_name('upload.policy', self.function)} of this program "
-                f"returned {sent.dtype}, must return a mask of bool {scan.range_m.shape}; whoever "
-                "has several chunks gives a Policy"
+        found = self.function(scan, map_SE3_sensor)
+        sent = np.asarray(found) if isinstance(found, np.ndarray | list) else np.zeros(0)
+        if sent.dtype != np.bool_ or sent.shape != scan.range_m.shape:
+            raise _wrong(
+                "upload policy",
+                self.function,
+                f"returned {_shown(found)}, must return a mask of bool {scan.range_m.shape}; "
+                "whoever has several chunks gives a Policy",
             )
         return np.where(sent, 0, NOT_SENT).astype(np.uint8)
 
@@ -170,13 +183,74 @@ class _FunctionPolicy:
 
     def decide(self, observation: Observation) -> Decision:
         """See `SignalPolicy.decide`."""
-        chosen, greens = self.function(observation, self.signal), self.signal.greens
-        name = _name("signal.policy", self.function)
+        chosen = self.function(observation, self.signal)
+        state = chosen if isinstance(chosen, str) else self._green(chosen)
         if isinstance(chosen, str):
-            return Decision(chosen, [], name)
-        if not 0 <= int(chosen) < len(greens):
-            raise ConfigError(
-                f"the controller {name} of this program chose green {chosen} of {self.signal.tls}, "
-                f"which has 0 to {len(greens) - 1}"
+            self._check(chosen)
+        return Decision(state, [], _name("signal.policy", self.function))
+
+    def _green(self, chosen: object) -> str:
+        """Returns the green of an index."""
+        greens, tls = self.signal.greens, self.signal.tls
+        try:
+            index = operator.index(cast("int", chosen))
+        except TypeError:
+            index = None
+        if index is None or isinstance(chosen, bool):
+            raise self._wrong(
+                f"chose {_shown(chosen)} for {tls}, must choose an index from 0 to "
+                f"{len(greens) - 1} or a state of links"
             )
-        return Decision(greens[int(chosen)], [], name)
+        if not 0 <= index < len(greens):
+            raise self._wrong(f"chose green {index} of {tls}, which has 0 to {len(greens) - 1}")
+        return greens[index]
+
+    def _check(self, state: str) -> None:
+        """Checks what the cabinet would refuse, frame after frame."""
+        signal, links = self.signal, len(self.signal.plan[0].state)
+        if len(state) != links or not set(state) <= set("Ggr") or not set(state) & set("Gg"):
+            raise self._wrong(
+                f"chose {state!r:.80} for {signal.tls}, must choose one of its greens "
+                f"{', '.join(signal.greens)}, or a G, g or r for each of {links} links, not all r"
+            )
+        pairs = [f"{a} and {b}" for a, b in signal.conflicts if _clash(signal, state, a, b)]
+        if pairs:
+            more = f" and {len(pairs) - 4} more" if len(pairs) > 4 else ""
+            raise self._wrong(
+                f"chose {state!r} for {signal.tls}, which gives green to links that conflict: "
+                f"{', '.join(pairs[:4])}{more}; its greens are {', '.join(signal.greens)}"
+            )
+
+    def _wrong(self, what: str) -> ConfigError:
+        return _wrong("controller", self.function, what)
+
+
+def _clash(signal: Signal, state: str, a: int, b: int) -> bool:
+    """Whether two conflicting links may go in a state, and in no green with as much right."""
+    if "r" in (state[a], state[b]):
+        return False
+    return not any(
+        {green[a], green[b]} <= set("Gg")
+        and state[a] in (green[a], "g")
+        and state[b] in (green[b], "g")
+        for green in signal.greens
+    )
+
+
+def _numbers(found: object) -> Floats | None:
+    try:
+        return np.asarray(found, np.float64)
+    except (TypeError, ValueError):
+        return None
+
+
+def _shown(found: object) -> str:
+    """Returns what a function returned, for people."""
+    if isinstance(found, np.ndarray):
+        return f"{found.dtype} {found.shape}"
+    return f"a {type(found).__name__} ({found!r:.40})"
+
+
+def _wrong(what: str, function: object, text: str) -> ConfigError:
+    name = f"{OWN}{getattr(function, '__name__', type(function).__name__)}"
+    return ConfigError(f"the {what} {name} of this program {text}")

@@ -55,8 +55,18 @@ class Run(recorded.Run):
         return f"Run({str(self.dir)!r})"
 
     def table(self, row: type[Any]) -> pl.DataFrame:
-        """Returns a whole table of `recording.tables` by its row type, sorted by its keys."""
+        """Returns a whole table of `recording.tables` by its row type, sorted by its keys.
+
+        Raises:
+            ConfigError: it is no such type.
+        """
         import polars as pl
+
+        if not isinstance(row, type) or row not in TABLES:
+            names = ", ".join(sorted(one.__name__ for one in TABLES))
+            raise ConfigError(
+                f"table({row!r:.60}): must be a class of recording.tables, one of {names}"
+            )
 
         hints = get_type_hints(row)
         schema = {name: _polars_type(hints[name]) for name in TABLES[row].columns}

@@ -70,6 +70,32 @@ def test_an_episode_is_as_long_as_the_scenario_and_can_be_read_afterwards(env) -
         env.step(0)
 
 
+def test_a_bad_action_is_refused_and_the_episode_goes_on(env) -> None:
+    with pytest.raises(ConfigError, match=r"call reset\(\) first"):
+        env.step(0)
+    env.reset(seed=4)
+    for action in (-1, 99, 0.9, True, None, "0"):
+        said = rf"action {action!r} of signal J: must be an integer, a green from 0 to 1"
+        with pytest.raises(ValueError, match=said):
+            env.step(action)
+    for steps in range(1, 5):
+        _, _, _, is_over, _ = env.step(np.int64(0))
+        assert is_over == (steps == 4)
+
+
+def test_bad_actions_of_several_signals_are_refused_alike() -> None:
+    made = JunctionsEnv("t_junction", decision_s=2, **SMALL)
+    with pytest.raises(ConfigError, match=r"call reset\(\) first"):
+        made.step({"J": 0})
+    made.reset(seed=4)
+    for actions, said in (({"J": 2}, "action 2 of signal J"), ({"K": 0}, "the signals are J")):
+        with pytest.raises(ValueError, match=said):
+            made.step(actions)
+    *_, ended, _ = made.step({"J": 0})
+    made.close()
+    assert ended == {"J": False}
+
+
 def test_actions_decide_what_is_shown(env) -> None:
     ends = []
     for action in (0, 1):

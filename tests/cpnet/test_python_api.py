@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +17,7 @@ from perception.detector import Vehicles
 from protocol.errors import ConfigError
 from recording.tables import RequestRow
 
+ROOT = Path(__file__).parents[2]
 LIDAR = {"channels": 16, "points_per_second": 72_000}
 SMALL = {
     "frame_period_s": 1,
@@ -57,6 +62,13 @@ def test_the_same_seed_gives_the_same_rows_in_the_same_process(run) -> None:
     again = cpnet.run(SMALL, seed=3)
     assert again.detections.equals(run.detections)
     assert again.truth.equals(run.truth)
+
+
+def test_what_there_is_is_listed(run) -> None:
+    assert {"Run", "run", "simulate", "study"} <= set(dir(cpnet))
+    for row in ("uploads", int, ["uploads"]):
+        with pytest.raises(ConfigError, match=r"must be a class of recording\.tables.* UploadRow"):
+            run.table(row)
 
 
 def test_a_temporary_run_goes_with_its_object() -> None:
@@ -121,13 +133,35 @@ def test_functions_take_the_place_of_the_parts(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("part", "said"),
     [
-        ({"detector": lambda cloud: np.zeros((2, 3))}, r"returned \(2, 3\), must return boxes"),
+        (
+            {"detector": lambda cloud: np.zeros((2, 3))},
+            r"returned float64 \(2, 3\), must return boxes",
+        ),
+        ({"detector": lambda cloud: None}, r"own:<lambda> .* returned a NoneType .*must return"),
+        ({"detector": lambda cloud: "box"}, r"own:<lambda> .* returned a str .*must return boxes"),
+        ({"detector": lambda cloud: np.full((1, 7), np.nan)}, r"own:<lambda> .* boxes with NaN"),
+        ({"upload_policy": lambda scan, pose: None}, r"own:<lambda> .* returned a NoneType"),
+        ({"upload_policy": lambda scan, pose: np.ones(3, bool)}, r"returned bool \(3,\), must"),
         (
             {"upload_policy": lambda scan, pose: scan.range_m},
-            r"returned float32, must return a mask",
+            r"returned float32 \(.*\), must return a mask",
         ),
         ({"fusion": lambda found, poses: 1}, r"found a int, must find Vehicles"),
         ({"controller": lambda observation, signal: 7}, r"chose green 7 of J, which has 0 to 1"),
+        ({"controller": lambda observation, signal: None}, r"own:<lambda> .* a NoneType \(None\)"),
+        ({"controller": lambda observation, signal: float("nan")}, r"chose a float \(nan\) for J"),
+        ({"controller": lambda observation, signal: np.zeros(2)}, r"chose float64 \(2,\) for J"),
+        ({"controller": lambda observation, signal: True}, r"chose a bool \(True\) for J"),
+        ({"controller": lambda observation, signal: "north"}, r"'north' for J, must choose one of"),
+        (
+            {"controller": lambda observation, signal: "r" * len(signal.greens[0])},
+            r"must choose one of its greens .*, not all r",
+        ),
+        (
+            {"controller": lambda observation, signal: "G" * len(signal.greens[0])},
+            r"own:<lambda> .* gives green to links that conflict: \d+ and \d+.*; its greens are",
+        ),
+        ({"detector": "fast"}, r"a name is a key of the scenario: \*\*{\"edge.detector\": 'fast'}"),
         ({"controller": 7}, r"signal\.policy: a int was given, must be a function"),
     ],
 )
@@ -187,9 +221,76 @@ def test_a_study_gives_its_table_and_runs_no_cell_twice(tmp_path, monkeypatch) -
         cpnet.study({**study, "axis": 1})
 
 
+def test_a_function_where_a_name_is_meant_is_told_its_argument() -> None:
+    for keys in ({"edge": {"detector": one_box}}, {"signal.policy": second_green}):
+        with pytest.raises(ConfigError, match=r"a function, .*argument (detector|controller)="):
+            cpnet.run(SMALL, **keys)
+
+
 def test_processes_take_no_functions() -> None:
     with pytest.raises(ConfigError, match="functions of this program run in its process"):
         cpnet.run(SMALL, detector=one_box, processes=True)
+
+
+def test_a_child_that_runs_the_script_again_is_told_of_the_guard(monkeypatch) -> None:
+    monkeypatch.setattr(sys, "tracebacklimit", 1000, raising=False)
+    monkeypatch.setattr(multiprocessing.current_process(), "_inheriting", True, raising=False)
+    for call in (cpnet.run, lambda what: next(cpnet.simulate(what)), cpnet.study):
+        with pytest.raises(ConfigError, match='under `if __name__ == "__main__":`'):
+            call(SMALL)
+
+
+UNGUARDED = """
+import cpnet
+
+print("once")
+lidar = {lidar}
+print(cpnet.{call}, duration_s=1, frame_period_s=1, lidar=dict(vehicle=lidar, roadside=lidar)))
+"""
+
+
+def script(folder: Path, call: str) -> tuple[int, str, str]:
+    """Runs a script that calls this without a guard; returns its status and what it prints."""
+    (folder / "script.py").write_text(UNGUARDED.format(lidar=LIDAR, call=call), "utf-8")
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    done = subprocess.run(
+        [sys.executable, "script.py"],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.process
+def test_a_script_without_a_guard_may_run_many_processes(tmp_path: Path) -> None:
+    status, printed, errors = script(tmp_path, "run(processes=True, traffic={'warmup_s': 5}")
+    assert status == 0, errors
+    assert printed.splitlines()[0] == "once"
+    assert printed.count("once") == 1
+
+
+@pytest.mark.process
+def test_a_study_of_several_jobs_names_the_guard(tmp_path: Path) -> None:
+    what = "{'name': 'a', 'axes': {'traffic.cav_rate': [0, 0.1]}, 'seeds': [1]}"
+    status, _, errors = script(tmp_path, f"study({what}, jobs=2, traffic={{'warmup_s': 5}}")
+    assert status == 1
+    assert "jobs is 2: no process of them could be started" in errors.splitlines()[-1]
+    assert errors.splitlines()[-1].count('`if __name__ == "__main__":`') == 1
+    assert len(errors.splitlines()) < 40
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("arguments", [["--help"], ["runs"], ["run", "test"]])
+def test_setup_makes_nothing_of_an_unknown_argument(arguments, tmp_path: Path) -> None:
+    venv = tmp_path / "venv"
+    command = [str(ROOT / "scripts" / "setup"), *arguments]
+    environment = os.environ | {"CPNET_VENV": str(venv)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (2, "usage: scripts/setup [run | test]\n")
+    assert not venv.exists()
 
 
 @pytest.mark.process
