@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from perception.arrays import Bools, Floats, Floats32, Ints, Ints32
-from perception.cluster import cluster_means, cluster_runs
+from perception.arrays import Bools, Floats, Floats32, Ints
+from perception.clusters import Clusters
 from perception.detector import Vehicles
 from perception.object_classes import (
     PERSON_TOP_M,
@@ -42,7 +42,7 @@ CERTAIN_POINTS = 25.0  # about two thirds of full score
 def fit_boxes(
     points: Floats32,
     ground_m: Floats32,
-    labels: Ints32,
+    clusters: Clusters,
     *,
     roadway: Roadway,
     sensors: Floats,
@@ -54,14 +54,13 @@ def fit_boxes(
     size of its class; else it holds its points and no more. `sensors` (C, 2) are the places that
     most of each cluster's points were seen from.
     """
-    if len(labels) == 0 or labels.max() < 0:
+    if clusters.count == 0:
         return Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
-    runs = cluster_runs(labels)
-    members, middles = cluster_means(points, runs, int(labels.max()) + 1)
+    members, middles = clusters.means(points)
     starts = np.concatenate([[0], np.cumsum(members)])
-    floor_m = _floor_m(ground_m, runs, members)
+    floor_m = _floor_m(ground_m, clusters.runs, members)
     yaws = roadway.yaw_at(middles)
-    extents = _fit(points, labels, starts, middles, yaws, floor_m)
+    extents = _fit(points, clusters.runs, starts, middles, yaws, floor_m)
     along_m, across_m, height_m = (extents[:, 1] - extents[:, 0]).T
     shapes = Shapes(along_m, across_m, extents[:, 0, 2] - floor_m, extents[:, 1, 2] - floor_m)
     kinds = shapes.kinds()
@@ -78,28 +77,34 @@ def fit_boxes(
     return found.take(np.sort(suppress(found.boxes, found.scores, iou=1.0, part=SHARED)))
 
 
-def main_sensors(labels: Ints32, sizes: Ints, sensors: Floats) -> Floats:
+def main_sensors(clusters: Clusters, sizes: Ints, sensors: Floats) -> Floats:
     """Returns the place (C, 2) that most points of each cluster were seen from.
 
     Args:
-        labels: the cluster of each point (N,), -1 for none; points come part by part.
+        clusters: of points that come part by part.
         sizes: how many points each part has (P,).
         sensors: the place that each part was seen from (P, 3).
     """
-    count = int(labels.max(initial=-1)) + 1
-    points = np.zeros((count, len(sizes)), np.int64)
-    _count_by_part(labels, sizes, points)
-    return np.ascontiguousarray(sensors[points.argmax(axis=1), :2]) if count else np.zeros((0, 2))
+    if clusters.count == 0:
+        return np.zeros((0, 2))
+    points = _count_by_part(clusters.runs, sizes, clusters.count)
+    return np.ascontiguousarray(sensors[points.argmax(axis=1), :2])
 
 
-@njit("void(int32[::1], int64[::1], int64[:,::1])", cache=True, nogil=True)
-def _count_by_part(labels: Ints32, sizes: Ints, points: Ints) -> None:
-    index = 0
-    for part in range(sizes.size):
-        for _ in range(sizes[part]):
-            if labels[index] >= 0:
-                points[labels[index], part] += 1
-            index += 1
+@njit("int64[:,::1](int64[:,::1], int64[::1], int64)", cache=True, nogil=True)
+def _count_by_part(runs: Ints, sizes: Ints, count: int) -> Ints:
+    """Returns how many points of each part are in each of so many clusters (C, P)."""
+    points = np.zeros((count, sizes.size), np.int64)
+    part, end_of_part = -1, 0
+    for run in range(runs.shape[0]):
+        label, first, end = runs[run, 0], runs[run, 1], runs[run, 2]
+        while first < end:
+            while first >= end_of_part:
+                part += 1
+                end_of_part += sizes[part]
+            points[label, part] += min(end, end_of_part) - first
+            first = min(end, end_of_part)
+    return points
 
 
 def _away_m(sensors: Floats, middles: Floats) -> Floats:
@@ -215,10 +220,10 @@ def _direction(local: Floats32, road_yaw: float) -> float:
 
 
 def _fit(
-    points: Floats32, labels: Ints32, starts: Ints, middles: Floats, yaws: Floats, floor_m: Floats
+    points: Floats32, runs: Ints, starts: Ints, middles: Floats, yaws: Floats, floor_m: Floats
 ) -> Floats:
     """Turns each cluster's yaw to the best one; returns extents (C, 2, 3) along the box's axes."""
-    local, extents = _about_middles(points, labels, starts, middles)
+    local, extents = _about_middles(points, runs, starts, middles)
 
     def fit(first: int) -> None:
         _fit_some(local, starts, floor_m, yaws, extents, first, threads())
@@ -229,12 +234,12 @@ def _fit(
 
 @njit(
     "Tuple((float64[:,::1], float64[:,:,::1]))"
-    "(float32[:,::1], int32[::1], int64[::1], float64[:,::1])",
+    "(float32[:,::1], int64[:,::1], int64[::1], float64[:,::1])",
     cache=True,
     nogil=True,
 )
 def _about_middles(
-    points: Floats32, labels: Ints32, starts: Ints, middles: Floats
+    points: Floats32, runs: Ints, starts: Ints, middles: Floats
 ) -> tuple[Floats, Floats]:
     """Returns points (M, 2) about their clusters' middles, cluster by cluster, and extents.
 
@@ -243,15 +248,17 @@ def _about_middles(
     local, extents = np.empty((starts[-1], 2)), np.empty((middles.shape[0], 2, 3))
     extents[:, 0, 2], extents[:, 1, 2] = np.inf, -np.inf
     following = starts.copy()
-    for index in range(labels.size):
-        label = labels[index]
-        if label >= 0:
-            place, z = following[label], points[index, 2]
-            following[label] += 1
-            local[place, 0] = points[index, 0] - middles[label, 0]
-            local[place, 1] = points[index, 1] - middles[label, 1]
-            extents[label, 0, 2] = min(extents[label, 0, 2], z)
-            extents[label, 1, 2] = max(extents[label, 1, 2], z)
+    for run in range(runs.shape[0]):
+        label, first, end = runs[run, 0], runs[run, 1], runs[run, 2]
+        x_m, y_m, place = middles[label, 0], middles[label, 1], following[label]
+        low_m, high_m = extents[label, 0, 2], extents[label, 1, 2]
+        following[label] += end - first
+        for index in range(first, end):
+            z = np.float64(points[index, 2])
+            local[place, 0], local[place, 1] = points[index, 0] - x_m, points[index, 1] - y_m
+            low_m, high_m = min(low_m, z), max(high_m, z)
+            place += 1
+        extents[label, 0, 2], extents[label, 1, 2] = low_m, high_m
     return local, extents
 
 

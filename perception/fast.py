@@ -6,14 +6,17 @@ and buses are joined again.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numba import njit
 
 from perception.arrays import Bools, Floats32, Ints, Ints32
 from perception.boxes import fit_boxes, main_sensors
-from perception.cluster import NOISE, cluster, cluster_runs, renumber
+from perception.cluster import NOISE, cluster, renumber
+from perception.clusters import Clusters
 from perception.config import ClusterConfig, DetectionConfig
 from perception.detector import Cloud, Stage, Vehicles, untimed
 from perception.ground import remove_ground
@@ -36,24 +39,31 @@ def split(points: Floats32, labels: Ints32, *, config: ClusterConfig) -> Ints32:
     if config.split_eps_m is None:
         return labels
     closer = config.model_copy(update={"eps_m": config.split_eps_m})
-    labels = _parted(points, labels, (LONGEST_M, WIDEST_M), config=closer)
     closest = config.model_copy(update={"eps_m": config.split_eps_m * CLOSEST})
-    return _parted(points, labels, (LONGEST_VEHICLE_M, WIDEST_VEHICLE_M), config=closest)
+
+    def parted(points: Floats32) -> Ints32:
+        vehicle_m = (LONGEST_VEHICLE_M, WIDEST_VEHICLE_M)
+        labels = cluster(points, config=closer)
+        return _parted(points, labels, vehicle_m, partial(cluster, config=closest))
+
+    return _parted(points, labels, (LONGEST_M, WIDEST_M), parted)
 
 
 def _parted(
-    points: Floats32, labels: Ints32, most_m: tuple[float, float], *, config: ClusterConfig
+    points: Floats32,
+    labels: Ints32,
+    most_m: tuple[float, float],
+    clustered: Callable[[Floats32], Ints32],
 ) -> Ints32:
     """Clusters anew what is longer, or to both sides wider, than so many metres."""
-    if len(labels) == 0 or labels.max() < 0:
-        return labels
-    too_large = _too_large(points, cluster_runs(labels), int(labels.max()) + 1, *most_m)
+    clusters = Clusters.of(labels)
+    too_large = _too_large(points, clusters.runs, clusters.count, *most_m)
     if not too_large.any():
         return labels
     again = np.flatnonzero((labels != NOISE) & too_large[labels])
-    parts = cluster(points[again], config=config)
+    parts = clustered(points[again])
     result = labels.copy()
-    result[again] = np.where(parts >= 0, parts + len(too_large), NOISE)
+    result[again] = np.where(parts >= 0, parts + clusters.count, NOISE)
     renumber(result)
     return result
 
@@ -101,13 +111,13 @@ class FastDetector:
                 sizes = np.append(sizes, [len(part.points) for part in cloud.bare])
         with stage("detect"):
             labels = cluster(above, config=self.config.cluster)
-            labels = split(above, labels, config=self.config.cluster)
-            labels = join_parts(above, ground_m, labels, roadway=self.roadway)
-            sensors = main_sensors(labels, sizes, cloud.sensors)
+            parts = Clusters.of(split(above, labels, config=self.config.cluster))
+            clusters = join_parts(above, ground_m, parts, roadway=self.roadway)
+            sensors = main_sensors(clusters, sizes, cloud.sensors)
             found = fit_boxes(
                 above,
                 ground_m,
-                labels,
+                clusters,
                 roadway=self.roadway,
                 sensors=sensors,
                 completed=self.config.boxes.completed,

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from perception.arrays import Floats, Floats32, Ints, Ints32
-from perception.cluster import cluster_means, cluster_runs, renumber
+from perception.arrays import Floats, Floats32, Ints
+from perception.clusters import Clusters
 from perception.object_classes import HIGH_M, LONGEST_VEHICLE_M, TALL_M, WIDEST_VEHICLE_M
 from perception.roadway import Roadway
 
@@ -19,37 +19,20 @@ GAP_M = 1.3  # between parts, along the road; vehicles that queue keep 2 m and m
 HIGH_GAP_M = 3.0  # between a cab and a trailer of which little is seen; two lorries are too long
 
 
-def join_parts(points: Floats32, ground_m: Floats32, labels: Ints32, *, roadway: Roadway) -> Ints32:
-    """Returns the clusters (N,) of points (N, 3) with parts of large vehicles joined.
+def join_parts(
+    points: Floats32, ground_m: Floats32, parts: Clusters, *, roadway: Roadway
+) -> Clusters:
+    """Returns the clusters of points (N, 3) with parts of large vehicles joined.
 
-    Clusters are numbered by their first points; -1 is noise. `ground_m` (N,) is the height of the
-    ground below each point.
+    `ground_m` (N,) is the height of the ground below each point.
     """
-    count = int(labels.max(initial=-1)) + 1
-    if count < 2:
-        return labels
-    runs = cluster_runs(labels)
-    top_m = _top_m(points, ground_m, runs, count)
-    if not (top_m > TALL_M).any():
-        return labels
-    _, middles = cluster_means(points, runs, count)
+    top_m = _top_m(points, ground_m, parts.runs, parts.count)
+    if parts.count < 2 or not (top_m > TALL_M).any():
+        return parts
+    _, middles = parts.means(points)
     yaws = roadway.yaw_at(middles)
-    extents = _extents(points, runs, middles, yaws)
-    owner = _join(middles, yaws, extents, top_m)
-    if (owner == np.arange(count)).all():
-        return labels
-    joined: Ints32 = _joined(labels, owner)
-    renumber(joined)
-    return joined
-
-
-@njit("int32[::1](int32[::1], int64[::1])", cache=True, nogil=True)
-def _joined(labels: Ints32, owner: Ints) -> Ints32:
-    joined = labels.copy()
-    for index in range(labels.size):
-        if labels[index] >= 0:
-            joined[index] = owner[labels[index]]
-    return joined
+    extents = _extents(points, parts.runs, middles, yaws)
+    return parts.joined(_join(middles, yaws, extents, top_m))
 
 
 @njit(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from perception.boxes import fit_boxes
+from perception.clusters import Clusters
 from perception.detector import Vehicles
 from perception.roadway import Roadway
 from protocol.roadmap import RoadMap
@@ -30,7 +31,7 @@ def fit(
     return fit_boxes(
         points,
         np.zeros(len(points), np.float32),
-        labels,
+        Clusters.of(labels),
         roadway=roadway,
         sensors=np.array([sensor] * len(clusters), np.float64),
         completed=completed,
@@ -83,7 +84,7 @@ def test_noise_is_left_out(roadway: Roadway) -> None:
     found = fit_boxes(
         points,
         points[:, 2],
-        labels,
+        Clusters.of(labels),
         roadway=roadway,
         sensors=np.zeros((0, 2)),
     )

@@ -9,6 +9,7 @@ import pytest
 
 from perception.arrays import Floats32
 from perception.boxes import fit_boxes, main_sensors
+from perception.clusters import Clusters
 from perception.detector import Vehicles
 from perception.large_vehicles import join_parts
 from perception.roadway import Roadway
@@ -33,10 +34,10 @@ def joined(roadway: Roadway, *clusters: Any) -> tuple[Vehicles, int]:
     points = np.concatenate(clusters)
     labels = np.repeat(np.arange(len(clusters)), [len(c) for c in clusters]).astype(np.int32)
     ground_m = np.zeros(len(points), np.float32)
-    labels = join_parts(points, ground_m, labels, roadway=roadway)
-    sensors = main_sensors(labels, np.array([len(points)]), np.array([[0.0, 0.0, 3.0]]))
-    found = fit_boxes(points, ground_m, labels, roadway=roadway, sensors=sensors)
-    return found, int(labels.max()) + 1
+    whole = join_parts(points, ground_m, Clusters.of(labels), roadway=roadway)
+    sensors = main_sensors(whole, np.array([len(points)]), np.array([[0.0, 0.0, 3.0]]))
+    found = fit_boxes(points, ground_m, whole, roadway=roadway, sensors=sensors)
+    return found, whole.count
 
 
 def test_a_tractor_and_its_trailer_are_one_truck(roadway: Roadway) -> None:
@@ -65,12 +66,13 @@ def test_cars_are_never_joined(roadway: Roadway) -> None:
 
 
 def test_noise_stays_noise_and_nothing_stays_nothing(roadway: Roadway) -> None:
-    none = np.zeros((0, 3), np.float32)
-    assert len(join_parts(none, none[:, 0], np.zeros(0, np.int32), roadway=roadway)) == 0
+    none, nothing = np.zeros((0, 3), np.float32), Clusters.of(np.zeros(0, np.int32))
+    assert join_parts(none, none[:, 0], nothing, roadway=roadway).count == 0
     points = np.concatenate([solid((-60, -50), (0.6, 3.4)), solid((-49, -45), (0.6, 3.4))])
     labels = np.repeat([0, 1], 300).astype(np.int32)
     labels[::7] = -1
-    found = join_parts(points, np.zeros(600, np.float32), labels, roadway=roadway)
+    parts = Clusters.of(labels)
+    found = join_parts(points, np.zeros(600, np.float32), parts, roadway=roadway).labels(600)
     assert (found[::7] == -1).all()
     assert set(found.tolist()) == {-1, 0}
 
@@ -78,6 +80,7 @@ def test_noise_stays_noise_and_nothing_stays_nothing(roadway: Roadway) -> None:
 def test_a_cluster_is_seen_from_where_most_of_its_points_were() -> None:
     labels = np.array([0, 0, 1, -1, 1, 1, 0], np.int32)  # of the first sensor four
     sensors = np.array([[1.0, 2, 3], [4, 5, 6]])
-    places = main_sensors(labels, np.array([4, 3]), sensors)
+    places = main_sensors(Clusters.of(labels), np.array([4, 3]), sensors)
     np.testing.assert_array_equal(places, [[1, 2], [4, 5]])
-    assert main_sensors(np.zeros(0, np.int32), np.zeros(0, np.int64), sensors).shape == (0, 2)
+    nothing = Clusters.of(np.zeros(0, np.int32))
+    assert main_sensors(nothing, np.zeros(0, np.int64), sensors[:0]).shape == (0, 2)
