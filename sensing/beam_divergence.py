@@ -19,7 +19,7 @@ from protocol.scans import ScanPattern
 
 PULSE_M = 0.75  # 5 ns there and back, as of the HDL-64E's data sheet
 _LEAST_STEP_M = 0.1  # between neighbours; less is a slope, not an edge
-_RIGHT, _LEFT, _ABOVE = 0, 1, 2  # sides of a beam; the fourth is below
+_RIGHT, _LEFT, _ABOVE, _BELOW = 0, 1, 2, 3  # sides of a beam
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,48 +44,73 @@ class BeamWidths:
         return cls(half_rad * pattern.columns / (2 * np.pi), across)
 
 
-@njit("UniTuple(float32, 2)(float32, float32, float32, float32, float32)", cache=True)
-def _returned(
-    own_m: np.float32, own: np.float32, other_m: np.float32, other: np.float32, share: np.float32
-) -> tuple[np.float32, np.float32]:
-    """Returns distance and strength of a beam of which a share is on another surface."""
-    own_power = (1 - share) * own / (own_m * own_m)
-    other_power = share * other / (other_m * other_m)
-    if own_power > 0 and other_power > 0 and abs(other_m - own_m) < PULSE_M:
-        both = own_power + other_power
-        middle_m = (own_power * own_m + other_power * other_m) / both
-        return np.float32(middle_m), np.float32(both * middle_m * middle_m)
-    if other_power > own_power:
-        return other_m, np.float32(share * other)
-    return own_m, np.float32((1 - share) * own)
+@njit("void(float32[:,::1], int64, int64, int64, float32[:,::1])", cache=True)
+def _beside(image: Floats32, ring: int, above: int, below: int, sides: Floats32) -> None:
+    """Writes what is beside each beam of a ring (4, N): to the right, the left, above, below."""
+    last = image.shape[1] - 1
+    for n in range(last):
+        sides[_RIGHT, n], sides[_LEFT, n + 1] = image[ring, n + 1], image[ring, n]
+    sides[_RIGHT, last], sides[_LEFT, 0] = image[ring, 0], image[ring, last]
+    for n in range(last + 1):
+        sides[_ABOVE, n], sides[_BELOW, n] = image[above, n], image[below, n]
 
 
-@njit("UniTuple(int64, 2)(int64, int64, int64, int64, int64)", cache=True)
-def _neighbour(ring: int, column: int, side: int, channels: int, columns: int) -> tuple[int, int]:
-    """Returns the ring and column beside a beam; the beam itself above the first, below the last.
-
-    In the order of `side`: to the right, to the left, above, below.
-    """
-    if side == _RIGHT:
-        return ring, (column + 1) % columns
-    if side == _LEFT:
-        return ring, column - 1 if column else columns - 1
-    if side == _ABOVE:
-        return max(ring - 1, 0), column
-    return min(ring + 1, channels - 1), column
-
-
-@njit("float32(float32, int64, float32)", cache=True)
-def _share_of_other(draw: np.float32, side: int, half: np.float32) -> np.float32:
+@njit("float32(float32, float32, float32, int64, float32)", cache=True, inline="always")
+def _share_beyond(
+    own_m: np.float32, other_m: np.float32, draw: np.float32, side: int, half: np.float32
+) -> np.float32:
     """Returns the share of a beam, by half its width, beyond the edge to a side; 0 for none.
 
     Where the edge lies follows from the last bits of the beam's draw, others for each side.
     """
     scaled = draw * np.float32(1024 << side)
-    edge = scaled - np.floor(scaled)  # from the own axis to the other one
-    if edge < half:
-        return min((half - edge) / (2 * half), np.float32(0.5))
-    return np.float32(0.0)
+    edge = scaled - np.float32(np.int32(scaled))  # from the own axis to the other one
+    reaches = (abs(other_m - own_m) >= np.float32(_LEAST_STEP_M)) & (edge < half)
+    share = (half - edge) / (np.float32(2) * half)
+    return min(share, np.float32(0.5)) if reaches else np.float32(0)
+
+
+@njit(
+    "void(float32[::1], float32[::1], float32[::1], float32[:,::1], float32[:,::1], "
+    "float32[::1], float32[::1], float32[::1])",
+    cache=True,
+    error_model="numpy",
+)
+def _mix_ring(
+    own_m: Floats32,
+    own: Floats32,
+    draw: Floats32,
+    sides_m: Floats32,
+    sides: Floats32,
+    halves: Floats32,
+    mixed_m: Floats32,
+    mixed: Floats32,
+) -> None:
+    """Writes distances and strengths of a ring's beams (N,).
+
+    Of what is beside them, distances and strengths are (4, N), and half the beams' widths (4,): the
+    first side with an edge within a beam counts. Choices take no branch, so that beams are worked
+    on side by side.
+    """
+    for n in range(own_m.size):
+        one_m, other_m, other, share = own_m[n], own_m[n], np.float32(0), np.float32(0)
+        for back in range(4):
+            side = 3 - back
+            beyond = _share_beyond(one_m, sides_m[side, n], draw[n], side, halves[side])
+            is_this = beyond > 0
+            share = beyond if is_this else share
+            other_m = sides_m[side, n] if is_this else other_m
+            other = sides[side, n] if is_this else other
+        own_power = (1 - share) * own[n] / (one_m * one_m)
+        other_power = share * other / (other_m * other_m)
+        both = own_power + other_power
+        middle_m = (own_power * one_m + other_power * other_m) / both
+        merges = (own_power > 0) & (other_power > 0) & (abs(other_m - one_m) < PULSE_M)
+        stronger = other_power > own_power
+        apart_m = other_m if stronger else one_m
+        apart = np.float32(share * other if stronger else (1 - share) * own[n])
+        mixed_m[n] = np.float32(middle_m) if merges else apart_m
+        mixed[n] = np.float32(both * middle_m * middle_m) if merges else apart
 
 
 @njit(
@@ -105,7 +130,7 @@ def mix_at_edges(
     """Writes distances and strengths (channels, columns) of beams that have a width.
 
     Where the edge lies follows from the last bits of each beam's draw, which decides with its
-    first ones whether the beam returns.
+    first ones whether the beam returns. The first ring has none above, the last none below.
 
     Args:
         distance_m: what the beams' axes hit; the range's end where nothing.
@@ -117,20 +142,13 @@ def mix_at_edges(
         mixed: filled with strengths.
     """
     channels, columns = distance_m.shape
-    mixed_m[:], mixed[:] = distance_m, strength
+    sides_m, sides = np.empty((4, columns), np.float32), np.empty((4, columns), np.float32)
+    halves = np.empty(4, np.float32)
     for ring in range(channels):
-        for column in range(columns):
-            own_m, own = distance_m[ring, column], strength[ring, column]
-            for side in range(4):
-                other_ring, other_column = _neighbour(ring, column, side, channels, columns)
-                other_m = distance_m[other_ring, other_column]
-                if abs(other_m - own_m) < _LEAST_STEP_M:
-                    continue
-                half = across[min(ring, other_ring)] if side >= _ABOVE else np.float32(along)
-                share = _share_of_other(draw[ring, column], side, half)
-                if share > 0:
-                    other = strength[other_ring, other_column]
-                    mixed_m[ring, column], mixed[ring, column] = _returned(
-                        own_m, own, other_m, other, share
-                    )
-                    break
+        above, below = max(ring - 1, 0), min(ring + 1, channels - 1)
+        halves[_RIGHT] = halves[_LEFT] = along
+        halves[_ABOVE], halves[_BELOW] = across[above], across[ring]
+        _beside(distance_m, ring, above, below, sides_m)
+        _beside(strength, ring, above, below, sides)
+        given = distance_m[ring], strength[ring], draw[ring]
+        _mix_ring(*given, sides_m, sides, halves, mixed_m[ring], mixed[ring])
