@@ -13,6 +13,7 @@ import numpy as np
 
 from protocol.approaches import Approaches
 from signal_controller.observation import LaneVehicles
+from signal_controller.parked_places import ParkedPlaces
 from signal_controller.predictive_model import (
     PERMITTED,
     PROTECTED,
@@ -24,6 +25,7 @@ from signal_controller.predictive_model import (
 )
 
 STOPPED_MPS = 1.0
+_SLOW_MPS = 2.0  # a parked car's box wanders: who is slower than this may still be one
 _TURN_PRIOR = 2.0  # vehicles that an unseen share of turns is worth
 _OWN_LANE_PRIOR, _OTHER_LANE_PRIOR = 12.0, 2.0  # the same of the lane that one will stop in
 _RATE_WINDOW_S, _RATE_PRIOR_S = 600.0, 90.0
@@ -32,7 +34,8 @@ _LEARNING = 0.05  # weight of a new sample
 _HEAD_M = 10.0  # a vehicle so near the stop bar is the first
 _REACTION_S = 3.0  # after which a first vehicle that may go has gone
 _START_MPS = 4.0  # how fast the begin of green travels back along a queue
-_PATIENCE_S = {PROTECTED: 1.5, PERMITTED: 15.0}  # how fast doubt grows that it wants to
+_PATIENCE_S = {PROTECTED: 1.5, PERMITTED: 15.0}  # how fast doubt grows that it wants to; turns
+# that yield wait at the stop bar for a gap: who stands farther off with nobody before it has none
 _STUCK_PRIOR = 0.02  # that it wants nothing: a ghost, a parked car, a breakdown
 _PARKED = 0.5  # it is taken for parked from such a probability on
 _FORGIVEN_S = 120.0  # in which doubt fades
@@ -47,9 +50,9 @@ _TURN_OFF_S = 1.5  # one that vanishes so near the end of its lane has turned of
 class _Track:
     """A vehicle as last seen; `passed` is the lane whose stop bar it has crossed.
 
-    `wish` is the probability of what it wants, movements of its stop bar and then nothing, since it
-    was the first at `first_s`. It is on its lane since `since_s`, from `from_m` on, and has stood
-    since `stands_since_s`.
+    `wish` is the probability of what it wants, movements of its stop bar and then nothing, once it
+    was the first. It is on its lane since `since_s`, from `from_m` on, and has stood since
+    `stands_since_s`. `parked_m` is where it is parked, if it is.
     """
 
     lane: str
@@ -61,20 +64,20 @@ class _Track:
     has_stopped: bool = False
     passed: int = -1
     wish: Floats | None = None
-    first_s: float = math.nan
     since_s: float = math.nan
     from_m: float = math.nan
     stands_since_s: float = math.inf
+    parked_m: float = math.nan
 
     @property
     def is_parked(self) -> bool:
-        """Whether it stands where others drive by: no queue that a green would discharge."""
-        return self.wish is not None and self.wish[-1] > _PARKED and self.distance_m >= _HEAD_M
+        """Whether it stands where something is parked: no queue that a green would discharge."""
+        return not math.isnan(self.parked_m)
 
     def move(self, lane: str, distance_m: float, time_s: float, speed_mps: float) -> None:
         """Takes where it is seen now."""
         stands = speed_mps < STOPPED_MPS
-        if lane != self.lane or (self.is_parked and not stands):
+        if lane != self.lane:
             self.wish = None
         if lane != self.lane or math.isnan(self.since_s):
             self.since_s, self.from_m = time_s, distance_m
@@ -118,6 +121,7 @@ class TrafficMemory:
         self._last_passage_s = np.full(lanes, -math.inf)
         self._heads: list[Floats | None] = [None] * lanes  # what the first vehicles want
         self._tracks: dict[str, _Track] = {}
+        self._parked_places = ParkedPlaces()
         self._exits = _exit_starts(model)
         self._ends_m = _lane_ends(model)
         self._has_protected = (model.status == PROTECTED).any(axis=0)
@@ -215,6 +219,7 @@ class TrafficMemory:
         shown = self._note_signal(time_s, state)
         self._note_room(vehicles)
         self._follow(time_s, vehicles)
+        self._find_parked(time_s)
         self._forgive(passed_s)
         self._watch_heads(time_s, passed_s, shown)
         self._note_service(time_s, shown, unseen)
@@ -330,6 +335,27 @@ class TrafficMemory:
         for other in self._tracks.values():
             if track.has_overtaken(other):
                 other.wish = np.append(np.zeros(len(own)), 1.0)
+                self._note_parked(other)
+
+    def _note_parked(self, track: _Track) -> None:
+        if track.distance_m >= _HEAD_M:
+            self._parked_places.note(track.lane, track.distance_m, track.time_s)
+            track.parked_m = track.distance_m
+
+    def _find_parked(self, time_s: float) -> None:
+        """Tells who stands where something is parked; who drives off was not."""
+        places = self._parked_places
+        places.forget(time_s)
+        for track in self._tracks.values():
+            if track.time_s != time_s:
+                continue
+            stands = track.speed_mps < _SLOW_MPS
+            if track.is_parked and not stands:
+                places.disprove(track.lane, track.parked_m)
+                track.wish = None
+            is_there = stands and track.distance_m >= _HEAD_M
+            is_parked = is_there and places.holds(track.lane, track.distance_m, time_s)
+            track.parked_m = track.distance_m if is_parked else math.nan
 
     def _note_exit(self, track: _Track, lane: str) -> None:
         edge = edge_of(self._model.site.road_map, lane)
@@ -352,9 +378,11 @@ class TrafficMemory:
             own = self._of_lane[lane]
             usual = np.append(shares[own] * (1 - _STUCK_PRIOR), _STUCK_PRIOR)
             if track.wish is None:
-                track.wish, track.first_s = usual, time_s
+                track.wish = usual
             if track.speed_mps < STOPPED_MPS:
-                self._doubt(track, own, shown, passed_s)
+                self._doubt(track, lane, shown, passed_s)
+                if track.wish[-1] > _PARKED:
+                    self._note_parked(track)
             if track.distance_m < _HEAD_M:
                 self._heads[lane] = track.wish
 
@@ -372,15 +400,18 @@ class TrafficMemory:
                 firsts[lane] = track
         return firsts
 
-    def _doubt(self, track: _Track, own: Ints, shown: Ints, passed_s: float) -> None:
+    def _doubt(self, track: _Track, lane: int, shown: Ints, passed_s: float) -> None:
         """Takes that a vehicle stood while it might have gone, if it might."""
         assert track.wish is not None
         starts_s = _REACTION_S + max(0.0, track.distance_m) / _START_MPS
-        for place, movement in enumerate(own):
-            since_s = max(self.green_since_s[movement], track.first_s)
+        alone_s = max(self._last_passage_s[lane], track.stands_since_s)
+        for place, movement in enumerate(self._of_lane[lane]):
+            since_s = max(self.green_since_s[movement], alone_s)
             may_go = shown[movement] != RED and self.has_room[movement]
             if may_go and track.time_s - since_s > starts_s:
-                track.wish[place] *= math.exp(-passed_s / _PATIENCE_S[int(shown[movement])])
+                yields = shown[movement] == PERMITTED and track.distance_m < _HEAD_M
+                patience_s = _PATIENCE_S[PERMITTED if yields else PROTECTED]
+                track.wish[place] *= math.exp(-passed_s / patience_s)
         track.wish /= track.wish.sum()
 
     def _forgive(self, passed_s: float) -> None:

@@ -1,0 +1,64 @@
+"""Places where something stands that no green moves: cars parked beside the lane, and ghosts.
+
+A parked car that is seen a little in the lane loses its track whenever somebody passes, and gets
+another one. What is remembered is therefore the place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+_NEAR_M = 1.5  # what stands so near a place stands in it
+_MOST_SIGNS = 5  # further ones make a place no surer
+_FORGOTTEN_S = 300.0  # after which a place in which nobody stands is one no more
+
+
+@dataclass(slots=True)
+class _Place:
+    """Where on a lane, when somebody last stood there, and how many signs speak for it."""
+
+    distance_m: float
+    seen_s: float
+    signs: int = 1
+
+
+@dataclass(slots=True)
+class ParkedPlaces:
+    """The places of a signal's lanes, by lane; distances are to the stop bar."""
+
+    _places: dict[str, list[_Place]] = field(default_factory=dict)
+
+    def note(self, lane: str, distance_m: float, time_s: float) -> None:
+        """Takes a sign that who stands there is parked: others passed, or it did not go."""
+        place = self._at(lane, distance_m)
+        if place is None:
+            self._places.setdefault(lane, []).append(_Place(distance_m, time_s))
+        else:
+            place.signs, place.seen_s = min(place.signs + 1, _MOST_SIGNS), time_s
+
+    def holds(self, lane: str, distance_m: float, time_s: float) -> bool:
+        """Whether somebody who stands there now stands in such a place."""
+        place = self._at(lane, distance_m)
+        if place is None:
+            return False
+        place.seen_s = time_s
+        return True
+
+    def disprove(self, lane: str, distance_m: float) -> None:
+        """Takes that somebody who stood there has driven off."""
+        place = self._at(lane, distance_m)
+        if place is not None:
+            place.signs -= 1
+            if place.signs == 0:
+                self._places[lane].remove(place)
+
+    def forget(self, time_s: float) -> None:
+        """Drops the places in which nobody has stood for long."""
+        for lane, places in self._places.items():
+            kept = [place for place in places if time_s - place.seen_s < _FORGOTTEN_S]
+            self._places[lane] = kept
+
+    def _at(self, lane: str, distance_m: float) -> _Place | None:
+        places = self._places.get(lane, ())
+        near = [place for place in places if abs(place.distance_m - distance_m) <= _NEAR_M]
+        return min(near, key=lambda place: abs(place.distance_m - distance_m), default=None)
