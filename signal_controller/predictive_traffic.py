@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,8 +22,8 @@ from signal_controller.predictive_model import (
     JunctionModel,
     edge_of,
 )
+from signal_controller.tracked_vehicle import STOPPED_MPS, TrackedVehicle
 
-STOPPED_MPS = 1.0
 _SLOW_MPS = 2.0  # a parked car's box wanders: who is slower than this may still be one
 _TURN_PRIOR = 2.0  # vehicles that an unseen share of turns is worth
 _OWN_LANE_PRIOR, _OTHER_LANE_PRIOR = 12.0, 2.0  # the same of the lane that one will stop in
@@ -44,51 +43,6 @@ _ROOM_M = 8.0  # that an exit needs for one more vehicle
 _ACCELERATION_MPS2 = 2.0
 _LOST_AFTER_S = 2.0  # a vehicle unseen for so long is forgotten
 _TURN_OFF_S = 1.5  # one that vanishes so near the end of its lane has turned off there
-
-
-@dataclass(slots=True)
-class _Track:
-    """A vehicle as last seen; `passed` is the lane whose stop bar it has crossed.
-
-    `wish` is the probability of what it wants, movements of its stop bar and then nothing, once it
-    was the first. It is on its lane since `since_s`, from `from_m` on, and has stood since
-    `stands_since_s`. `parked_m` is where it is parked, if it is.
-    """
-
-    lane: str
-    incoming: int
-    distance_m: float
-    time_s: float
-    speed_mps: float = math.nan
-    visited: set[str] = field(default_factory=set)
-    has_stopped: bool = False
-    passed: int = -1
-    wish: Floats | None = None
-    since_s: float = math.nan
-    from_m: float = math.nan
-    stands_since_s: float = math.inf
-    parked_m: float = math.nan
-
-    @property
-    def is_parked(self) -> bool:
-        """Whether it stands where something is parked: no queue that a green would discharge."""
-        return not math.isnan(self.parked_m)
-
-    def move(self, lane: str, distance_m: float, time_s: float, speed_mps: float) -> None:
-        """Takes where it is seen now."""
-        stands = speed_mps < STOPPED_MPS
-        if lane != self.lane:
-            self.wish = None
-        if lane != self.lane or math.isnan(self.since_s):
-            self.since_s, self.from_m = time_s, distance_m
-        self.stands_since_s = min(self.stands_since_s, time_s) if stands else math.inf
-        self.lane, self.distance_m, self.time_s = lane, distance_m, time_s
-        self.speed_mps = speed_mps
-
-    def has_overtaken(self, other: _Track) -> bool:
-        """Whether it came from behind another that stood on its lane all the time."""
-        is_behind = self.from_m > other.distance_m + _ROOM_M
-        return other.lane == self.lane and is_behind and other.stands_since_s <= self.since_s
 
 
 class TrafficMemory:
@@ -120,7 +74,7 @@ class TrafficMemory:
         self._inflow_per_s = inflow_vph / 3600
         self._last_passage_s = np.full(lanes, -math.inf)
         self._heads: list[Floats | None] = [None] * lanes  # what the first vehicles want
-        self._tracks: dict[str, _Track] = {}
+        self._tracks: dict[str, TrackedVehicle] = {}
         self._parked_places = ParkedPlaces()
         self._exits = _exit_starts(model)
         self._ends_m = _lane_ends(model)
@@ -282,7 +236,7 @@ class TrafficMemory:
                 continue
             track = self._tracks.get(name)
             if track is None:
-                track = self._tracks[name] = _Track(lane, -1, distance_m, time_s)
+                track = self._tracks[name] = TrackedVehicle(lane, -1, distance_m, time_s)
             if lane in upstream:
                 track.incoming = index_of.get(lane, -1)
                 track.passed = -1
@@ -301,7 +255,7 @@ class TrafficMemory:
             elif self._has_turned_off(track):
                 self._note_choice(track, -1)
 
-    def _has_turned_off(self, track: _Track) -> bool:
+    def _has_turned_off(self, track: TrackedVehicle) -> bool:
         """Whether a vanished vehicle was at the end of a lane that ends before the stop bars.
 
         Of one that vanishes on its way nothing is known: a detector loses vehicles, too.
@@ -311,7 +265,7 @@ class TrafficMemory:
             return False
         return track.distance_m - track.speed_mps * _TURN_OFF_S <= end_m
 
-    def _note_choice(self, track: _Track, lane: int) -> None:
+    def _note_choice(self, track: TrackedVehicle, lane: int) -> None:
         """Notes which stop bar a vehicle chose; -1 for none."""
         for visited in track.visited:
             counts = self._choices_of(visited)
@@ -319,7 +273,7 @@ class TrafficMemory:
             if counts.sum() > 100:
                 counts *= 0.5
 
-    def _note_passage(self, track: _Track, time_s: float) -> None:
+    def _note_passage(self, track: TrackedVehicle, time_s: float) -> None:
         lane, track.passed, track.incoming = track.incoming, track.incoming, -1
         self._passed[lane] += self._is_seen[lane]
         self._note_choice(track, lane)
@@ -337,7 +291,7 @@ class TrafficMemory:
                 other.wish = np.append(np.zeros(len(own)), 1.0)
                 self._note_parked(other)
 
-    def _note_parked(self, track: _Track) -> None:
+    def _note_parked(self, track: TrackedVehicle) -> None:
         if track.distance_m >= _HEAD_M:
             self._parked_places.note(track.lane, track.distance_m, track.time_s)
             track.parked_m = track.distance_m
@@ -357,7 +311,7 @@ class TrafficMemory:
             is_parked = is_there and places.holds(track.lane, track.distance_m, time_s)
             track.parked_m = track.distance_m if is_parked else math.nan
 
-    def _note_exit(self, track: _Track, lane: str) -> None:
+    def _note_exit(self, track: TrackedVehicle, lane: str) -> None:
         edge = edge_of(self._model.site.road_map, lane)
         for index in self._of_lane[track.passed]:
             if self._model.movements[index].exit_edge == edge:
@@ -386,9 +340,9 @@ class TrafficMemory:
             if track.distance_m < _HEAD_M:
                 self._heads[lane] = track.wish
 
-    def _firsts(self, time_s: float) -> list[_Track | None]:
+    def _firsts(self, time_s: float) -> list[TrackedVehicle | None]:
         """Returns the first vehicle before each stop bar (L,) that is not parked."""
-        firsts: list[_Track | None] = [None] * len(self._heads)
+        firsts: list[TrackedVehicle | None] = [None] * len(self._heads)
         upstream, index_of = self._model.approaches.upstream, self._model.lane_index
         for track in self._tracks.values():
             side = upstream.get(track.lane)
@@ -400,7 +354,7 @@ class TrafficMemory:
                 firsts[lane] = track
         return firsts
 
-    def _doubt(self, track: _Track, lane: int, shown: Ints, passed_s: float) -> None:
+    def _doubt(self, track: TrackedVehicle, lane: int, shown: Ints, passed_s: float) -> None:
         """Takes that a vehicle stood while it might have gone, if it might."""
         assert track.wish is not None
         starts_s = _REACTION_S + max(0.0, track.distance_m) / _START_MPS

@@ -19,8 +19,8 @@ import numpy as np
 from signal_controller.observation import LaneVehicles
 from signal_controller.predictive_model import Bools, Floats, JunctionModel
 from signal_controller.queue_estimator import MIN_COVERAGE, SPACING_M
+from signal_controller.tracked_vehicle import STOPPED_MPS
 
-STOPPED_MPS = 1.0
 _FREE_MPS = 5.0  # who drives so fast does not stand in the queue
 _RATE_FACTORS = np.array([0.1, 0.25, 0.5, 0.75, 1.0, 1.5, 2.2, 3.0])  # of the expected inflow
 _RATE_MEMORY_S = 900.0  # after which a rate may have become another
