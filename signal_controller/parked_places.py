@@ -28,7 +28,7 @@ class ParkedPlaces:
 
     _places: dict[str, list[_Place]] = field(default_factory=dict)
 
-    def note(self, lane: str, distance_m: float, time_s: float) -> None:
+    def note_sign(self, lane: str, distance_m: float, time_s: float) -> None:
         """Takes a sign that who stands there is parked: others passed, or it did not go."""
         place = self._at(lane, distance_m)
         if place is None:
@@ -36,8 +36,8 @@ class ParkedPlaces:
         else:
             place.signs, place.seen_s = min(place.signs + 1, _MOST_SIGNS), time_s
 
-    def holds(self, lane: str, distance_m: float, time_s: float) -> bool:
-        """Whether somebody who stands there now stands in such a place."""
+    def note_standing(self, lane: str, distance_m: float, time_s: float) -> bool:
+        """Notes that somebody stands there; returns whether it is such a place."""
         place = self._at(lane, distance_m)
         if place is None:
             return False

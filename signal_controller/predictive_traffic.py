@@ -293,7 +293,7 @@ class TrafficMemory:
 
     def _note_parked(self, track: TrackedVehicle) -> None:
         if track.distance_m >= _HEAD_M:
-            self._parked_places.note(track.lane, track.distance_m, track.time_s)
+            self._parked_places.note_sign(track.lane, track.distance_m, track.time_s)
             track.parked_m = track.distance_m
 
     def _find_parked(self, time_s: float) -> None:
@@ -308,7 +308,7 @@ class TrafficMemory:
                 places.disprove(track.lane, track.parked_m)
                 track.wish = None
             is_there = stands and track.distance_m >= _HEAD_M
-            is_parked = is_there and places.holds(track.lane, track.distance_m, time_s)
+            is_parked = is_there and places.note_standing(track.lane, track.distance_m, time_s)
             track.parked_m = track.distance_m if is_parked else math.nan
 
     def _note_exit(self, track: TrackedVehicle, lane: str) -> None:
