@@ -36,6 +36,7 @@ def doctor_command(
     """Check this machine: libraries, SUMO, bus, socket buffers; certificates; buses elsewhere."""
     from cpnet import doctor
     from cpnet.endpoints import implies_world, places
+    from cpnet.findings import findings_as_json, print_findings
     from cpnet.security import WATCH
     from protocol.access import Keys
     from protocol.bus import Endpoint
@@ -51,9 +52,9 @@ def doctor_command(
         findings += doctor.examine_keys(keys)
     findings += doctor.examine_buses(elsewhere, implied=implies_world(connect or []))
     if as_json:
-        typer.echo(json.dumps(doctor.as_json(findings), indent=2))
+        typer.echo(json.dumps(findings_as_json(findings), indent=2))
     else:
-        doctor.print_findings(findings, console)
+        print_findings(findings, console)
     raise typer.Exit(0 if all(finding.is_well for finding in findings) else 1)
 
 

@@ -12,9 +12,10 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from rich.console import Console
 
-from cpnet import doctor
-from cpnet.doctor import Check, Finding, as_json, carry_out
+from cpnet import doctor, doctor_buses
+from cpnet.doctor import Check, carry_out
 from cpnet.endpoints import free_locator
+from cpnet.findings import Finding, findings_as_json, print_findings
 from protocol.bus import Endpoint, ZenohBus, open_bus
 from protocol.clock import time_reply
 from protocol.inbox import Inbox
@@ -65,7 +66,7 @@ def test_what_only_some_machines_need_is_said_to_be_absent_and_is_no_fault(monke
     found = by_check([*doctor.libraries(), *doctor.sumo_runs()])
     assert all(finding.is_well for finding in found.values())
     written = io.StringIO()
-    doctor.print_findings(found.values(), Console(file=written, width=500))
+    print_findings(found.values(), Console(file=written, width=500))
     lines = written.getvalue().splitlines()
     (sumo,) = (line for line in lines if "SUMO not" in line)
     assert sumo.split()[0] == "--"
@@ -121,15 +122,15 @@ def test_a_check_that_hangs_ends_in_time_and_keeps_what_it_had_found():
 
 def test_only_what_a_run_needs_decides():
     hint, fault = (Finding("a", "a", ok=False, optional=optional) for optional in (True, False))
-    assert as_json([hint])["ok"]
-    assert not as_json([hint, fault])["ok"]
+    assert findings_as_json([hint])["ok"]
+    assert not findings_as_json([hint, fault])["ok"]
 
 
 def test_a_world_tells_its_clock_and_who_is_there(host):
     locator, bus = host(BusName.WORLD)
     bus.answer("time", time_reply())
     bus.announce("sim", "sim")
-    found = by_check(list(doctor.examine_bus(BusName.WORLD, Endpoint(locator, listen=False))))
+    found = by_check(list(doctor_buses.examine_bus(BusName.WORLD, Endpoint(locator, listen=False))))
     assert found["world_reached"].ok
     assert found["world_processes"].measured["processes"] == ["sim"]
     clock = found["world_clock"].measured
@@ -143,9 +144,9 @@ def test_the_clock_of_another_machine_is_known_within_its_error(host):
     locator, bus = host(BusName.WORLD)
     bus.answer("time", time_reply("another machine"))
     bus.announce("sim", "sim")
-    found = by_check(list(doctor.examine_bus(BusName.WORLD, Endpoint(locator, listen=False))))[
-        "world_clock"
-    ]
+    found = by_check(
+        list(doctor_buses.examine_bus(BusName.WORLD, Endpoint(locator, listen=False)))
+    )["world_clock"]
     assert abs(found.measured["offset_ms"]) <= found.measured["error_ms"]  # it is the same clock
     assert "±" in found.what
 
@@ -157,7 +158,7 @@ def test_a_bus_of_the_other_kind_is_told(host, name):
     bus.announce("edge", "edge")
     if other is BusName.WORLD:
         bus.answer("time", time_reply())
-    found = by_check(list(doctor.examine_bus(name, Endpoint(locator, listen=False))))
+    found = by_check(list(doctor_buses.examine_bus(name, Endpoint(locator, listen=False))))
     assert not found[f"{name.value}_mistaken"].ok
     assert f"this is the {other.value} bus" in found[f"{name.value}_mistaken"].advice
     assert f"{name.value}_processes" not in found
@@ -167,7 +168,7 @@ def test_another_version_of_the_protocol_is_told(host, monkeypatch):
     locator, bus = host(BusName.V2X)
     monkeypatch.setattr("protocol.bus.ALIVE", "cpnet/v9/alive")
     bus.announce("edge", "edge")
-    (_, found) = doctor.examine_bus(BusName.V2X, Endpoint(locator, listen=False))
+    (_, found) = doctor_buses.examine_bus(BusName.V2X, Endpoint(locator, listen=False))
     assert (found.check, found.ok) == ("v2x_protocol", False)
     assert "speak protocol v9" in found.what
 
@@ -175,7 +176,7 @@ def test_another_version_of_the_protocol_is_told(host, monkeypatch):
 @pytest.mark.parametrize("name", list(BusName))
 def test_a_bus_without_anybody(host, name):
     locator, _ = host(name)
-    (_, found) = doctor.examine_bus(name, Endpoint(locator, listen=False))
+    (_, found) = doctor_buses.examine_bus(name, Endpoint(locator, listen=False))
     assert (found.ok, found.what) == (False, f"on the {name.value} bus: nobody")
 
 
@@ -189,7 +190,7 @@ def test_a_bus_without_anybody(host, name):
     ],
 )
 def test_what_to_do_about_a_bus_that_is_not_reached(locator, advice):
-    (found,) = doctor.examine_bus(BusName.WORLD, Endpoint(locator, listen=False))
+    (found,) = doctor_buses.examine_bus(BusName.WORLD, Endpoint(locator, listen=False))
     assert not found.ok
     assert advice in found.advice
 
