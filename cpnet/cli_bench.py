@@ -35,13 +35,12 @@ def bench_codec_command(
     from sensing.point_files import point_files
     from studies.bench_codec import (
         BenchCloud,
-        Junction,
         bench,
         cast_clouds,
-        cast_scans,
         load_draco,
         print_bench,
     )
+    from studies.bench_scans import Junction, cast_scans
 
     files = [BenchCloud.of_file(path) for path in point_files(points or [])]
     load_draco()

@@ -108,7 +108,13 @@ _LIST = (
     Figure(
         "codec",
         'cpnet bench codec --json ${LIDAR_FILES:+--points "$LIDAR_FILES"}',
-        ("protocol/codec", "sensing", "studies/bench_codec.py", "studies/sensor_clouds.py"),
+        (
+            "protocol/codec",
+            "sensing",
+            "studies/bench_codec.py",
+            "studies/bench_scans.py",
+            "studies/sensor_clouds.py",
+        ),
         5,
         (
             Part("kinds", "docs/codec.md", codecs.codec_kinds),

@@ -13,14 +13,13 @@ from studies.bench_codec import (
     BenchCloud,
     BenchRow,
     DracoGrid,
-    Junction,
     bench,
     cast_clouds,
-    cast_scans,
     draco_beside,
     draco_error_m,
     print_bench,
 )
+from studies.bench_scans import Junction, cast_scans
 
 
 def file_of(folder: Path, rows: list[list[float]]) -> Path:
