@@ -85,11 +85,8 @@ class PredictivePlanner:
         model, memory = self.model, self.memory
         unseen = uncovered_lanes(model.lanes, coverage) if coverage else model.lanes
         memory.take(time_s, vehicles, shown.state, unseen)
-        parked = memory.parked
-        vehicles = vehicles.take(
-            np.array([i for i, name in enumerate(vehicles.ids) if name not in parked], np.int64)
-        )
-        self.queues.take(time_s, vehicles, memory.open_shares(shown.state), coverage)
+        open_shares = memory.open_shares(shown.state)
+        self.queues.take(time_s, vehicles, open_shares, coverage, memory.parked)
         phase = model.phase_of(shown.green)
         if shown.stage != "green":
             self._green_since_s = "", 0.0
@@ -148,8 +145,12 @@ class PredictivePlanner:
         model, memory = self.model, self.memory
         steps = round(self._settings.horizon_s / STEP_S)
         result = np.zeros((len(model.lanes), steps))
-        upstream = model.approaches.upstream
-        chosen = [index for index, lane in enumerate(vehicles.lanes) if lane in upstream]
+        upstream, parked = model.approaches.upstream, memory.parked
+        chosen = [
+            index
+            for index, (lane, name) in enumerate(zip(vehicles.lanes, vehicles.ids, strict=True))
+            if lane in upstream and name not in parked
+        ]
         if chosen:
             lanes = [vehicles.lanes[i] for i in chosen]
             distances_m = vehicles.distances_m[chosen]

@@ -33,8 +33,7 @@ _LEARNING = 0.05  # weight of a new sample
 _HEAD_M = 10.0  # a vehicle so near the stop bar is the first
 _REACTION_S = 3.0  # after which a first vehicle that may go has gone
 _START_MPS = 4.0  # how fast the begin of green travels back along a queue
-_PATIENCE_S = {PROTECTED: 1.5, PERMITTED: 15.0}  # how fast doubt grows that it wants to; turns
-# that yield wait at the stop bar for a gap: who stands farther off with nobody before it has none
+_PATIENCE_S = {PROTECTED: 1.5, PERMITTED: 15.0}  # how fast doubt grows that it wants to
 _STUCK_PRIOR = 0.02  # that it wants nothing: a ghost, a parked car, a breakdown
 _PARKED = 0.5  # it is taken for parked from such a probability on
 _FORGIVEN_S = 120.0  # in which doubt fades
@@ -294,7 +293,7 @@ class TrafficMemory:
     def _note_parked(self, track: TrackedVehicle) -> None:
         if track.distance_m >= _HEAD_M:
             self._parked_places.note_sign(track.lane, track.distance_m, track.time_s)
-            track.parked_m = track.distance_m
+            track.parked_at = track.lane, track.distance_m
 
     def _find_parked(self, time_s: float) -> None:
         """Tells who stands where something is parked; who drives off was not."""
@@ -303,13 +302,13 @@ class TrafficMemory:
         for track in self._tracks.values():
             if track.time_s != time_s:
                 continue
-            stands = track.speed_mps < _SLOW_MPS
-            if track.is_parked and not stands:
-                places.disprove(track.lane, track.parked_m)
+            is_slow = track.speed_mps < _SLOW_MPS
+            if track.parked_at is not None and not is_slow:
+                places.disprove(*track.parked_at)
                 track.wish = None
-            is_there = stands and track.distance_m >= _HEAD_M
-            is_parked = is_there and places.note_standing(track.lane, track.distance_m, time_s)
-            track.parked_m = track.distance_m if is_parked else math.nan
+            place, is_back = (track.lane, track.distance_m), track.distance_m >= _HEAD_M
+            is_parked = is_slow and is_back and places.note_standing(*place, time_s)
+            track.parked_at = place if is_parked else None
 
     def _note_exit(self, track: TrackedVehicle, lane: str) -> None:
         edge = edge_of(self._model.site.road_map, lane)
@@ -335,7 +334,7 @@ class TrafficMemory:
                 track.wish = usual
             if track.speed_mps < STOPPED_MPS:
                 self._doubt(track, lane, shown, passed_s)
-                if track.wish[-1] > _PARKED:
+                if track.wish[-1] > _PARKED and self._is_seen[lane]:
                     self._note_parked(track)
             if track.distance_m < _HEAD_M:
                 self._heads[lane] = track.wish
@@ -355,16 +354,20 @@ class TrafficMemory:
         return firsts
 
     def _doubt(self, track: TrackedVehicle, lane: int, shown: Ints, passed_s: float) -> None:
-        """Takes that a vehicle stood while it might have gone, if it might."""
+        """Takes that a vehicle stood while it might have gone, if it might.
+
+        Turns that yield wait at the stop bar for a gap: who is seen to stand farther off with
+        nobody before him might have come forward.
+        """
         assert track.wish is not None
         starts_s = _REACTION_S + max(0.0, track.distance_m) / _START_MPS
-        alone_s = max(self._last_passage_s[lane], track.stands_since_s)
+        free_s = max(self._last_passage_s[lane], track.stands_since_s)
+        is_back = self._is_seen[lane] and track.distance_m >= _HEAD_M
         for place, movement in enumerate(self._of_lane[lane]):
-            since_s = max(self.green_since_s[movement], alone_s)
+            since_s = max(self.green_since_s[movement], free_s)
             may_go = shown[movement] != RED and self.has_room[movement]
             if may_go and track.time_s - since_s > starts_s:
-                yields = shown[movement] == PERMITTED and track.distance_m < _HEAD_M
-                patience_s = _PATIENCE_S[PERMITTED if yields else PROTECTED]
+                patience_s = _PATIENCE_S[PROTECTED if is_back else int(shown[movement])]
                 track.wish[place] *= math.exp(-passed_s / patience_s)
         track.wish /= track.wish.sum()
 

@@ -11,7 +11,7 @@ drives is behind the last one. So a few vehicles that report themselves tell of 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -129,6 +129,7 @@ class QueueFilter:
         vehicles: LaneVehicles,
         open_shares: Floats,
         coverage: Mapping[str, float],
+        parked: Collection[str] = (),
     ) -> None:
         """Takes a frame.
 
@@ -137,6 +138,7 @@ class QueueFilter:
             vehicles: all that are known, with ids.
             open_shares: (L, 2) of a lane's vehicles that may go, with right of way and yielding.
             coverage: share by lane that sensors cover; without any, vehicles report themselves.
+            parked: ids of those that stand beside a lane, in no queue.
         """
         passed_s = 0.0 if self._time_s is None else max(0.0, min(10.0, time_s - self._time_s))
         self._time_s = time_s
@@ -147,7 +149,9 @@ class QueueFilter:
         self._unseen_s = self._unseen_s + passed_s if is_blind else 0.0
         for part_s in _parts(passed_s):
             self._predict(part_s, open_shares)
-        self._follow(time_s, vehicles, is_red=open_shares.sum(axis=1) <= 0)
+        in_lane = [n for n, name in enumerate(vehicles.ids) if name not in parked]
+        driving = vehicles.take(np.array(in_lane, np.int64))
+        self._follow(time_s, driving, is_red=open_shares.sum(axis=1) <= 0)
         self._note_seen()
         self._joint /= self._joint.sum(axis=(1, 2), keepdims=True)
 

@@ -17,7 +17,8 @@ class TrackedVehicle:
 
     `wish` is the probability of what it wants, movements of its stop bar and then nothing, once it
     was the first. It is on its lane since `since_s`, from `from_m` on, and has stood since
-    `stands_since_s`. `parked_m` is where it is parked, if it is.
+    `stands_since_s`. `parked_at` is the lane and the distance to the stop bar at which it is
+    parked, None if it is not.
     """
 
     lane: str
@@ -32,12 +33,12 @@ class TrackedVehicle:
     since_s: float = math.nan
     from_m: float = math.nan
     stands_since_s: float = math.inf
-    parked_m: float = math.nan
+    parked_at: tuple[str, float] | None = None
 
     @property
     def is_parked(self) -> bool:
         """Whether it stands where something is parked: no queue that a green would discharge."""
-        return not math.isnan(self.parked_m)
+        return self.parked_at is not None
 
     def move(self, lane: str, distance_m: float, time_s: float, speed_mps: float) -> None:
         """Takes where it is seen now."""

@@ -232,6 +232,7 @@ def test_a_ghost_at_the_stop_bar_holds_no_green_while_others_wait() -> None:
 def test_parked_cars_whose_tracks_change_hold_no_green_while_others_wait() -> None:
     """Two stand beside the lane, under other ids every 20 s; three others come at each red."""
     known, shown, since, comers = policy(), NS, 0, 0
+    all_seen = dict.fromkeys(LANES, 1.0)
     waited_s = [0] * 300
     for second in range(300):
         is_served = shown[LANES.index("e_0")] in "Gg"
@@ -241,9 +242,8 @@ def test_parked_cars_whose_tracks_change_hold_no_green_while_others_wait() -> No
         found = vehicles(("n_0", 25.0, 0.0), ("s_0", 40.0, 0.4), *waiting)
         ids = [f"n{second // 20}", f"s{second // 20}", *(f"e{comers}.{n}" for n in waiting)]
         named = LaneVehicles(found.lanes, found.distances_m, found.speeds_mps, found.lengths_m, ids)
-        decision = known.decide(
-            Observation(counts(0, second * S), green(shown, second * S, since * S), named)
-        )
+        signal = green(shown, second * S, since * S)
+        decision = known.decide(Observation(counts(0, second * S, **all_seen), signal, named))
         if decision.state != shown:
             shown, since = decision.state, second
     assert comers > 5
