@@ -101,8 +101,6 @@ def _delay(rows: Rows, names: Sequence[str]) -> Table:
     heads = [f"delay, s; {runs}", "more than the first line, s", "more than perfect counts, s"]
     table = [["control", *heads]]
     for name in names:
-        if name not in by:  # added since it was measured
-            continue
         cells = [
             "" if name == base else between([by[name][s] - by[base][s] for s in by[name]], 1)
             for base in (first, "perfect counts")
