@@ -173,11 +173,11 @@ class BufferedFrame:
             self.received.append(item)
 
     def messages(self) -> Iterator[Message]:
-        """Reads what was said, as `keyed_messages` without the keys."""
+        """Reads the messages of the frame, as `keyed_messages` without the keys."""
         return (message for message, _ in self.keyed_messages())
 
     def keyed_messages(self) -> Iterator[tuple[Message, Mapping[str, str]]]:
-        """Reads what was said, in the order in which it came, each with the parts of its key.
+        """Reads the messages of the frame, in their order, each with the parts of its key.
 
         What cannot be read is left out.
         """

@@ -109,7 +109,7 @@ class Tick(Message):
     """A frame begins: whom each process plays, and which tiles of the map hold bodies.
 
     `hosts` is an index into `processes`: the vehicle process that plays this agent, or -1. Where
-    the bodies of a tile are now is said by its `TileBodies` of the frame `since`: they are not
+    the bodies of a tile are now is in its `TileBodies` of the frame `since`: they are not
     sent again while nothing in the tile moves.
 
     Attributes:
