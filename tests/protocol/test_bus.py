@@ -1,14 +1,17 @@
 """The buses over real Zenoh sessions on loopback."""
 
 import socket
+import struct
 import time
 from collections.abc import Iterator
+from itertools import count
 
 import numpy as np
 import pytest
 import zenoh
 
 from protocol import bus as buses
+from protocol import tcpinfo
 from protocol.bus import Endpoint, ZenohBus, open_bus
 from protocol.errors import BusError
 from protocol.in_process import InProcessRouter
@@ -17,7 +20,7 @@ from protocol.messages import End, Roster
 from protocol.topics import ALIVE, BusName
 from protocol.wire import encode
 from tests.messages import SCAN
-from tests.waiting import PATIENCE_S
+from tests.waiting import PATIENCE_S, wait_until
 
 WAIT_S = PATIENCE_S
 
@@ -42,10 +45,22 @@ def router(locator: str, edge_inbox: Inbox) -> Iterator[ZenohBus]:
 
 
 @pytest.fixture
-def client(locator: str, router: ZenohBus) -> Iterator[ZenohBus]:
-    bus = open_bus(BusName.V2X, Endpoint(locator, listen=False), Inbox())
+def client_inbox() -> Inbox:
+    return Inbox()
+
+
+@pytest.fixture
+def client(locator: str, router: ZenohBus, client_inbox: Inbox) -> Iterator[ZenohBus]:
+    bus = open_bus(BusName.V2X, Endpoint(locator, listen=False), client_inbox)
     yield bus
     bus.close()
+
+
+def repeated_bytes(bus: ZenohBus) -> int:
+    """Returns what TCP has sent again: on a loaded machine it takes a late answer for a loss."""
+    locator = bus._locator()
+    assert locator is not None
+    return tcpinfo._read(locator, 208, struct.Struct("@Q"))  # tcpi_bytes_retrans
 
 
 def test_a_scan_crosses_tcp_and_its_bytes_are_counted(router, client, edge_inbox):
@@ -56,7 +71,9 @@ def test_a_scan_crosses_tcp_and_its_bytes_are_counted(router, client, edge_inbox
     item = edge_inbox.get(WAIT_S)
     assert isinstance(item, Envelope)
     assert np.array_equal(item.message.payload, big.payload)
-    assert size <= client.wire_bytes() - before < 1.01 * size + 2000
+    sent_bytes = client.wire_bytes() - before
+    assert size <= sent_bytes
+    assert sent_bytes - repeated_bytes(client) < 1.01 * size + 2000
 
 
 def test_presence_comes_and_goes(router, locator, edge_inbox):
@@ -134,29 +151,50 @@ def test_an_endpoint_that_says_neither_listen_nor_connect_is_refused(text):
         Endpoint.parse(text)
 
 
-def test_what_is_computed_within_one_process_is_what_the_kernel_counts(router, client, edge_inbox):
+def until_heard(sender: ZenohBus, region: str, inbox: Inbox) -> None:
+    """Sends rosters until the subscription of the other side has crossed, and all are there."""
+    frames, latest = count(), -1
+
+    def heard() -> Envelope | Presence | None:
+        nonlocal latest
+        latest = next(frames)
+        roster = Roster(frame=latest, process="p", agents=[], scanning=[])
+        sender.publish("roster", roster, region=region, process="p")
+        return inbox.get(0.05)
+
+    item: Envelope | Presence | None = wait_until(heard)
+    while not (isinstance(item, Envelope) and item.message.frame == latest):
+        item = inbox.get(WAIT_S)
+        assert item is not None
+
+
+def test_what_is_computed_within_one_process_is_what_the_kernel_counts(
+    router, client, edge_inbox, client_inbox
+):
     """Per message: 20 scans and rosters go up, 20 scans come down."""
     alone = InProcessRouter()
     computed, far = alone.bus(Inbox()), alone.bus(Inbox())
     for up, down in ((router, client), (far, computed)):
-        up.subscribe("scan", region="up")
-        up.subscribe("roster", region="up")
-        down.subscribe("scan", region="down")
-    time.sleep(0.3)  # subscriptions have crossed
+        for topic in ("scan", "roster"):
+            up.subscribe(topic, region="up")
+            down.subscribe(topic, region="down")
+    until_heard(client, "up", edge_inbox)
+    until_heard(router, "down", client_inbox)
     scan = SCAN.model_copy(update={"payload": np.zeros(7_000, np.uint8)})
     roster = Roster(frame=1, process="p", agents=["a", "b"], scanning=["a"])
-    before = client.traffic()
+    before, repeated = client.traffic(), repeated_bytes(client)
     for near, other in ((client, router), (computed, far)):
         for _ in range(20):
             where = {"process": "p", "agent": "a", "chunk": "0"}
             near.publish("scan", scan, region="up", **where)
             near.publish("roster", roster, region="up", process="p")
             other.publish("scan", scan, region="down", **where)
-            time.sleep(0.01)
-    for _ in range(40):
-        assert edge_inbox.get(WAIT_S) is not None
+            if near is client:  # one after the other: Zenoh would send what waits as one
+                assert all(edge_inbox.get(WAIT_S) is not None for _ in range(2))
+                assert client_inbox.get(WAIT_S) is not None
     found, expected = client.traffic(), computed.traffic()
     sent_bytes = found.data_sent_bytes - before.data_sent_bytes
+    sent_bytes -= repeated_bytes(client) - repeated
     received_bytes = found.data_received_bytes - before.data_received_bytes
     assert expected.data_sent_bytes == pytest.approx(sent_bytes, rel=0.02)
     assert expected.data_received_bytes == pytest.approx(received_bytes, rel=0.02)
