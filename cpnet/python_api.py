@@ -78,7 +78,7 @@ def run(
     if processes:
         return _run_processes(scenario, own, out, overrides)
     with provided(own.plugins()):
-        resolved = resolve(scenario, overrides | own.settings())
+        resolved = resolve(scenario, _with_own(overrides, own))
         run_dir = _folder(out, resolved.name)
         with _removed_if(out is None, run_dir, after_error_only=True):
             run_setup_in_process(_setup(resolved, run_dir), run_dir)
@@ -107,7 +107,7 @@ def simulate(
     check_not_again()
     own = OwnParts(detector, upload_policy, fusion, controller)
     with provided(own.plugins()):
-        resolved = resolve(scenario, overrides | own.settings())
+        resolved = resolve(scenario, _with_own(overrides, own))
         run_dir = _folder(out, resolved.name)
         with _removed_if(out is None, run_dir):
             yield from perceived_frames(_setup(resolved, run_dir), run_dir)
@@ -156,6 +156,21 @@ def resolve(scenario: Scenario, overrides: Mapping[str, Any]) -> scenarios.Scena
         name, settings = "t_junction", flattened(scenario) | settings
     _check_names(settings)
     return scenarios.load(name, settings)
+
+
+def _with_own(overrides: Mapping[str, Any], own: OwnParts) -> dict[str, Any]:
+    """Returns the overrides with the names of own parts.
+
+    Raises:
+        ConfigError: a part is given by a function and by a name.
+    """
+    given, names = flattened(overrides), own.settings()
+    for key in names:
+        if key in given and not callable(given[key]):
+            raise ConfigError(
+                f"{key} is {given[key]!r}, and {_ARGUMENTS[key]}= gives a function: give one"
+            )
+    return names | given
 
 
 def _check_names(settings: Mapping[str, Any]) -> None:

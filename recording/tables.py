@@ -40,8 +40,11 @@ class MetaRow(NamedTuple):
 class FrameRow(NamedTuple):
     """One frame of all regions; NULL is what was never heard of.
 
-    `agents` are those whose uploads were used, be it in several regions; `complete` is 1 if the
-    frame was complete in each; request and end-to-end time are those of the last region.
+    `vehicles` are all in the net. `agents` are those of which anything arrived in time, a pose at
+    least, and was not excluded, be it in several regions; `points` are those of their scans.
+    `detections` leave out coasted vehicles, which the table `detections` also holds. `complete` is
+    1 if in each region all had arrived that was announced to it; request and end-to-end time are
+    those of the last region.
     """
 
     frame: int
@@ -79,7 +82,9 @@ class UploadRow(NamedTuple):
     """One chunk: what its sender said of it (`link_sim_ns` on a virtual link), then the edge.
 
     `wire_bytes` and `wire_received_bytes` stand in one row of an agent's frame: all that its link
-    carried in it, up and down, as IP packets.
+    carried in it, up and down, as IP packets. They are known when the next frame begins: the last
+    one's are NULL. In a run within one process a chunk is received while it is sent, so that
+    `received_ns` lies before `sent_ns`; on a virtual link it takes `link_sim_ns`.
     """
 
     frame: int
@@ -145,7 +150,8 @@ class DetectionRow(NamedTuple):
     `object_class` is of `protocol.messages.ObjectClass`. `track` is the vehicle's id from frame to
     frame, unique in the run's city, 0 where nothing tracks. `coasted_s` is the time since a sensor
     last saw it, 0 if one did in this frame; of others the position is predicted, and `score` is the
-    probability that the vehicle is there.
+    probability that the vehicle is there. A new track's `speed_mps` is its lane's limit, or that of
+    the vehicle beside it, and `speed_std_mps` says how little that means.
     """
 
     frame: int

@@ -227,6 +227,12 @@ def test_a_function_where_a_name_is_meant_is_told_its_argument() -> None:
             cpnet.run(SMALL, **keys)
 
 
+def test_a_part_is_given_by_a_function_or_by_a_name() -> None:
+    said = r"edge\.detector is 'fast', and detector= gives a function: give one"
+    with pytest.raises(ConfigError, match=said):
+        cpnet.run(SMALL, detector=one_box, edge={"detector": "fast"})
+
+
 def test_processes_take_no_functions() -> None:
     with pytest.raises(ConfigError, match="functions of this program run in its process"):
         cpnet.run(SMALL, detector=one_box, processes=True)
