@@ -159,7 +159,7 @@ def test_behind_a_router_that_is_not_ours_the_rows_are_the_same(
 
 def test_scans_take_as_long_as_the_shaped_uplinks_say(machines: Machines):
     larger = ("--set=lidar.vehicle.points_per_second=720000", "--set=edge.deadline_ms=400")
-    machines.up("--mode=realtime", "--duration=6", *larger)
+    machines.up("--mode=realtime", "--duration=12", *larger)
     machines.finish()
     sql = (
         "SELECT payload_bytes, received_ns - encode_end_ns FROM uploads "
