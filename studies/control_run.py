@@ -154,7 +154,19 @@ class ControlRun:
                 if shown.get(one.tls) != state:
                     self._sumo.trafficlight.setRedYellowGreenState(one.tls, state)
                     shown[one.tls] = state
+            self._step(now_ns / 1e9)
+
+    def _step(self, time_s: float) -> None:
+        """Runs one SUMO step.
+
+        Raises:
+            ConfigError: SUMO gives up, as on a vehicle without a route. Its own errors would not
+                pass from a process to another.
+        """
+        try:
             self._sumo.simulationStep()
+        except (self._sumo.TraCIException, self._sumo.FatalTraCIError) as error:
+            raise ConfigError(f"SUMO gave up at {time_s:g} s on {self._config}: {error}") from None
 
     def _take_program(self, *, is_own: bool) -> None:
         """Switches the signals that SUMO controls to the policy's program, or the net's."""

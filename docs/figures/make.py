@@ -26,7 +26,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from registry import FIGURES, Figure, Part
+from registry import FIGURES, OTHER_COMMANDS, Figure, Part
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = Path(__file__).resolve().parent
@@ -67,8 +67,17 @@ def _sources(figure: Figure) -> Iterator[Path]:
         path = ROOT / name
         if not path.exists():
             raise FileNotFoundError(f"figure {figure.name}: there is no {name} to measure")
-        below = [path] if path.is_file() else sorted(path.rglob("*"))
-        yield from (p for p in below if p.is_file() and "__pycache__" not in p.parts)
+        yield from (
+            [path]
+            if path.is_file()
+            else (
+                p
+                for p in sorted(path.rglob("*"))
+                if p.is_file()
+                and "__pycache__" not in p.parts
+                and not any(p.match(other) for other in OTHER_COMMANDS)
+            )
+        )
 
 
 def load(figure: Figure) -> Record | None:

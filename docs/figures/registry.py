@@ -24,6 +24,8 @@ SYSTEM = (
     "cpnet/supervisor.py",
 )
 STUDY = (*SYSTEM, "studies", "learning")
+OTHER_COMMANDS = ("studies/bench*.py", "studies/compare*.py", "studies/control*.py")
+"""Of `cpnet bench`, `compare` and `study control`: measured only by figures that name them."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,8 @@ from studies.compare_answer import answer, caveat
 from studies.compare_page import compare_page, seen_table
 from studies.compare_question import Question, prepare
 from studies.control_baselines import TUNINGS
+from studies.control_case import ControlCase
+from studies.control_study import BenchCase, CaseStore, run_flows
 from studies.sumo_config import write_config
 
 pytest.importorskip("polars", reason="needs the extra `study`")
@@ -232,6 +234,18 @@ def test_routes_on_which_nobody_drives_are_refused_at_once(net, tmp_path, text, 
     question = Question(net=net, routes=tmp_path / "r.rou.xml")
     with pytest.raises(ConfigError, match=message):
         prepare(question, tmp_path, "mine", resolve)
+
+
+def test_a_vehicle_that_cannot_reach_its_end_is_named(net, tmp_path) -> None:
+    (tmp_path / "r.rou.xml").write_text(
+        '<routes><trip id="lost" from="north_out" to="south_out" depart="2"/></routes>'
+    )
+    comparison = prepare(
+        Question(net=net, routes=tmp_path / "r.rou.xml"), tmp_path, "mine", resolve
+    )
+    case = ControlCase(str(comparison.config), "plan", duration_s=10)
+    with pytest.raises(ConfigError, match="SUMO gave up at .* on .*: Vehicle 'lost' has no valid"):
+        CaseStore(tmp_path).run(run_flows, [BenchCase(case)], 1, lambda *_: None)
 
 
 def test_a_net_that_is_given_as_a_sumocfg_is_told_apart(net, tmp_path) -> None:
