@@ -16,6 +16,7 @@ import cpnet
 from perception.detector import Vehicles
 from protocol.errors import ConfigError
 from recording.tables import RequestRow
+from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).parents[2]
 LIDAR = {"channels": 16, "points_per_second": 72_000}
@@ -265,7 +266,7 @@ def script(folder: Path, call: str) -> tuple[int, str, str]:
         env=os.environ | {"PYTHONPATH": path},
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=PATIENCE_S,
     )
     return done.returncode, done.stdout, done.stderr
 
@@ -294,7 +295,9 @@ def test_setup_makes_nothing_of_an_unknown_argument(arguments, tmp_path: Path) -
     venv = tmp_path / "venv"
     command = [str(ROOT / "scripts" / "setup"), *arguments]
     environment = os.environ | {"CPNET_VENV": str(venv)}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=PATIENCE_S
+    )
     assert (done.returncode, done.stderr) == (2, "usage: scripts/setup [run | test]\n")
     assert not venv.exists()
 

@@ -71,6 +71,7 @@ def test_a_browser_draws_cloud_boxes_and_plots_of_a_live_run(
     view = shell.start("view", "run", "--web", "--port", free_port(), "--fps=1")
     found = re.search(r"http://\S+", view.read_until("http://"))
     assert found is not None
+    view.raise_priority()
     page.goto(found[0])
     kept = request.config.cache.mkdir("view") / "view.png"
     seen: dict[str, int] = {}
@@ -81,4 +82,4 @@ def test_a_browser_draws_cloud_boxes_and_plots_of_a_live_run(
         seen.update(drawn(shot))
         return all(seen[what] >= least for what, least in ENOUGH.items())
 
-    run.wait_until(all_is_drawn, what=f"of {ENOUGH} there is {seen}, see {kept}")
+    run.wait_until(all_is_drawn, what=lambda: f"of {ENOUGH} there is {seen}, see {kept}")
