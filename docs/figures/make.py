@@ -4,7 +4,8 @@ Each figure of the registry has a file `docs/figures/NAME.json`: what was measur
 command, at which commit, on what machine, in how long, and a digest of the code that it measures.
 Pages show its parts between `<!-- figure: NAME.PART -->` and `<!-- /figure -->`; below stands its
 age. A figure is older than its code if the digest is another one now. What is fresh is not measured
-again, so that an interrupted call goes on where it was.
+again, so that an interrupted call goes on where it was. `--same` finds out whether a change of the
+code left the rows of runs as they were, see `same_rows`; then figures of rows are fresh still.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from registry import FIGURES, OTHER_COMMANDS, Figure, Part
+from same_rows import differing
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = Path(__file__).resolve().parent
@@ -36,11 +38,12 @@ _BLOCK = re.compile(r"<!-- figure: ([\w.-]+) -->\n.*?<!-- /figure -->\n?", re.DO
 Record = dict[str, Any]
 
 
-def digest(figure: Figure) -> str:
+def digest(figure: Figure, root: Path | None = None) -> str:
     """Returns a hash of all files that the figure measures; of Python, of what is executed."""
     found = hashlib.sha256()
-    for path in _sources(figure):
-        found.update(f"{path.relative_to(ROOT)}\0".encode())
+    root = root or ROOT
+    for path in _sources(figure, root):
+        found.update(f"{path.relative_to(root)}\0".encode())
         found.update(
             executed(path.read_text("utf-8")) if path.suffix == ".py" else path.read_bytes()
         )
@@ -62,9 +65,9 @@ def executed(source: str) -> bytes:
     return "\n".join(line.rstrip() for line in lines if line.strip()).encode()
 
 
-def _sources(figure: Figure) -> Iterator[Path]:
+def _sources(figure: Figure, root: Path) -> Iterator[Path]:
     for name in figure.sources:
-        path = ROOT / name
+        path = root / name
         if not path.exists():
             raise FileNotFoundError(f"figure {figure.name}: there is no {name} to measure")
         yield from (
@@ -87,9 +90,11 @@ def load(figure: Figure) -> Record | None:
 
 
 def is_fresh(figure: Figure) -> bool:
-    """Tells whether the code is that which was measured."""
+    """Tells whether the code is that which was measured, or gives the same rows."""
     record = load(figure)
-    return record is not None and record["sources"] == digest(figure)
+    if record is None:
+        return False
+    return digest(figure) in (record["sources"], record.get("same", {}).get("sources"))
 
 
 def age(figure: Figure, record: Record) -> str:
@@ -101,7 +106,34 @@ def age(figure: Figure, record: Record) -> str:
         f"measured at commit {record['commit'][:7]}, {record['date']}, "
         f"{machine['cores']} cores, {machine['cpu']}"
     )
-    return measured if is_fresh(figure) else f"{measured}; the code has changed since"
+    if not is_fresh(figure):
+        return f"{measured}; the code has changed since"
+    if record["sources"] == digest(figure):
+        return measured
+    same = record["same"]
+    return f"{measured}; in {same['runs']} runs commit {same['commit'][:7]} gives the same rows"
+
+
+def compare_rows(names: list[str]) -> None:
+    """Marks the older figures of rows whose code still gives the rows that were measured.
+
+    Raises:
+        subprocess.CalledProcessError: a run failed, or a commit is not there any more.
+    """
+    older: dict[str, list[Figure]] = {}
+    for figure in FIGURES.values():
+        record = load(figure)
+        chosen = figure.of_rows and (not names or figure.name in names)
+        if chosen and record and record["commit"] and not is_fresh(figure):
+            older.setdefault(record["commit"], []).append(figure)
+    for commit, figures in older.items():
+        runs, found = differing(ROOT, WORK / "same", commit)
+        named = ", ".join(figure.name for figure in figures)
+        says = "\n  ".join(found) or f"the same rows in {runs} runs"
+        sys.stderr.write(f"{named}, measured at {commit[:7]}: {says}\n")
+        for figure in [] if found else figures:
+            same = {"commit": _git("rev-parse", "HEAD"), "sources": digest(figure), "runs": runs}
+            save(figure, (load(figure) or {}) | {"same": same})
 
 
 def measure(figure: Figure) -> None:
@@ -237,6 +269,9 @@ def main() -> None:
     parser.add_argument("--list", action="store_true", help="name, age, minutes, command")
     parser.add_argument("--write", action="store_true", help="write the pages, measure nothing")
     parser.add_argument("--again", action="store_true", help="measure what is fresh, too")
+    parser.add_argument(
+        "--same", action="store_true", help="measure nothing; compare rows with those measured"
+    )
     parser.add_argument("--within", type=int, help="leave out what takes more minutes than this")
     options = parser.parse_args()
     unknown = sorted(set(options.names) - set(FIGURES))
@@ -245,7 +280,9 @@ def main() -> None:
     if options.list:
         _list()
         return
-    for figure in [] if options.write else FIGURES.values():
+    if options.same:
+        compare_rows(options.names)
+    for figure in [] if options.write or options.same else FIGURES.values():
         chosen = not options.names or figure.name in options.names
         quick = options.within is None or figure.minutes <= options.within
         if chosen and quick and figure.command and (options.again or not is_fresh(figure)):

@@ -42,7 +42,7 @@ class Figure:
     """A command that prints JSON on stdout, or writes files: whole pages, pictures.
 
     The shell runs it in `runs/figures`, `$ROOT` is the repository. Without a command it cannot be
-    made again by `scripts/figures`.
+    made again by `scripts/figures`. One `of_rows` tells of what runs gave, and nothing of how fast.
     """
 
     name: str
@@ -52,6 +52,7 @@ class Figure:
     parts: tuple[Part, ...]
     files: tuple[str, ...] = ()
     read: Callable[[str], Any] = field(default=json.loads)
+    of_rows: bool = False
 
     def digests(self, root: Path) -> dict[str, str]:
         """Returns a hash of each of its files; of pages without the ages put in later."""
@@ -191,6 +192,7 @@ _LIST = (
             Part("all", "docs/detection.md", detection.accuracy),
             Part("classes", "docs/detection.md", detection.accuracy_by_class),
         ),
+        of_rows=True,
     ),
     Figure(
         "reference",
@@ -223,6 +225,7 @@ _LIST = (
         90,
         (Part("age", "docs/results.md"),),
         files=("docs/results.md", "docs/results/*.png"),
+        of_rows=True,
     ),
     Figure(
         "bandwidth",
@@ -231,6 +234,7 @@ _LIST = (
         60,
         (Part("age", "docs/bandwidth.md"),),
         files=("docs/bandwidth.md", "docs/bandwidth/*.png"),
+        of_rows=True,
     ),
     Figure(  # of the same runs, which are not run again
         "bandwidth-readme",
@@ -238,6 +242,7 @@ _LIST = (
         STUDY,
         60,
         (Part("table", "README.md", links.bandwidth_readme),),
+        of_rows=True,
     ),
     Figure(
         "frame",
@@ -277,6 +282,7 @@ _LIST = (
         (*STUDY, "cpnet/realism"),
         10,
         (Part("all", "docs/realism.md", worlds.unseen),),
+        of_rows=True,
     ),
     Figure(
         "realism",
@@ -293,6 +299,7 @@ _LIST = (
             Part("accuracy", "docs/realism.md", worlds.realism_accuracy),
             Part("readme", _GLANCE, worlds.realism_readme),
         ),
+        of_rows=True,
     ),
     Figure(
         "ecvpr",
@@ -305,6 +312,7 @@ _LIST = (
             Part("shares", "docs/comparison.md", comparison.ecvpr_shares),
             Part("readme", _GLANCE, comparison.ecvpr_shares),
         ),
+        of_rows=True,
     ),
     Figure(
         "delay",
@@ -315,6 +323,7 @@ _LIST = (
             Part("all", "docs/comparison.md", comparison.delay),
             Part("readme", "README.md", comparison.delay_short),
         ),
+        of_rows=True,
     ),
     Figure(
         "lidars",
@@ -334,6 +343,7 @@ _LIST = (
         STUDY,
         15,
         (Part("poses", "docs/realism.md", worlds.alignment),),
+        of_rows=True,
     ),
     Figure(
         "city-run",

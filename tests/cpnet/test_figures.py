@@ -85,6 +85,30 @@ def test_a_figure_older_than_its_code_says_so(make, fresh, monkeypatch) -> None:
     assert not make.is_fresh(figure)
 
 
+def test_a_figure_of_rows_stays_fresh_where_the_code_gives_the_same_rows(
+    make, monkeypatch, tmp_path
+) -> None:
+    record = make.load(make.FIGURES["delay"]) | {"sources": "before", "commit": "0123456789"}
+    monkeypatch.setattr(make, "FOLDER", tmp_path)
+    monkeypatch.setattr(make, "FIGURES", {"delay": make.FIGURES["delay"]})
+    make.save(make.FIGURES["delay"], record)
+    monkeypatch.setattr(make, "_git", lambda *_: "c0ffee0123")
+    compared = []
+
+    def differing(root: Path, work: Path, commit: str) -> tuple[int, list[str]]:
+        compared.append(commit)
+        return 15, [] if len(compared) > 1 else ["run: other rows"]
+
+    monkeypatch.setattr(make, "differing", differing)
+    make.compare_rows([])
+    assert not make.is_fresh(make.FIGURES["delay"])
+    make.compare_rows(["delay"])
+    told = make.age(make.FIGURES["delay"], make.load(make.FIGURES["delay"]))
+    assert told.endswith("; in 15 runs commit c0ffee0 gives the same rows")
+    make.compare_rows([])  # it is fresh, and not compared again
+    assert compared == ["0123456789"] * 2
+
+
 def test_a_changed_source_changes_the_digest(make, monkeypatch, tmp_path) -> None:
     figure = make.FIGURES["codec"]
     monkeypatch.setattr(make, "ROOT", tmp_path)
