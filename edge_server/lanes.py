@@ -179,12 +179,28 @@ class _Side:
         self._total = np.bincount(self._owner, minlength=len(names))
 
     def shares(self, sensors_m: Floats, range_m: float) -> CoverageShares:
-        x_m, y_m = self._places_m.T[:, :, None]
-        apart_m2 = (x_m - sensors_m[:, 0]) ** 2 + (y_m - sensors_m[:, 1]) ** 2
-        near: Bools = (apart_m2 <= range_m**2).any(axis=1)
-        seen = np.bincount(self._owner[near], minlength=len(self._names))
+        sensors_m = np.ascontiguousarray(sensors_m, np.float64)
+        seen = _within(self._places_m, self._owner, len(self._names), sensors_m, float(range_m**2))
         known = zip(self._names, seen.tolist(), self._total.tolist(), strict=True)
         return {name: round(one / all_of, 3) for name, one, all_of in known if all_of}
+
+
+@njit(
+    "int64[::1](float64[:,::1], int64[::1], int64, float64[:,::1], float64)",
+    cache=True,
+    nogil=True,
+)
+def _within(places_m: Floats, owner: Ints, owners: int, sensors_m: Floats, range_m2: float) -> Ints:
+    """Counts for each owner the places (N, 2) that lie within range of any sensor (S, 2)."""
+    seen = np.zeros(owners, np.int64)
+    for place in range(len(places_m)):
+        for sensor in range(len(sensors_m)):
+            x = places_m[place, 0] - sensors_m[sensor, 0]
+            y = places_m[place, 1] - sensors_m[sensor, 1]
+            if x * x + y * y <= range_m2:
+                seen[owner[place]] += 1
+                break
+    return seen
 
 
 def _places(

@@ -6,10 +6,11 @@ Beside it, what signals show, and which agents are no longer trusted.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from edge_server.border import BorderStrips
 from edge_server.frame import Chunk, FrameStage, FrameState
-from perception.arrays import Floats
+from perception.arrays import Floats, Floats32
 from perception.roadway import Roadway
 from perception.tracking.config import TrackingConfig
 from perception.tracking.lane_graph import LaneGraph
@@ -138,9 +139,19 @@ class Track(FrameStage):
         """Returns how high sensors are over the road that is nearest to each of them (P,)."""
         nearest = np.zeros((len(sensors), 2))
         for index, points in enumerate(lowest):
-            x, y = points[:, 0] - sensors[index, 0], points[:, 1] - sensors[index, 1]
-            nearest[index] = points[(x * x + y * y).argmin(), :2]
+            nearest[index] = points[_nearest(points, *sensors[index, :2]), :2]
         return np.asarray(sensors[:, 2] - self._roadway.height_at(nearest))
+
+
+@njit("int64(float32[:,::1], float64, float64)", cache=True, nogil=True)
+def _nearest(points: Floats32, x_m: float, y_m: float) -> int:
+    """Returns which of some points (N, 3) is the nearest to a place, seen from above."""
+    nearest, least_m2 = 0, np.inf
+    for index in range(len(points)):
+        x, y = points[index, 0] - x_m, points[index, 1] - y_m
+        if x * x + y * y < least_m2:
+            nearest, least_m2 = index, x * x + y * y
+    return nearest
 
 
 def _tracks(message: BorderObjects) -> Tracks:

@@ -17,10 +17,10 @@ from functools import partial
 import numpy as np
 from numba import njit
 
-from perception.arrays import Floats, Floats32, Ints
+from perception.arrays import Bools, Floats, Floats32, Ints, Ints32
 from perception.config import GroundConfig
 from perception.parallel import each
-from perception.roadway import Placed, lowest, span, square, squares
+from perception.roadway import BLOCK, VOTE_CELL_M, Placed, lowest, span, squares, squares_of
 
 SAMPLE = 4096  # of the whole cloud, on every n-th point
 WALL_DEG = 20.0  # a plane through the whole cloud that is steeper than this is a wall
@@ -50,10 +50,11 @@ def remove_ground(
         slope_deg, offset_m = WALL_DEG, np.inf
     limits = np.array([config.distance_m, np.tan(np.radians(slope_deg)), offset_m])
     left = [_Left.of(part) for part in parts]
+    area = squares(_around([part.lowest for part in parts]), VOTE_CELL_M)
     for _ in range(config.runs):
         if sum(len(part.points) for part in left) < LEAST_INLIERS:
             break
-        votes = _by_area(left) if by_tiles else _by_point(left)
+        votes = _by_area(left, area) if by_tiles else _by_point(left)
         tiles = squares(span(votes), config.tile_m or np.inf)
         work = np.array([config.max_iterations, rng.integers(2**62)])
         planes = _fit_all(*_by_tile(votes, tiles), limits, work)
@@ -81,9 +82,9 @@ class _Left:
     def of(cls, part: Placed) -> _Left:
         return cls(part.points, part.road_m, np.zeros(0, np.float32), part.lowest)
 
-    def votes(self) -> Floats32:
-        """Returns the lowest points."""
-        return lowest(self.points, self.road_m) if self.lowest is None else self.lowest
+    def votes(self, area: Floats) -> Floats32:
+        """Returns the lowest points, of an area's grid where they are not known."""
+        return lowest(self.points, self.road_m, area) if self.lowest is None else self.lowest
 
     def floor_m(self) -> Floats32:
         """Returns the height of the ground below each point, or else the road's (N,)."""
@@ -92,10 +93,18 @@ class _Left:
         return np.where(np.isnan(self.ground_m), self.road_m, self.ground_m)
 
 
-def _by_area(parts: Sequence[_Left]) -> Floats32:
+def _around(votes: Sequence[Floats32]) -> Floats:
+    """Returns the span (2, 2) of all squares in which parts voted, and one around them."""
+    both = span(np.concatenate([np.zeros((0, 3), np.float32), *votes]))
+    return np.asarray(both + np.array([[-VOTE_CELL_M], [VOTE_CELL_M]]))
+
+
+def _by_area(parts: Sequence[_Left], area: Floats) -> Floats32:
     """Returns one vote (V, 3) for each square metre: x, y and height over the road."""
-    votes = np.concatenate(each(_Left.votes, parts))
-    return lowest(votes, np.zeros(len(votes), np.float32))
+    known = all(part.lowest is not None for part in parts)  # then there is nothing to share out
+    ask = partial(_Left.votes, area=area)
+    votes = np.concatenate([*map(ask, parts)] if known else each(ask, parts))
+    return lowest(votes, np.zeros(len(votes), np.float32), area)
 
 
 def _by_point(parts: Sequence[_Left]) -> Floats32:
@@ -228,12 +237,13 @@ def _ransac(
 def _by_tile(votes: Floats32, tiles: Floats) -> tuple[Floats32, Ints]:
     """Sorts votes by their tile; tile t has those from starts[t] to starts[t + 1]."""
     starts = np.zeros(int(tiles[3] * tiles[4]) + 1, np.int64)
-    for vote in range(votes.shape[0]):
-        starts[square(votes[vote, 0], votes[vote, 1], tiles) + np.uint64(1)] += 1
+    tile_of = squares_of(votes, tiles)
+    for tile in tile_of:
+        starts[tile + 1] += 1
     starts = np.cumsum(starts)
     following, ordered = starts.copy(), np.empty_like(votes)
     for vote in range(votes.shape[0]):
-        tile = square(votes[vote, 0], votes[vote, 1], tiles)
+        tile = tile_of[vote]
         ordered[following[tile]] = votes[vote]
         following[tile] += 1
     return ordered, starts
@@ -272,6 +282,51 @@ def _fit_all(votes: Floats32, starts: Ints, limits: Floats, work: Ints) -> Float
 
 
 @njit(
+    "Tuple((float32[::1], boolean[::1]))"
+    "(float32[:,::1], float32[::1], float64[::1], float32[:,::1], float32)",
+    cache=True,
+    nogil=True,
+)
+def _over_tiles(
+    points: Floats32, road_m: Floats32, grid: Floats, layers: Floats32, share: float
+) -> tuple[Floats32, Bools]:
+    """Returns the height (B,) of the plane at a block's points, and which lie outside the layer.
+
+    Points come in runs of one tile, for a sensor scans along its rings.
+    """
+    size = points.shape[0]
+    tiles, plane_m, stays = (
+        squares_of(points, grid),
+        np.empty(size, np.float32),
+        np.empty(size, np.bool_),
+    )
+    first = 0
+    while first < size:
+        end = first + 1
+        while end < size and tiles[end] == tiles[first]:
+            end += 1
+        along_x, along_y, middle_m, low_m, high_m = layers[tiles[first]]
+        for index in range(first, end):
+            x, y, z = points[index, 0], points[index, 1], points[index, 2]
+            ground_m = along_x * x + along_y * y + middle_m
+            ground_m += share * road_m[index]
+            plane_m[index] = ground_m
+            stays[index] = not ((low_m <= z - ground_m) & (z - ground_m <= high_m))
+        first = end
+    return plane_m, stays
+
+
+@njit("int32[::1](boolean[::1])", cache=True, nogil=True)
+def _chosen(stays: Bools) -> Ints32:
+    """Returns the indices of those marked, without a branch: it would be foreseen wrongly."""
+    chosen, count = np.empty(stays.size + 1, np.int32), np.uint64(0)
+    for index in range(stays.size):
+        chosen[count] = index
+        count += np.uint64(stays[index])
+    return chosen[:count]
+
+
+@njit(
     f"int64({_PART}, float64[::1], float32[:,::1], boolean, {_PART})",
     cache=True,
     nogil=True,
@@ -280,17 +335,16 @@ def _remove(part: Part, grid: Floats, layers: Floats32, over_road: bool, kept: P
     """Copies the points outside their tile's layer, in order; returns their number."""
     points, road_m, ground_m = part
     kept_points, kept_road_m, kept_ground_m = kept
-    share, is_first = np.float32(1.0 if over_road else 0.0), ground_m.size == 0
-    count = np.uint64(0)
-    for index in range(points.shape[0]):
-        x, y, z = points[index, 0], points[index, 1], points[index, 2]
-        tile = square(x, y, grid)
-        plane_m = layers[tile, 0] * x + layers[tile, 1] * y + layers[tile, 2]
-        plane_m += share * road_m[index]
-        kept_points[count, 0], kept_points[count, 1], kept_points[count, 2] = x, y, z
-        kept_road_m[count] = road_m[index]
-        kept_ground_m[count] = plane_m if is_first or np.isnan(ground_m[index]) else ground_m[index]
-        over_m = z - plane_m
-        is_ground = (layers[tile, 3] <= over_m) & (over_m <= layers[tile, 4])
-        count += np.uint64(not is_ground)  # no branch: it would be foreseen wrongly too often
-    return int(count)
+    share, is_first, count = np.float32(1.0 if over_road else 0.0), ground_m.size == 0, 0
+    for begin in range(0, points.shape[0], BLOCK):
+        some, some_road_m = points[begin : begin + BLOCK], road_m[begin : begin + BLOCK]
+        plane_m, stays = _over_tiles(some, some_road_m, grid, layers, share)
+        for chosen in _chosen(stays):
+            index = np.uint64(chosen)
+            for axis in range(3):
+                kept_points[count, axis] = some[index, axis]
+            kept_road_m[count], kept_ground_m[count] = some_road_m[index], plane_m[index]
+            if not is_first and not np.isnan(ground_m[begin + chosen]):
+                kept_ground_m[count] = ground_m[begin + chosen]
+            count += 1
+    return count

@@ -19,6 +19,7 @@ from protocol.geometry import SE3
 from protocol.roadmap import RoadMap
 
 VOTE_CELL_M = 1.0
+BLOCK = 1024  # points: few enough to stay in a core's cache between two loops
 MOST_SQUARES = 1 << 22  # of a table; points that lie farther apart have larger squares
 TABLE = "Tuple((float32[::1], int32[::1], int32[::1]))"
 
@@ -38,14 +39,15 @@ class _Tables(threading.local):
 _tables = _Tables()
 
 
-def lowest(points: Floats32, base_m: Floats32) -> Floats32:
+def lowest(points: Floats32, base_m: Floats32, grid: Floats | None = None) -> Floats32:
     """Returns x, y and height over the base (V, 3) of the lowest point of each square metre.
 
-    Of points (N, 3) over a base at the heights (N,). The result's own lowest points are itself.
+    Of points (N, 3) over a base at the heights (N,). The result's own lowest points are itself. A
+    `grid` of `squares` in which all of them lie saves a look at their span.
     """
     if len(points) == 0:
         return np.zeros((0, 3), np.float32)
-    grid = squares(span(points), VOTE_CELL_M)
+    grid = squares(span(points), VOTE_CELL_M) if grid is None else grid
     return np.asarray(_lowest(points, base_m, grid, table(int(grid[3] * grid[4]))))
 
 
@@ -73,15 +75,24 @@ def span(points: Floats32) -> Floats:
     return np.array([[low_x, low_y], [high_x, high_y]], np.float64)
 
 
-@njit("uint64(float32, float32, float64[::1])", cache=True, nogil=True, inline="always")
-def square(x: float, y: float, grid: Floats) -> np.uint64:
-    """Returns the square of a grid in which a point lies; the outermost ones reach to infinity."""
-    column, row = (x - grid[0]) * grid[2], (y - grid[1]) * grid[2]
-    column = column if column > 0.0 else 0.0  # as a choice of two values this takes no branch
-    column = column if column < grid[3] - 1.0 else grid[3] - 1.0
-    row = row if row > 0.0 else 0.0
-    row = row if row < grid[4] - 1.0 else grid[4] - 1.0
-    return np.uint64(row) * np.uint64(grid[3]) + np.uint64(column)
+@njit("int32[::1](float32[:,::1], float64[::1])", cache=True, nogil=True)
+def squares_of(points: Floats32, grid: Floats) -> Ints32:
+    """Returns the squares of a grid (B,) in which a block's points (B, 3) lie.
+
+    The outermost ones reach to infinity. Choices of two values take no branch, so that a core works
+    on several points at once.
+    """
+    found = np.empty(points.shape[0], np.int32)
+    x_m, y_m, per_m, last_column, last_row = grid[0], grid[1], grid[2], grid[3] - 1, grid[4] - 1
+    columns = np.int32(grid[3])
+    for index in range(points.shape[0]):
+        column, row = (points[index, 0] - x_m) * per_m, (points[index, 1] - y_m) * per_m
+        column = column if column > 0.0 else 0.0
+        column = column if column < last_column else last_column
+        row = row if row > 0.0 else 0.0
+        row = row if row < last_row else last_row
+        found[index] = np.int32(row) * columns + np.int32(column)
+    return found
 
 
 @njit("float64[::1](float64[:,::1], float64)", cache=True, nogil=True)
@@ -110,13 +121,15 @@ def _lowest(
 ) -> Floats32:
     low_m, who, touched = table
     found, nowhere = np.uint64(0), np.float32(np.inf)
-    for index in range(points.shape[0]):
-        cell = square(points[index, 0], points[index, 1], cells)
-        over_m = points[index, 2] - base_m[index]
-        if over_m < low_m[cell]:
-            touched[found] = cell
-            found += np.uint64(low_m[cell] == nowhere)
-            low_m[cell], who[cell] = over_m, index
+    for begin in range(0, points.shape[0], BLOCK):
+        some = squares_of(points[begin : begin + BLOCK], cells)
+        for place in range(some.size):
+            index, cell = begin + place, np.uint64(some[place])
+            over_m = points[index, 2] - base_m[index]
+            if over_m < low_m[cell]:
+                touched[found] = cell
+                found += np.uint64(low_m[cell] == nowhere)
+                low_m[cell], who[cell] = over_m, index
     votes = np.empty((int(found), 3), np.float32)
     for vote in range(found):
         cell = np.uint64(touched[vote])
@@ -261,9 +274,27 @@ class Roadway:
 
     def _cells(self, points: Floats | Floats32) -> tuple[Ints, Ints, Bools]:
         """Returns rows, columns and whether they belong to the road (N,)."""
-        cells = np.floor((points[:, :2] - self.origin_m) / self.cell_m)
-        columns, rows = np.clip(cells, 0, np.array(self.height_m.shape[::-1]) - 1).T.astype(int)
+        places = np.ascontiguousarray(points, np.float64)
+        rows, columns = _cells(places, *self.origin_m, self.cell_m, *self.height_m.shape)
         return rows, columns, ~np.isnan(self.height_m[rows, columns])
+
+
+@njit(
+    "UniTuple(int64[::1], 2)(float64[:,::1], float64, float64, float64, int64, int64)",
+    cache=True,
+    nogil=True,
+)
+def _cells(
+    points: Floats, x_m: float, y_m: float, cell_m: float, rows: int, columns: int
+) -> tuple[Ints, Ints]:
+    """Returns the row and the column (N,) of points (N, 2 or 3), of outer ones those nearest."""
+    row_of, column_of = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
+    for index in range(len(points)):
+        column = np.floor((points[index, 0] - x_m) / cell_m)
+        row = np.floor((points[index, 1] - y_m) / cell_m)
+        column_of[index] = min(max(column, 0.0), columns - 1.0)
+        row_of[index] = min(max(row, 0.0), rows - 1.0)
+    return row_of, column_of
 
 
 def lane_segments(road_map: RoadMap) -> Floats:
@@ -349,6 +380,44 @@ def road_below(
 
 
 @njit(
+    "Tuple((float32[:,::1], int32[:,::1]))"
+    "(float32[:,::1], float32[:,::1], float32[::1], UniTuple(int64, 2))",
+    cache=True,
+    nogil=True,
+)
+def _move(
+    points: Floats32, motion: Floats32, grid: Floats32, shape: tuple[int, int]
+) -> tuple[Floats32, Ints32]:
+    """Returns where a block's points (B, 3) lie in the map (3, B), and their cells and squares.
+
+    Nothing is looked up, and what is written is new, so that a core works on eight points at once.
+    """
+    moved = np.empty((3, points.shape[0]), np.float32)
+    places = np.empty((2, points.shape[0]), np.int32)
+    x_m, y_m, per_m = grid[0], grid[1], grid[2]
+    last_row, last_column = np.float32(shape[0] - 1), np.float32(shape[1] - 1)
+    wide, across = np.int32(shape[1]), np.int32((shape[1] + 1) // 2)
+    none = np.float32(0)
+    xu, xv, xw, x0 = motion[0]
+    yu, yv, yw, y0 = motion[1]
+    zu, zv, zw, z0 = motion[2]
+    for index in range(points.shape[0]):
+        u, v, w = points[index, 0], points[index, 1], points[index, 2]
+        x, y = xu * u + xv * v + xw * w + x0, yu * u + yv * v + yw * w + y0
+        at_x, at_y = (x - x_m) * per_m, (y - y_m) * per_m
+        at_x = at_x if at_x > none else none
+        at_x = at_x if at_x < last_column else last_column
+        at_y = at_y if at_y > none else none
+        at_y = at_y if at_y < last_row else last_row
+        row, column = np.int32(at_y), np.int32(at_x)
+        moved[0, index], moved[1, index] = x, y
+        moved[2, index] = zu * u + zv * v + zw * w + z0
+        places[0, index] = row * wide + column
+        places[1, index] = (row >> 1) * across + (column >> 1)
+    return moved, places
+
+
+@njit(
     [
         "Tuple((int64, float32[:,::1]))(float32[:,::1], float32[:,::1], float32[::1], "
         f"float32[:,::1], {decks}, {TABLE}, float32[:,::1], float32[::1])"
@@ -371,35 +440,30 @@ def _place(
 
     Choices of two values take no branch, which would be foreseen wrongly too often.
     """
-    x_m, y_m, per_m, low_m, high_m = grid
+    low_m, high_m = grid[3], grid[4]
     square_low_m, square_index, touched = squares
-    last_row, last_column = np.float32(height_m.shape[0] - 1), np.float32(height_m.shape[1] - 1)
-    across, one = np.uint64((height_m.shape[1] + 1) // 2), np.uint64(1)
-    none, nowhere = np.float32(0), np.float32(np.inf)
+    nowhere, heights_m = np.float32(np.inf), height_m.reshape(-1)
+    width = np.int32(height_m.shape[1])
     count, found = np.uint64(0), np.uint64(0)
-    for index in range(points.shape[0]):
-        u, v, w = points[index, 0], points[index, 1], points[index, 2]
-        x = motion[0, 0] * u + motion[0, 1] * v + motion[0, 2] * w + motion[0, 3]
-        y = motion[1, 0] * u + motion[1, 1] * v + motion[1, 2] * w + motion[1, 3]
-        z = motion[2, 0] * u + motion[2, 1] * v + motion[2, 2] * w + motion[2, 3]
-        at_x, at_y = (x - x_m) * per_m, (y - y_m) * per_m
-        at_x = at_x if at_x > none else none
-        at_x = at_x if at_x < last_column else last_column
-        at_y = at_y if at_y > none else none
-        at_y = at_y if at_y < last_row else last_row
-        row, column = np.uint64(at_y), np.uint64(at_x)
-        base_m = height_m[row, column]
-        if decks_m is not None:
-            base_m = road_below(z, row, column, height_m, decks_m)
-        kept[count, 0], kept[count, 1], kept[count, 2], road_m[count] = x, y, z, base_m
-        over_m = z - base_m
-        stays = (low_m <= over_m) & (over_m <= high_m)
-        square = (row >> one) * across + (column >> one)
-        if (over_m if stays else nowhere) < square_low_m[square]:
-            touched[found] = square
-            found += np.uint64(square_low_m[square] == nowhere)
-            square_low_m[square], square_index[square] = over_m, count
-        count += np.uint64(stays)
+    for begin in range(0, points.shape[0], BLOCK):
+        some = points[begin : begin + BLOCK]
+        moved, places = _move(some, motion, grid, height_m.shape)
+        for point in range(some.shape[0]):
+            index = np.uint64(point)
+            x, y, z, cell = moved[0, index], moved[1, index], moved[2, index], places[0, index]
+            base_m = heights_m[np.uint64(cell)]
+            if decks_m is not None:
+                row, column = np.uint64(cell // width), np.uint64(cell % width)
+                base_m = road_below(z, row, column, height_m, decks_m)
+            kept[count, 0], kept[count, 1], kept[count, 2], road_m[count] = x, y, z, base_m
+            over_m = z - base_m
+            stays = (low_m <= over_m) & (over_m <= high_m)
+            square = np.uint64(places[1, index])
+            if (over_m if stays else nowhere) < square_low_m[square]:
+                touched[found] = square
+                found += np.uint64(square_low_m[square] == nowhere)
+                square_low_m[square], square_index[square] = over_m, count
+            count += np.uint64(stays)
     votes = np.empty((int(found), 3), np.float32)
     for vote in range(found):
         square = np.uint64(touched[vote])
