@@ -17,7 +17,7 @@ import numpy as np
 from protocol.approaches import Approaches
 from protocol.errors import ConfigError
 from protocol.messages import LaneCounts, SignalRequest
-from protocol.roadmap import RoadMap
+from protocol.roadmap import RoadMap, Signal
 from signal_controller.config import SignalConfig
 from signal_controller.observation import CabinetTimes, LaneVehicles, Observation, SignalSite
 from signal_controller.policies import HeldGreens, Predictive, SignalPolicy, policy_of
@@ -133,13 +133,12 @@ class ControlRun:
         self._measured_from_s = begin_s + warmup_s
         truth = _Truth(self._road_map, self._case)
         shown: dict[str, str] = {}
-        if warmup_s and self._case.policy in SUMO_TYPES:
-            self._take_program(is_own=False)
+        on_plan = self._on_plan() if warmup_s and self._case.policy in SUMO_TYPES else []
         for step in range((warmup_s + self._case.duration_s) * _STEPS_A_SECOND):
             now_ns = round((begin_s + step * STEP_S) * 1e9)
             second, rest = divmod(step, _STEPS_A_SECOND)
-            if rest == 0 and second == warmup_s and warmup_s and self._case.policy in SUMO_TYPES:
-                self._take_program(is_own=True)
+            if second >= warmup_s:
+                on_plan = [signal for signal in on_plan if not self._take_over(signal)]
             if rest == 0 and second >= warmup_s:
                 self._note_waits()
                 truth.read(self._sumo)
@@ -168,15 +167,31 @@ class ControlRun:
         except (self._sumo.TraCIException, self._sumo.FatalTraCIError) as error:
             raise ConfigError(f"SUMO gave up at {time_s:g} s on {self._config}: {error}") from None
 
-    def _take_program(self, *, is_own: bool) -> None:
-        """Switches the signals that SUMO controls to the policy's program, or the net's."""
-        lights = self._sumo.trafficlight
+    def _on_plan(self) -> list[Signal]:
+        """Sets the signals that SUMO is to control on the net's plan; returns them."""
+        lights, found = self._sumo.trafficlight, []
         for one in self._road_map.intersections:
             known = [logic.programID for logic in lights.getAllProgramLogics(one.signal.tls)]
             if PROGRAM in known:
-                lights.setProgram(
-                    one.signal.tls, next(n for n in known if (n == PROGRAM) == is_own)
-                )
+                lights.setProgram(one.signal.tls, next(n for n in known if n != PROGRAM))
+                found.append(one.signal)
+        return found
+
+    def _take_over(self, signal: Signal) -> bool:
+        """Leaves a signal to SUMO's own control once it shows a green, from which that goes on.
+
+        At any other moment the program would begin with another state, without yellow between.
+        """
+        lights = self._sumo.trafficlight
+        state = lights.getRedYellowGreenState(signal.tls)
+        if state not in signal.greens:
+            return False
+        lights.setProgram(signal.tls, PROGRAM)
+        for logic in lights.getAllProgramLogics(signal.tls):
+            if logic.programID == PROGRAM:
+                states = [phase.state for phase in logic.phases]
+                lights.setPhase(signal.tls, states.index(state))
+        return True
 
     def _vehicles(self) -> Iterator[VehicleSample]:
         vehicle = self._sumo.vehicle

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -90,12 +91,13 @@ class McapRecorder:
         self._stop = stop
         self._ending = EndOfRecording()
         self._reason = "unknown"
+        self._drops: Counter[str] | None = None
         self.writer = McapWriter(next_path, setup, _facts(setup, truth=truth))
 
     @property
     def dropped(self) -> int:
-        """How many messages came that are not in the recording."""
-        return self._inbox.drops.total()
+        """How many messages came, until its end, that are not in the recording."""
+        return (self._inbox.drops if self._drops is None else self._drops).total()
 
     def on(self, item: Envelope | Presence) -> None:
         """Keeps a message.
@@ -136,10 +138,11 @@ class McapRecorder:
         Raises:
             CpnetError: the disk is full, or fails.
         """
+        self._drops = Counter(self._inbox.drops)  # what comes from now on is none of it
         facts = {
             "end_reason": self._reason,
             "messages": str(self.writer.messages),
-            "drops": json.dumps(self._inbox.drops),
+            "drops": json.dumps(self._drops),
         }
         self.writer.close(facts)
 

@@ -56,6 +56,13 @@ cli.command()
 _SETTINGS = {"COLUMNS": "120", "PYTHONWARNINGS": "error"}
 
 
+def raise_priority(pid: int) -> None:
+    """Gives an observer as much time as others get: it has what they leave, here nothing."""
+    with suppress(OSError):  # it has ended, or a thread of it
+        for thread in Path(f"/proc/{pid}/task").iterdir():
+            os.sched_setscheduler(int(thread.name), os.SCHED_OTHER, os.sched_param(0))
+
+
 class Command:
     """A `cpnet` command that was started: its process, and what it prints."""
 
@@ -97,11 +104,6 @@ class Command:
     def wait_until(self, holds: Callable[[], T], *, what: str | Callable[[], str] = "") -> T:
         """Returns the first answer that is true; fails at once if the command ends before."""
         return wait_until(holds, what=what or str(self), needs=self.process)
-
-    def raise_priority(self) -> None:
-        """Gives it as much time as others get: an observer has what they leave, here nothing."""
-        for thread in Path(f"/proc/{self.process.pid}/task").iterdir():
-            os.sched_setscheduler(int(thread.name), os.SCHED_OTHER, os.sched_param(0))
 
     def __str__(self) -> str:
         return f"cpnet {' '.join(self.arguments)}"

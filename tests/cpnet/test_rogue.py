@@ -103,7 +103,9 @@ class Run:
     def locator(self, bus: BusName, protocol: str = "tls") -> str:
         return f"{protocol}/127.0.0.1:{self.port + (bus is WORLD)}"
 
-    def client(self, bus: BusName, keys: Keys | None, mode: str = "client") -> zenoh.Session:
+    def client(
+        self, bus: BusName, keys: Keys | None, mode: str = "client", patience_s: float = 2.0
+    ) -> zenoh.Session:
         """Connects; with the files of another or without.
 
         Raises:
@@ -113,7 +115,7 @@ class Run:
         settings = {
             "mode": mode,
             "connect/endpoints": [self.locator(bus)],
-            "connect/timeout_ms": 2000,
+            "connect/timeout_ms": round(patience_s * 1e3),
             "connect/exit_on_failure": True,
             "listen/endpoints": [],
             "scouting/multicast/enabled": False,
@@ -126,7 +128,7 @@ class Run:
         return session
 
     def member(self, bus: BusName, process_id: str, mode: str = "client") -> zenoh.Session:
-        return self.client(bus, Keys.of(self.keys, process_id), mode)
+        return self.client(bus, Keys.of(self.keys, process_id), mode, PATIENCE_S)
 
     def spy(self, bus: BusName) -> Heard:
         """Listens to all that a recorder may hear, as a recorder."""

@@ -276,10 +276,13 @@ def test_progress_is_told_about_once_a_second(rig: Rig) -> None:
     for frame in range(11):
         rig.frame(frame)
     rig.drain()
+    while rig.seen.get() is not None:  # what it told of by itself, on a machine that is slow
+        pass
     rig.role._told_ns -= 1_000 * MS
     rig.role.poll()
-    rig.role.poll()
     progress = rig.seen.get().message
+    rig.role._told_ns = time.monotonic_ns()
+    rig.role.poll()
     assert rig.seen.get() is None
     assert (progress.frame, progress.vehicles, progress.cavs, progress.cvs) == (10, 2, 1, 1)
     assert (progress.detections, progress.state, progress.drops) == (2, "Gr", 10)
