@@ -7,10 +7,8 @@ and those that found no room to enter as well.
 
 from __future__ import annotations
 
-import multiprocessing
 import tempfile
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,18 +20,16 @@ from studies.bench import empty_table, print_whole
 from studies.control_baselines import OWN_SETTINGS
 from studies.control_case import OWN_PLAN, WEBSTER, ControlCase
 from studies.control_run import ControlRow, ControlRun
+from studies.run_pool import run_pool
 
 
 def measure_control(cases: Sequence[ControlCase], processes: int = 1) -> Iterator[ControlRow]:
     """Yields the row of each case, in their order, from a process of its own.
 
-    libsumo keeps state from one run to the next, which changes the results of the second.
-
     Raises:
         ConfigError: a net or a policy is none.
     """
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=context, max_tasks_per_child=1) as pool:
+    with run_pool(processes) as pool:
         timed = [case for case in cases if case.policy == WEBSTER]
         flows = dict(zip(timed, pool.map(lane_flows_vph, timed), strict=True))
         yield from pool.map(

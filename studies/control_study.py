@@ -10,9 +10,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -29,6 +28,7 @@ from studies.bench_control import lane_flows_vph, run_case_in_detail
 from studies.control_baselines import TUNINGS, Tuning
 from studies.control_case import OWN_PLAN, WEBSTER, ControlCase
 from studies.control_file import NETS, ControlStudy
+from studies.run_pool import run_pool
 from studies.sweep.cells import code_digest, write_atomically
 
 _ROOT = Path(__file__).resolve().parents[1]
@@ -150,8 +150,8 @@ def _run_each(
     and the pool ends with those that drive. It is always waited for: its own thread still starts
     processes for as long as it lives.
     """
-    context, waiting = multiprocessing.get_context("spawn"), iter(todo.items())
-    with ProcessPoolExecutor(processes, mp_context=context, max_tasks_per_child=1) as pool:
+    waiting = iter(todo.items())
+    with run_pool(processes) as pool:
         runs = {pool.submit(work, case): path for path, case in islice(waiting, processes)}
         while runs:
             done, _ = wait(runs, return_when=FIRST_COMPLETED)
