@@ -124,7 +124,9 @@ def _make(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"--out {folder}: {error}") from None
+        raise ConfigError(
+            f"--out {folder}: must be a folder that can be made ({error.strerror})"
+        ) from None
 
 
 class CompareProgress:
@@ -152,8 +154,10 @@ class CompareProgress:
         self._bar.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._bar.stop()
+        if kind is KeyboardInterrupt:
+            errors.print("stopped; finished runs are kept: the same command goes on with the rest")
 
     def report(self, done: int, total: int, last: str) -> None:
         """Takes that a run is done; without a name, that a stage begins."""

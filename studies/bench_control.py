@@ -20,7 +20,7 @@ from studies.bench import empty_table, print_whole
 from studies.control_baselines import OWN_SETTINGS
 from studies.control_case import OWN_PLAN, WEBSTER, ControlCase
 from studies.control_run import ControlRow, ControlRun
-from studies.run_pool import run_pool
+from studies.run_pool import run_each
 
 
 def measure_control(cases: Sequence[ControlCase], processes: int = 1) -> Iterator[ControlRow]:
@@ -29,12 +29,16 @@ def measure_control(cases: Sequence[ControlCase], processes: int = 1) -> Iterato
     Raises:
         ConfigError: a net or a policy is none.
     """
-    with run_pool(processes) as pool:
-        timed = [case for case in cases if case.policy == WEBSTER]
-        flows = dict(zip(timed, pool.map(lane_flows_vph, timed), strict=True))
-        yield from pool.map(
-            run_case, [replace(case, flows_vph=flows.get(case, {})) for case in cases]
-        )
+    timed = [case for case in cases if case.policy == WEBSTER]
+    flows = {timed[number]: found for number, found in run_each(lane_flows_vph, timed, processes)}
+    whole = [replace(case, flows_vph=flows.get(case, {})) for case in cases]
+    rows: dict[int, ControlRow] = {}
+    following = 0
+    for number, row in run_each(run_case, whole, processes):
+        rows[number] = row
+        while following in rows:
+            yield rows.pop(following)
+            following += 1
 
 
 def lane_flows_vph(case: ControlCase) -> dict[str, float]:

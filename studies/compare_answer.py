@@ -28,6 +28,7 @@ NAMES = {
     PREDICTIVE: "predictive",
 }
 _MIN_DURATION_S = 600
+_MIN_VEHICLES = 100
 _WORSE_S = 2.0  # than under the own plan: an approach that is named
 _MAX_NAMED = 4
 
@@ -58,34 +59,46 @@ def answer(comparison: Comparison, variants: Sequence[Variant]) -> str:
         one for one in variants if (one.policy, one.sight) == (MAX_PRESSURE, lead.sight)
     )
     sentences = [
-        caveat(comparison.question),
+        caveat(comparison.question, min(lead.values("vehicles"))),
         f"With {_equipment(comparison, lead.sight)} and predictive control a vehicle loses "
         f"{lead.delay_s:.1f} s, {_against(lead, plan)} the net's own plan "
         f"({plan.delay_s:.1f} s) and {_against(lead, baseline)} {NAMES[baseline.policy]}{tuned} "
         f"({baseline.delay_s:.1f} s); {_uplink(comparison, lead)}.",
-        f"Max pressure on what they see: {pressure.delay_s:.1f} s.",
+        f"Max pressure in place of predictive: {pressure.delay_s:.1f} s.",
         *(
-            f"With {_equipment(comparison, one.sight)} it is {one.delay_s:.1f} s and "
-            f"{mbps(one.mean('uplink_mbps') or 0)} on average."
+            f"Predictive with {_equipment(comparison, one.sight)}: {one.delay_s:.1f} s and "
+            f"{_sent(one)}."
             for one in found.values()
         ),
-        _losers(lead, plan),
+        _losers(comparison, lead, plan),
     ]
     return " ".join(filter(None, sentences))
 
 
-def caveat(asked: Question) -> str:
-    """Returns why the answer is a direction only, as far as it is; else nothing."""
-    is_untuned = asked.tuning_s == 0
+def caveat(asked: Question, vehicles: float) -> str:
+    """Returns why the answer is a direction only, as far as it is; else nothing.
+
+    Args:
+        asked: seeds, duration and tuning.
+        vehicles: of the run that had least.
+    """
+    is_untuned, are_few = asked.tuning_s == 0, vehicles < _MIN_VEHICLES
     seeds, duration_s = len(asked.seeds), asked.duration_s
-    if seeds >= MIN_SEEDS and duration_s >= _MIN_DURATION_S and not is_untuned:
+    if seeds >= MIN_SEEDS and duration_s >= _MIN_DURATION_S and not (is_untuned or are_few):
         return ""
     runs = "1 seed" if seeds == 1 else f"{seeds} seeds"
+    number = "1 vehicle" if vehicles == 1 else f"{vehicles:.0f} vehicles"
+    few = f", {number} in a run" if are_few else ""
     untuned = ", baselines not tuned" if is_untuned else ""
-    return f"A direction only: {runs} of {duration_s} s{untuned}."
+    return f"A direction only: {runs} of {duration_s} s{few}{untuned}."
 
 
-def _losers(lead: Variant, plan: Variant) -> str:
+def _sent(one: Variant) -> str:
+    rate = one.mean("uplink_mbps")
+    return f"{mbps(rate)} on average" if rate else "no CAV came near the signals"
+
+
+def _losers(comparison: Comparison, lead: Variant, plan: Variant) -> str:
     """Returns the approaches on which vehicles lose clearly more than under the own plan."""
     before, after = approaches(plan), approaches(lead)
     more = {
@@ -98,9 +111,12 @@ def _losers(lead: Variant, plan: Variant) -> str:
     if not more:
         return ""
     worst = sorted(more, key=lambda name: -more[name])
-    named = ", ".join(f"{name} {more[name]:.1f} s" for name in worst[:_MAX_NAMED])
+    named = ", ".join(f"{name} ({more[name]:.1f} s)" for name in worst[:_MAX_NAMED])
     left = f" and on {len(worst) - _MAX_NAMED} further approaches" if worst[_MAX_NAMED:] else ""
-    return f"Worse than under the own plan, in the last 300 m: {named} more a vehicle{left}."
+    return (
+        f"With {_equipment(comparison, lead.sight)} and predictive control a vehicle loses more "
+        f"than under the own plan within 300 m of the stop bar {named}{left}."
+    )
 
 
 def approaches(one: Variant) -> dict[str, float | None]:
@@ -129,9 +145,9 @@ def mbps(rate: float) -> str:
 def _uplink(comparison: Comparison, lead: Variant) -> str:
     period_s = comparison.question.frame_period_s
     sent, peak = lead.mean("uplink_mbps") or 0.0, lead.greatest("uplink_peak_mbps") or 0.0
+    at_most = f", {mbps(peak)} at most" if mbps(peak) != mbps(sent) else ""
     text = (
-        f"all LiDARs together send {mbps(sent)} on average, {mbps(peak)} at most, at a scan every "
-        f"{period_s:g} s"
+        f"all LiDARs together send {mbps(sent)} on average{at_most}, at a scan every {period_s:g} s"
     )
     prompt, slow = link_mbps(lead, PROMPT_S), link_mbps(lead, period_s)
     if prompt is None or slow is None:

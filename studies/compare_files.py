@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
@@ -20,6 +21,8 @@ _ROOTS = {
 """What a file is, and the option that takes it, by its first element."""
 _TAKEN = {"--net": "net", "--sumocfg": "configuration", "--routes": "routes"}
 _DRIVING = ("vehicle", "trip", "flow")
+_MOST_A_SECOND = 2.0  # vehicles of one flow: more than two lanes of a motorway carry
+_RANDOM_PERIOD = re.compile(r"exp\(([0-9.eE+-]+)\)")
 
 
 def check_no_folders(files: Files) -> None:
@@ -42,6 +45,47 @@ def check_contents(files: Files) -> None:
     for option, path in files.items():
         if path is not None:
             _check_kind(option, path)
+
+
+def check_flows(path: Path, until_s: float) -> None:
+    """Refuses flows of a route file that cannot be meant: another unit, or over before the run is.
+
+    Raises:
+        ConfigError: a flow has more vehicles a second than a road carries, or all flows, and there
+            is nothing else, end before `until_s`.
+    """
+    ends_s, others = [], False
+    with open_file(path) as stream:
+        for _, element in ElementTree.iterparse(stream):
+            if element.tag == "flow":
+                _check_rate(path, element)
+                ends_s.append(_number(element.get("end")))
+            others |= element.tag in ("vehicle", "trip")
+            element.clear()
+    known_s = [one for one in ends_s if one is not None]
+    if known_s and len(known_s) == len(ends_s) and not others and max(known_s) < until_s:
+        raise ConfigError(
+            f"--routes {path}: its last flow ends at {max(known_s):g} s, before warm-up and run do "
+            f"({until_s:g} s)"
+        )
+
+
+def _check_rate(path: Path, flow: ElementTree.Element) -> None:
+    period = flow.get("period", "")
+    drawn = _RANDOM_PERIOD.fullmatch(period.strip())
+    rate = _number(drawn[1]) if drawn else None
+    if rate is not None and rate > _MOST_A_SECOND:
+        raise ConfigError(
+            f"--routes {path}: flow {flow.get('id')}: period {period} are {rate:g} vehicles a "
+            f"second; {rate:g} an hour are exp({rate / 3600:.4f})"
+        )
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        return None if text is None else float(text)
+    except ValueError:  # a time as SUMO writes it for people
+        return None
 
 
 def _check_kind(option: str, path: Path) -> None:

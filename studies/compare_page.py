@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,7 +25,7 @@ from studies.compare_answer import (
     name_of,
 )
 from studies.compare_question import Comparison
-from studies.control_study import paired
+from studies.control_study import file_digest, paired
 from studies.outlines import road_rings
 from studies.page.model import (
     Block,
@@ -281,15 +282,13 @@ def _queues(drawn: Sequence[Variant]) -> Chart:
 
 def _maps(comparison: Comparison, variants: Sequence[Variant]) -> tuple[Block, ...]:
     surfaces, lines = road_rings(comparison.road_map)
+    seen = [(one, tuple(map(_points, one.rows[0].get("map") or ()))) for one in variants]
+    seen = [(one, points) for one, points in seen if points]
+    x = [value for _, points in seen for layer in points for value in layer.x_m]
+    y = [value for _, points in seen for layer in points for value in layer.y_m]
+    window = (min(x), min(y), max(x), max(y)) if len(x) > 1 else None  # one scale for all
     maps = []
-    for one in variants:
-        found = one.rows[0].get("map")
-        if not found:
-            continue
-        points = tuple(map(_points, found))
-        x = [value for layer in points for value in layer.x_m]
-        y = [value for layer in points for value in layer.y_m]
-        window = (min(x), min(y), max(x), max(y)) if len(x) > 1 else None
+    for one, points in seen:
         title = f"Seen by {one.sight}"
         notes = (
             f"{NAMES[one.policy].capitalize()} control, {one.sight}, seed "
@@ -306,9 +305,16 @@ def _points(layer: dict[str, Any]) -> Points:
 
 def _origin(comparison: Comparison, command: str, versions: dict[str, str]) -> Section:
     asked = comparison.question
+    files = [path for path in asked.files.values() if path is not None]
+    demand = None if asked.demand_vph is None else f"{asked.demand_vph:g} veh/h and lane"
     rows = (
         ("signals", ", ".join(sorted(comparison.road_map.by_tls))),
+        *((path.name, f"SHA-256 {file_digest(path)[:16]}") for path in files),
+        *([("demand", demand)] if demand else []),
         ("posts at", ", ".join(comparison.posts) or None),
+        ("share of CAVs", f"{100 * asked.cav_rate:g} %"),
+        ("tuning", f"runs of {asked.tuning_s} s" if asked.tuning_s else "none"),
+        *((key, json.dumps(value)) for key, value in sorted((asked.settings or {}).items())),
         ("seeds", ", ".join(map(str, asked.seeds))),
         ("simulated time of a run", f"{asked.duration_s} s after {asked.warmup_s} s of warm-up"),
         ("a scan and a decision every", f"{asked.frame_period_s:g} s"),

@@ -10,7 +10,7 @@ from typing import Any
 from protocol.errors import ConfigError
 from protocol.roadmap import RoadMap
 from sim_host.setup import build_setup, config_file, sumo_files, traffic_config
-from studies.compare_files import check_contents, check_no_folders
+from studies.compare_files import check_contents, check_flows, check_no_folders
 from studies.sumo_config import write_config
 from studies.sweep.cells import Resolve
 
@@ -107,10 +107,10 @@ class Question:
                 )
 
     def _check_numbers(self) -> None:
-        if self.demand_vph is not None and not 0 < self.demand_vph <= MAX_DEMAND_VPH:
+        if self.demand_vph is not None and not 1 <= self.demand_vph <= MAX_DEMAND_VPH:
             raise ConfigError(
-                f"--demand {self.demand_vph:g}: must be more than 0 and at most {MAX_DEMAND_VPH} "
-                "vehicles per hour and lane"
+                f"--demand {self.demand_vph:g}: must be from 1 to {MAX_DEMAND_VPH} vehicles per "
+                "hour and lane"
             )
         if not 0 < self.frame_period_s <= MAX_FRAME_PERIOD_S:
             raise ConfigError(
@@ -182,6 +182,8 @@ def prepare(question: Question, folder: Path, name: str, resolve: Resolve) -> Co
     """
     question.check()
     check_contents(question.files)
+    if question.routes is not None:
+        check_flows(question.routes, question.warmup_s + question.duration_s)
     traffic: dict[str, Any] = {
         "traffic.net": question.net,
         "traffic.routes": question.routes,

@@ -10,12 +10,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
-from itertools import islice
 from pathlib import Path
 from statistics import mean, stdev
 from typing import Any, Protocol, TypeVar
@@ -28,7 +25,7 @@ from studies.bench_control import lane_flows_vph, run_case_in_detail
 from studies.control_baselines import TUNINGS, Tuning
 from studies.control_case import OWN_PLAN, WEBSTER, ControlCase
 from studies.control_file import NETS, ControlStudy
-from studies.run_pool import run_pool
+from studies.run_pool import run_each
 from studies.sweep.cells import code_digest, write_atomically
 
 _ROOT = Path(__file__).resolve().parents[1]
@@ -118,46 +115,24 @@ class CaseStore:
             report: told of each run, and before the first.
 
         Raises:
-            ConfigError: a net or a policy is none.
+            ConfigError: a net or a policy is none, or a run's process was killed.
         """
         paths = [self._path(work.__name__, case) for case in cases]
         todo = {path: case for path, case in zip(paths, cases, strict=True) if _read(path) is None}
         report(len(cases) - len(todo), len(cases), "")
         kept = len(cases) - len(todo)
-        try:
-            for number, (path, row) in enumerate(_run_each(work, todo, processes), kept + 1):
-                write_atomically(path, json.dumps(row, indent=1).encode())
-                report(number, len(cases), todo[path].title)
-        except BrokenProcessPool:
-            raise ConfigError(
-                "a run's process was killed, as when memory runs out; the same command goes on "
-                "with what is left"
-            ) from None
+        missing = [*todo.items()]
+        runs = run_each(work, [*todo.values()], processes)
+        for count, (number, row) in enumerate(runs, kept + 1):
+            path, case = missing[number]
+            write_atomically(path, json.dumps(row, indent=1).encode())
+            report(count, len(cases), case.title)
         return [_read(path) or {} for path in paths]
 
     def _path(self, kind: str, case: Case) -> Path:
         decides = {"kind": kind, **case.identity()}
         found = hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest()
         return self._folder / f"{found[:16]}.json"
-
-
-def _run_each(
-    work: Callable[[C], Row], todo: Mapping[Path, C], processes: int
-) -> Iterator[tuple[Path, Row]]:
-    """Yields a row as soon as its case is run.
-
-    Only what a process is free for is handed to the pool: when a run fails none waits in its queue,
-    and the pool ends with those that drive. It is always waited for: its own thread still starts
-    processes for as long as it lives.
-    """
-    waiting = iter(todo.items())
-    with run_pool(processes) as pool:
-        runs = {pool.submit(work, case): path for path, case in islice(waiting, processes)}
-        while runs:
-            done, _ = wait(runs, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield runs.pop(future), future.result()
-                runs |= {pool.submit(work, case): path for path, case in islice(waiting, 1)}
 
 
 def run_row(one: BenchCase) -> Row:

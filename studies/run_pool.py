@@ -9,33 +9,104 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from multiprocessing import forkserver
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerContext, ForkServerProcess
+from typing import Any, TypeVar
+
+from protocol.errors import ConfigError
 
 _PRELOAD = ["studies.perceived_case", "studies.bench_control"]
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # runs take the cores
+Task = TypeVar("Task")
+Done = TypeVar("Done")
 
 
-@contextmanager
-def run_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
-    """Yields a pool of so many processes, a new one for each task.
+def run_each(
+    work: Callable[[Task], Done], tasks: Sequence[Task], processes: int
+) -> Iterator[tuple[int, Done]]:
+    """Yields the number of each task and what `work` gives for it, as soon as it is done.
 
-    Ctrl-C does not reach them: what ends the block with an error ends them too, at once.
+    Ctrl-C does not reach the processes: whatever ends this iterator ends them, at once.
+
+    Raises:
+        ConfigError: a process was killed.
+        Exception: what `work` raised.
     """
+    context, todo = _fork_server(), iter(enumerate(tasks))
+    running: dict[Connection, tuple[int, ForkServerProcess]] = {}
+
+    def start() -> None:
+        for number, task in todo:
+            ours, theirs = multiprocessing.Pipe(duplex=False)
+            with theirs:
+                process = context.Process(target=_run, args=(work, task, theirs), daemon=True)
+                process.start()
+            running[ours] = number, process
+            return
+
+    try:
+        for _ in range(processes):
+            start()
+        while running:
+            for ready in wait([*running]):
+                assert isinstance(ready, Connection)
+                number, process = running[ready]
+                done = _received(ready)
+                process.join()
+                del running[ready]
+                ready.close()
+                start()
+                yield number, done
+    finally:
+        for connection, (_, process) in running.items():
+            process.terminate()
+            process.join()
+            connection.close()
+
+
+def _fork_server() -> ForkServerContext:
+    """Starts the process that all are forked off, if none runs; they ignore Ctrl-C as it does."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(_PRELOAD)
     os.environ.update(_ONE_THREAD)
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # what is forked off inherits it
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         forkserver.ensure_running()
     finally:
         signal.signal(signal.SIGINT, before)
-    with ProcessPoolExecutor(processes, mp_context=context, max_tasks_per_child=1) as pool:
+    return context
+
+
+def _run(work: Callable[[Task], Done], task: Task, results: Connection) -> None:
+    """Sends what a task gives, or the error that it ends with; the main function of a process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with results:
         try:
-            yield pool
-        except BaseException:
-            for child in multiprocessing.active_children():
-                child.terminate()
-            raise
+            results.send((work(task), None))
+        except Exception as error:  # noqa: BLE001 - is raised again by who waits
+            try:
+                results.send((None, error))
+            except Exception:  # noqa: BLE001 - one that cannot be sent
+                results.send((None, RuntimeError(f"{type(error).__name__}: {error}")))
+
+
+def _received(results: Connection) -> Any:  # noqa: ANN401 - what the task gave
+    """Returns what a process sent.
+
+    Raises:
+        ConfigError: it was killed before.
+        Exception: what the task ended with.
+    """
+    found, error = None, None
+    with suppress(EOFError):
+        found, error = results.recv()
+        if error is not None:
+            raise error
+        return found
+    raise ConfigError(
+        "a run's process was killed, as when memory runs out; the same command goes on with what "
+        "is left"
+    )

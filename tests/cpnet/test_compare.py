@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -86,6 +87,20 @@ def test_the_tutorials_command_gives_a_sentence_and_a_page(net, shell) -> None:
         assert title in page
 
 
+@pytest.mark.slow
+@pytest.mark.process
+def test_an_interruption_keeps_what_is_done_and_says_so(net, shell) -> None:
+    words = ["compare", f"--net={net}", "--demand=300", "--tuning=60", "--seeds=1", "--out=answer"]
+    command = shell.start(*words)
+    command.read_until("tuning 1/34")
+    command.process.send_signal(signal.SIGINT)
+    status, printed = command.finish()
+    assert status == 130
+    assert "finished runs are kept: the same command goes on with the rest" in printed
+    assert "Traceback" not in printed
+    assert [*(shell.folder / "answer" / "cases").glob("*.json")]
+
+
 def variant(policy: str, sight: str, delay_s: float, east_s: float = 20.0) -> Variant:
     row = {
         "delay_s": delay_s,
@@ -128,8 +143,10 @@ def test_the_sentence_says_what_a_link_needs_not_only_what_is_sent_on_average(po
 def test_the_sentence_owns_up_to_short_runs_and_to_who_loses(posts_only) -> None:
     text = answer(posts_only, VARIANTS)
     assert text.startswith("A direction only: 1 seed of 60 s, baselines not tuned. With 1 roadside")
-    assert text.endswith("in the last 300 m: from east 3.4 s more a vehicle.")
-    assert "Worse" not in answer(posts_only, [*VARIANTS[:4], variant("predictive", "posts", 20.0)])
+    assert text.endswith("within 300 m of the stop bar from east (3.4 s).")
+    assert "loses more" not in answer(
+        posts_only, [*VARIANTS[:4], variant("predictive", "posts", 20.0)]
+    )
 
 
 @pytest.mark.parametrize(
@@ -142,8 +159,23 @@ def test_the_sentence_owns_up_to_short_runs_and_to_who_loses(posts_only) -> None
     ],
 )
 def test_five_long_and_tuned_seeds_are_more_than_a_direction(options, text) -> None:
-    assert caveat(Question(**options)).endswith(text)
-    assert bool(caveat(Question(**options))) == bool(text)
+    assert caveat(Question(**options), 900).endswith(text)
+    assert bool(caveat(Question(**options), 900)) == bool(text)
+
+
+def test_an_answer_of_few_vehicles_is_a_direction(posts_only) -> None:
+    assert caveat(Question(seeds=range(5)), 14) == (
+        "A direction only: 5 seeds of 600 s, 14 vehicles in a run."
+    )
+
+
+def test_what_cavs_would_do_is_not_told_where_none_drove(net, tmp_path) -> None:
+    question = Question(net=net, demand_vph=300.0, seeds=(1,))
+    both = prepare(question, tmp_path, "mine", resolve)
+    alone = variant("predictive", "CAVs", 21.0)
+    alone.rows[0]["uplink_mbps"] = 0.0
+    text = answer(both, [*VARIANTS, alone])
+    assert "Predictive with 5 % CAVs (vehicles with LiDAR and radio): 21.0 s and no CAV" in text
 
 
 def test_the_page_shows_peak_and_link_and_axes_with_their_quantity(posts_only) -> None:
@@ -193,8 +225,8 @@ def test_nobody_stops_vehicles_in_the_runs_with_perception_alone(net, tmp_path, 
         ({"demand_vph": 300.0, "seeds": (1, 101)}, "101 is a seed that baselines are tuned with"),
         ({"tls": ["A", "B"]}, r"or --routes FILE\.rou\.xml$"),
         ({"tls": "all"}, "or with one signal --demand N"),
-        ({"demand_vph": 0.0}, "--demand 0: must be more than 0"),
-        ({"demand_vph": -5.0}, "--demand -5: must be more than 0"),
+        ({"demand_vph": 0.0}, "--demand 0: must be from 1 to 3600 vehicles per hour"),
+        ({"demand_vph": -5.0}, "--demand -5: must be from 1"),
         ({"demand_vph": 3.0, "frame_period_s": 0.0}, "--frame-period 0: must be more than 0"),
         ({"demand_vph": 3.0, "posts": ["all", "centre"]}, "--posts all,centre: all stands alone"),
         ({"net": Path()}, r"--net \.: is a folder"),
@@ -227,9 +259,11 @@ def test_unknown_signals_and_blind_comparisons_are_refused(net, tmp_path, option
         ("<routes><vType id='a'/></routes>", "--routes .*: holds no vehicle, trip or flow"),
         ("<routes><route", "--routes .*: cannot be read as XML"),
         ("<net/>", "--routes .*: is a net; use --net"),
+        ("<routes><flow id='NS' period='exp(420)'/></routes>", r"420 an hour are exp\(0\.1167\)"),
+        ("<routes><flow id='a' end='60'/></routes>", "ends at 60 s, before warm-up and run do"),
     ],
 )
-def test_routes_on_which_nobody_drives_are_refused_at_once(net, tmp_path, text, message) -> None:
+def test_routes_that_cannot_be_meant_are_refused_at_once(net, tmp_path, text, message) -> None:
     (tmp_path / "r.rou.xml").write_text(text)
     question = Question(net=net, routes=tmp_path / "r.rou.xml")
     with pytest.raises(ConfigError, match=message):

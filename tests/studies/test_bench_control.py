@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from protocol.errors import ConfigError
 from signal_controller.observation import CabinetTimes, Observation
-from sim_host.cabinet import SignalCabinet
+from sim_host.cabinet import SignalCabinet, programme
 from sim_host.config import CabinetConfig
 from studies.bench_control import measure_control, run_case
 from studies.control_baselines import WeightedPressure, webster_signal
-from studies.control_case import ControlCase
+from studies.control_case import PROGRAM, ControlCase
+from studies.control_run import ControlRun
 from tests.signal_controller.crossing import LANES, PHASES, SIGNAL, SITE, S, counts, green, vehicles
 
 TIMES = CabinetTimes()
@@ -78,3 +80,34 @@ def test_each_baseline_runs(policy: str) -> None:
     (row,) = measure_control([ControlCase("t_junction", policy, duration_s=90)])
     assert row.arrived > 20
     assert row.waited_s < 90
+
+
+class Lights:
+    """The one signal of SUMO, which shows the states of a plan in turn."""
+
+    def __init__(self, states: list[str]) -> None:
+        self.states, self.chosen = iter(states), []
+
+    def getRedYellowGreenState(self, tls: str) -> str:
+        return next(self.states)
+
+    def setProgram(self, tls: str, program: str) -> None:
+        self.chosen.append(program)
+
+    def setPhase(self, tls: str, phase: int) -> None:
+        self.chosen.append(phase)
+
+    def getAllProgramLogics(self, tls: str) -> list[SimpleNamespace]:
+        phases = [SimpleNamespace(state=one.state) for one in programme(SIGNAL, CabinetConfig())]
+        return [SimpleNamespace(programID=PROGRAM, phases=phases)]
+
+
+def test_sumos_control_takes_over_from_a_green_and_goes_on_from_it(tmp_path: Path) -> None:
+    run = ControlRun(ControlCase("t_junction", "actuated"), tmp_path)
+    lights = Lights(["y" * len(PHASES[2]), PHASES[2]])
+    run._sumo = SimpleNamespace(trafficlight=lights)
+    assert not run._take_over(SIGNAL)
+    assert lights.chosen == []
+    assert run._take_over(SIGNAL)
+    states = [one.state for one in programme(SIGNAL, CabinetConfig())]
+    assert lights.chosen == [PROGRAM, states.index(PHASES[2])]

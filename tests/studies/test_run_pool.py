@@ -1,0 +1,63 @@
+"""Runs in processes of their own: all come back, an error ends the rest, a killed one is told."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+
+import pytest
+
+from protocol.errors import ConfigError
+from studies.run_pool import run_each
+
+pytestmark = pytest.mark.process
+
+
+class Unsendable(Exception):
+    """An error that no other process can be sent."""
+
+    def __init__(self) -> None:
+        super().__init__("for good")
+        self.lock = threading.Lock()
+
+
+def work(task: str) -> tuple[str, int]:
+    match task:
+        case "wrong":
+            raise ConfigError("it is wrong")
+        case "killed":
+            os.kill(os.getpid(), signal.SIGKILL)
+        case "unsendable":
+            raise Unsendable
+        case "endless":
+            signal.pause()
+    return task, os.getpid()
+
+
+def test_each_task_has_a_process_of_its_own() -> None:
+    found = dict(run_each(work, ["a", "b", "c", "d"], 2))
+    assert [found[number][0] for number in range(4)] == ["a", "b", "c", "d"]
+    assert len({pid for _, pid in found.values()} - {os.getpid()}) == 4
+
+
+@pytest.mark.parametrize(
+    ("task", "error", "said"),
+    [
+        ("wrong", ConfigError, "it is wrong"),
+        ("killed", ConfigError, "a run's process was killed"),
+        ("unsendable", RuntimeError, "Unsendable: for good"),
+    ],
+)
+def test_what_ends_a_task_ends_the_others(task: str, error: type[Exception], said: str) -> None:
+    with pytest.raises(error, match=said):
+        list(run_each(work, ["endless", task, "a"], 2))
+    assert multiprocessing.active_children() == []
+
+
+def test_who_stops_listening_leaves_no_process() -> None:
+    runs = run_each(work, ["a", "endless", "endless"], 2)
+    assert next(runs)[0] == 0
+    runs.close()
+    assert multiprocessing.active_children() == []
