@@ -14,6 +14,7 @@ import hashlib
 import json
 import multiprocessing
 import os
+import signal
 import platform
 import stat
 import tempfile
@@ -105,17 +106,43 @@ def _compile(todo: dict[str, set[str]], jobs: int, advance: Callable[[], object]
     waiting, running = dict(todo), dict[Future[None], str]()
     done: set[str] = set()
     context = multiprocessing.get_context("spawn")
-    with without_main(), ProcessPoolExecutor(jobs, mp_context=context) as pool:
+    with (
+        without_main(),
+        ProcessPoolExecutor(jobs, mp_context=context) as pool,
+        _ending_processes(),
+    ):
         while waiting or running:
             ready = [name for name, needs in waiting.items() if needs <= done]
             for name in sorted(ready, key=lambda name: -_weight(name)):
                 del waiting[name]
-                running[pool.submit(_import, name)] = name
+                with _without_interrupts():
+                    running[pool.submit(_import, name)] = name
             finished, _ = wait(running, return_when=FIRST_COMPLETED)
             for future in finished:
                 done.add(running.pop(future))
                 future.result()
                 advance()
+
+
+@contextmanager
+def _ending_processes() -> Iterator[None]:
+    """Kills this process's children where the block is left by an error or a signal."""
+    try:
+        yield
+    except BaseException:
+        for child in multiprocessing.active_children():
+            child.kill()
+        raise
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Holds Ctrl-C back; processes that are started meanwhile never hear it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _weight(module: str) -> int:

@@ -235,10 +235,21 @@ def print_report(summary: Summary, console: Console) -> None:
     if summary["drops"]:
         console.print(_drop_table(summary))
     if summary["frames_incomplete"] > _MANY * summary["frames"]:
-        console.print(
-            "Many frames were incomplete: scans came later than edge.deadline_ms; a slow link "
-            "needs a longer one, or agents that send less (upload.policy, upload.filters)."
+        console.print(_why_incomplete(summary))
+
+
+def _why_incomplete(summary: Summary) -> str:
+    skipped = sum(of.get("skipped_ticks", 0) for of in summary["drops_by_reason"].values())
+    if skipped > _MANY * summary["frames"]:
+        return (
+            f"Many frames were incomplete: agents had no time for {skipped} scans. This machine is "
+            "too slow or too busy for the run: take a longer frame_period_s, fewer points "
+            "(lidar.vehicle.points_per_second), or more cores."
         )
+    return (
+        "Many frames were incomplete: scans came later than edge.deadline_ms; a slow link needs a "
+        "longer one, or agents that send less (upload.policy, upload.filters)."
+    )
 
 
 def _headline(summary: Summary) -> str:

@@ -24,7 +24,10 @@ SYSTEM = (
     "cpnet/supervisor.py",
 )
 STUDY = (*SYSTEM, "studies", "learning")
-OTHER_COMMANDS = ("studies/bench*.py", "studies/compare*.py", "studies/control*.py")
+OTHER_COMMANDS = (
+    *("studies/bench*.py", "studies/compare*.py", "studies/control*.py"),
+    "studies/run_pool.py",
+)
 """Of `cpnet bench`, `compare` and `study control`: measured only by figures that name them."""
 
 
