@@ -14,8 +14,8 @@ import hashlib
 import json
 import multiprocessing
 import os
-import signal
 import platform
+import signal
 import stat
 import tempfile
 from collections.abc import Callable, Iterator
