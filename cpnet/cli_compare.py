@@ -20,6 +20,7 @@ from cpnet.study_cells import resolved
 from protocol.errors import ConfigError
 
 compare_app = typer.Typer()
+_KNOWN_RUNS = 5  # tell how long others take
 _SCENARIO = "t_junction"  # whose defaults all keys have that no option sets
 
 
@@ -138,6 +139,7 @@ class CompareProgress:
         self._names = iter(stages)
         self._name = ""
         self._before = self._kept = self._done = 0.0
+        self._runs = 0
         self._begun_ns = time.monotonic_ns()
         self._bar = Progress(
             TextColumn("{task.fields[stage]}"),
@@ -168,7 +170,9 @@ class CompareProgress:
             self._name = next(self._names)
         _, work = self._stages[self._name]
         self._done = self._before + done * work
-        if not last:
+        if last:
+            self._runs += 1
+        else:
             self._kept += done * work
         stage = f"{self._name} {done}/{total}"
         self._bar.update(
@@ -182,7 +186,7 @@ class CompareProgress:
         from studies.sweep.engine import duration
 
         own = self._done - self._kept
-        if own <= 0:
+        if own <= 0 or self._runs < _KNOWN_RUNS:
             return ""
         each_s = (time.monotonic_ns() - self._begun_ns) / 1e9 / own
-        return f"{duration(each_s * (self._total - self._done))} left"
+        return f"about {duration(each_s * (self._total - self._done))} left"

@@ -170,7 +170,8 @@ class WaitingTime:
         waited_s = time.monotonic() - self._began_s
         if waited_s >= TELL_S and not self._is_reported:
             self._is_reported = True
-            print_line(self._console, f"waiting for {self._what} (Ctrl-C ends)")
+            hint = "`cpnet doctor --connect` tells what is wrong"
+            print_line(self._console, f"waiting for {self._what} (Ctrl-C ends); {hint}")
         if waited_s >= JOIN_TIMEOUT_S and not self._is_over:
             if not self._endless:
                 raise why

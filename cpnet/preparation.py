@@ -125,9 +125,9 @@ def prepare_run(options: Options, console: Console, played: Replay | None) -> Pr
     folder = RunFolder.at(options.out, named.name if named else str(choice))
     rows = [row if played is None else in_replay(row) for row in choice.roles if row is not MCAP]
     modules = list(dict.fromkeys(f"{row.module}.role" for row in rows))
-    compile_ahead(console)
     try:
         run_dir = folder.make()
+        compile_ahead(console)
         with written(run_dir):  # imports while the setup is being made
             preload(modules, run_dir / "logs" / LOG_NAME)
         if played is not None:

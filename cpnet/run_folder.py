@@ -60,7 +60,8 @@ class RunFolder:
             self.path.mkdir(parents=True, exist_ok=True)
             return self.path.resolve()
         except (OSError, ValueError) as error:
-            raise ConfigError(f"--out {self.path}: {error}") from None
+            why = getattr(error, "strerror", None) or error
+            raise ConfigError(f"--out {self.path}: no folder can be made there: {why}") from None
 
     def take_back(self) -> None:
         """Removes what was made, so that the same command can be repeated."""

@@ -53,7 +53,7 @@ class Group:
     def title(self) -> str:
         """Returns its name."""
         factor = f" x{self.demand:g}" if self.net in NETS else ""
-        return Path(self.net).name + factor
+        return Path(self.net).name.removesuffix(".sumocfg") + factor
 
 
 class Case(Protocol):

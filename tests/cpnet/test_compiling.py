@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -119,3 +120,17 @@ def test_processes_import_each_module_after_its_own(tmp_path) -> None:
     advanced: list[None] = []
     compiling._compile(todo, 2, lambda: advanced.append(None))
     assert len(advanced) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.process
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_at_once_and_leaves_nothing(cache, shell, monkeypatch, number) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(cache / "numba"))
+    command = shell.start("up", "--out=run")
+    command.read_until("compiling, once")
+    command.process.send_signal(number)
+    status, output = command.finish()
+    assert status == 128 + number
+    assert "Traceback" not in output
+    assert not (shell.folder / "run").exists()

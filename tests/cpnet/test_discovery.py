@@ -189,7 +189,7 @@ def test_who_lasts_waits_beyond_the_time_and_says_why_once(console):
     for _ in range(2):
         waiting.wait(BusError("nothing answers"))
     assert said(console).splitlines() == [
-        "waiting for the world bus (Ctrl-C ends)",
+        "waiting for the world bus (Ctrl-C ends); `cpnet doctor --connect` tells what is wrong",
         "still waiting: nothing answers",
     ]
 

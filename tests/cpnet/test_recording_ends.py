@@ -16,11 +16,11 @@ from protocol.bus import Endpoint
 from protocol.errors import ConfigError, CpnetError
 from protocol.inbox import Inbox
 from protocol.observer import ALL_TOPICS
-from recording.mcap.reader import McapReader
 from tests.recording.cassette import envelope, setup
 
 pytest.importorskip("mcap", reason="needs the extra `mcap`")
 
+from recording.mcap.reader import McapReader
 
 NOWHERE = Endpoint("tcp/127.0.0.1:1", listen=False)
 
