@@ -127,7 +127,7 @@ def test_processes_import_each_module_after_its_own(tmp_path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_at_once_and_leaves_nothing(cache, shell, monkeypatch, number) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(cache / "numba"))
-    command = shell.start("up", "--out=run")
+    command = shell.start("up", "--out=run", fresh=True)
     command.read_until("compiling, once")
     command.process.send_signal(number)
     status, output = command.finish()
