@@ -7,6 +7,7 @@ where all their rows are the same, the figure says so instead of being older tha
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -16,8 +17,10 @@ from pathlib import Path
 RUNS = "docs/figures/same_rows.yaml"
 
 
-def _runs(root: Path, work: Path, name: str) -> Path:
-    """Makes the runs with the code in a folder, unless they are there; returns where they are.
+def _runs(root: Path, work: Path, name: str) -> dict[str, Path]:
+    """Makes the runs with the code in a folder, unless they are there; returns their folders.
+
+    By title: a run's folder is named after the code that it is of, too.
 
     Raises:
         subprocess.CalledProcessError: one failed.
@@ -31,7 +34,8 @@ def _runs(root: Path, work: Path, name: str) -> Path:
         stdout=sys.stderr,
         check=True,
     )
-    return out / "runs"
+    cells = [json.loads(one.read_text("utf-8")) for one in (out / "cells").glob("*.json")]
+    return {cell["title"]: out / "runs" / cell["id"] for cell in cells}
 
 
 def differing(root: Path, work: Path, commit: str) -> tuple[int, list[str]]:
@@ -53,10 +57,9 @@ def differing(root: Path, work: Path, commit: str) -> tuple[int, list[str]]:
         before, now = _runs(then, work, f"at-{commit[:7]}"), _runs(root, work, "now")
     finally:
         subprocess.run(["git", "worktree", "remove", "--force", str(then)], cwd=root, check=True)
-    found = []
-    for run in sorted(now.iterdir()):
-        if (before / run.name).exists():
-            found += [f"{run.name}: {one}" for one in differences(run, before / run.name)]
-        else:  # a run is named after its settings
-            found.append(f"{run.name}: its settings are others")
-    return len(list(now.iterdir())), found
+    found = [
+        f"{title}: {one}"
+        for title, run in sorted(now.items())
+        for one in differences(run, before[title])
+    ]
+    return len(now), found

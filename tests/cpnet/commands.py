@@ -174,6 +174,7 @@ def _become(
 ) -> None:
     if within:
         enter_namespace(within)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever started the fork server
     for stream in (1, 2):
         os.dup2(output.fileno(), stream)
     output.close()
