@@ -127,12 +127,13 @@ def compare_rows(names: list[str]) -> None:
         if chosen and record and record["commit"] and not is_fresh(figure):
             older.setdefault(record["commit"], []).append(figure)
     for commit, figures in older.items():
-        runs, found = differing(ROOT, WORK / "same", commit)
+        now = _git("rev-parse", "HEAD")
+        runs, found = differing(ROOT, WORK / "same", commit, now)
         named = ", ".join(figure.name for figure in figures)
         says = "\n  ".join(found) or f"the same rows in {runs} runs"
         sys.stderr.write(f"{named}, measured at {commit[:7]}: {says}\n")
         for figure in [] if found else figures:
-            same = {"commit": _git("rev-parse", "HEAD"), "sources": digest(figure), "runs": runs}
+            same = {"commit": now, "sources": digest(figure), "runs": runs}
             save(figure, (load(figure) or {}) | {"same": same})
 
 

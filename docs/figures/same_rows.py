@@ -17,15 +17,45 @@ from pathlib import Path
 RUNS = "docs/figures/same_rows.yaml"
 
 
-def _runs(root: Path, work: Path, name: str) -> dict[str, Path]:
-    """Makes the runs with the code in a folder, unless they are there; returns their folders.
+def differing(root: Path, work: Path, then: str, now: str) -> tuple[int, list[str]]:
+    """Compares the code in the folder `root`, which is that of the commit `now`, with another's.
 
-    By title: a run's folder is named after the code that it is of, too.
+    Returns how many runs were compared, and what differs. Runs that were made are kept.
 
     Raises:
-        subprocess.CalledProcessError: one failed.
+        subprocess.CalledProcessError: a run failed, or there is no such commit.
     """
-    out = work / name
+    from recording.run import differences
+
+    work.mkdir(parents=True, exist_ok=True)
+    shutil.copy(root / RUNS, work)
+    made, before = _made(root, work, now), _made_at(root, work, then)
+    found = [
+        f"{title}: {one}"
+        for title, run in sorted(made.items())
+        for one in differences(run, before[title])
+    ]
+    return len(made), found
+
+
+def _made_at(root: Path, work: Path, commit: str) -> dict[str, Path]:
+    """Makes the runs with the code of a commit, in a worktree of its own; see `_made`."""
+    tree = work / f"tree-{commit[:7]}"
+    if not tree.exists():
+        add = ["git", "worktree", "add", "-q", "--detach", str(tree), commit]
+        subprocess.run(add, cwd=root, check=True)
+    try:
+        return _made(tree, work, commit)
+    finally:
+        subprocess.run(["git", "worktree", "remove", "--force", str(tree)], cwd=root, check=True)
+
+
+def _made(root: Path, work: Path, commit: str) -> dict[str, Path]:
+    """Makes those runs that are not there with the code in a folder; returns all by their titles.
+
+    By title, for a run's folder is named after the code that it is of, too.
+    """
+    out = work / f"at-{commit[:7]}"
     command = [sys.executable, "-m", "cpnet", "study", str(work / "same_rows.yaml")]
     subprocess.run(
         [*command, "--keep-runs", "--out", str(out)],
@@ -36,30 +66,3 @@ def _runs(root: Path, work: Path, name: str) -> dict[str, Path]:
     )
     cells = [json.loads(one.read_text("utf-8")) for one in (out / "cells").glob("*.json")]
     return {cell["title"]: out / "runs" / cell["id"] for cell in cells}
-
-
-def differing(root: Path, work: Path, commit: str) -> tuple[int, list[str]]:
-    """Compares the code in the folder `root` with a commit; returns how many runs, what differs.
-
-    Raises:
-        subprocess.CalledProcessError: a run failed, or there is no such commit.
-    """
-    from recording.run import differences
-
-    shutil.rmtree(work / "now", ignore_errors=True)
-    work.mkdir(parents=True, exist_ok=True)
-    shutil.copy(root / RUNS, work)
-    then = work / f"tree-{commit[:7]}"
-    if not then.exists():
-        add = ["git", "worktree", "add", "-q", "--detach", str(then), commit]
-        subprocess.run(add, cwd=root, check=True)
-    try:
-        before, now = _runs(then, work, f"at-{commit[:7]}"), _runs(root, work, "now")
-    finally:
-        subprocess.run(["git", "worktree", "remove", "--force", str(then)], cwd=root, check=True)
-    found = [
-        f"{title}: {one}"
-        for title, run in sorted(now.items())
-        for one in differences(run, before[title])
-    ]
-    return len(now), found

@@ -95,8 +95,8 @@ def test_a_figure_of_rows_stays_fresh_where_the_code_gives_the_same_rows(
     monkeypatch.setattr(make, "_git", lambda *_: "c0ffee0123")
     compared = []
 
-    def differing(root: Path, work: Path, commit: str) -> tuple[int, list[str]]:
-        compared.append(commit)
+    def differing(root: Path, work: Path, then: str, now: str) -> tuple[int, list[str]]:
+        compared.append(then)
         return 15, [] if len(compared) > 1 else ["run: other rows"]
 
     monkeypatch.setattr(make, "differing", differing)
