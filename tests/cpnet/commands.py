@@ -123,6 +123,7 @@ def _interpreter(folder: Path, arguments: list[str], output: Connection) -> subp
     return subprocess.Popen(
         [sys.executable, "-m", "cpnet", *arguments],
         cwd=folder, stdout=output.fileno(), stderr=output.fileno(), env=os.environ | _SETTINGS,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in background
     )  # fmt: skip
 
 
