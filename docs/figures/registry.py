@@ -223,7 +223,7 @@ _LIST = (
     ),
     Figure(
         "paper",
-        "cpnet study paper --out paper --markdown $ROOT/docs/results.md",
+        "cpnet study paper --out paper --markdown ../../docs/results.md",
         STUDY,
         90,
         (Part("age", "docs/results.md"),),
@@ -232,7 +232,7 @@ _LIST = (
     ),
     Figure(
         "bandwidth",
-        "cpnet study bandwidth --out bandwidth --markdown $ROOT/docs/bandwidth.md",
+        "cpnet study bandwidth --out bandwidth --markdown ../../docs/bandwidth.md",
         STUDY,
         60,
         (Part("age", "docs/bandwidth.md"),),
