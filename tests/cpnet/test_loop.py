@@ -307,9 +307,10 @@ def test_a_flood_of_hostile_requests_shows_nothing_unsafe_and_stops_no_control(s
 
     listening = rogue.declare_subscriber(f"{PREFIX}/signal/{road_signal.tls}/state", hear)
     command.wait_until(lambda: newest_ns[0] > 0, what="no signal state was ever heard")
-    begun_ns, sent = time.monotonic_ns(), 0
-    while (passed_ns := time.monotonic_ns() - begun_ns) < 10e9:
-        while sent < passed_ns / 1e6:  # 1000 a second
+    heard_ns, begun_ns, sent = newest_ns[0], time.monotonic_ns(), 0
+    ends_ns = heard_ns + 8e9  # of the world's time, which a loaded machine slows down
+    while newest_ns[0] < ends_ns and command.process.poll() is None:
+        while sent < (time.monotonic_ns() - begun_ns) / 1e6:  # 1000 a second
             request = encode(hostile.any(newest_ns[0]))
             rogue.put(f"{PREFIX}/signal/{road_signal.tls}/request", request)
             sent += 1
@@ -323,7 +324,7 @@ def test_a_flood_of_hostile_requests_shows_nothing_unsafe_and_stops_no_control(s
         phases = list(run.rows(PhaseRow))
     summary = json.loads(shell.run("report", "run", "--json")[1])
     assert summary["frames"] == len(phases) == 200
-    assert "max_pressure" in {row.source for row in phases[-50:]}
+    assert "max_pressure" in {row.source for row in phases[-80:]}
     drops = summary["drops_by_reason"]["sim"]
     for reason in (
         "wrong_tls", "wrong_length", "bad_alphabet", "no_green", "from_the_future", "stale",
