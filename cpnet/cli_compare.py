@@ -42,7 +42,9 @@ def compare_command(  # noqa: PLR0913 - one parameter per option of the command
     posts: Annotated[
         str, typer.Option(metavar="all|none|ID,...", help="signals with a roadside LiDAR")
     ] = "all",
-    cav_rate: Annotated[float, typer.Option(min=0, max=1, help="share of CAVs")] = 0.05,
+    cav_rate: Annotated[
+        float, typer.Option(min=0, max=1, help="share of CAVs; 0.05 is 5 %")
+    ] = 0.05,
     seeds: Annotated[
         str, typer.Option(metavar="N,...", help="paired; five give intervals")
     ] = "1-3",

@@ -149,7 +149,8 @@ def _authority(folder: Path, now: datetime) -> Authority:
         folder.mkdir(parents=True, exist_ok=True)
         entries = {entry.name for entry in folder.iterdir()}
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{folder}: {error}") from None
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(f"{folder}: must be a folder that can be made ({reason})") from None
     if entries & {AUTHORITY, AUTHORITY_KEY}:
         return Authority.read(folder)
     if entries:

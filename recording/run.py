@@ -36,7 +36,9 @@ class Run:
         self.dir = run_dir
         path = run_dir / FILE_NAME
         if not is_file(path):
-            raise ConfigError(f"{run_dir} is not a run: it has no {FILE_NAME}")
+            page = run_dir / "report.html"
+            other = f"; its page is {page}" if is_file(page) else ""
+            raise ConfigError(f"{run_dir} is not a run: it has no {FILE_NAME}{other}")
         self._path = path
         self._connection = _connect(path)
         self._check_version()

@@ -58,6 +58,25 @@ _SEEN_HEADS = (
 )
 
 
+_PRINTED = {  # a terminal's share of the columns above, under heads as narrow as their numbers
+    "arrived by the end": "arrived",
+    "delay by seed, s": "by seed, s",
+    "delay, s": "delay, s",
+    "95th percentile, s": "p95, s",
+    "over own plan, s": "over own\nplan, s",
+    "over best baseline, s": "over best\nbaseline, s",
+}
+_SEEN_PRINTED = {
+    "E-CVPR, %": "E-CVPR\n%",
+    "false boxes a frame": "false boxes\na frame",
+    "sent on average, Mbit/s": "sent\nMbit/s",
+    "peak, Mbit/s": "peak\nMbit/s",
+    "largest scan, kB": "largest\nscan, kB",
+    "its link for 100 ms, Mbit/s": "its link for\n100 ms, Mbit/s",
+    "for a frame period, Mbit/s": "for a frame\nperiod, Mbit/s",
+}
+
+
 def result_table(variants: Sequence[Variant]) -> Table:
     """Returns a line for each variant."""
     plan, baseline = variants[0], best_baseline(variants)
@@ -113,11 +132,14 @@ def print_comparison_table(
     comparison: Comparison, variants: Sequence[Variant], console: Console
 ) -> None:
     """Prints the tables and the sentence."""
-    seen = seen_table(comparison, variants)
-    for heads, table in ((_HEADS, result_table(variants)), (_SEEN_HEADS, seen)):
-        printed = empty_table(heads, left=5 if heads is _HEADS else 2)
-        for cells in text_rows(table):
-            printed.add_row(*cells)
+    perceived = [one for one in variants if one.is_perceived]
+    tables = result_table(variants), seen_table(comparison, variants)
+    heads_of = _PRINTED, _SEEN_PRINTED
+    for shown, heads, table in zip((variants, perceived), heads_of, tables, strict=True):
+        places = {column.name: place for place, column in enumerate(table.columns)}
+        printed = empty_table(["control", *heads.values()])
+        for one, cells in zip(shown, text_rows(table), strict=True):
+            printed.add_row(name_of(one), *(cells[places[head]] for head in heads))
         print_whole(printed, console)
     console.print(answer(comparison, variants), markup=False, highlight=False)
 

@@ -68,6 +68,7 @@ class Case(Protocol):
 
 
 C = TypeVar("C", bound=Case)
+LOG_NAME = "runs.log"  # beside the cases: what runs print
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +123,7 @@ class CaseStore:
         report(len(cases) - len(todo), len(cases), "")
         kept = len(cases) - len(todo)
         missing = [*todo.items()]
-        runs = run_each(work, [*todo.values()], processes)
+        runs = run_each(work, [*todo.values()], processes, self._folder.parent / LOG_NAME)
         for count, (number, row) in enumerate(runs, kept + 1):
             path, case = missing[number]
             write_atomically(path, json.dumps(row, indent=1).encode())

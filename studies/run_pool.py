@@ -14,6 +14,7 @@ from contextlib import suppress
 from multiprocessing import forkserver
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerContext, ForkServerProcess
+from pathlib import Path
 from typing import Any, TypeVar
 
 from protocol.errors import ConfigError
@@ -25,10 +26,11 @@ Done = TypeVar("Done")
 
 
 def run_each(
-    work: Callable[[Task], Done], tasks: Sequence[Task], processes: int
+    work: Callable[[Task], Done], tasks: Sequence[Task], processes: int, log: Path | None = None
 ) -> Iterator[tuple[int, Done]]:
     """Yields the number of each task and what `work` gives for it, as soon as it is done.
 
+    What the processes print, such as SUMO's warnings, is added to the log if there is one.
     Ctrl-C does not reach the processes: whatever ends this iterator ends them, at once.
 
     Raises:
@@ -42,7 +44,7 @@ def run_each(
         for number, task in todo:
             ours, theirs = multiprocessing.Pipe(duplex=False)
             with theirs:
-                process = context.Process(target=_run, args=(work, task, theirs), daemon=True)
+                process = context.Process(target=_run, args=(work, task, theirs, log), daemon=True)
                 process.start()
             running[ours] = number, process
             return
@@ -80,9 +82,14 @@ def _fork_server() -> ForkServerContext:
     return context
 
 
-def _run(work: Callable[[Task], Done], task: Task, results: Connection) -> None:
+def _run(work: Callable[[Task], Done], task: Task, results: Connection, log: Path | None) -> None:
     """Sends what a task gives, or the error that it ends with; the main function of a process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if log is not None:
+        written = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        for stream in (1, 2):
+            os.dup2(written, stream)
+        os.close(written)
     with results:
         try:
             results.send((work(task), None))

@@ -33,6 +33,8 @@ def work(task: str) -> tuple[str, int]:
             raise Unsendable
         case "endless":
             signal.pause()
+        case "warns":
+            os.write(2, b"Warning: a vehicle brakes hard\n")  # as compiled code does
     return task, os.getpid()
 
 
@@ -40,6 +42,13 @@ def test_each_task_has_a_process_of_its_own() -> None:
     found = dict(run_each(work, ["a", "b", "c", "d"], 2))
     assert [found[number][0] for number in range(4)] == ["a", "b", "c", "d"]
     assert len({pid for _, pid in found.values()} - {os.getpid()}) == 4
+
+
+def test_what_tasks_print_goes_to_the_log(tmp_path, capfd) -> None:
+    assert len(list(run_each(work, ["warns", "a", "warns"], 2, tmp_path / "runs.log"))) == 3
+    printed = (tmp_path / "runs.log").read_text()
+    assert printed == 2 * "Warning: a vehicle brakes hard\n"
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize(
