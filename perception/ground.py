@@ -20,7 +20,8 @@ from numba import njit
 from perception.arrays import Bools, Floats, Floats32, Ints, Ints32
 from perception.config import GroundConfig
 from perception.parallel import each
-from perception.roadway import BLOCK, VOTE_CELL_M, Placed, lowest, span, squares, squares_of
+from perception.roadway import Placed
+from perception.votes import BLOCK, VOTE_CELL_M, lowest, span, squares, squares_of
 
 SAMPLE = 4096  # of the whole cloud, on every n-th point
 WALL_DEG = 20.0  # a plane through the whole cloud that is steeper than this is a wall

@@ -18,7 +18,8 @@ from numba import njit
 from perception.arrays import Floats, Floats32
 from perception.detector import Cloud
 from perception.parallel import each
-from perception.roadway import Placed, span
+from perception.roadway import Placed
+from perception.votes import span
 
 TILE_M = 20.0
 MOST_M = 1.75  # that a map may be off; the geofence keeps points to 2 m below it

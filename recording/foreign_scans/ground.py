@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from perception.arrays import Bools
-from perception.roadway import lowest
+from perception.votes import lowest
 from protocol.geometry import SE3, Floats
 from recording.foreign_scans.alignment import ground_plane
 

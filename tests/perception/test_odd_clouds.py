@@ -17,7 +17,8 @@ from perception.cluster import NOISE, _by_parts, _compare, cluster
 from perception.config import ClusterConfig, DetectionConfig
 from perception.detector import Cloud, Detector, Vehicles
 from perception.registry import detector_of
-from perception.roadway import Placed, Roadway, lowest
+from perception.roadway import Placed, Roadway
+from perception.votes import lowest
 from protocol.geometry import SE3
 from protocol.regions import RegionMap
 from tests.edge_server.made_frames import ROADSIDE, frame_of

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perception.roadway import lowest
+from perception.votes import lowest
 
 
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 200), reach_m=st.floats(0.1, 30))
