@@ -138,7 +138,9 @@ def provided(plugins: Mapping[tuple[str, str], Any]) -> Iterator[None]:
     """
     for group, name in plugins:
         if (group, name) in _provided:
-            raise ConfigError(f"{group}: {name} is in use by a run that has not ended")
+            raise ConfigError(
+                f"{group}: {name} is in use by a run that has not ended; end or close it first"
+            )
     _provided.update(plugins)
     try:
         yield
