@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, islice
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -98,18 +99,18 @@ def run_comparison(
             "after the beginning of the demand"
         )
     fences = {one.policy: one.tuning for one in results if one.tuning}
-    cells = [(policy, sight) for policy in POLICIES for sight in comparison.sights]
-    cases = [
-        case
-        for policy, sight in cells
-        for case in perceived_cases(comparison, policy, sight, fences.get(policy), resolve)
-    ]
-    rows = CaseStore(folder).run(run_perceived, cases, processes, report)
-    count = len(comparison.question.seeds)
-    for number, (policy, sight) in enumerate(cells):
+    sights = comparison.sights
+    cells = [(policy, sight) for policy in POLICIES for sight in sights]
+    longest_first = sorted(cells, key=lambda cell: -sights.index(cell[1]))  # no core idles long
+    cases = {
+        (policy, sight): [*perceived_cases(comparison, policy, sight, fences.get(policy), resolve)]
+        for policy, sight in longest_first
+    }
+    rows = iter(CaseStore(folder).run(run_perceived, [*chain(*cases.values())], processes, report))
+    own = {cell: [*islice(rows, len(runs))] for cell, runs in cases.items()}
+    for policy, sight in cells:
         fence = fences.get(policy)
-        own = rows[number * count : (number + 1) * count]
-        found.append(Variant(policy, sight, fence.text if fence else "", own))
+        found.append(Variant(policy, sight, fence.text if fence else "", own[policy, sight]))
     return found
 
 
