@@ -23,21 +23,38 @@ from protocol.topics import BusName
 
 MAX_RESTARTS = 5
 WITHIN_NS = 30_000_000_000
+FIRST_PAUSE_NS = 500_000_000
 
 
 class Restarts:
-    """Limits how often a process is restarted: `MAX_RESTARTS` times within `WITHIN_NS`."""
+    """Limits how often a process is restarted: `MAX_RESTARTS` times within `WITHIN_NS`.
+
+    The first restart comes at once, each further one `FIRST_PAUSE_NS` after the one before, then
+    twice as long each time: what was wrong outside may have passed.
+    """
 
     def __init__(self) -> None:
-        self._at_ns: dict[str, deque[int]] = defaultdict(lambda: deque(maxlen=MAX_RESTARTS))
+        self._at_ns: dict[str, deque[int]] = defaultdict(deque)
+
+    def is_exhausted(self, process: str, now_ns: int) -> bool:
+        """Whether a process has been restarted too often."""
+        return len(self._recent_ns(process, now_ns)) >= MAX_RESTARTS
 
     def admits(self, process: str, now_ns: int) -> bool:
         """Whether a process may be restarted now; if so, the restart is counted."""
-        times_ns = self._at_ns[process]
-        if len(times_ns) == MAX_RESTARTS and now_ns - times_ns[0] < WITHIN_NS:
+        times_ns = self._recent_ns(process, now_ns)
+        if self.is_exhausted(process, now_ns):
+            return False
+        if times_ns and now_ns - times_ns[-1] < FIRST_PAUSE_NS << len(times_ns) - 1:
             return False
         times_ns.append(now_ns)
         return True
+
+    def _recent_ns(self, process: str, now_ns: int) -> deque[int]:
+        times_ns = self._at_ns[process]
+        while times_ns and now_ns - times_ns[0] >= WITHIN_NS:
+            times_ns.popleft()
+        return times_ns
 
 
 _log = logging.getLogger(__name__)
@@ -123,8 +140,8 @@ class Supervisor:
         """Restarts processes that ended too early; returns the restarted and those that are not.
 
         A process that a signal has stopped for `STOPPED_NS` is killed first. The simulator is never
-        restarted, nor a process that fails again and again. A process that ends during this call,
-        or cannot be started yet, is found by the next call.
+        restarted, nor a process that fails again and again (see `Restarts`). A process that ends
+        during this call, or cannot be started yet, is found by the next call.
         """
         found, lost = [], []
         for number, child in enumerate(self._children):
@@ -132,10 +149,11 @@ class Supervisor:
             failure = child.failure or (self._end_stopped(child) if may else None)
             if failure is None:
                 continue
-            if may and self._restarts.admits(child.entry.id, time.monotonic_ns()):
-                found.append(self._restart(number, failure))
-            else:
+            now_ns = time.monotonic_ns()
+            if not may or self._restarts.is_exhausted(child.entry.id, now_ns):
                 lost.append(failure)
+            elif self._restarts.admits(child.entry.id, now_ns):
+                found.append(self._restart(number, failure))
         if found:
             self._list()
         return found, lost

@@ -190,10 +190,10 @@ def greens(states: pl.DataFrame, links: Mapping[str, tuple[str, tuple[int, ...]]
 
 
 def speeds_by_lane(trajectories: pl.DataFrame) -> pl.DataFrame:
-    """Returns by `lane` its `vehicles`, their `mean_mps` in space, and `p15_mps` to `p85_mps`.
+    """Returns by `lane` its `tracks`, their `mean_mps` in space, and `p15_mps` to `p85_mps`.
 
     The mean in space is that over all rows: whoever is slow is longer there. Percentiles are of the
-    vehicles' own means.
+    tracks' own means. A vehicle that was lost from sight and found again is more than one track.
     """
     on_lane = _vehicles(trajectories).filter(pl.col("lane") != "")
     each = on_lane.group_by("lane", "track").agg(pl.col("speed_mps").mean().alias("own_mps"))
@@ -201,7 +201,7 @@ def speeds_by_lane(trajectories: pl.DataFrame) -> pl.DataFrame:
     return (
         on_lane.group_by("lane")
         .agg(
-            pl.col("track").n_unique().alias("vehicles"),
+            pl.col("track").n_unique().alias("tracks"),
             pl.col("speed_mps").mean().alias("mean_mps"),
         )
         .join(each.group_by("lane").agg(parts), on="lane")

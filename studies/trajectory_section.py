@@ -55,9 +55,9 @@ def trajectory_section(run: Run) -> Section:
 
 
 def _speeds(speeds: pl.DataFrame, limit_mps: Mapping[str, float]) -> Block:
-    """Returns a chart of the vehicles' speeds on each lane of the road, and a table."""
+    """Returns a chart of the speeds on each lane of the road, and a table."""
     roads = speeds.filter(~pl.col("lane").str.starts_with(":"))
-    roads = roads.sort("vehicles", descending=True).head(MAX_LANES).sort("lane")
+    roads = roads.sort("tracks", descending=True).head(MAX_LANES).sort("lane")
     lanes = tuple(roads["lane"].to_list())
     kmh = {name: tuple((3.6 * roads[f"{name}_mps"]).to_list()) for name in ("p15", "p50", "p85")}
     chart = Chart(
@@ -67,19 +67,28 @@ def _speeds(speeds: pl.DataFrame, limit_mps: Mapping[str, float]) -> Block:
         (Series("median", tuple(range(len(lanes))), kmh["p50"], kmh["p15"], kmh["p85"]),),
         "bar",
         x_categories=lanes,
-        notes="Of the vehicles' own means; whiskers from the 15th to the 85th percentile.",
+        notes="Of the tracks' own means; whiskers from the 15th to the 85th percentile.",
     )
     rows = tuple(
-        (lane, vehicles, 3.6 * mean, 3.6 * limit_mps[lane] if lane in limit_mps else None)
-        for lane, vehicles, mean in roads.select("lane", "vehicles", "mean_mps").iter_rows()
+        (lane, tracks, 3.6 * mean, 3.6 * limit_mps[lane] if lane in limit_mps else None)
+        for lane, tracks, mean in roads.select("lane", "tracks", "mean_mps").iter_rows()
     )
     columns = (
         Column("lane"),
-        Column("vehicles"),
+        Column("tracks"),
         Column("mean in space, km/h", ".1f"),
         Column("limit, km/h", ".0f"),
     )
-    return SideBySide((chart, Table(columns, rows, "Mean speeds, standing included")))
+    return SideBySide(
+        (
+            chart,
+            Table(
+                columns,
+                rows,
+                "Mean speeds, standing included; a vehicle lost and found again is two tracks",
+            ),
+        )
+    )
 
 
 def _queues(queues: pl.DataFrame) -> list[Block]:

@@ -9,7 +9,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from cpnet.endpoints import free_locator
-from cpnet.supervisor import LIST_NAME, MAX_RESTARTS, WITHIN_NS, Restarts
+from cpnet.supervisor import FIRST_PAUSE_NS, LIST_NAME, MAX_RESTARTS, WITHIN_NS, Restarts
 from protocol.bus import Endpoint
 from tests.cpnet.commands import Command, Shell, children_of
 from tests.soak.campaign import hurt_once
@@ -164,9 +164,16 @@ def test_lockstep_runs_are_not_started_again(shell):
 
 
 def test_so_many_restarts_in_so_much_time():
-    restarts = Restarts()
-    assert all(restarts.admits("edge", n) for n in range(MAX_RESTARTS))
+    restarts, now_ns, pauses_ns = Restarts(), 0, []
+    for _ in range(MAX_RESTARTS):
+        before_ns = now_ns
+        while not restarts.admits("edge", now_ns):
+            now_ns += FIRST_PAUSE_NS // 2
+        pauses_ns.append(now_ns - before_ns)
+    assert pauses_ns == [FIRST_PAUSE_NS * n for n in (0, 1, 2, 4, 8)]
+    assert now_ns < WITHIN_NS
+    assert restarts.is_exhausted("edge", WITHIN_NS - 1)
     assert not restarts.admits("edge", WITHIN_NS - 1)
     assert restarts.admits("signal", 0)
+    assert not restarts.is_exhausted("edge", WITHIN_NS)
     assert restarts.admits("edge", WITHIN_NS)
-    assert not restarts.admits("edge", WITHIN_NS)

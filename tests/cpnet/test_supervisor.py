@@ -77,7 +77,10 @@ def test_a_killed_process_is_named_before_those_that_fell_with_it(supervisor, tm
     assert (failure.id, failure.how) == ("killed", "was killed by SIGKILL")
 
 
-def test_whoever_died_is_started_again_and_dying_all_the_time_is_no_life(supervisor, tmp_path):
+def test_whoever_died_is_started_again_and_dying_all_the_time_is_no_life(
+    supervisor, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("cpnet.supervisor.FIRST_PAUSE_NS", 0)
     with supervisor:
         supervisor.start([entry(tmp_path, "frail", "raise SystemExit(3)")])
         for _ in range(MAX_RESTARTS):
@@ -159,6 +162,7 @@ def test_who_cannot_be_started_again_is_tried_again(supervisor, tmp_path, monkey
     def no_pipe(**_: bool) -> None:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
+    monkeypatch.setattr("cpnet.supervisor.FIRST_PAUSE_NS", 0)
     with supervisor:
         supervisor.start([entry(tmp_path, "unlucky", "raise SystemExit(3)")])
         wait_until(lambda: not supervisor.running("unlucky"))

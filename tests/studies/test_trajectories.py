@@ -75,11 +75,11 @@ def test_greens_are_those_of_a_lanes_links() -> None:
     ]
 
 
-def test_the_mean_speed_is_that_in_space_and_percentiles_are_of_vehicles() -> None:
+def test_the_mean_speed_is_that_in_space_and_percentiles_are_of_tracks() -> None:
     fast = [(1, n / 10, 100.0 - n, 10.0, "in_0", 0.0) for n in range(10)]
     slow = [(2, n / 10, 100.0 - n, 2.0, "in_0", 0.0) for n in range(30)]
     (row,) = speeds_by_lane(table(fast + slow)).rows(named=True)
-    assert (row["lane"], row["vehicles"]) == ("in_0", 2)
+    assert (row["lane"], row["tracks"]) == ("in_0", 2)
     assert row["mean_mps"] == pytest.approx(4.0)
     assert row["p50_mps"] == pytest.approx(6.0)
     assert row["p85_mps"] == pytest.approx(2 + 0.85 * 8)
