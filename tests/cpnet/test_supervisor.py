@@ -202,6 +202,7 @@ def refuse_to_write(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_full_disk_ends_no_run_for_want_of_its_list(supervisor, tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr("cpnet.supervisor.FIRST_PAUSE_NS", 0)
     frail = entry(tmp_path, "frail", "raise SystemExit(3)")
     with supervisor:
         supervisor.start([frail])
