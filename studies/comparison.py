@@ -1,14 +1,17 @@
-"""Two runs side by side: their measures, the difference, and how much that is."""
+"""Two runs side by side: their settings that differ, their measures, and by how much."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 
+from recording.run import Run
 from studies.bench import empty_table, print_whole
 from studies.summary import Summary, summarise
 
@@ -50,13 +53,25 @@ METRICS = (
 )
 
 
+_NONE = "–"
+_MOST_CHARS = 40  # of a value that is shown
+
+
 def print_comparison(run: Path, other: Path, console: Console) -> None:
-    """Prints a table of both runs' measures; one that neither has is left out.
+    """Prints tables of the settings that differ and of both runs' measures.
+
+    A measure that neither has is left out.
 
     Raises:
         ConfigError: one of the folders is no run.
     """
     summaries = summarise(run), summarise(other)
+    settings = differing_settings(run, other)
+    if settings:
+        listed = empty_table(("setting", run.name, other.name), left=3)
+        for row in settings:
+            listed.add_row(*(escape(_shortened(text)) for text in row))
+        print_whole(listed, console)
     table = empty_table(("", run.name, other.name, "difference", ""))
     for metric in METRICS:
         a, b = (metric.of(summary) for summary in summaries)
@@ -66,6 +81,26 @@ def print_comparison(run: Path, other: Path, console: Console) -> None:
         numbers = [_number(a, metric.digits), _number(b, metric.digits)]
         table.add_row(f"{metric.name}{unit}", *numbers, *_difference(a, b, metric.digits))
     print_whole(table, console)
+
+
+def differing_settings(run: Path, other: Path) -> list[tuple[str, str, str]]:
+    """Returns the keys of the scenarios that differ, and both values as JSON has them."""
+    with Run(run) as one, Run(other) as two:
+        own, others = dict(_flat(one.scenario)), dict(_flat(two.scenario))
+    keys = [key for key in {**own, **others} if own.get(key) != others.get(key)]
+    return [(key, own.get(key, _NONE), others.get(key, _NONE)) for key in keys]
+
+
+def _flat(section: dict[str, Any], path: str = "") -> Iterator[tuple[str, str]]:
+    for name, value in section.items():
+        if isinstance(value, dict) and value:
+            yield from _flat(value, f"{path}{name}.")
+        else:
+            yield f"{path}{name}", json.dumps(value, ensure_ascii=False)
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _MOST_CHARS else f"{text[:_MOST_CHARS]}…"
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -29,7 +29,7 @@ from recording.tables import (
     TruthRow,
     UploadRow,
 )
-from studies.comparison import print_comparison
+from studies.comparison import differing_settings, print_comparison
 from studies.latency import STAGE_GROUPS, STAGES
 from studies.summary import print_report, summarise, to_json
 from studies.uplink import scan_kilobytes
@@ -162,6 +162,22 @@ def test_two_runs_stand_side_by_side_with_the_difference(tmp_path: Path) -> None
     assert same["end-to-end latency, p50 in ms"] == ["44.5", "44.5", "0"]
     assert compared("one", "empty")["frames"] == ["10", "0", "+10"]
     assert "-100.0 %" in compared("empty", "one")["frames"]
+
+
+def test_settings_that_differ_stand_above_the_measures(tmp_path: Path) -> None:
+    for name, profile in (("a", "1mbit"), ("b", "[2mbit]")):
+        (tmp_path / name).mkdir()
+        scenario = {"link": {"profile": profile}, "seed": 1, "name": name}
+        database = Database(tmp_path / name)
+        database.add(MetaRow, {"scenario": json.dumps(scenario)}.items())
+        database.close()
+    assert differing_settings(tmp_path / "a", tmp_path / "b") == [
+        ("link.profile", '"1mbit"', '"[2mbit]"'),
+        ("name", '"a"', '"b"'),
+    ]
+    text = io.StringIO()
+    print_comparison(tmp_path / "a", tmp_path / "b", Console(file=text, width=100))
+    assert text.getvalue().index("[2mbit]") < text.getvalue().index("frames")
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
