@@ -27,8 +27,9 @@ STUDY = (*SYSTEM, "studies", "learning")
 OTHER_COMMANDS = (
     *("studies/bench*.py", "studies/compare*.py", "studies/control*.py"),
     "studies/run_pool.py",
+    *("studies/comparison.py", "studies/trajectories.py", "studies/trajectory_section.py"),
 )
-"""Of `cpnet bench`, `compare` and `study control`: measured only by figures that name them."""
+"""Of `cpnet bench`, `compare`, `study control`, `report`: measured by figures that name them alone."""
 
 
 @dataclass(frozen=True, slots=True)
