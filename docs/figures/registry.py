@@ -29,7 +29,7 @@ OTHER_COMMANDS = (
     "studies/run_pool.py",
     *("studies/comparison.py", "studies/trajectories.py", "studies/trajectory_section.py"),
 )
-"""Of `cpnet bench`, `compare`, `study control`, `report`: only figures that name them measure them."""
+"""Of `cpnet bench`, `compare`, `study control`, `report`: no figure's but where it names them."""
 
 
 @dataclass(frozen=True, slots=True)
