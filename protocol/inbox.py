@@ -2,7 +2,9 @@
 
 A sender is the process in a message's key. Each process that is present has a quota of its own; all
 others share one, so that inventing senders gains nothing, and so do messages without a process in
-their key. Quotas sum up to the whole: no sender can take another's.
+their key. A quota is half of what is free (dynamic thresholds: Choudhury and Hahne 1998), so that a
+sender alone may take a third of the whole, and where `n` flood at once, one more still has two
+thirds of the equal share, 1 / (n + 2).
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from protocol.limits import (
     MAX_MESSAGES_PER_S,
     MAX_SENDERS,
     MIN_QUOTA_PER_S,
+    QUOTA_OF_FREE,
 )
 from protocol.logs import RateLimitedLog
 from protocol.messages import Message
@@ -41,7 +44,10 @@ class _Sender:
 
 
 class SenderQuotas:
-    """Counts waiting messages by sender; with `is_paced`, for the wall clock, limits rates too."""
+    """Counts waiting messages by sender, and limits rates.
+
+    With `is_paced`, where the wall clock sets the pace, each sender's; else that of strangers.
+    """
 
     def __init__(self, capacity: int, max_bytes: int, *, is_paced: bool) -> None:
         self._capacity = capacity
@@ -49,6 +55,8 @@ class SenderQuotas:
         self._is_paced = is_paced
         self._known: set[str] = set()
         self._senders: dict[str, _Sender] = {STRANGERS: _Sender(), UNSIGNED: _Sender()}
+        self._all = _Sender()
+        self._per_s = self._rate_per_s()
 
     def show(self, process: str, *, alive: bool) -> None:
         """Registers a process that appeared or left."""
@@ -57,6 +65,7 @@ class SenderQuotas:
             self._forget(process)
         elif len(self._known) < MAX_SENDERS:
             self._known.add(process)
+        self._per_s = self._rate_per_s()
 
     def sender_of(self, process: str | None) -> str:
         """Returns whose quota a message takes; `process` is None where the key names none."""
@@ -64,19 +73,26 @@ class SenderQuotas:
             return UNSIGNED
         return process if process in self._known else STRANGERS
 
-    def admits(self, sender: str, growth: tuple[int, int], now_ns: int) -> bool:
-        """Whether a sender may add so many messages and bytes; each attempt counts for its rate."""
+    def keeps_pace(self, sender: str, now_ns: int) -> bool:
+        """Whether a sender's rate allows one more message; each attempt counts for it."""
+        if sender == UNSIGNED or not (self._is_paced or sender == STRANGERS):
+            return True
+        return self._take_token(self._senders.setdefault(sender, _Sender()), now_ns)
+
+    def has_room(self, sender: str, growth: tuple[int, int]) -> bool:
+        """Whether so many messages and bytes more of a sender may wait."""
         known = self._senders.setdefault(sender, _Sender())
-        keeps_pace = not self._is_paced or sender == UNSIGNED or self._take_token(known, now_ns)
-        shares = len(self._known) + EXTRA_QUOTAS
-        has_room = known.messages + growth[0] <= max(self._capacity // shares, 1)
-        return keeps_pace and has_room and known.size_bytes + growth[1] <= self._max_bytes // shares
+        places = self._capacity - self._all.messages
+        free_bytes = self._max_bytes - self._all.size_bytes
+        has_place = growth[0] <= 0 or known.messages + growth[0] <= QUOTA_OF_FREE * places
+        fits = growth[1] <= 0 or known.size_bytes + growth[1] <= QUOTA_OF_FREE * free_bytes
+        return has_place and fits
 
     def add(self, sender: str, growth: tuple[int, int]) -> None:
         """Counts messages and bytes, or takes them away."""
-        known = self._senders[sender]
-        known.messages += growth[0]
-        known.size_bytes += growth[1]
+        for one in (self._senders[sender], self._all):
+            one.messages += growth[0]
+            one.size_bytes += growth[1]
         self._forget(sender)
 
     def _forget(self, sender: str) -> None:
@@ -90,8 +106,8 @@ class SenderQuotas:
         """Returns the senders that have sent more than their rate allows, and not yet made up."""
         return {name for name, known in self._senders.items() if self._tokens(known, now_ns) < 1}
 
-    @property
-    def _per_s(self) -> float:
+    def _rate_per_s(self) -> float:
+        """Returns the messages a second that each sender may send."""
         return max(MAX_MESSAGES_PER_S / (len(self._known) + EXTRA_QUOTAS), MIN_QUOTA_PER_S)
 
     def _tokens(self, known: _Sender, now_ns: int) -> float:
@@ -193,7 +209,7 @@ class Inbox:
         self._reads = False
 
     def set_quotas(self, *, is_paced: bool) -> None:
-        """Gives each process a quota of its own, and a rate limit where the wall clock paces them.
+        """Gives each sender a quota of its own, and a limited rate as `SenderQuotas` says.
 
         To be called before anything comes in. What is beyond is counted as `rate_limited`.
         """
@@ -211,10 +227,14 @@ class Inbox:
             self.refuse(item.topic.name, error, item.key)
             return
         with self._lock:
-            item = self._signed(item)
+            signed = self._signed(item)
+            if signed is None:  # first of all, since a flood must cost little
+                self.drops["rate_limited"] += 1
+                return
+            item = signed
             oldest = self._oldest_beside(item)
             growth = _size_bytes(item) - _size_bytes(oldest)
-            if not self._has_quota(item, (int(oldest is None), growth)):
+            if not self._has_room(item, (int(oldest is None), growth)):
                 self.drops["rate_limited"] += 1
                 return
             no_place = oldest is None and self._queue.full()
@@ -272,19 +292,24 @@ class Inbox:
         self.drops["role_error"] += 1
         self._complaints.failed(topic, error)
 
-    def _signed(self, item: RawMessage | Presence) -> RawMessage | Presence:
-        """Returns an item with the sender whose quota it takes; keeps track of presence."""
+    def _signed(self, item: RawMessage | Presence) -> RawMessage | Presence | None:
+        """Returns an item with the sender whose quota it takes; None of one that sends too fast.
+
+        Keeps track of presence.
+        """
         if self._quotas is None:
             return item
         if isinstance(item, RawMessage):
-            return replace(item, sender=self._quotas.sender_of(item.topic.process(item.key)))
+            sender = self._quotas.sender_of(item.topic.process(item.key))
+            keeps_pace = self._quotas.keeps_pace(sender, item.received_ns)
+            return replace(item, sender=sender) if keeps_pace else None
         self._quotas.show(item.id, alive=item.alive)
         return item
 
-    def _has_quota(self, item: RawMessage | Presence, growth: tuple[int, int]) -> bool:
+    def _has_room(self, item: RawMessage | Presence, growth: tuple[int, int]) -> bool:
         if self._quotas is None or isinstance(item, Presence):
             return True
-        return self._quotas.admits(item.sender, growth, item.received_ns)
+        return self._quotas.has_room(item.sender, growth)
 
     def _use_quota(self, item: RawMessage | Presence, times: int) -> None:
         """Counts an item as one that waits, or with -1 as one that does so no more."""
