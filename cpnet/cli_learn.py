@@ -67,7 +67,7 @@ def dataset_command(
 
 
 @learn_app.command("train")
-def train_command(
+def train_command(  # noqa: PLR0913 - one parameter per option of the command
     dataset: Annotated[Path, typer.Argument(help="a folder that `cpnet dataset` wrote")],
     *,
     out: Annotated[Path, typer.Option(help="for weights and state; training resumes from it")],
@@ -77,6 +77,7 @@ def train_command(
     steps: Annotated[int, typer.Option(help="of the optimiser")] = 20_000,
     windows: Annotated[int, typer.Option(help="a step")] = 4,
     cells: Annotated[int, typer.Option(help="of 0.25 m, a window's side")] = 320,
+    rate: Annotated[float, typer.Option(help="of learning, at its highest")] = 3e-3,
     seed: Annotated[int, typer.Option(help="the same weights for the same seed")] = 1,
     start: Annotated[
         Path | None, typer.Option(help="weights to begin with, trained on other data")
@@ -92,7 +93,7 @@ def train_command(
         raise ConfigError(
             f"training needs PyTorch (extra `learn`): {error}; {to_install('learn')}"
         ) from None
-    recipe = Recipe(steps=steps, windows=windows, cells=cells, seed=seed)
+    recipe = Recipe(steps=steps, windows=windows, cells=cells, rate=rate, seed=seed)
     path = train(Training(dataset, out, network, recipe, start), errors)
     errors.print("measuring it on the networks kept for validation")
     (name,) = detectors_of(network)

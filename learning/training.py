@@ -6,7 +6,9 @@ Windows are drawn by seed and step; `train` is what `cpnet train` calls.
 from __future__ import annotations
 
 import json
+import os
 import time
+from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -31,13 +33,15 @@ from perception.pillars.weights import load, save
 from protocol.config import is_file
 from protocol.errors import ConfigError
 
-KEPT_BYTES = 8 << 30
+KEPT_SHARE = 0.4  # of the machine's memory
 
 
 class PlacedSamples:
-    """One split of a data set."""
+    """One split of a data set; many threads may ask it."""
 
     def __init__(self, dataset: Dataset, split: Split) -> None:
+        memory_bytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        self._room_bytes = KEPT_SHARE * memory_bytes
         self._dataset = dataset
         self._samples = dataset.samples(split)
         self._kept: dict[int, PlacedSample] = {}
@@ -58,7 +62,7 @@ class PlacedSamples:
             network, frame = self._samples[index]
             sample = self._roads(network).placed(self._dataset.load(network, frame))
             size_bytes = sum(points.nbytes * 2 for points in sample.points)
-            if self._kept_bytes + size_bytes <= KEPT_BYTES:
+            if self._kept_bytes + size_bytes <= self._room_bytes:
                 self._kept[index] = sample
                 self._kept_bytes += size_bytes
         return sample
@@ -177,12 +181,14 @@ class Trainer:
         )
 
     def run(self, samples: SampleSource) -> Iterator[StepLosses]:
-        """Yields after each step; windows of the next one are drawn meanwhile."""
-        with ThreadPoolExecutor(1) as pool:
-            ahead = pool.submit(self._draw, samples, self.step)
-            while self.step < self.recipe.steps:
-                examples = ahead.result()
-                ahead = pool.submit(self._draw, samples, min(self.step + 1, self.recipe.steps - 1))
+        """Yields after each step; windows of the next ones are drawn meanwhile, by all cores."""
+        cores, steps = os.cpu_count() or 1, range(self.step, self.recipe.steps)
+        with ThreadPoolExecutor(cores) as pool:
+            ahead = deque(pool.submit(self._draw, samples, step) for step in steps[:cores])
+            for step in steps:
+                examples = ahead.popleft().result()
+                if step + cores < self.recipe.steps:
+                    ahead.append(pool.submit(self._draw, samples, step + cores))
                 yield self._learn(examples)
 
     def _draw(self, samples: SampleSource, step: int) -> list[Example]:
@@ -297,6 +303,8 @@ class Training:
             value = getattr(self.recipe, name)
             if value < low or (name == "cells" and value % 8):
                 raise ConfigError(f"--{name} {value}: must be at least {low}, cells in steps of 8")
+        if not 0 < self.recipe.rate <= 1:
+            raise ConfigError(f"--rate {self.recipe.rate}: must be more than 0, at most 1")
         if is_file(self.out):
             raise ConfigError(f"--out {self.out}: is a file, needs a folder")
 

@@ -22,7 +22,6 @@ from edge_server.decoding import DecoderPool, keep_freed_memory
 from edge_server.frame import Frame
 from edge_server.pipeline import Pipeline
 from perception.config import DetectionConfig, DetectorName
-from perception.detector import Detector
 from perception.registry import detector_of
 from perception.roadway import Roadway
 from protocol.errors import ConfigError
@@ -105,7 +104,7 @@ def measure_edge(bench: EdgeBench) -> Iterator[EdgeRow]:
         traffic = Path(name)
         roadway = Roadway.of(build_setup({}, traffic).road_map, margin_m=0)
         for detector in bench.detectors:
-            _detector_of(DetectionConfig(detector=detector), roadway)
+            detector_of(DetectionConfig(detector=detector), roadway)
         record_traffic(traffic, max(bench.agents), bench.frames + WARM_UP)
         context = multiprocessing.get_context("spawn")
         for agents in bench.agents:
@@ -121,7 +120,7 @@ def _measure(traffic: Path, detector: str, agents: int) -> list[EdgeRow]:
         setup = build_setup({}, Path(scratch))
     road_map = setup.road_map
     config = EdgeConfig.model_validate({"detector": detector})
-    pipeline = Pipeline.of(RegionMap.whole(road_map), config, seed=SEED, detector=_detector_of)
+    pipeline = Pipeline.of(RegionMap.whole(road_map), config, seed=SEED)
     pool = DecoderPool(pipeline.open)
     recording = Recording(traffic)
     chosen = [RSU, *(name for name in recording.agents if name != RSU)][:agents]
@@ -160,15 +159,6 @@ def _peak_mb() -> float:
     """
     status = Path("/proc/self/status").read_text()
     return int(status.split("VmHWM:")[1].split()[0]) / 1024
-
-
-def _detector_of(config: DetectionConfig, roadway: Roadway) -> Detector:
-    """Builds detectors as ever, but for the paper's network: untrained, and in float32."""
-    if config.detector != "pointpillars-full":
-        return detector_of(config, roadway)
-    from perception.pillars.detector import paper_detector
-
-    return paper_detector(config.pillars, roadway)
 
 
 def _run(
