@@ -186,6 +186,7 @@ def lane_segments(road_map: RoadMap) -> Floats:
 @njit(
     "int64(float64[:,::1], float64[::1], float64, float64, float32[:,:,::1], float32[:,:,::1])",
     cache=True,
+    nogil=True,
 )
 def _draw(
     segments: Floats,

@@ -199,6 +199,17 @@ _LIST = (
         of_rows=True,
     ),
     Figure(
+        "accuracy-full",
+        f"[ -e hard15 ] || {_HARD15} >&2; cpnet eval hard15 --detectors pointpillars-full --json",
+        (*PERCEPTION, "sensing", "learning", "studies/evaluate.py", "studies/average_precision.py"),
+        40,
+        (
+            Part("all", "docs/detection.md", detection.accuracy),
+            Part("classes", "docs/detection.md", detection.accuracy_by_class),
+        ),
+        of_rows=True,
+    ),
+    Figure(
         "reference",
         "rm -rf data3; cpnet dataset data3 --networks 20 --samples 2 --seed 6 --split test >&2; "
         "cpnet eval data3 --detectors fast,reference --json",

@@ -21,7 +21,7 @@ from perception.boxes import suppress
 from perception.config import PillarsDetection
 from perception.detector import Cloud, Stage, Vehicles, untimed
 from perception.map_height import TRUSTED_M
-from perception.pillars.config import FULL, STRIDE
+from perception.pillars.config import STRIDE
 from perception.pillars.network import BOX_TERMS, PointPillars, boxes_of, middle_of
 from perception.pillars.seen_side import behind_their_points
 from perception.pillars.weights import network_of
@@ -265,14 +265,6 @@ def pillars_detector(name: str, config: PillarsDetection, roadway: Roadway) -> P
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     engine = Engine(network_of(name, config), device, half=computes_in_half(device))
     return PillarsDetector(engine, roadway, config)
-
-
-def paper_detector(config: PillarsDetection, roadway: Roadway) -> PillarsDetector:
-    """Returns the paper's network as it is before training, in float32: to be timed."""
-    with torch.random.fork_rng():
-        torch.manual_seed(0)
-        network = PointPillars(FULL)
-    return PillarsDetector(Engine(network, torch.device("cpu"), half=False), roadway, config)
 
 
 def computes_in_half(device: torch.device) -> bool:

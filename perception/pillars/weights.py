@@ -55,12 +55,6 @@ def network_of(name: str, config: PillarsDetection) -> PointPillars:
         ConfigError: see `load`; or the weights are those of the other network.
     """
     path = Path(config.weights) if config.weights else SHIPPED / f"{name}.safetensors"
-    if not config.weights and not is_file(path):
-        raise ConfigError(
-            f"weights {path}: there is no such file, for none of {name} come with the package; "
-            f"train them (cpnet train DATA --network {name} --out FOLDER) and give "
-            f"edge.pillars.weights=FOLDER/{name}.safetensors"
-        )
     network, _ = load(path)
     widths = _widths(network.config)
     others = [n for n, known in NETWORKS.items() if _widths(known) == widths and n != name]

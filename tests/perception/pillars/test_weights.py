@@ -132,12 +132,6 @@ def test_weights_of_the_other_network_are_refused(tmp_path: Path) -> None:
     check(asked("pointpillars-full", path))
 
 
-def test_who_asks_for_weights_that_do_not_come_with_the_package_is_told_how_to_get_them() -> None:
-    message = refused("pointpillars-full", None)
-    assert "cpnet train DATA --network pointpillars-full --out FOLDER" in message
-    assert "edge.pillars.weights=FOLDER/pointpillars-full.safetensors" in message
-
-
 @pytest.mark.parametrize("name", ["fast", "reference"])
 def test_other_detectors_ask_for_no_weights(name: str) -> None:
     check(asked(name, Path("nowhere")))
