@@ -141,7 +141,7 @@ class ProgressTracker:
         )
 
 
-PATIENCE_NS = 2_000_000_000
+PATIENCE_NS = 10_000_000_000  # in a flood on a loaded machine messages are seconds late
 SILENCE_NS = 150_000_000
 
 

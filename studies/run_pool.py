@@ -10,7 +10,7 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from multiprocessing import forkserver
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerContext, ForkServerProcess
@@ -43,10 +43,10 @@ def run_each(
     def start() -> None:
         for number, task in todo:
             ours, theirs = multiprocessing.Pipe(duplex=False)
-            with theirs:
-                process = context.Process(target=_run, args=(work, task, theirs, log), daemon=True)
+            process = context.Process(target=_run, args=(work, task, theirs, log), daemon=True)
+            with _undisturbed(), theirs:
                 process.start()
-            running[ours] = number, process
+                running[ours] = number, process
             return
 
     try:
@@ -67,6 +67,16 @@ def run_each(
             process.terminate()
             process.join()
             connection.close()
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Keeps Ctrl-C back: a process whose start breaks off half-way prints a traceback."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _fork_server() -> ForkServerContext:

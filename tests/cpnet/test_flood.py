@@ -27,7 +27,7 @@ from tests.cpnet.commands import (
     wait_for_frames,
 )
 
-FLOODER, AGENTS, PER_S = "flood-0", 300, 10_000
+FLOODER, AGENTS = "flood-0", 300
 FLOOD_S = 5.0
 FRAMES = 25  # two a second, which a machine can do that is shared with the flooder
 
@@ -86,12 +86,15 @@ def joined(port: int, *, shown: bool) -> Iterator[zenoh.Session]:
 
 
 def flood(
-    session: zenoh.Session, said: list[tuple[str, bytes]], is_over: Callable[[float], bool]
+    session: zenoh.Session,
+    said: list[tuple[str, bytes]],
+    per_s: int,
+    is_over: Callable[[float], bool],
 ) -> int:
     """Says it all, again and again, until it is over; returns how many messages that were."""
     begin_s, number, passed_s = time.monotonic(), 0, 0.0
     while not is_over(passed_s):
-        for _ in range(max(int(passed_s * PER_S) - number, 0)):
+        for _ in range(max(int(passed_s * per_s) - number, 0)):
             session.put(*said[number % len(said)])
             number += 1
         passed_s = time.monotonic() - begin_s
@@ -115,7 +118,7 @@ def test_a_flood_by_strangers_changes_no_row_of_a_run_in_lockstep(shell: Shell, 
     command = shell.up("--duration=8", "--out=run", f"--listen=127.0.0.1:{port}")
     command.read_until("vehicles")
     with joined(port, shown=False) as session:
-        number = flood(session, said, lambda _: command.process.poll() is not None)
+        number = flood(session, said, 3_000, lambda _: command.process.poll() is not None)
     status, output = command.finish()
     assert status == 0, output
     assert number > 5_000
@@ -133,7 +136,7 @@ def test_a_flood_by_a_process_costs_no_memory_and_the_run_recovers(shell: Shell)
     edge = children_of(run_dir)["edge-r0"]
     before_mb = memory_mb(edge)
     with joined(port, shown=True) as session:
-        number = flood(session, said, lambda passed_s: passed_s > FLOOD_S)
+        number = flood(session, said, 10_000, lambda passed_s: passed_s > FLOOD_S)
         grown_mb = memory_mb(edge) - before_mb
     (newest,) = query(run_dir, "SELECT max(frame) FROM frames")[0]
     status, output = command.finish()

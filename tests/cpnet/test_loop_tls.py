@@ -2,6 +2,7 @@
 
 import shutil
 import sqlite3
+import statistics
 from pathlib import Path
 
 from recording.run import differences
@@ -34,11 +35,11 @@ def test_emulated_links_delay_scans_over_tls_and_their_bytes_are_counted(shell: 
         sql = "SELECT min(received_ns - encode_end_ns) FROM uploads WHERE agent {} 'rsu-0'"
         ((vehicle_ns,),) = database.execute(sql.format("<>")).fetchall()
         ((roadside_ns,),) = database.execute(sql.format("=")).fetchall()
-        sums = "SELECT agent, sum(payload_bytes), sum(wire_bytes) FROM uploads GROUP BY agent"
-        sizes = database.execute(sums).fetchall()
-    assert len(sizes) > 1
-    for _, payload, wire in sizes:
-        assert payload < wire < 1.5 * payload  # these scans are small: poses weigh, and headers
+        sizes = "SELECT payload_bytes, wire_bytes FROM uploads WHERE wire_bytes IS NOT NULL"
+        extra = [wire - payload for payload, wire in database.execute(sizes)]
+    assert min(extra) > 0
+    # Poses, headers and acknowledgements; what a handshake or a repeated packet adds is rare.
+    assert statistics.median(extra) < 2000
     assert vehicle_ns > 40_000_000
     assert roadside_ns < 40_000_000
     check_account(shell.folder / "run", exactly=False)

@@ -258,8 +258,8 @@ def test_the_role_waits_no_longer_than_its_patience_for_a_silent_edge(rig: Rig) 
     rig.metrics("signal-r0", 0)
     rig.world.publish("end", m.End(frames=1, reason="finished"))
     rig.drain()
-    assert not rig.role._ending.is_over(time.monotonic_ns() + 1_500 * MS, rig.role._aggregator)
-    assert rig.role._ending.is_over(time.monotonic_ns() + 2_000 * MS, rig.role._aggregator)
+    assert not rig.role._ending.is_over(time.monotonic_ns() + 9_500 * MS, rig.role._aggregator)
+    assert rig.role._ending.is_over(time.monotonic_ns() + 10_000 * MS, rig.role._aggregator)
     rig.role.close()
 
 
@@ -273,12 +273,12 @@ def test_after_a_world_that_stopped_early_the_last_frame_is_not_waited_for(rig: 
 
 def test_progress_is_told_about_once_a_second(rig: Rig) -> None:
     rig.seen.get()
+    rig.role._told_ns = time.monotonic_ns() + 600_000 * MS  # not before all is heard
     for frame in range(11):
         rig.frame(frame)
     rig.drain()
-    while rig.seen.get() is not None:  # what it told of by itself, on a machine that is slow
-        pass
-    rig.role._told_ns -= 1_000 * MS
+    assert rig.seen.get() is None
+    rig.role._told_ns = time.monotonic_ns() - 1_000 * MS
     rig.role.poll()
     progress = rig.seen.get().message
     rig.role._told_ns = time.monotonic_ns()
