@@ -219,6 +219,11 @@ def programme(signal: Signal, config: CabinetConfig) -> list[Interval]:
     return intervals
 
 
+def loop_parameters(config: CabinetConfig) -> dict[str, str]:
+    """Returns what SUMO's actuated control is told of its loops, by SUMO's names."""
+    return {"max-gap": f"{config.max_gap_s:g}", "detector-gap": f"{config.detector_gap_s:g}"}
+
+
 class ActuatedCabinet:
     """SUMO's own actuated control in the place of `SignalCabinet`; requests have no effect."""
 

@@ -163,6 +163,15 @@ class CabinetConfig(Section):
     max_green_s: float = Field(
         50, description="actuated: longest green while others wait", gt=0, le=600
     )
+    max_gap_s: float = Field(
+        3, description="actuated: a green ends when no loop saw a vehicle for so long", gt=0, le=60
+    )
+    detector_gap_s: float = Field(
+        2,
+        description="actuated: loops lie so far before the stop bar, at the speed limit",
+        gt=0,
+        le=60,
+    )
     stale_after_s: float = Field(
         3,
         description="simulated time without a valid request until the fixed plan runs",

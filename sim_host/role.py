@@ -20,7 +20,7 @@ from protocol.topics import BusName
 from sensing.config import SceneConfig
 from sensing.recorded_scans import Recording
 from sensing.terrain import Terrain
-from sim_host.cabinet import ActuatedCabinet, Cabinet, SignalCabinet, programme
+from sim_host.cabinet import ActuatedCabinet, Cabinet, SignalCabinet, loop_parameters, programme
 from sim_host.config import CabinetConfig
 from sim_host.presence import Fleet, Readiness
 from sim_host.setup import traffic_config
@@ -360,6 +360,6 @@ def _sumo_control(setup: Setup, world: World) -> dict[str, Cabinet] | None:
         return None
     found: dict[str, Cabinet] = {}
     for one in setup.road_map.intersections:
-        world.run_actuated(one.tls, programme(one.signal, config))
+        world.run_actuated(one.tls, programme(one.signal, config), loop_parameters(config))
         found[one.tls] = ActuatedCabinet(one.signal, partial(world.shown, one.tls))
     return found

@@ -5,7 +5,7 @@ One SUMO world per process, for libsumo keeps its state globally.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
@@ -270,11 +270,21 @@ class World:
         )
         return x - offset_m * np.sin(yaw), y + offset_m * np.cos(yaw), yaw + slope_rad
 
-    def run_actuated(self, tls: str, intervals: Sequence[Interval]) -> None:
-        """Leaves a signal to SUMO from now on: its own detectors choose how long greens last."""
+    def run_actuated(
+        self, tls: str, intervals: Sequence[Interval], parameters: Mapping[str, str]
+    ) -> None:
+        """Leaves a signal to SUMO from now on: its own detectors choose how long greens last.
+
+        Args:
+            tls: the signal.
+            intervals: of the programme, in its order.
+            parameters: of SUMO's actuated control, by SUMO's names.
+        """
         lights = self._sumo.trafficlight
         phases = [lights.Phase(i.least_s, i.state, i.least_s, i.most_s) for i in intervals]
-        lights.setProgramLogic(tls, lights.Logic(ACTUATED, _ACTUATED_TYPE, 0, phases))
+        logic = lights.Logic(ACTUATED, _ACTUATED_TYPE, 0, phases)
+        logic.subParameter = dict(parameters)  # libsumo ignores it as an argument
+        lights.setProgramLogic(tls, logic)
         lights.setProgram(tls, ACTUATED)
 
     def shown(self, tls: str) -> str:

@@ -37,9 +37,9 @@ def test_emulated_links_delay_scans_over_tls_and_their_bytes_are_counted(shell: 
         ((roadside_ns,),) = database.execute(sql.format("=")).fetchall()
         sizes = "SELECT payload_bytes, wire_bytes FROM uploads WHERE wire_bytes IS NOT NULL"
         extra = [wire - payload for payload, wire in database.execute(sizes)]
-    assert min(extra) > 0
-    # Poses, headers and acknowledgements; what a handshake or a repeated packet adds is rare.
-    assert statistics.median(extra) < 2000
+    # Poses, headers, acknowledgements. What a handshake or a repeated packet adds is rare, and on
+    # a loaded machine a scan's last packets may count in the next frame.
+    assert 0 < statistics.median(extra) < 2000
     assert vehicle_ns > 40_000_000
     assert roadside_ns < 40_000_000
     check_account(shell.folder / "run", exactly=False)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+from pathlib import Path
+
 import pytest
 
 from protocol.errors import ConfigError
-from protocol.messages import SignalRequest
+from protocol.messages import Setup, SignalRequest
 from protocol.roadmap import Link, PlanPhase, Signal
-from sim_host.cabinet import ActuatedCabinet, programme
+from sim_host.cabinet import ActuatedCabinet, loop_parameters, programme
 from sim_host.config import CabinetConfig
+from sim_host.world import Ground, World
 
 
 def signal(*greens: str) -> Signal:
@@ -65,3 +69,23 @@ def test_before_the_first_green_it_tells_the_plans_second():
     spat = cabinet.spat(1, 2)
     assert (spat.stage, spat.green) == ("all_red", "rGr")
     assert cabinet.refusals == {}
+
+
+@pytest.mark.parametrize("key", ["max_gap_s", "detector_gap_s"])
+def test_a_short_gap_ends_greens_early(setup: Setup, run_dir: Path, flat: Ground, key: str) -> None:
+    def changes(config: CabinetConfig) -> int:
+        world = World(setup, run_dir, flat)
+        world.start(1)
+        try:
+            junction = setup.road_map.intersections[0].signal
+            world.run_actuated("J", programme(junction, config), loop_parameters(config))
+            shown = []
+            for _ in range(3000):
+                world.step()
+                shown.append(world.shown("J"))
+        finally:
+            world.close()
+        return sum(one != other for one, other in pairwise(shown))
+
+    short, long = (changes(CabinetConfig(**{key: gap_s})) for gap_s in (0.5, 6))
+    assert short > long
