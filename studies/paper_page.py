@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -22,7 +23,6 @@ from studies.study_tables import (
     figure_of,
     grid_table,
     label_of,
-    lidars_of,
     mean_of,
     origin_section,
 )
@@ -229,6 +229,19 @@ def _e_cvpr_section(findings: StudyResults) -> Section:
     detectors = list(dict.fromkeys(str(row[DETECTOR]) for row in rows))
     blocks += [_histogram(findings, detector) for detector in detectors]
     return Section("E-CVPR by share of CAVs (Table 2, Figure 8)", tuple(blocks))
+
+
+def lidars_of(scenario: Mapping[str, Any]) -> str:
+    """Returns a sentence on the LiDARs of a scenario; empty if it does not say."""
+    kinds = {"CAVs": "vehicle", "posts": "roadside"}
+    lidar = scenario.get("lidar", {})
+    words = [
+        f"{name} {lidar[kind]['channels']} rings, {lidar[kind]['points_per_second']:,} points a "
+        f"second, range {lidar[kind]['range']:g} m"
+        for name, kind in kinds.items()
+        if kind in lidar
+    ]
+    return f"Ours: {'; '.join(words)}." if words else ""
 
 
 def _e_cvpr_row(row: GridRow) -> tuple[Cell, ...]:

@@ -24,7 +24,6 @@ from studies.study_tables import (
     figure_of,
     grid_table,
     label_of,
-    lidars_of,
     mean_of,
     origin_section,
     rounded_mean,
@@ -114,8 +113,7 @@ def bandwidth_page(findings: StudyResults, sections: Sequence[Section] = ()) -> 
         "Every agent, vehicles and the roadside LiDAR alike, is on an uplink of its own. What does "
         "not arrive before the edge's deadline is left out of its frame. Links are virtual: bytes "
         f"are real, arrival is in simulated time. {len(findings.frame)} runs, "
-        f"seeds of each cell: {len(study.seeds)}. "
-        f"{lidars_of(findings.scenario)}{findings.gaps()}"
+        f"seeds of each cell: {len(study.seeds)}." + findings.gaps()
     )
     grids = (_uplink_grid_section(findings, grid) for grid in study.grids)
     return Page(

@@ -248,19 +248,6 @@ def _is_wide(rows: list[GridRow], axis: str) -> bool:
     return bool(values) and min(values) > 0 and max(values) / min(values) > 100
 
 
-def lidars_of(scenario: Mapping[str, Any]) -> str:
-    """Returns a sentence on the LiDARs of a scenario; empty if it does not say."""
-    kinds = {"CAVs": "vehicle", "posts": "roadside"}
-    lidar = scenario.get("lidar", {})
-    words = [
-        f"{name} {lidar[kind]['channels']} rings, {lidar[kind]['points_per_second']:,} points a "
-        f"second, range {lidar[kind]['range']:g} m"
-        for name, kind in kinds.items()
-        if kind in lidar
-    ]
-    return f"LiDARs here: {'; '.join(words)}." if words else ""
-
-
 def origin_section(findings: StudyResults) -> Section:
     """Returns what is needed to make the study again."""
     text = yaml.safe_dump(

@@ -333,12 +333,19 @@ _LIST = (
         "delay",
         "cpnet study $ROOT/docs/figures/delay.yaml --out delay >&2; " + _rows_of("delay"),
         STUDY,
-        12,
+        25,
         (
             Part("all", "docs/comparison.md", comparison.delay),
             Part("readme", "README.md", comparison.delay_short),
         ),
         of_rows=True,
+    ),
+    Figure(
+        "tuned",
+        "cpnet study $ROOT/docs/figures/tuned.yaml --out tuned --json",
+        (*STUDY, "studies/control*.py", "studies/bench_control.py"),
+        8,
+        (Part("all", "docs/comparison.md", comparison.tuned),),
     ),
     Figure(
         "lidars",
@@ -349,6 +356,7 @@ _LIST = (
             Part("readme", _GLANCE, worlds.lidars),
             Part("realism", "docs/realism.md", worlds.lidars),
             Part("city", "docs/city.md", worlds.lidars),
+            Part("bandwidth", "docs/bandwidth.md", worlds.lidars),
         ),
     ),
     Figure(

@@ -64,21 +64,23 @@ _CONTROLS = {
     "perception": "max pressure on perception (a post, no CAV), 200 m before and 100 m behind",
     "perception, unseen empty": "the same, what no LiDAR sees taken for empty, as in Chen et al.",
     "perception, 50 m": "max pressure on perception, 50 m before and nothing behind",
-    "perception, held": "the same, greens of 10 s at least",
+    "perception, held": "max pressure on perception, tuned: 50 m before, greens of 10 s at least",
     "perception, predictive": "predictive control on perception",
     "perfect counts": "max pressure on perfect counts, 200 m before and 100 m behind",
     "perfect counts, 50 m": "max pressure on perfect counts, 50 m before and nothing behind",
-    "perfect counts, held": "the same, greens of 10 s at least",
+    "perfect counts, held": "max pressure on perfect counts, tuned: 50 m, greens of 10 s at least",
     "perfect, predictive": "predictive control that knows every vehicle",
     "max wave": "max wave on perfect counts: 200 m before and nothing behind",
-    "actuated": "SUMO's actuated control, loops",
+    "actuated": "SUMO's actuated control, loops, at its defaults",
+    "actuated, tuned": "SUMO's actuated control, tuned: gaps of 2 s, greens of 25 s at most",
     "webster": "fixed plan by Webster's formula for this demand",
+    "webster, tuned": "fixed plan for this demand, tuned: 0.85 of Webster's cycle",
     "own plan": "the net's own fixed plan",
 }
 _SHORT = (
-    *("perception", "perception, 50 m", "perception, predictive"),
-    *("perfect counts", "perfect counts, 50 m", "perfect, predictive"),
-    *("actuated", "webster", "own plan"),
+    *("perception", "perception, held", "perception, predictive"),
+    *("perfect counts", "perfect counts, held", "perfect, predictive"),
+    *("actuated, tuned", "webster, tuned", "own plan"),
 )
 
 
@@ -106,4 +108,22 @@ def _delay(rows: Rows, names: Sequence[str]) -> Table:
             for base in (first, "perfect counts")
         ]
         table.append([_CONTROLS[name], between([*by[name].values()], 1), *cells])
+    return table
+
+
+def tuned(rows: Rows) -> Table:
+    """Returns the delay of each control as tuned, and how much less `predictive` has."""
+    heads = [f"delay, s; {rows[0]['seeds']} seeds of an hour", "predictive control less, s"]
+    table = [["control", "tuning chosen on other seeds", *heads, "longest wait, s"]]
+    for row in rows:
+        less = row["difference_s"]
+        table.append(
+            [
+                f"`{row['policy']}`",
+                row["setting"] or "–",
+                f"{row['delay_s']:.2f} ± {row['delay_ci95_s']:.2f}",
+                "" if less is None else f"{less:.2f} ± {row['difference_ci95_s']:.2f}",
+                f"{row['waited_s']:.0f}",
+            ]
+        )
     return table
