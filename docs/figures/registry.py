@@ -343,7 +343,10 @@ _LIST = (
     Figure(
         "tuned",
         "cpnet study $ROOT/docs/figures/tuned.yaml --out tuned --json",
-        (*STUDY, "studies/control*.py", "studies/bench_control.py"),
+        (
+            *("sim_host", "protocol", "signal_controller"),
+            *(f"studies/control_{one}.py" for one in ("baselines", "case", "run", "study")),
+        ),
         8,
         (Part("all", "docs/comparison.md", comparison.tuned),),
     ),

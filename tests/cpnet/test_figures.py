@@ -188,11 +188,32 @@ def test_each_step_of_e_cvpr_is_paired_with_the_one_before_and_names_its_lidar(m
     assert (ours[5], theirs[5]) == ("", "-5.0 ± 0.0")
 
 
-def test_the_fixed_plan_of_the_figure_delay_is_websters_for_the_demand(make, tmp_path) -> None:
+@pytest.mark.parametrize(("control", "cycle_factor"), [("webster", 1), ("webster, tuned", 0.85)])
+def test_fixed_plans_of_the_figure_delay_are_websters_for_the_demand(
+    make, tmp_path, control, cycle_factor
+) -> None:
     study = yaml.safe_load((ROOT / "docs/figures/delay.yaml").read_text("utf-8"))
-    given = study["axes"]["control"]["webster"]["cabinet.plan_greens_s"]
+    given = study["axes"]["control"][control]["cabinet.plan_greens_s"]
     signal = build_setup({}, tmp_path).road_map.intersections[0].signal
     lanes = {link.from_lane for link in signal.links}
     flows = {lane: DEMAND_VPH_PER_LANE.get(lane.rpartition("_")[0], 500.0) for lane in lanes}
-    found = webster_signal(signal, flows, SATURATION_VPH, CabinetTimes(5, 4, 1)).plan
+    times = CabinetTimes(5, 4, 1)
+    found = webster_signal(signal, flows, SATURATION_VPH, times, cycle_factor).plan
     assert given == [phase.duration_s for phase in found if phase.is_green]
+
+
+def test_tunings_of_the_figure_delay_are_those_found_on_other_seeds(make) -> None:
+    study = yaml.safe_load((ROOT / "docs/figures/delay.yaml").read_text("utf-8"))
+    controls = study["axes"]["control"]
+    found = {row["policy"]: row["setting"] for row in make.load(make.FIGURES["tuned"])["data"]}
+    loops = controls["actuated, tuned"]
+    assert found["actuated"] == (
+        f"gap {loops['cabinet.max_gap_s']:g} s, loops {loops['cabinet.detector_gap_s']:g} s "
+        f"before, at most {loops['cabinet.max_green_s']:g} s"
+    )
+    held = controls["perfect counts, held"]
+    assert found["max_pressure"] == (
+        f"{held['edge.upstream_m']:g} m before, {held['edge.downstream_m']:g} m behind, "
+        f"greens of {held['signal.hold_s']:g} s"
+    )
+    assert found["webster"] == "cycle x 0.85"

@@ -78,34 +78,39 @@ _CONTROLS = {
     "own plan": "the net's own fixed plan",
 }
 _SHORT = (
-    *("perception", "perception, held", "perception, predictive"),
-    *("perfect counts", "perfect counts, held", "perfect, predictive"),
+    *("perception", "perception, 50 m", "perception, predictive"),
+    *("perfect counts", "perfect counts, 50 m", "perfect, predictive"),
     *("actuated, tuned", "webster, tuned", "own plan"),
 )
 
 
+_BASES = {
+    "perception": "more than the first line, s",
+    "perception, predictive": "more than predictive control on perception, s",
+    "perfect counts": "more than perfect counts, s",
+}
+
+
 def delay(rows: Rows) -> Table:
-    """Returns delay by control, and how much more it is than on perception, paired by seed."""
-    return _delay(rows, tuple(_CONTROLS))
+    """Returns delay by control, and how much more it is than some have, paired by seed."""
+    return _delay(rows, tuple(_CONTROLS), tuple(_BASES))
 
 
 def delay_short(rows: Rows) -> Table:
     """Returns `delay` without variants of a control."""
-    return _delay(rows, _SHORT)
+    return _delay(rows, _SHORT, tuple(_BASES)[:2])
 
 
-def _delay(rows: Rows, names: Sequence[str]) -> Table:
+def _delay(rows: Rows, names: Sequence[str], bases: Sequence[str]) -> Table:
     by: dict[str, dict[int, float]] = {}
     for row in rows:
         by.setdefault(row["control"], {})[row["seed"]] = row["delay_s"]
-    first, *_ = _CONTROLS
-    runs = f"{len(by[first])} seeds of {rows[0]['frames']} s"
-    heads = [f"delay, s; {runs}", "more than the first line, s", "more than perfect counts, s"]
-    table = [["control", *heads]]
+    runs = f"{len(by[bases[0]])} seeds of {rows[0]['frames']} s"
+    table = [["control", f"delay, s; {runs}", *(_BASES[base] for base in bases)]]
     for name in names:
         cells = [
             "" if name == base else between([by[name][s] - by[base][s] for s in by[name]], 1)
-            for base in (first, "perfect counts")
+            for base in bases
         ]
         table.append([_CONTROLS[name], between([*by[name].values()], 1), *cells])
     return table
