@@ -147,7 +147,7 @@ def _signal(state: str) -> Text:
 
 POLL_S = 0.05
 LATE_END_S = 2.0
-OTHERS_LEAVE_S = 5.0
+OTHERS_LEAVE_S = 12.0  # longer than the patience of a recorder elsewhere
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 

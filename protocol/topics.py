@@ -167,7 +167,7 @@ ALIVE_IN_ANY = "cpnet/*/alive/*/*"
 OWN_VERSION = PREFIX.partition("/")[2]
 
 PRESENCE_WATCHERS = {
-    BusName.WORLD: _SIM | OBSERVERS | _WATCH,
+    BusName.WORLD: _SIM | _RECORD | OBSERVERS | _WATCH,
     BusName.V2X: _SIM | _EDGE | OBSERVERS | _WATCH,
 }
 """Roles that see, on each bus, which processes are present."""

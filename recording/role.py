@@ -238,6 +238,7 @@ class RecordRole:
         """Makes the role and announces that it listens."""
         role = cls(context)
         context.inbox.set_quotas(is_paced=context.setup.scenario.get("mode") != "lockstep")
+        context.world.watch()  # who is present has a quota of its own
         for name in sorted(role._handlers, key=_SUBSCRIBED_LAST.__contains__):
             topic = TOPICS[name]
             bus = context.world if topic.bus is BusName.WORLD else context.v2x

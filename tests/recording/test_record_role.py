@@ -292,6 +292,17 @@ def test_progress_is_told_about_once_a_second(rig: Rig) -> None:
     rig.role.close()
 
 
+def test_a_flood_of_strangers_costs_who_is_present_nothing(rig: Rig) -> None:
+    rig.world.announce("edge", "edge-r0")
+    for _ in range(6_000):
+        rig.metrics("stranger", 0)
+    assert rig.inbox.drops["rate_limited"] > 0
+    before = rig.inbox.drops.total()
+    rig.metrics("edge-r0", 0)
+    assert rig.inbox.drops.total() == before
+    rig.role.close()
+
+
 def test_an_absurd_tick_is_counted_and_changes_nothing(rig: Rig, tmp_path: Path) -> None:
     rig.frame(0)
     for frame, sim_time_ns in ((1 << 39, PERIOD_NS), (1, 1 << 61)):
