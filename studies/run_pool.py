@@ -21,6 +21,7 @@ from protocol.errors import ConfigError
 
 _PRELOAD = ["studies.perceived_case", "studies.bench_control"]
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # runs take the cores
+DEFERRED = (signal.SIGINT, signal.SIGTERM)
 Task = TypeVar("Task")
 Done = TypeVar("Done")
 
@@ -44,7 +45,7 @@ def run_each(
         for number, task in todo:
             ours, theirs = multiprocessing.Pipe(duplex=False)
             process = context.Process(target=_run, args=(work, task, theirs, log), daemon=True)
-            with _undisturbed(), theirs:
+            with signals_deferred(), theirs:
                 process.start()
                 running[ours] = number, process
             return
@@ -70,13 +71,20 @@ def run_each(
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Keeps Ctrl-C back: a process whose start breaks off half-way prints a traceback."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+def signals_deferred() -> Iterator[None]:
+    """Defers Ctrl-C and SIGTERM: a process whose start breaks off half-way prints a traceback.
+
+    From the main thread only. To block them would not do, for other threads may receive them.
+    """
+    received: list[int] = []
+    before = {one: signal.signal(one, lambda n, _: received.append(n)) for one in DEFERRED}
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for one, handler in before.items():
+            signal.signal(one, handler)
+    for number in received[:1]:
+        signal.raise_signal(number)
 
 
 def _fork_server() -> ForkServerContext:

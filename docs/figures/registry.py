@@ -345,7 +345,7 @@ _LIST = (
         "cpnet study $ROOT/docs/figures/tuned.yaml --out tuned --json",
         (
             *("sim_host", "protocol", "signal_controller"),
-            *(f"studies/control_{one}.py" for one in ("baselines", "case", "run", "study")),
+            *(f"studies/control_{one}.py" for one in ("baselines", "case", "file", "run", "study")),
         ),
         8,
         (Part("all", "docs/comparison.md", comparison.tuned),),

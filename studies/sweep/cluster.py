@@ -22,6 +22,7 @@ from distributed.comm import connect
 from distributed.security import Security
 
 from protocol.errors import ConfigError
+from studies.run_pool import DEFERRED, signals_deferred
 
 LOOPBACK = "127.0.0.1"
 CONNECT_S = 10.0
@@ -90,19 +91,13 @@ def _signals_held() -> Iterator[None]:
 
     A terminal sends Ctrl-C to all processes, but the parent ends the workers.
     """
-    received: list[int] = []
     resource_tracker.ensure_running()  # if a later thread started it, this would unblock them there
-    held = (signal.SIGINT, signal.SIGTERM)
-    before = {which: signal.signal(which, lambda n, _: received.append(n)) for which in held}
-    signal.pthread_sigmask(signal.SIG_BLOCK, held)
-    try:
-        yield
-    finally:
-        for which, handler in before.items():
-            signal.signal(which, handler)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, held)
-    for number in received[:1]:
-        signal.raise_signal(number)
+    with signals_deferred():
+        signal.pthread_sigmask(signal.SIG_BLOCK, DEFERRED)
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, DEFERRED)
 
 
 @contextmanager

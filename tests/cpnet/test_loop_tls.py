@@ -35,8 +35,10 @@ def test_emulated_links_delay_scans_over_tls_and_their_bytes_are_counted(shell: 
         sql = "SELECT min(received_ns - encode_end_ns) FROM uploads WHERE agent {} 'rsu-0'"
         ((vehicle_ns,),) = database.execute(sql.format("<>")).fetchall()
         ((roadside_ns,),) = database.execute(sql.format("=")).fetchall()
-        sizes = "SELECT payload_bytes, wire_bytes FROM uploads WHERE wire_bytes IS NOT NULL"
-        extra = [wire - payload for payload, wire in database.execute(sizes)]
+        sql = "SELECT agent, payload_bytes, wire_bytes FROM uploads WHERE wire_bytes IS NOT NULL"
+        sizes = database.execute(sql).fetchall()
+    assert len({agent for agent, *_ in sizes}) > 1
+    extra = [wire - payload for _, payload, wire in sizes]
     # Poses, headers, acknowledgements. What a handshake or a repeated packet adds is rare, and on
     # a loaded machine a scan's last packets may count in the next frame.
     assert 0 < statistics.median(extra) < 2000
