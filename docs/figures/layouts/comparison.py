@@ -117,8 +117,8 @@ def _delay(rows: Rows, names: Sequence[str], bases: Sequence[str]) -> Table:
 
 
 def tuned(rows: Rows) -> Table:
-    """Returns the delay of each control as tuned, and how much less `predictive` has."""
-    heads = [f"delay, s; {rows[0]['seeds']} seeds of an hour", "predictive control less, s"]
+    """Returns the delay of each control as tuned, and how far `predictive` lies from it."""
+    heads = [f"delay, s; {rows[0]['seeds']} seeds of an hour", "predictive control minus it, s"]
     table = [["control", "tuning chosen on other seeds", *heads, "longest wait, s"]]
     for row in rows:
         less = row["difference_s"]
