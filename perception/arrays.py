@@ -1,4 +1,8 @@
-"""Array types that the stages share."""
+"""Array types that the stages share.
+
+Compiled loops over points assert how many columns an array has: what the compiler knows to lie three
+numbers apart it takes from memory, and works on, eight points at once.
+"""
 
 import numpy as np
 import numpy.typing as npt

@@ -174,6 +174,7 @@ def _floor_m(ground_m: Floats32, runs: Ints, members: Ints) -> Floats:
 
 @njit("void(float64[:,::1], float64, float64[:,::1])", cache=True, nogil=True)
 def _measure(local: Floats, yaw: float, extents: Floats) -> None:
+    assert local.shape[1] == 2
     cos, sin = np.cos(yaw), np.sin(yaw)
     extents[0, :2], extents[1, :2] = np.inf, -np.inf
     for i in range(local.shape[0]):
@@ -245,6 +246,7 @@ def _about_middles(
 
     Of those (C, 2, 3) the heights are written.
     """
+    assert points.shape[1] == 3
     local, extents = np.empty((starts[-1], 2)), np.empty((middles.shape[0], 2, 3))
     extents[:, 0, 2], extents[:, 1, 2] = np.inf, -np.inf
     following = starts.copy()

@@ -66,6 +66,7 @@ def numbered(keys: Ints, first: Ints32) -> tuple[Ints32, Ints]:
 @njit("Tuple((int64[::1], int64[::1]))(float32[:,::1], float64)", cache=True, nogil=True)
 def _keys(points: Floats32, side_m: float) -> tuple[Ints, Ints]:
     """Returns each point's key (N,), and how far keys step along x, y and z."""
+    assert points.shape[1] == 3
     low_x = low_y = low_z = np.float32(np.inf)
     high_y = high_z = np.float32(-np.inf)
     for index in range(points.shape[0]):
@@ -115,6 +116,7 @@ def grouped(points: Floats32, keys: Ints, ascending: bool) -> tuple[Floats32, In
         `ascending` or else as they were met; where the points of each begin, with N at the end
         (C + 1,).
     """
+    assert points.shape[1] == 3
     first = runs(keys)
     cell_of, found = numbered(keys, first[:-1])
     rank = np.argsort(found) if ascending else np.arange(found.size)

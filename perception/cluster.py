@@ -234,6 +234,7 @@ def _core(
     points: Floats32, starts: Ints32, pairs: Ints, square_m2: float, min_points: int
 ) -> Bytes:
     """Marks the points with enough neighbours; only in thin cells need they be counted."""
+    assert points.shape[1] == 3
     neighbours = np.empty(points.shape[0], np.int32)
     for cell in range(starts.size - 1):
         neighbours[starts[cell] : starts[cell + 1]] = starts[cell + 1] - starts[cell]
@@ -249,6 +250,7 @@ def _core(
 @njit("float32[:,::1](float32[:,::1], int32[::1])", cache=True, nogil=True)
 def _bounds(points: Floats32, starts: Ints32) -> Floats32:
     """Returns the lowest and highest x, y and z in each cell (C, 6)."""
+    assert points.shape[1] == 3
     bounds = np.empty((starts.size - 1, 6), np.float32)
     for cell in range(starts.size - 1):
         low_x = low_y = low_z = np.float32(np.inf)
@@ -335,6 +337,7 @@ def _label(
     points: Floats32, starts: Ints32, pairs: Ints, square_m2: float, min_points: int
 ) -> Ints32:
     """Returns the cell that stands for each point's cluster, or -1; points lie cell by cell."""
+    assert points.shape[1] == 3
     core = _core(points, starts, pairs, square_m2, min_points)
     bounds = _bounds(points, starts)
     parents = np.arange(bounds.shape[0])

@@ -88,6 +88,7 @@ def _joined(runs: Ints, owner: Ints) -> tuple[Ints, int]:
 )
 def _sums(points: Floats32, runs: Ints, count: int) -> tuple[Ints, Floats]:
     """Returns how many points each of so many clusters has (C,), and the sums of them (C, 3)."""
+    assert points.shape[1] == 3
     members, sums = np.zeros(count, np.int64), np.zeros((count, 3))
     for run in range(runs.shape[0]):
         label, first, end = runs[run, 0], runs[run, 1], runs[run, 2]

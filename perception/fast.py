@@ -73,6 +73,7 @@ def _too_large(
     points: Floats32, runs: Ints, count: int, longest_m: float, widest_m: float
 ) -> Bools:
     """Marks which of so many clusters (C,) are longer, or to both sides wider, than allowed."""
+    assert points.shape[1] == 3
     low = np.full((count, 2), np.float32(np.inf))
     high = np.full((count, 2), np.float32(-np.inf))
     for run in range(runs.shape[0]):

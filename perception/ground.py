@@ -295,6 +295,7 @@ def _over_tiles(
 
     Points come in runs of one tile, for a sensor scans along its rings.
     """
+    assert points.shape[1] == 3
     size = points.shape[0]
     tiles, plane_m, stays = (
         squares_of(points, grid),
@@ -336,6 +337,7 @@ def _remove(part: Part, grid: Floats, layers: Floats32, over_road: bool, kept: P
     """Copies the points outside their tile's layer, in order; returns their number."""
     points, road_m, ground_m = part
     kept_points, kept_road_m, kept_ground_m = kept
+    assert points.shape[1] == kept_points.shape[1] == 3
     share, is_first, count = np.float32(1.0 if over_road else 0.0), ground_m.size == 0, 0
     for begin in range(0, points.shape[0], BLOCK):
         some, some_road_m = points[begin : begin + BLOCK], road_m[begin : begin + BLOCK]

@@ -267,6 +267,7 @@ def _move(
 
     Nothing is looked up, and what is written is new, so that a core works on eight points at once.
     """
+    assert points.shape[1] == 3
     moved = np.empty((3, points.shape[0]), np.float32)
     places = np.empty((2, points.shape[0]), np.int32)
     x_m, y_m, per_m = grid[0], grid[1], grid[2]
@@ -315,6 +316,7 @@ def _place(
 
     Choices of two values take no branch, which would be foreseen wrongly too often.
     """
+    assert points.shape[1] == kept.shape[1] == 3
     low_m, high_m = grid[3], grid[4]
     square_low_m, square_index, touched = squares
     nowhere, heights_m = np.float32(np.inf), height_m.reshape(-1)

@@ -61,6 +61,7 @@ def table(size: int) -> tuple[Floats32, Ints32, Ints32]:
 @njit("float64[:,::1](float32[:,::1])", cache=True, nogil=True)
 def span(points: Floats32) -> Floats:
     """Returns the lowest and the highest x and y of points (N, 3) as (2, 2)."""
+    assert points.shape[1] == 3
     low_x = low_y = np.float32(np.inf)
     high_x = high_y = np.float32(-np.inf)
     for index in range(points.shape[0]):
@@ -77,6 +78,7 @@ def squares_of(points: Floats32, grid: Floats) -> Ints32:
     The outermost ones reach to infinity. Choices of two values take no branch, so that a core works
     on several points at once.
     """
+    assert points.shape[1] == 3
     found = np.empty(points.shape[0], np.int32)
     x_m, y_m, per_m, last_column, last_row = grid[0], grid[1], grid[2], grid[3] - 1, grid[4] - 1
     columns = np.int32(grid[3])
@@ -114,6 +116,7 @@ def squares(low_high: Floats, side_m: float) -> Floats:
 def _lowest(
     points: Floats32, base_m: Floats32, cells: Floats, table: tuple[Floats32, Ints32, Ints32]
 ) -> Floats32:
+    assert points.shape[1] == 3
     low_m, who, touched = table
     found, nowhere = np.uint64(0), np.float32(np.inf)
     for begin in range(0, points.shape[0], BLOCK):

@@ -1,7 +1,9 @@
 """The model of a range image: the expected range of a beam, and the context of its token.
 
 Also what encoder and decoder do once a ring. Helpers that take arrays at each beam are not inlined
-by the compiler and can double the time, so that the loops over beams stand in `range_image`.
+by the compiler and can double the time, so that the loops over tokens stand in `range_image`. The
+compiler works on all sectors at once where a loop is of int32, writes few arrays, which might
+overlap with those it reads, and knows how wide these are.
 """
 
 from __future__ import annotations
@@ -50,6 +52,8 @@ def place_ring(
         first: row of the ring's first point.
         returns: how many points.
     """
+    assert turns.shape[1] == xyz.shape[1] == 3
+    assert azimuths.shape[1] == 2
     # A beam without return writes too, and is overwritten by the next, but for the ring's last.
     taken, columns = first + returns, len(azimuths)
     wide = (columns + sectors - 1) // sectors
@@ -72,6 +76,7 @@ def place_ring(
 
 SECTORS = 8
 LOST = -1  # the range of a lost beam
+CALMEST = 15  # more returns in a row without a jump count as so many
 MAX_UNITS = 1 << 30
 CONTEXTS = 84
 COUNTS = 1 << 13  # of symbols
@@ -177,8 +182,84 @@ def describe_lower_ring(
         slopes[at] = 0
 
 
-@njit("int64(int64, int64, int64)", cache=True, nogil=True)
+@njit("int32(int32, int32, int32)", cache=True, nogil=True)
 def expect(last: int, under: int, slope: int) -> int:
-    """Returns what a beam is expected to return, by its neighbours to the left and below."""
-    expected: int = max(min(last, under), min(max(last, under), last + slope))
+    """Returns what a beam is expected to return, by its neighbours to the left and below.
+
+    It is the median of the one to the left, the one below, and the one to the left as much farther
+    as the ring below runs there.
+    """
+    across, level = np.int32(under - last), np.int32(0)
+    least, most = min(across, level), max(across, level)
+    expected: int = last + max(least, min(most, slope))
     return expected
+
+
+@njit("int32(int32, int32)", cache=True, nogil=True, error_model="numpy")
+def gain(calm: int, floor: int) -> int:
+    """Returns what share of a residual, in 1/256, the filtered range follows.
+
+    The less, the more returns in a row came without a jump. The quotient is never whole: a float
+    gives the same as division of whole numbers, which a core does one by one.
+    """
+    share = np.int32(np.float32(2 * UNITS) / np.float32(np.int32(calm + calm + 3)))
+    result: int = max(share, floor)
+    return result
+
+
+@njit(
+    "int32(int32[::1], uint8[::1], int32[::1], int32[::1], UniTuple(int32, 2), int32, "
+    "int32[::1], int32[::1], int32[::1], int32[::1])",
+    cache=True,
+    nogil=True,
+)
+def ranges_of_ring(
+    steps: I4,
+    kinds: U1,
+    below: I4,
+    slopes: I4,
+    limits: tuple[int, int],
+    rise: int,
+    calms: I4,
+    moves: I4,
+    here: I4,
+    beams: I4,
+) -> int:
+    """Turns the residuals of a ring into ranges; arrays are as in `describe_lower_ring`.
+
+    Args:
+        steps: residuals, 0 of lost beams.
+        kinds: `GONE` or more for lost beams.
+        below: filtered ranges of the ring below.
+        slopes: how it runs.
+        limits: floor of the gain in 1/256, and steps of a jump.
+        rise: how much farther than the one below it the ring below began.
+        calms: filled with how many returns in a row came without a jump.
+        moves: filled with how far the filtered ranges follow the residuals.
+        here: filled with filtered ranges.
+        beams: filled with ranges.
+
+    Returns:
+        How much farther than the ring below this one begins.
+    """
+    (floor, jump), end = limits, len(steps) - SECTORS
+    calms[:SECTORS] = 0
+    for n in range(SECTORS, end):
+        at, k, calm = u64(n), steps[n], calms[u64(n - SECTORS)]
+        is_jump = np.int32(abs(k)) >= jump
+        moves[at] = k * (np.int32(UNITS) if is_jump else gain(calm, floor))
+        calm = min(np.int32(calm + np.int32(kinds[at] < GONE)), np.int32(CALMEST))
+        calms[at] = np.int32(0) if is_jump else calm
+    change = begins = rise
+    for n in range(SECTORS, 2 * SECTORS):
+        here[n - SECTORS] = below[n] + change
+        here[n] = expect(here[n - SECTORS], below[n], slopes[n]) + moves[n]
+        change = np.int32(here[n] - below[n])
+        begins = change if n == SECTORS else begins
+    for n in range(2 * SECTORS, end):
+        at, last = u64(n), here[u64(n - SECTORS)]
+        here[at] = expect(last, below[at], slopes[at]) + moves[at]
+    for n in range(SECTORS, end):
+        at = u64(n)
+        beams[at] = here[at] - moves[at] + UNITS * steps[at]
+    return begins

@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit
 
 from protocol.codec.prediction import (
+    CALMEST,
     GONE,
     LOST,
     LOST_TOKEN,
@@ -30,7 +31,9 @@ from protocol.codec.prediction import (
     classify,
     describe_lower_ring,
     expect,
+    gain,
     place_ring,
+    ranges_of_ring,
 )
 from protocol.codec.rans import (
     ESCAPE,
@@ -102,9 +105,9 @@ def image_to_symbols(
     units = np.full(wide * SECTORS, np.int32(LOST), np.int32)
     seen, classes = np.zeros(SECTORS, np.int64), np.empty(STRIDE, np.uint16)
     classify(shift, low, classes)
-    gains = np.empty(16, np.int64)
-    for n in range(16):
-        gains[n] = max(UNITS * 2 // (2 * n + 3), floor)
+    gains = np.empty(CALMEST + 1, np.int64)
+    for n in range(len(gains)):
+        gains[n] = gain(n, floor)
     count, words, held, rise = 0, 0, 0, 0
     bits = u64(0)
     for row in range(channels - 1, -1, -1):
@@ -144,7 +147,7 @@ def image_to_symbols(
                 jumps = abs(k) >= jump
                 steps[at] = (fold(k) + 1) * there
                 here[at] = expected + (UNITS if jumps else gains[u64(calm)]) * k
-                seen[sector] = 0 if jumps else min(calm + there, 15)
+                seen[sector] = 0 if jumps else min(calm + there, CALMEST)
         for sector in range(SECTORS):
             kind[sector] = kind_below[SECTORS + sector]
         for at in range(SECTORS, end):
@@ -229,7 +232,7 @@ def symbols_to_points(
         xyz: (returns + 1, 3), filled with points ring by ring, but for the last row.
     """
     channels, columns = len(turns), len(azimuths)
-    floor, jump, shift, low = tuning[0], tuning[1], tuning[2], tuning[3]
+    limits, shift, low = (np.int32(tuning[0]), np.int32(tuning[1])), tuning[2], tuning[3]
     plain = low == 0  # no raw bits but those of escapes
     wide = (columns + SECTORS - 1) // SECTORS
     room, end = (wide + 2) * SECTORS, (wide + 1) * SECTORS
@@ -237,18 +240,16 @@ def symbols_to_points(
     kinds = np.zeros((2, room), np.uint8)
     slopes, bases = np.zeros(room, np.int32), np.zeros(room, np.int16)
     steps, beams = np.zeros(room, np.int32), np.zeros(room, np.int32)
-    seen, classes = np.zeros(SECTORS, np.int64), np.empty(STRIDE, np.uint16)
+    calms, moves = np.zeros(room, np.int32), np.zeros(room, np.int32)
+    classes = np.empty(STRIDE, np.uint16)
     classify(shift, low, classes)
-    gains = np.empty(16, np.int64)
-    for n in range(16):
-        gains[n] = max(UNITS * 2 // (2 * n + 3), floor)
     step_of = np.zeros(STRIDE, np.int32)
     for n in range(ESCAPE):
         step_of[n + 1] = unfold(n)
     tails = len(table_of) - 4
     states = np.empty(STATES, np.uint64)
     read_states(words, states)
-    at_word, at_raw, held, rise = u64(2 * STATES), 0, 0, 0
+    at_word, at_raw, held, rise = u64(2 * STATES), 0, 0, np.int32(0)
     bits = u64(0)
     first = i64(len(xyz)) - 1
     for row in range(channels - 1, -1, -1):
@@ -258,7 +259,6 @@ def symbols_to_points(
         kind, kind_below = kinds[row & 1], kinds[1 - (row & 1)]
         describe_lower_ring(below, kind_below, slopes, bases, wide, shift, marks)
         for sector in range(SECTORS):
-            seen[sector] = 0
             kind[sector] = kind_below[SECTORS + sector]
         returns = 0
         for at in range(SECTORS, end):
@@ -305,31 +305,8 @@ def symbols_to_points(
         first -= returns
         if first < 0:
             return -1
-        change = rise
-        for n in range(SECTORS):
-            sector, at = u64(n), u64(n + SECTORS)
-            here[n] = below[at] + change
-            under, last = i64(below[at]), i64(here[at - u64(SECTORS)])
-            expected = expect(last, under, i64(slopes[at]))
-            k, calm = i64(steps[at]), seen[sector]
-            jumps = abs(k) >= jump
-            beams[at] = expected + UNITS * k
-            here[at] = expected + (UNITS if jumps else gains[u64(calm)]) * k
-            seen[sector] = 0 if jumps else min(calm + i64(kind[at] < GONE), 15)
-            change = i64(here[at]) - under
-            if n == 0:
-                rise = change
-        for column in range(1, wide):  # as above, without the special cases
-            start = u64((column + 1) * SECTORS)
-            for n in range(SECTORS):
-                sector, at = u64(n), start + u64(n)
-                under, last = i64(below[at]), i64(here[at - u64(SECTORS)])
-                expected = expect(last, under, i64(slopes[at]))
-                k, calm = i64(steps[at]), seen[sector]
-                jumps = abs(k) >= jump
-                beams[at] = expected + UNITS * k
-                here[at] = expected + (UNITS if jumps else gains[u64(calm)]) * k
-                seen[sector] = 0 if jumps else min(calm + i64(kind[at] < GONE), 15)
+        given = steps, kind, below, slopes
+        rise = ranges_of_ring(*given, limits, rise, calms, moves, here, beams)
         place_ring(beams, kind, SECTORS, m_per_unit, turns, row, azimuths, xyz, first, returns)
     if at_word != u64(end_word) or at_raw != len(raw) or first != 0:
         return -1
