@@ -81,12 +81,11 @@ def _keys(points: Floats32, side_m: float) -> tuple[Ints, Ints]:
     x0, y0, z0 = np.float64(low_x), np.float64(low_y), np.float64(low_z)
     step_x, step_y = rows * layers, layers
     keys = np.empty(points.shape[0], np.int64)
-    for index in range(points.shape[0]):
-        keys[index] = (
-            np.int64((points[index, 0] - x0) * per_m) * step_x
-            + np.int64((points[index, 1] - y0) * per_m) * step_y
-            + np.int64((points[index, 2] - z0) * per_m)
-        )
+    for place in range(points.shape[0]):
+        index = np.uint64(place)
+        x, y, z = points[index, 0] - x0, points[index, 1] - y0, points[index, 2] - z0
+        column, row, layer = np.int32(x * per_m), np.int32(y * per_m), np.int32(z * per_m)
+        keys[index] = column * step_x + row * step_y + layer
     return keys, np.array([step_x, step_y, 1])
 
 

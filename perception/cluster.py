@@ -279,6 +279,8 @@ def _touch(
     square_m2: float,
 ) -> bool:
     """Whether two cells have core points that are neighbours."""
+    if _gap(bounds[cell], bounds[other])[0] > square_m2:
+        return False
     first, end = starts[other], starts[other + 1]
     patience = _PATIENCE * (starts[cell + 1] - starts[cell] + end - first) + FEW * FEW
     for i in range(starts[cell], starts[cell + 1]):

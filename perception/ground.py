@@ -304,11 +304,12 @@ def _over_tiles(
     )
     first = 0
     while first < size:
-        end = first + 1
-        while end < size and tiles[end] == tiles[first]:
+        tile, end = tiles[np.uint64(first)], first + 1
+        while end < size and tiles[np.uint64(end)] == tile:
             end += 1
-        along_x, along_y, middle_m, low_m, high_m = layers[tiles[first]]
-        for index in range(first, end):
+        along_x, along_y, middle_m, low_m, high_m = layers[tile]
+        for place in range(first, end):
+            index = np.uint64(place)
             x, y, z = points[index, 0], points[index, 1], points[index, 2]
             ground_m = along_x * x + along_y * y + middle_m
             ground_m += share * road_m[index]
