@@ -1,7 +1,7 @@
 """Array types that the stages share.
 
-Compiled loops over points assert how many columns an array has: what the compiler knows to lie three
-numbers apart it takes from memory, and works on, eight points at once.
+Compiled loops over points assert how many columns an array has: only then does the compiler know
+how far apart points lie, and works on eight of them at once.
 """
 
 import numpy as np

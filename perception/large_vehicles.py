@@ -42,12 +42,17 @@ def join_parts(
 )
 def _top_m(points: Floats32, ground_m: Floats32, runs: Ints, count: int) -> Floats:
     """Returns how high so many clusters reach over the ground (C,)."""
-    top_m = np.zeros(count)
+    assert points.shape[1] == 3
+    top_m = np.zeros(count, np.float32)
     for run in range(runs.shape[0]):
         label, first, end = runs[run, 0], runs[run, 1], runs[run, 2]
-        for index in range(first, end):
-            top_m[label] = max(top_m[label], points[index, 2] - ground_m[index])
-    return top_m
+        highest_m = top_m[label]
+        for place in range(first, end):
+            index = np.uint64(place)
+            over_m = points[index, 2] - ground_m[index]
+            highest_m = over_m if over_m > highest_m else highest_m
+        top_m[label] = highest_m
+    return top_m.astype(np.float64)
 
 
 @njit(
@@ -60,15 +65,22 @@ def _extents(points: Floats32, runs: Ints, middles: Floats, yaws: Floats) -> Flo
 
     Backward and forward, then to the right and to the left.
     """
+    assert points.shape[1] == 3
     extents = np.zeros((middles.shape[0], 4))
     cos, sin = np.cos(yaws), np.sin(yaws)
     for run in range(runs.shape[0]):
         label, first, end = runs[run, 0], runs[run, 1], runs[run, 2]
-        ahead, aside = cos[label], sin[label]
+        ahead, aside, middle_x, middle_y = (
+            cos[label],
+            sin[label],
+            middles[label, 0],
+            middles[label, 1],
+        )
         back, front = extents[label, 0], extents[label, 1]
         right, left = extents[label, 2], extents[label, 3]
-        for index in range(first, end):
-            x, y = points[index, 0] - middles[label, 0], points[index, 1] - middles[label, 1]
+        for place in range(first, end):
+            index = np.uint64(place)
+            x, y = points[index, 0] - middle_x, points[index, 1] - middle_y
             along, across = ahead * x + aside * y, ahead * y - aside * x
             back, front = min(back, along), max(front, along)
             right, left = min(right, across), max(left, across)

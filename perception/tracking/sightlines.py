@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from perception.arrays import Bools, Floats, Floats32
+from perception.parallel import each
 
 SECTORS = 360
 RINGS = 128
@@ -42,8 +43,11 @@ class SightLines:
             heights_m: of each over the road (P,).
         """
         ground = np.zeros((len(sensors), SECTORS, RINGS), np.bool_)
-        for index, points in enumerate(lowest):
-            _draw(points, sensors[index], ground[index])
+
+        def draw(index: int) -> None:
+            _draw(lowest[index], sensors[index], ground[index])
+
+        each(draw, range(len(lowest)))
         return cls(np.ascontiguousarray(sensors), heights_m, ground)
 
     def empty(self, boxes: Floats) -> Floats:
