@@ -195,16 +195,89 @@ def expect(last: int, under: int, slope: int) -> int:
     return expected
 
 
-@njit("int32(int32, int32)", cache=True, nogil=True, error_model="numpy")
-def gain(calm: int, floor: int) -> int:
-    """Returns what share of a residual, in 1/256, the filtered range follows.
+@njit("int32(int32, int32, int32, int32)", cache=True, nogil=True, error_model="numpy")
+def follow(k: int, calm: int, floor: int, jump: int) -> int:
+    """Returns how far, in units, the filtered range follows a residual of k steps.
 
-    The less, the more returns in a row came without a jump. The quotient is never whole: a float
-    gives the same as division of whole numbers, which a core does one by one.
+    All the way where it jumps; else the less, the more returns in a row came without a jump. The
+    quotient is never whole: a float gives the same as a division of whole numbers, which a core
+    does one by one.
     """
-    share = np.int32(np.float32(2 * UNITS) / np.float32(np.int32(calm + calm + 3)))
-    result: int = max(share, floor)
+    gain = np.int32(np.float32(2 * UNITS) / np.float32(np.int32(calm + calm + 3)))
+    is_jump = np.int32(abs(k)) >= jump
+    moved: int = k * (np.int32(UNITS) if is_jump else max(gain, floor))
+    return moved
+
+
+@njit("int32(int32, int32, int32, int32)", cache=True, nogil=True)
+def still_calm(k: int, calm: int, there: int, jump: int) -> int:
+    """Returns how many returns in a row came without a jump, after one more beam."""
+    calmer = min(np.int32(calm + there), np.int32(CALMEST))
+    result: int = np.int32(0) if np.int32(abs(k)) >= jump else calmer
     return result
+
+
+@njit("int32(int32, int32)", cache=True, nogil=True)
+def residual(beam: int, expected: int) -> int:
+    """Returns a beam's residual in whole steps, 0 of a lost one."""
+    k = np.int32(beam - expected + UNITS // 2) >> np.int32(8)
+    result: int = k if beam >= np.int32(0) else np.int32(0)
+    return result
+
+
+@njit(
+    "int32(int32[::1], int32[::1], int32[::1], UniTuple(int32, 2), int32, int32[::1], int32[::1], "
+    "int32[::1])",
+    cache=True,
+    nogil=True,
+)
+def residuals_of_ring(
+    beams: I4,
+    below: I4,
+    slopes: I4,
+    limits: tuple[int, int],
+    rise: int,
+    calms: I4,
+    here: I4,
+    steps: I4,
+) -> int:
+    """Finds the residuals of a ring; arrays are as in `describe_lower_ring`.
+
+    Args:
+        beams: ranges, `LOST` of lost beams.
+        below: filtered ranges of the ring below.
+        slopes: how it runs.
+        limits: floor of the gain in 1/256, and steps of a jump.
+        rise: how much farther than the one below it the ring below began.
+        calms: filled with how many returns in a row came without a jump.
+        here: filled with filtered ranges.
+        steps: filled with folded residuals and one, 0 of lost beams.
+
+    Returns:
+        How much farther than the ring below this one begins.
+    """
+    (floor, jump), end = limits, len(steps) - SECTORS
+    change = begins = rise
+    for n in range(SECTORS, 2 * SECTORS):
+        here[n - SECTORS] = below[n] + change
+        expected = expect(here[n - SECTORS], below[n], slopes[n])
+        k = residual(beams[n], expected)
+        here[n] = expected + follow(k, np.int32(0), floor, jump)
+        calms[n] = still_calm(k, np.int32(0), np.int32(beams[n] >= 0), jump)
+        change = np.int32(here[n] - below[n])
+        begins = change if n == SECTORS else begins
+    for n in range(2 * SECTORS, end):
+        at, last, calm = u64(n), here[u64(n - SECTORS)], calms[u64(n - SECTORS)]
+        expected = expect(last, below[at], slopes[at])
+        k = residual(beams[at], expected)
+        here[at] = expected + follow(k, calm, floor, jump)
+        calms[at] = still_calm(k, calm, np.int32(beams[at] >= 0), jump)
+    for n in range(SECTORS, end):
+        at, last = u64(n), here[u64(n - SECTORS)]
+        k = residual(beams[at], expect(last, below[at], slopes[at]))
+        folded = np.int32((k << np.int32(1)) ^ (k >> np.int32(31))) + np.int32(1)
+        steps[at] = folded if beams[at] >= np.int32(0) else np.int32(0)
+    return begins
 
 
 @njit(
@@ -225,31 +298,26 @@ def ranges_of_ring(
     here: I4,
     beams: I4,
 ) -> int:
-    """Turns the residuals of a ring into ranges; arrays are as in `describe_lower_ring`.
+    """Reverses `residuals_of_ring`.
 
     Args:
         steps: residuals, 0 of lost beams.
         kinds: `GONE` or more for lost beams.
-        below: filtered ranges of the ring below.
-        slopes: how it runs.
-        limits: floor of the gain in 1/256, and steps of a jump.
-        rise: how much farther than the one below it the ring below began.
-        calms: filled with how many returns in a row came without a jump.
+        below: as there, and so on.
+        slopes: as there.
+        limits: as there.
+        rise: as there.
+        calms: as there.
         moves: filled with how far the filtered ranges follow the residuals.
-        here: filled with filtered ranges.
+        here: as there.
         beams: filled with ranges.
-
-    Returns:
-        How much farther than the ring below this one begins.
     """
     (floor, jump), end = limits, len(steps) - SECTORS
     calms[:SECTORS] = 0
     for n in range(SECTORS, end):
-        at, k, calm = u64(n), steps[n], calms[u64(n - SECTORS)]
-        is_jump = np.int32(abs(k)) >= jump
-        moves[at] = k * (np.int32(UNITS) if is_jump else gain(calm, floor))
-        calm = min(np.int32(calm + np.int32(kinds[at] < GONE)), np.int32(CALMEST))
-        calms[at] = np.int32(0) if is_jump else calm
+        at, calm = u64(n), calms[u64(n - SECTORS)]
+        moves[at] = follow(steps[at], calm, floor, jump)
+        calms[at] = still_calm(steps[at], calm, np.int32(kinds[at] < GONE), jump)
     change = begins = rise
     for n in range(SECTORS, 2 * SECTORS):
         here[n - SECTORS] = below[n] + change

@@ -19,7 +19,6 @@ import numpy as np
 from numba import njit
 
 from protocol.codec.prediction import (
-    CALMEST,
     GONE,
     LOST,
     LOST_TOKEN,
@@ -27,13 +26,11 @@ from protocol.codec.prediction import (
     STRIDE,
     TAIL,
     TOKENS,
-    UNITS,
     classify,
     describe_lower_ring,
-    expect,
-    gain,
     place_ring,
     ranges_of_ring,
+    residuals_of_ring,
 )
 from protocol.codec.rans import (
     ESCAPE,
@@ -94,7 +91,7 @@ def image_to_symbols(
         sizes: filled with the number of symbols, of raw words and of points.
     """
     channels, columns = range_m.shape
-    floor, jump, shift, low = tuning[0], tuning[1], tuning[2], tuning[3]
+    limits, shift, low = (np.int32(tuning[0]), np.int32(tuning[1])), tuning[2], tuning[3]
     plain = low == 0  # no raw bits but those of escapes
     wide = (columns + SECTORS - 1) // SECTORS
     room, end = (wide + 2) * SECTORS, (wide + 1) * SECTORS
@@ -103,12 +100,9 @@ def image_to_symbols(
     slopes, bases = np.zeros(room, np.int32), np.zeros(room, np.int16)
     beams, steps = np.full(room, np.int32(LOST), np.int32), np.zeros(room, np.int32)
     units = np.full(wide * SECTORS, np.int32(LOST), np.int32)
-    seen, classes = np.zeros(SECTORS, np.int64), np.empty(STRIDE, np.uint16)
+    calms, classes = np.zeros(room, np.int32), np.empty(STRIDE, np.uint16)
     classify(shift, low, classes)
-    gains = np.empty(CALMEST + 1, np.int64)
-    for n in range(len(gains)):
-        gains[n] = gain(n, floor)
-    count, words, held, rise = 0, 0, 0, 0
+    count, words, held, rise = 0, 0, 0, np.int32(0)
     bits = u64(0)
     for row in range(channels - 1, -1, -1):
         here, below = lines[row & 1], lines[1 - (row & 1)]
@@ -117,37 +111,12 @@ def image_to_symbols(
         for column in range(columns):
             metres = range_m[row, column]
             units[column] = np.int32(metres * units_per_m + 0.5) if metres > 0 else np.int32(LOST)
-        seen[:] = 0
         for column in range(wide):
             start = u64((column + 1) * SECTORS)
             for n in range(SECTORS):
                 beams[start + u64(n)] = units[u64(n * wide + column)]
-        change = rise
-        for at in range(SECTORS, 2 * SECTORS):
-            under = i64(below[at])
-            here[at - SECTORS] = under + change
-            expected = expect(i64(here[at - SECTORS]), under, i64(slopes[at]))
-            there = i64(beams[at] >= 0)
-            k = ((i64(beams[at]) - expected + UNITS // 2) >> 8) * there
-            jumps = abs(k) >= jump
-            steps[at] = (fold(k) + 1) * there
-            here[at] = expected + (UNITS if jumps else gains[0]) * k
-            seen[at & 7] = 0 if jumps else there
-            change = i64(here[at]) - under
-            if at == SECTORS:
-                rise = change
-        for column in range(1, wide):  # as above, without the special cases
-            start = u64((column + 1) * SECTORS)
-            for n in range(SECTORS):
-                sector, at = u64(n), start + u64(n)
-                under, last = i64(below[at]), i64(here[at - u64(SECTORS)])
-                expected = expect(last, under, i64(slopes[at]))
-                there, calm = i64(beams[at] >= 0), seen[sector]
-                k = ((i64(beams[at]) - expected + UNITS // 2) >> 8) * there
-                jumps = abs(k) >= jump
-                steps[at] = (fold(k) + 1) * there
-                here[at] = expected + (UNITS if jumps else gains[u64(calm)]) * k
-                seen[sector] = 0 if jumps else min(calm + there, CALMEST)
+        given = beams, below, slopes
+        rise = residuals_of_ring(*given, limits, rise, calms, here, steps)
         for sector in range(SECTORS):
             kind[sector] = kind_below[SECTORS + sector]
         for at in range(SECTORS, end):
