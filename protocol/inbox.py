@@ -1,10 +1,10 @@
 """The inbox: a bounded queue of what arrives from all buses, with a quota for each sender.
 
 A sender is the process in a message's key. Each process that is present has a quota of its own; all
-others share one, so that inventing senders gains nothing, and so do messages without a process in
-their key. A quota is half of what is free (dynamic thresholds: Choudhury and Hahne 1998), so that a
-sender alone may take a third of the whole, and where `n` flood at once, one more still has two
-thirds of the equal share, 1 / (n + 2).
+others share one, so that inventing senders gains nothing; messages without a process in their key
+share one for each topic. A quota is half of what is free (dynamic thresholds: Choudhury and Hahne
+1998), so that a sender alone may take a third of the whole, and where `n` flood at once, one more
+still has two thirds of the equal share, 1 / (n + 2).
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ from protocol.messages import Message
 from protocol.topics import TOPICS, BusName, Topic
 from protocol.wire import decode
 
-STRANGERS, UNSIGNED = "", "/"  # no process has such an id
+STRANGERS = ""
+UNSIGNED = "/"  # before a topic's name; no process has such an id
 
 
 @dataclass(slots=True)
@@ -54,7 +55,7 @@ class SenderQuotas:
         self._max_bytes = max_bytes
         self._is_paced = is_paced
         self._known: set[str] = set()
-        self._senders: dict[str, _Sender] = {STRANGERS: _Sender(), UNSIGNED: _Sender()}
+        self._senders: dict[str, _Sender] = {STRANGERS: _Sender()}
         self._all = _Sender()
         self._per_s = self._rate_per_s()
 
@@ -67,15 +68,16 @@ class SenderQuotas:
             self._known.add(process)
         self._per_s = self._rate_per_s()
 
-    def sender_of(self, process: str | None) -> str:
-        """Returns whose quota a message takes; `process` is None where the key names none."""
+    def sender_of(self, topic: Topic, key: str) -> str:
+        """Returns whose quota a message takes."""
+        process = topic.process(key)
         if process is None:
-            return UNSIGNED
+            return UNSIGNED + topic.name
         return process if process in self._known else STRANGERS
 
     def keeps_pace(self, sender: str, now_ns: int) -> bool:
         """Whether a sender's rate allows one more message; each attempt counts for it."""
-        if sender == UNSIGNED or not (self._is_paced or sender == STRANGERS):
+        if sender.startswith(UNSIGNED) or not (self._is_paced or sender == STRANGERS):
             return True
         return self._take_token(self._senders.setdefault(sender, _Sender()), now_ns)
 
@@ -97,7 +99,7 @@ class SenderQuotas:
 
     def _forget(self, sender: str) -> None:
         """Lets a sender go that has left and of which nothing waits."""
-        if sender in self._known or sender in (STRANGERS, UNSIGNED):
+        if sender in self._known or sender == STRANGERS:
             return
         if sender in self._senders and not self._senders[sender].messages:
             del self._senders[sender]
@@ -300,7 +302,7 @@ class Inbox:
         if self._quotas is None:
             return item
         if isinstance(item, RawMessage):
-            sender = self._quotas.sender_of(item.topic.process(item.key))
+            sender = self._quotas.sender_of(item.topic, item.key)
             keeps_pace = self._quotas.keeps_pace(sender, item.received_ns)
             return replace(item, sender=sender) if keeps_pace else None
         self._quotas.show(item.id, alive=item.alive)

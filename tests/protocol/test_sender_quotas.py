@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from protocol.inbox import Envelope, Inbox, Presence, RawMessage, SenderQuotas
 from protocol.limits import MAX_SENDERS, MIN_QUOTA_PER_S
 from protocol.messages import AgentPose, Equipment, Roster
-from protocol.topics import TOPICS
+from protocol.topics import TOPICS, Topic
 from protocol.wire import encode
 
 SECOND_NS = 1_000_000_000
@@ -19,6 +19,16 @@ def roster(process: str, frame: int = 1, at_ns: int = 0) -> RawMessage:
     said = Roster(frame=frame, process=process, agents=[], scanning=[])
     key = TOPICS["roster"].key(region="r0", process=process)
     return RawMessage(TOPICS["roster"], key, encode(said), at_ns)
+
+
+def of(process: str) -> tuple[Topic, str]:
+    """A topic that a process signs, and its key."""
+    return TOPICS["roster"], TOPICS["roster"].key(region="r0", process=process)
+
+
+def unsigned(topic: str, at_ns: int = 0, **parts: str) -> RawMessage:
+    """What an inbox takes unread: a message whose key names no process."""
+    return RawMessage(TOPICS[topic], TOPICS[topic].key(**parts), b"", at_ns)
 
 
 def pose(process: str, agent: str, at_ns: int = 0) -> RawMessage:
@@ -99,6 +109,22 @@ def test_a_flood_under_many_processes_names_has_one_share():
     assert len(came) == 13 + 60 // 3
 
 
+@pytest.mark.parametrize("is_paced", [True, False])
+def test_a_flood_of_one_topic_that_no_process_signs_leaves_room_for_another(is_paced: bool) -> None:
+    inbox = shared(60, "good", is_paced=is_paced)
+    inbox.keep_encoded()
+    for number in range(500):
+        inbox.put(unsigned("lanes", region="r0", tls=f"invented-{number}"))
+    for _ in range(6):
+        inbox.put(unsigned("tick"))
+        inbox.put(roster("good"))
+    came = []
+    while isinstance(item := inbox.get(), Envelope):
+        came.append(item.topic)
+    assert came.count("lanes") == 60 // 3
+    assert (came.count("tick"), came.count("roster")) == (6, 6)
+
+
 def test_what_is_read_makes_room_again():
     inbox = shared(8, "one")
     for _ in range(5):
@@ -155,7 +181,7 @@ def test_shares_never_exceed_the_whole(steps: list[tuple[str, int, bool]]) -> No
     for process in "abc":
         shares.show(process, alive=True)
     for process, size, is_read in steps:
-        sender = shares.sender_of(process)
+        sender = shares.sender_of(*of(process))
         if is_read and sizes[sender]:
             shares.add(sender, (-1, -sizes[sender].pop()))
         elif shares.has_room(sender, (1, size)):
@@ -170,8 +196,8 @@ def test_only_so_many_have_a_share_of_their_own(count: int) -> None:
     shares = SenderQuotas(1000, 1000, is_paced=False)
     for number in range(count):
         shares.show(f"p{number}", alive=True)
-    assert shares.sender_of("p0") == "p0"
-    assert shares.sender_of(f"p{count - 1}") == ""
+    assert shares.sender_of(*of("p0")) == "p0"
+    assert shares.sender_of(*of(f"p{count - 1}")) == ""
 
 
 def test_who_shows_itself_late_keeps_what_waits_and_leaves_nothing_behind():
@@ -189,4 +215,5 @@ def test_who_shows_itself_late_keeps_what_waits_and_leaves_nothing_behind():
     inbox.get()
     shares = inbox._quotas
     assert shares is not None
-    assert [(one.messages, one.size_bytes) for one in shares._senders.values()] == [(0, 0)] * 2
+    left = {name: (one.messages, one.size_bytes) for name, one in shares._senders.items()}
+    assert left == {"": (0, 0)}  # that of strangers
