@@ -82,10 +82,10 @@ def _keys(points: Floats32, side_m: float) -> tuple[Ints, Ints]:
     step_x, step_y = rows * layers, layers
     keys = np.empty(points.shape[0], np.int64)
     for place in range(points.shape[0]):
-        index = np.uint64(place)
-        x, y, z = points[index, 0] - x0, points[index, 1] - y0, points[index, 2] - z0
+        point = np.uint64(place)
+        x, y, z = points[point, 0] - x0, points[point, 1] - y0, points[point, 2] - z0
         column, row, layer = np.int32(x * per_m), np.int32(y * per_m), np.int32(z * per_m)
-        keys[index] = column * step_x + row * step_y + layer
+        keys[point] = column * step_x + row * step_y + layer
     return keys, np.array([step_x, step_y, 1])
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from protocol.codec.rans import ESCAPE, I2, I4, I8, TAIL_ALPHABET, U1, U2, u64
+from protocol.codec.rans import ESCAPE, I2, I4, I8, TAIL_ALPHABET, U1, U2, i32, u64
 from protocol.scans import Floats, Floats32
 
 STRIDE = TAIL_ALPHABET
@@ -189,7 +189,7 @@ def expect(last: int, under: int, slope: int) -> int:
     It is the median of the one to the left, the one below, and the one to the left as much farther
     as the ring below runs there.
     """
-    across, level = np.int32(under - last), np.int32(0)
+    across, level = i32(under - last), i32(0)
     least, most = min(across, level), max(across, level)
     expected: int = last + max(least, min(most, slope))
     return expected
@@ -203,25 +203,25 @@ def follow(k: int, calm: int, floor: int, jump: int) -> int:
     quotient is never whole: a float gives the same as a division of whole numbers, which a core
     does one by one.
     """
-    gain = np.int32(np.float32(2 * UNITS) / np.float32(np.int32(calm + calm + 3)))
-    is_jump = np.int32(abs(k)) >= jump
-    moved: int = k * (np.int32(UNITS) if is_jump else max(gain, floor))
+    gain = i32(np.float32(2 * UNITS) / np.float32(i32(calm + calm + 3)))
+    is_jump = i32(abs(k)) >= jump
+    moved: int = k * (i32(UNITS) if is_jump else max(gain, floor))
     return moved
 
 
 @njit("int32(int32, int32, int32, int32)", cache=True, nogil=True)
 def still_calm(k: int, calm: int, there: int, jump: int) -> int:
     """Returns how many returns in a row came without a jump, after one more beam."""
-    calmer = min(np.int32(calm + there), np.int32(CALMEST))
-    result: int = np.int32(0) if np.int32(abs(k)) >= jump else calmer
+    calmer = min(i32(calm + there), i32(CALMEST))
+    result: int = i32(0) if i32(abs(k)) >= jump else calmer
     return result
 
 
 @njit("int32(int32, int32)", cache=True, nogil=True)
 def residual(beam: int, expected: int) -> int:
     """Returns a beam's residual in whole steps, 0 of a lost one."""
-    k = np.int32(beam - expected + UNITS // 2) >> np.int32(8)
-    result: int = k if beam >= np.int32(0) else np.int32(0)
+    k = i32(beam - expected + UNITS // 2) >> i32(8)
+    result: int = k if beam >= i32(0) else i32(0)
     return result
 
 
@@ -262,21 +262,21 @@ def residuals_of_ring(
         here[n - SECTORS] = below[n] + change
         expected = expect(here[n - SECTORS], below[n], slopes[n])
         k = residual(beams[n], expected)
-        here[n] = expected + follow(k, np.int32(0), floor, jump)
-        calms[n] = still_calm(k, np.int32(0), np.int32(beams[n] >= 0), jump)
-        change = np.int32(here[n] - below[n])
+        here[n] = expected + follow(k, i32(0), floor, jump)
+        calms[n] = still_calm(k, i32(0), i32(beams[n] >= 0), jump)
+        change = i32(here[n] - below[n])
         begins = change if n == SECTORS else begins
     for n in range(2 * SECTORS, end):
         at, last, calm = u64(n), here[u64(n - SECTORS)], calms[u64(n - SECTORS)]
         expected = expect(last, below[at], slopes[at])
         k = residual(beams[at], expected)
         here[at] = expected + follow(k, calm, floor, jump)
-        calms[at] = still_calm(k, calm, np.int32(beams[at] >= 0), jump)
+        calms[at] = still_calm(k, calm, i32(beams[at] >= 0), jump)
     for n in range(SECTORS, end):
         at, last = u64(n), here[u64(n - SECTORS)]
         k = residual(beams[at], expect(last, below[at], slopes[at]))
-        folded = np.int32((k << np.int32(1)) ^ (k >> np.int32(31))) + np.int32(1)
-        steps[at] = folded if beams[at] >= np.int32(0) else np.int32(0)
+        folded = i32((k << i32(1)) ^ (k >> i32(31))) + i32(1)
+        steps[at] = folded if beams[at] >= i32(0) else i32(0)
     return begins
 
 
@@ -317,12 +317,12 @@ def ranges_of_ring(
     for n in range(SECTORS, end):
         at, calm = u64(n), calms[u64(n - SECTORS)]
         moves[at] = follow(steps[at], calm, floor, jump)
-        calms[at] = still_calm(steps[at], calm, np.int32(kinds[at] < GONE), jump)
+        calms[at] = still_calm(steps[at], calm, i32(kinds[at] < GONE), jump)
     change = begins = rise
     for n in range(SECTORS, 2 * SECTORS):
         here[n - SECTORS] = below[n] + change
         here[n] = expect(here[n - SECTORS], below[n], slopes[n]) + moves[n]
-        change = np.int32(here[n] - below[n])
+        change = i32(here[n] - below[n])
         begins = change if n == SECTORS else begins
     for n in range(2 * SECTORS, end):
         at, last = u64(n), here[u64(n - SECTORS)]

@@ -21,6 +21,7 @@ ESCAPE = 15
 TAIL_ALPHABET = 64
 
 # As Any, for in a kernel they are plain numbers of their width.
+i32: Any = np.int32
 i64: Any = np.int64
 u64: Any = np.uint64
 
