@@ -33,15 +33,22 @@ from perception.pillars.weights import load, save
 from protocol.config import is_file
 from protocol.errors import ConfigError
 
-KEPT_SHARE = 0.4  # of the machine's memory
+KEPT_SHARE = 0.4  # of the memory that this process may have
+_CGROUP_MAX = Path("/sys/fs/cgroup/memory.max")  # a container's limit, or "max"
+
+
+def memory_bytes(cgroup_max: Path = _CGROUP_MAX) -> int:
+    """Returns how much memory there is: the machine's, or less where a container is given less."""
+    machine_bytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    limit = cgroup_max.read_text().strip() if cgroup_max.is_file() else "max"
+    return min(machine_bytes, int(limit)) if limit.isdecimal() else machine_bytes
 
 
 class PlacedSamples:
     """One split of a data set; many threads may ask it."""
 
     def __init__(self, dataset: Dataset, split: Split) -> None:
-        memory_bytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-        self._room_bytes = KEPT_SHARE * memory_bytes
+        self._room_bytes = KEPT_SHARE * memory_bytes()
         self._dataset = dataset
         self._samples = dataset.samples(split)
         self._kept: dict[int, PlacedSample] = {}

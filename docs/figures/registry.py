@@ -200,7 +200,7 @@ _LIST = (
     ),
     Figure(
         "accuracy-full",
-        f"[ -e hard15 ] || {_HARD15} >&2; cpnet eval hard15 --detectors pointpillars-full --json",
+        f"rm -rf hard15; {_HARD15} >&2; cpnet eval hard15 --detectors pointpillars-full --json",
         (*PERCEPTION, "sensing", "learning", "studies/evaluate.py", "studies/average_precision.py"),
         40,
         (
@@ -292,7 +292,7 @@ _LIST = (
     ),
     Figure(
         "unseen",
-        f"[ -e hard15 ] || {_HARD15} >&2; "
+        f"rm -rf hard15; {_HARD15} >&2; "
         "cpnet study $ROOT/docs/figures/unseen.yaml --out unseen >&2; " + _rows_of("unseen"),
         (*STUDY, "cpnet/realism"),
         10,

@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch", reason="needs the extra `learn`")
 from safetensors.torch import load_file, save_file  # noqa: E402 - after the check for torch
 
 from learning.examples import PlacedSample  # noqa: E402
-from learning.training import Recipe, Trainer  # noqa: E402
+from learning.training import Recipe, Trainer, memory_bytes  # noqa: E402
 from perception.pillars.config import PillarsConfig  # noqa: E402
 from perception.pillars.weights import load, save  # noqa: E402
 from protocol.errors import ConfigError  # noqa: E402
@@ -22,6 +22,15 @@ pytestmark = pytest.mark.slow
 TINY = PillarsConfig(pillar_channels=8, channels=(8, 8, 8), layers=(0, 0, 0), up_channels=8)
 RECIPE = Recipe(steps=4, windows=2, cells=64)
 CPU = torch.device("cpu")
+
+
+@pytest.mark.parametrize(("limit", "is_less"), [("1000000\n", True), ("max\n", False), (None, False)])
+def test_a_container_has_the_memory_that_it_is_given(
+    tmp_path: Path, limit: str | None, is_less: bool
+) -> None:
+    if limit is not None:
+        (tmp_path / "memory.max").write_text(limit)
+    assert (memory_bytes(tmp_path / "memory.max") == 1_000_000) == is_less
 
 
 def sample(seed: int) -> PlacedSample:
