@@ -24,7 +24,9 @@ RECIPE = Recipe(steps=4, windows=2, cells=64)
 CPU = torch.device("cpu")
 
 
-@pytest.mark.parametrize(("limit", "is_less"), [("1000000\n", True), ("max\n", False), (None, False)])
+@pytest.mark.parametrize(
+    ("limit", "is_less"), [("1000000\n", True), ("max\n", False), (None, False)]
+)
 def test_a_container_has_the_memory_that_it_is_given(
     tmp_path: Path, limit: str | None, is_less: bool
 ) -> None:
