@@ -33,6 +33,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from cpnet.main_module import without_main
 from cpnet.shadowing import ROOT
 from protocol.errors import ConfigError
+from protocol.starting import signals_deferred
 
 _PACKAGES = (
     *("protocol", "perception", "sensing", "sim_host", "vehicle_agent", "infra_agent"),
@@ -115,7 +116,7 @@ def _compile(todo: dict[str, set[str]], jobs: int, advance: Callable[[], object]
             ready = [name for name, needs in waiting.items() if needs <= done]
             for name in sorted(ready, key=lambda name: -_weight(name)):
                 del waiting[name]
-                with _without_interrupts():
+                with signals_deferred(), _without_interrupts():
                     running[pool.submit(_import, name)] = name
             finished, _ = wait(running, return_when=FIRST_COMPLETED)
             for future in finished:
@@ -137,7 +138,7 @@ def _ending_processes() -> Iterator[None]:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Holds Ctrl-C back; processes that are started meanwhile never hear it."""
+    """Blocks Ctrl-C; processes that are started meanwhile never hear it."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -23,9 +23,8 @@ from setproctitle import setproctitle
 from cpnet.main_module import without_main
 from cpnet.shadowing import same_path
 from protocol.errors import CpnetError
+from protocol.starting import ONE_THREAD
 
-ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-"""Processes are the unit that work is spread by: a BLAS that spins on all cores slows the rest."""
 LOG_NAME = "fork-server.log"
 UNKNOWN_STATUS = 255  # of multiprocessing, where the fork server has gone
 STATUS_WAIT_S = 1.0  # the fork server learns of an exit at once

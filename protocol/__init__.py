@@ -10,6 +10,7 @@
 `access`            certificates, and who may publish and subscribe to what
 `process`           the life of a role's process; `logs`, `version`, `plugins`, `config` and
                     `extras` serve it
+`starting`          what whoever starts processes needs
 `clock`             offsets between the clocks of machines
 `sequence_window`   which frame numbers can be real
 `tcpinfo`           the kernel's counters of a connection

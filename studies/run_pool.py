@@ -10,7 +10,7 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from multiprocessing import forkserver
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerContext, ForkServerProcess
@@ -18,10 +18,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from protocol.errors import ConfigError
+from protocol.starting import ONE_THREAD, signals_deferred
 
 _PRELOAD = ["studies.perceived_case", "studies.bench_control"]
-_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # runs take the cores
-DEFERRED = (signal.SIGINT, signal.SIGTERM)
 Task = TypeVar("Task")
 Done = TypeVar("Done")
 
@@ -70,28 +69,11 @@ def run_each(
             connection.close()
 
 
-@contextmanager
-def signals_deferred() -> Iterator[None]:
-    """Defers Ctrl-C and SIGTERM: a process whose start breaks off half-way prints a traceback.
-
-    From the main thread only. To block them would not do, for other threads may receive them.
-    """
-    received: list[int] = []
-    before = {one: signal.signal(one, lambda n, _: received.append(n)) for one in DEFERRED}
-    try:
-        yield
-    finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)
-    for number in received[:1]:
-        signal.raise_signal(number)
-
-
 def _fork_server() -> ForkServerContext:
     """Starts the process that all are forked off, if none runs; they ignore Ctrl-C as it does."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(_PRELOAD)
-    os.environ.update(_ONE_THREAD)
+    os.environ.update(ONE_THREAD)
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         forkserver.ensure_running()

@@ -22,7 +22,7 @@ from distributed.comm import connect
 from distributed.security import Security
 
 from protocol.errors import ConfigError
-from studies.run_pool import DEFERRED, signals_deferred
+from protocol.starting import DEFERRED, signals_deferred
 
 LOOPBACK = "127.0.0.1"
 CONNECT_S = 10.0

@@ -29,7 +29,7 @@ from setproctitle import getproctitle, setproctitle
 from cpnet import cli
 from cpnet.__main__ import main
 from cpnet.endpoints import free_locator
-from cpnet.fork_server import ONE_THREAD
+from protocol.starting import ONE_THREAD
 from recording.latency_breakdown import stage_sum_ns
 from recording.run import Run
 from recording.tables import FrameRow, LatencyRow
