@@ -47,6 +47,9 @@ def dataset_command(
     split: Annotated[
         str | None, typer.Option(help="only its networks: train, val or test; default all")
     ] = None,
+    furniture: Annotated[
+        float, typer.Option(help="walls, hedges and such per 100 m of road's edge, at most")
+    ] = 0.0,
     jobs: Annotated[int | None, typer.Option(help="processes; default one a core")] = None,
 ) -> None:
     """Write labelled scans of many generated junctions, for training."""
@@ -54,7 +57,7 @@ def dataset_command(
 
     scenario = scenarios.load("t_junction", {"realism": realism})
     world = None if realism == "paper" else scenario.model_dump(mode="json")
-    spec = DatasetSpec(networks, samples, seed, realism, world, split)
+    spec = DatasetSpec(networks, samples, seed, realism, world, split, furniture)
     columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()]
     with Progress(*columns, TimeElapsedColumn(), console=errors, transient=True) as progress:
         task = progress.add_task("networks", total=len(spec.made))

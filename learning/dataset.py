@@ -86,6 +86,7 @@ class Info(BaseModel):
     seed: int
     realism: str = "paper"
     split: str | None = None
+    furniture_per_100m: float = 0.0
 
 
 class SensorPoses(BaseModel):

@@ -35,7 +35,7 @@ from learning.scanner import JunctionScanner
 from learning.sites import World, draw_site
 from protocol.errors import ConfigError
 
-MAX_NETWORKS, MAX_SAMPLES = 1000, 500
+MAX_NETWORKS, MAX_SAMPLES, MAX_FURNITURE_PER_100M = 1000, 500, 30
 _PARTS = ".parts"
 
 
@@ -53,6 +53,7 @@ class DatasetSpec:
     realism: str = "paper"
     world: World | None = None
     split: str | None = None
+    furniture_per_100m: float = 0.0
 
     @property
     def made(self) -> list[tuple[int, Split]]:
@@ -105,6 +106,7 @@ def _write(folder: Path, spec: DatasetSpec, jobs: int, report: Callable[[int, in
         seed=spec.seed,
         realism=spec.realism,
         split=spec.split,
+        furniture_per_100m=spec.furniture_per_100m,
     )
     (folder / INFO).write_text(info.model_dump_json(indent=2) + "\n", "utf-8")
 
@@ -136,6 +138,7 @@ def _check(spec: DatasetSpec, jobs: int) -> None:
         "--networks": (spec.networks, 1, MAX_NETWORKS),
         "--samples": (spec.samples, 1, MAX_SAMPLES),
         "--seed": (spec.seed, 0, 2**31 - 1),
+        "--furniture": (spec.furniture_per_100m, 0, MAX_FURNITURE_PER_100M),
         "--jobs": (jobs, 1, 256),
     }
     for name, (value, low, high) in limits.items():
@@ -183,7 +186,7 @@ def _ignore_interrupt() -> None:
 
 
 def _make(parts: Path, spec: DatasetSpec, number: int) -> tuple[Path, list[ScanRow]]:
-    site = draw_site(spec.seed, number, spec.world)
+    site = draw_site(spec.seed, number, spec.world, spec.furniture_per_100m)
     try:
         scanner = JunctionScanner(site, spec.samples)
     except ConfigError as error:

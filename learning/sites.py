@@ -52,11 +52,13 @@ World = dict[str, Any]
 """Sections of a scenario that say what the world is like: traffic, lidar, pose, scene."""
 
 
-def draw_site(seed: int, number: int, world: World | None = None) -> Site:
+def draw_site(
+    seed: int, number: int, world: World | None = None, furniture_per_100m: float = 0.0
+) -> Site:
     """Draws a network by its number; it does not depend on how many there are.
 
     Where a `world` is given, kinds of vehicles and errors are its own; sizes, shares and sensors
-    are drawn about them.
+    are drawn about them. Of `furniture_per_100m` a share is drawn, and nothing else changes.
     """
     rng = stream(seed, "site", number)
     junction = draw_junction(stream(seed, "junction", number))
@@ -74,7 +76,7 @@ def draw_site(seed: int, number: int, world: World | None = None) -> Site:
             cav_rate=0.0,  # who carries a LiDAR is drawn anew at every moment
             radius_m=300.0,
         ),
-        scene=_scene(rng),
+        scene=_scene(rng, furniture_per_100m * stream(seed, "furniture", number).random()),
         lidar=_lidar(rng),
         warm_up_s=float(rng.integers(60, 151)),
         roof_m=(1.6, 2.6),
@@ -177,8 +179,9 @@ def _vehicles(rng: np.random.Generator) -> list[VehicleSpec]:
     return specs
 
 
-def _scene(rng: np.random.Generator) -> SceneConfig:
+def _scene(rng: np.random.Generator, furniture_per_100m: float) -> SceneConfig:
     return SceneConfig(
+        furniture_per_100m=round(furniture_per_100m, 2),
         terrain_amplitude_m=round(rng.uniform(0, 0.25), 3),
         kerb_height_m=float(rng.choice([0.0, 0.08, 0.12, 0.15], p=[0.15, 0.2, 0.4, 0.25])),
         sidewalk_width_m=round(rng.uniform(1.0, 4.5), 2),

@@ -206,6 +206,13 @@ class SceneConfig(Section):
     )
     pole_spacing_m: float = Field(30.0, ge=5, le=1000, description="Between street lights, m.")
     trees_per_100m: float = Field(4.0, ge=0, le=20, description="Trees per 100 m of road's edge.")
+    furniture_per_100m: float = Field(
+        0.0,
+        ge=0,
+        le=30,
+        description="Walls, fences, hedges, bushes, boxes, sheds and roofs on posts per 100 m of "
+        "road's edge.",
+    )
     map_height_std_m: float = Field(
         0.0,
         ge=0,

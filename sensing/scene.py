@@ -26,6 +26,7 @@ from sensing.mesh import (
 from sensing.noise import stream
 from sensing.reflectivity import Surfaces
 from sensing.road import Edge, RoadArea
+from sensing.street_furniture import street_furniture
 from sensing.terrain import Terrain, ground
 
 _WIDTHS = (1.0, 0.5, 0.1)  # of the pavement's, tried in turn where another lane is near
@@ -308,6 +309,7 @@ class Scene:
     buildings: TriangleMesh
     poles: TriangleMesh
     trees: TriangleMesh
+    furniture: TriangleMesh
 
     @property
     def mesh(self) -> TriangleMesh:
@@ -321,12 +323,12 @@ class Scene:
         return Surfaces(self.mesh, reflectivity, smooth)
 
     def _parts(self) -> list[TriangleMesh]:
-        return [self.ground, self.kerbs, self.buildings, self.poles, self.trees]
+        return [self.ground, self.kerbs, self.buildings, self.poles, self.trees, self.furniture]
 
 
 # Reflectivity at 905 nm and whether Lambert's law holds: asphalt, concrete, walls, painted metal,
-# leaves; ours, of what is usual.
-_OF_PARTS = ((0.15, 0), (0.25, 0), (0.4, 1), (0.4, 1), (0.5, 0))
+# leaves, a mean of walls and leaves; ours, of what is usual.
+_OF_PARTS = ((0.15, 0), (0.25, 0), (0.4, 1), (0.4, 1), (0.5, 0), (0.45, 0))
 
 
 Outlines = list[list[tuple[float, float]]]
@@ -364,6 +366,9 @@ def build_scene(
             ]
         ),
         trees(edges, terrain, road, config, stream(seed, "trees")),
+        street_furniture(
+            edges, terrain, road, config.furniture_per_100m, stream(seed, "furniture")
+        ),
     )
 
 

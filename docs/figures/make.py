@@ -27,8 +27,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from registry import FIGURES, OTHER_COMMANDS, Figure, Part
-from same_rows import differing
+from registry import FIGURES, LEARNED, OTHER_COMMANDS, Figure, Part
+from same_rows import compared
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = Path(__file__).resolve().parent
@@ -117,6 +117,8 @@ def age(figure: Figure, record: Record) -> str:
 def compare_rows(names: list[str]) -> None:
     """Marks the older figures of rows whose code still gives the rows that were measured.
 
+    Runs of a learned detector count for the figures that show one.
+
     Raises:
         subprocess.CalledProcessError: a run failed, or a commit is not there any more.
     """
@@ -128,13 +130,15 @@ def compare_rows(names: list[str]) -> None:
             older.setdefault(record["commit"], []).append(figure)
     for commit, figures in older.items():
         now = _git("rev-parse", "HEAD")
-        runs, found = differing(ROOT, WORK / "same", commit, now)
-        named = ", ".join(figure.name for figure in figures)
-        says = "\n  ".join(found) or f"the same rows in {runs} runs"
-        sys.stderr.write(f"{named}, measured at {commit[:7]}: {says}\n")
-        for figure in [] if found else figures:
-            same = {"commit": now, "sources": digest(figure), "runs": runs}
-            save(figure, (load(figure) or {}) | {"same": same})
+        every = compared(ROOT, WORK / "same", commit, now)
+        for figure in figures:
+            runs = [run for run in every if figure.learned or run.detector not in LEARNED]
+            found = [f"{run.title}: {one}" for run in runs for one in run.differences]
+            says = "\n  ".join(found) or f"the same rows in {len(runs)} runs"
+            sys.stderr.write(f"{figure.name}, measured at {commit[:7]}: {says}\n")
+            if not found:
+                same = {"commit": now, "sources": digest(figure), "runs": len(runs)}
+                save(figure, (load(figure) or {}) | {"same": same})
 
 
 def measure(figure: Figure) -> None:

@@ -30,6 +30,8 @@ OTHER_COMMANDS = (
     *("studies/comparison.py", "studies/trajectories.py", "studies/trajectory_section.py"),
 )
 """Of `cpnet bench`, `compare`, `study control`, `report`: no figure's but where it names them."""
+LEARNED = ("pointpillars",)
+"""Detectors whose weights change rows. Runs of `pointpillars-full` are not compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +48,8 @@ class Figure:
     """A command that prints JSON on stdout, or writes files: whole pages, pictures.
 
     The shell runs it in `runs/figures`, `$ROOT` is the repository. Without a command it cannot be
-    made again by `scripts/figures`. One `of_rows` tells of what runs gave, and nothing of how fast.
+    made again by `scripts/figures`. One `of_rows` tells of what runs gave, and nothing of how fast;
+    if `learned`, some of these of the detector `pointpillars`.
     """
 
     name: str
@@ -57,6 +60,7 @@ class Figure:
     files: tuple[str, ...] = ()
     read: Callable[[str], Any] = field(default=json.loads)
     of_rows: bool = False
+    learned: bool = False
 
     def digests(self, root: Path) -> dict[str, str]:
         """Returns a hash of each of its files; of pages without the ages put in later."""
@@ -197,6 +201,7 @@ _LIST = (
             Part("classes", "docs/detection.md", detection.accuracy_by_class),
         ),
         of_rows=True,
+        learned=True,
     ),
     Figure(
         "accuracy-full",
@@ -241,6 +246,7 @@ _LIST = (
         (Part("age", "docs/results.md"),),
         files=("docs/results.md", "docs/results/*.png"),
         of_rows=True,
+        learned=True,
     ),
     Figure(
         "bandwidth",
@@ -298,6 +304,7 @@ _LIST = (
         10,
         (Part("all", "docs/realism.md", worlds.unseen),),
         of_rows=True,
+        learned=True,
     ),
     Figure(
         "realism",
@@ -315,6 +322,7 @@ _LIST = (
             Part("readme", _GLANCE, worlds.realism_readme),
         ),
         of_rows=True,
+        learned=True,
     ),
     Figure(
         "ecvpr",

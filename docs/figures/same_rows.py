@@ -12,15 +12,25 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 RUNS = "docs/figures/same_rows.yaml"
 
 
-def differing(root: Path, work: Path, then: str, now: str) -> tuple[int, list[str]]:
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """A run's title, its detector, and what differs; nothing where all rows are the same."""
+
+    title: str
+    detector: str
+    differences: list[str]
+
+
+def compared(root: Path, work: Path, then: str, now: str) -> list[Compared]:
     """Compares the code in the folder `root`, which is that of the commit `now`, with another's.
 
-    Returns how many runs were compared, and what differs. Runs that were made are kept.
+    Runs that were made are kept.
 
     Raises:
         subprocess.CalledProcessError: a run failed, or there is no such commit.
@@ -30,15 +40,19 @@ def differing(root: Path, work: Path, then: str, now: str) -> tuple[int, list[st
     work.mkdir(parents=True, exist_ok=True)
     shutil.copy(root / RUNS, work)
     made, before = _made(root, work, now), _made_at(root, work, then)
-    found = [
-        f"{title}: {one}"
-        for title, run in sorted(made.items())
-        for one in differences(run, before[title])
+    return [
+        Compared(title, made[title].detector, [*differences(made[title].run, before[title].run)])
+        for title in sorted(made)
     ]
-    return len(made), found
 
 
-def _made_at(root: Path, work: Path, commit: str) -> dict[str, Path]:
+@dataclass(frozen=True, slots=True)
+class _Made:
+    run: Path
+    detector: str
+
+
+def _made_at(root: Path, work: Path, commit: str) -> dict[str, _Made]:
     """Makes the runs with the code of a commit, in a worktree of its own; see `_made`."""
     tree = work / f"tree-{commit[:7]}"
     if not tree.exists():
@@ -50,7 +64,7 @@ def _made_at(root: Path, work: Path, commit: str) -> dict[str, Path]:
         subprocess.run(["git", "worktree", "remove", "--force", str(tree)], cwd=root, check=True)
 
 
-def _made(root: Path, work: Path, commit: str) -> dict[str, Path]:
+def _made(root: Path, work: Path, commit: str) -> dict[str, _Made]:
     """Makes those runs that are not there with the code in a folder; returns all by their titles.
 
     By title, for a run's folder is named after the code that it is of, too.
@@ -65,4 +79,7 @@ def _made(root: Path, work: Path, commit: str) -> dict[str, Path]:
         check=True,
     )
     cells = [json.loads(one.read_text("utf-8")) for one in (out / "cells").glob("*.json")]
-    return {cell["title"]: out / "runs" / cell["id"] for cell in cells}
+    return {
+        cell["title"]: _Made(out / "runs" / cell["id"], cell["scenario"]["edge"]["detector"])
+        for cell in cells
+    }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 import yaml
@@ -94,20 +94,35 @@ def test_a_figure_of_rows_stays_fresh_where_the_code_gives_the_same_rows(
     monkeypatch.setattr(make, "FIGURES", {"delay": make.FIGURES["delay"]})
     make.save(make.FIGURES["delay"], record)
     monkeypatch.setattr(make, "_git", lambda *_: "c0ffee0123")
-    compared = []
+    commits = []
 
-    def differing(root: Path, work: Path, then: str, now: str) -> tuple[int, list[str]]:
-        compared.append(then)
-        return 15, [] if len(compared) > 1 else ["run: other rows"]
+    def compared(root: Path, work: Path, then: str, now: str) -> list[SimpleNamespace]:
+        commits.append(then)
+        learned = SimpleNamespace(title="b", detector="pointpillars", differences=["other rows"])
+        differences = [] if len(commits) > 1 else ["other rows"]
+        return [SimpleNamespace(title="a", detector="fast", differences=differences), learned]
 
-    monkeypatch.setattr(make, "differing", differing)
+    monkeypatch.setattr(make, "compared", compared)
     make.compare_rows([])
     assert not make.is_fresh(make.FIGURES["delay"])
     make.compare_rows(["delay"])
     told = make.age(make.FIGURES["delay"], make.load(make.FIGURES["delay"]))
-    assert told.endswith("; in 15 runs commit c0ffee0 gives the same rows")
+    assert told.endswith("; in 1 runs commit c0ffee0 gives the same rows")
     make.compare_rows([])  # it is fresh, and not compared again
-    assert compared == ["0123456789"] * 2
+    assert commits == ["0123456789"] * 2
+
+
+def test_a_figure_that_shows_a_learned_detector_is_older_than_its_weights(make) -> None:
+    for figure in make.FIGURES.values():
+        studied = [Path(one) for one in re.findall(r"\$ROOT/(\S+\.yaml)", figure.command)]
+        studied += [
+            Path(f"studies/builtin/{one}.yaml")
+            for one in re.findall(r"study (\w+)", figure.command)
+        ]
+        text = figure.command + "".join((ROOT / one).read_text() for one in studied)
+        assert figure.learned == (
+            figure.of_rows and bool(re.search(r"pointpillars(?!-full)", text))
+        )
 
 
 def test_a_changed_source_changes_the_digest(make, monkeypatch, tmp_path) -> None:
