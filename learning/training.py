@@ -28,6 +28,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 from learning.dataset import Dataset, Split
 from learning.examples import Example, PlacedSample, RoadRasters, Targets, example_of
 from perception.pillars.config import NETWORKS, PillarsConfig
+from perception.pillars.detector import computes_in_half
 from perception.pillars.network import BOX_TERMS, Batch, PointPillars, lay_channels_last
 from perception.pillars.weights import load, save
 from protocol.config import is_file
@@ -178,6 +179,7 @@ class Trainer:
         self.recipe = recipe
         self.step = 0
         self._device = device
+        self._half = computes_in_half(device)
         with torch.random.fork_rng():
             torch.manual_seed(recipe.seed)
             network = PointPillars(config)
@@ -209,7 +211,7 @@ class Trainer:
         for group in self._optimiser.param_groups:
             group["lr"] = self.recipe.rate_at(self.step)
         batch = Batch.of([e.pillars for e in examples], (self.recipe.cells,) * 2, self._device)
-        with torch.autocast(self._device.type, dtype=torch.bfloat16):
+        with torch.autocast(self._device.type, torch.bfloat16, self._half):
             head = self.network(batch.features, batch.pillar, batch.cell, batch.shape)
         losses = losses_of(head, [e.targets for e in examples], self._device)
         self._optimiser.zero_grad(set_to_none=True)

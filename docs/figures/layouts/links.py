@@ -88,13 +88,14 @@ def lossy(rows: Rows) -> Table:
     """Returns mean and p95 of delay over lossy paths: the kernel's TCP and both of ours."""
     forms = ("kernel", "virtual", "emulated")
     heads = [f"{form}, mean / p95, ms" for form in forms]
-    table = [["link", "message", "every", *heads]]
+    table = [["link", "message", "every", "messages", *heads]]
     for row in rows:
         cells = [
             f"{fixed(row[form]['mean_ms'], 1)} / {fixed(row[form]['p95_ms'], 1)}" for form in forms
         ]
         size, period = f"{row['size_bytes'] / 1e3:g} kB", f"{row['period_s']:g} s"
-        table.append([f"`{row['link']}`", size, period, *cells])
+        count = str(row["messages"] * row["seeds"])
+        table.append([f"`{row['link']}`", size, period, count, *cells])
     return table
 
 
