@@ -90,6 +90,7 @@ def train_command(  # noqa: PLR0913 - one parameter per option of the command
     from cpnet.evaluation import detectors_of, figures_of
 
     try:
+        from learning.dataset import Dataset
         from learning.training import Recipe, Training, train
         from perception.pillars.weights import describe
     except ImportError as error:
@@ -98,9 +99,12 @@ def train_command(  # noqa: PLR0913 - one parameter per option of the command
         ) from None
     recipe = Recipe(steps=steps, windows=windows, cells=cells, rate=rate, seed=seed)
     path = train(Training(dataset, out, network, recipe, start), errors)
-    errors.print("measuring it on the networks kept for validation")
-    (name,) = detectors_of(network)
-    describe(path, {"ap40_val": figures_of(dataset, name, path, "val")})
+    if Dataset(dataset).samples("val"):
+        errors.print("measuring it on the networks kept for validation")
+        (name,) = detectors_of(network)
+        describe(path, {"ap40_val": figures_of(dataset, name, path, "val")})
+    else:
+        errors.print(f"not measured: {dataset} keeps no networks for validation")
     console.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 

@@ -229,6 +229,7 @@ def test_a_refused_start_leaves_no_folder_behind(shell, tmp_path):
         (["out", "--samples=501"], "--samples 501: must be 1 to 500"),
         (["out", "--seed=-1"], "--seed -1: must be 0 to"),
         (["out", "--jobs=0"], "--jobs 0: must be 1 to"),
+        (["out", "--furniture=31"], "--furniture 31.0: must be 0 to 30"),
     ],
 )
 def test_a_dataset_that_cannot_be_made(shell, tmp_path, arguments, message):

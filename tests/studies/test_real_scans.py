@@ -73,12 +73,14 @@ def counts(one: JudgedFrame) -> tuple[int, int]:
 
 
 # Before boxes were asked whether they are solid, on level ground: 50, 7, 25 and 15. Before they
-# were asked whether what they hold goes on beyond their ends: 41, 1, 10 and 13. Now 35, 1, 6, 8.
+# were asked whether what they hold goes on beyond their ends: 41, 1, 10 and 13. Before training saw
+# walls, hedges and sheds beside the road: 35, 3, 7 and 9. What is still boxed in CARLA's scan: a
+# house, a board of 8 m by 4.5 m, a wall, two slivers of 14 and 119 points.
 MOST_WRONG = {
     ("car_three_lidars", "fast"): 35,
-    ("car_three_lidars", "pointpillars"): 3,
+    ("car_three_lidars", "pointpillars"): 1,
     ("carla_five_lidars", "fast"): 7,
-    ("carla_five_lidars", "pointpillars"): 9,
+    ("carla_five_lidars", "pointpillars"): 5,
 }
 
 
