@@ -215,6 +215,16 @@ _LIST = (
         of_rows=True,
     ),
     Figure(
+        "street",
+        "rm -rf street; cpnet dataset street --networks 50 --samples 6 --seed 5 --realism hard "
+        "--furniture 16 --split test >&2; cpnet eval street --detectors fast,pointpillars --json",
+        (*PERCEPTION, "sensing", "learning", "studies/evaluate.py", "studies/average_precision.py"),
+        6,
+        (Part("all", "docs/detection.md", detection.accuracy),),
+        of_rows=True,
+        learned=True,
+    ),
+    Figure(
         "reference",
         "rm -rf data3; cpnet dataset data3 --networks 20 --samples 2 --seed 6 --split test >&2; "
         "cpnet eval data3 --detectors fast,reference --json",
