@@ -317,6 +317,16 @@ _LIST = (
         learned=True,
     ),
     Figure(
+        "tracks",
+        f"[ -e hard15 ] || {_HARD15} >&2; "
+        "cpnet study $ROOT/docs/figures/tracks.yaml --keep-runs --out tracks >&2; "
+        "python $ROOT/docs/figures/track_scores.py tracks",
+        (*STUDY, "cpnet/realism"),
+        10,
+        (Part("all", "docs/tracking.md", worlds.tracks),),
+        of_rows=True,
+    ),
+    Figure(
         "realism",
         "cpnet study $ROOT/docs/figures/realism.yaml --out realism >&2; printf '{\"runs\": '; "
         "python -c 'import json, pyarrow.parquet as p; "

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from statistics import mean
+from typing import Any
 
 from layouts.tables import Rows, Table, fixed, interval
 
@@ -45,6 +48,37 @@ def unseen(rows: Rows) -> Table:
         table.append([f"`{name}`", str(len(own)), *cells])
     return table
 
+
+def tracks(rows: Rows) -> Table:
+    """Returns a column for each world: means over networks, with 95 % intervals."""
+    found: dict[str, Rows] = {}
+    for row in rows:
+        found.setdefault(re.split("world=| network=", row["title"])[1], []).append(row)
+    table = [["", *found]]
+    for name, scale, digits, value in _OF_TRACKS:
+        values = [
+            [scale * one for row in own if (one := value(row)) is not None]
+            for own in found.values()
+        ]
+        table.append([name, *(interval(one, digits) if one else "–" for one in values)])
+    return table
+
+
+_OF_TRACKS: tuple[tuple[str, float, int, Callable[[dict[str, Any]], float | None]], ...] = (
+    ("IDF1, %", 100, 1, lambda row: row["idf1"]),
+    ("HOTA by centres, %", 100, 1, lambda row: row["hota"]),
+    ("HOTA by IoU from above, %", 100, 1, lambda row: row["hota_iou"]),
+    ("id switches per 100 vehicles", 100, 1, lambda row: row["id_switches"] / row["passages"]),
+    ("speed RMSE, observed, m/s", 1, 2, lambda row: row["speed_rmse_mps"]["observed"]),
+    ("speed RMSE, coasted, m/s", 1, 2, lambda row: row["speed_rmse_mps"]["coasted"]),
+    ("precision of observed boxes, %", 100, 1, lambda row: row["precision"]["observed"]),
+    ("precision of coasted boxes, %", 100, 1, lambda row: row["precision"]["coasted"]),
+    ("precision of all boxes, %", 100, 1, lambda row: row["precision"]["all"]),
+    ("E-CVPR of observed boxes, %", 100, 1, lambda row: row["ecvpr"]["observed"]),
+    ("E-CVPR of all boxes, %", 100, 1, lambda row: row["ecvpr"]["all"]),
+    ("hidden up to 5 s, back under the same id, %", 100, 1, lambda row: row["hidden"]["recovered"]),
+    ("coasted for 3 s, within 2 m, %", 100, 1, lambda row: row["coasted_3s"]["within_2m"]),
+)
 
 _WORLDS = {
     "paper": "as in Chen et al. (`paper`)",
