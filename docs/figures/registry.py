@@ -163,7 +163,7 @@ _LIST = (
     ),
     Figure(
         "lossy",
-        'cd "$ROOT" && python -m tests.link_relay.lossy_bench --jobs 8',
+        'cd "$ROOT" && python -m tests.link_relay.lossy_bench',
         (
             "sensing/link_channel.py",
             "sensing/lossy_link.py",
@@ -174,7 +174,7 @@ _LIST = (
             "tests/kernel_path.py",
             "tests/link_relay/lossy_bench.py",
         ),
-        4,
+        9,
         (Part("tcp", "docs/uplink.md", links.lossy),),
     ),
     Figure(
