@@ -7,7 +7,7 @@ from collections.abc import Callable
 from statistics import mean
 from typing import Any
 
-from layouts.tables import Rows, Table, fixed, interval
+from layouts.tables import Rows, Table, between, fixed, interval
 
 
 def realism(data: dict[str, Rows]) -> Table:
@@ -60,7 +60,7 @@ def tracks(rows: Rows) -> Table:
             [scale * one for row in own if (one := value(row)) is not None]
             for own in found.values()
         ]
-        table.append([name, *(interval(one, digits) if one else "–" for one in values)])
+        table.append([name, *(between(one, digits) if one else "–" for one in values)])
     return table
 
 
