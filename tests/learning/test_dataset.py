@@ -190,7 +190,7 @@ def test_what_is_not_there_is_named(dataset):
 
 def test_the_arguments_stand_in_the_dataset(folder):
     info = json.loads((folder / "dataset.json").read_text())
-    numbers = {"version": 1, "networks": 3, "samples": 2, "seed": 7}
+    numbers = {"version": 1, "networks": 3, "samples": 2, "seed": 7, "furniture_per_100m": 0.0}
     assert info == numbers | {"realism": "paper", "split": None}
 
 
