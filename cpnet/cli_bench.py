@@ -159,14 +159,17 @@ def bench_control_command(  # noqa: PLR0913 - one parameter per option of the co
     *,
     net: Annotated[
         list[str] | None,
-        typer.Option(help="t_junction or a folder with a .sumocfg; may be given several times"),
+        typer.Option(
+            help="t_junction, moving_peak, corridor, grid, town or a folder with a .sumocfg; may be "
+            "given several times"
+        ),
     ] = None,
     policies: Annotated[
         str, typer.Option(metavar="NAME,...", help="signal policies, built in or of plug-ins")
     ] = _CONTROL_POLICIES,
     seeds: Annotated[int, typer.Option(min=1, max=100, help="of each, from 1 on")] = 1,
     demand: Annotated[
-        float, typer.Option(min=0.1, max=3, help="factor of t_junction's demand")
+        float, typer.Option(min=0.1, max=3, help="factor of a built-in net's demand")
     ] = 1.0,
     duration: Annotated[int, typer.Option(min=60, help="simulated seconds of each")] = 3600,
     upstream: Annotated[float, typer.Option(help="m before stop bars that are known")] = 200,

@@ -186,6 +186,8 @@ def trip_rows(message: Trips) -> Iterator[TripRow]:
             arrive_s=trip.arrive_s,
             time_loss_s=trip.time_loss_s,
             teleported=int(trip.teleported),
+            stops=trip.stops,
+            co2_g=trip.co2_g,
         )
         for trip in message.trips
     )

@@ -18,14 +18,18 @@ from protocol.errors import ConfigError, ProtocolError
 from protocol.messages import Setup
 from protocol.wire import decode
 from recording.database import FILE_NAME
-from recording.tables import SCHEMA_VERSION, TABLES, MetaRow, Table
+from recording.tables import ADDED, SCHEMA_VERSION, TABLES, MetaRow, Table
 
 SETUP_NAME = "setup.msgpack"
 R = TypeVar("R", bound=tuple[Any, ...])
 
 
 class Run:
-    """A recorded run; use it as a context manager."""
+    """A recorded run; use it as a context manager.
+
+    `lacking` are the columns, by table, that a run of an older schema version does not have: they
+    are read as NULL.
+    """
 
     def __init__(self, run_dir: Path) -> None:
         """Opens the database.
@@ -41,6 +45,7 @@ class Run:
             raise ConfigError(f"{run_dir} is not a run: it has no {FILE_NAME}{other}")
         self._path = path
         self._connection = _connect(path)
+        self.lacking: dict[str, tuple[str, ...]] = {}
         self._check_version()
 
     def __enter__(self) -> Run:
@@ -135,10 +140,24 @@ class Run:
         except ConfigError:
             self.close()
             raise
-        if found != str(SCHEMA_VERSION):
+        readable = range(min(ADDED) - 1, SCHEMA_VERSION + 1)
+        if found is None or found not in map(str, readable):
             self.close()
             raise ConfigError(
-                f"{self._path} has schema version {found}, this side reads {SCHEMA_VERSION}"
+                f"{self._path} has schema version {found}, this side reads {readable[0]} to "
+                f"{readable[-1]}"
+            )
+        self._add_columns(int(found))
+
+    def _add_columns(self, version: int) -> None:
+        """Lets queries read as NULL what the tables of an older schema version lack."""
+        for added in (ADDED[later] for later in sorted(ADDED) if later > version):
+            for table, columns in added.items():
+                self.lacking[table] = self.lacking.get(table, ()) + columns
+        for table, lacking in self.lacking.items():
+            nulls = ", ".join(f"NULL AS {column}" for column in lacking)
+            self._connection.execute(
+                f"CREATE TEMP VIEW {table} AS SELECT *, {nulls} FROM main.{table}"
             )
 
 
@@ -192,6 +211,8 @@ class Difference:
 def differences(run_a: Path, run_b: Path) -> list[Difference]:
     """Returns the result tables in which two runs differ; none if they agree in every row.
 
+    Columns that one of them lacks, see `Run`, are not compared.
+
     Raises:
         ConfigError: one of the folders is no run.
     """
@@ -203,7 +224,10 @@ def differences(run_a: Path, run_b: Path) -> list[Difference]:
 def _difference(table: Table, a: Run, b: Run) -> Difference:
     count_a = count_b = differing = 0
     first = ""
-    for row_a, row_b in _pairs(table, a.rows(table.row), b.rows(table.row)):
+    lacking = max(len(run.lacking.get(table.name, ())) for run in (a, b))
+    width = len(table.columns) - lacking
+    rows = ((row[:width] for row in run.rows(table.row)) for run in (a, b))
+    for row_a, row_b in _pairs(table, *rows):
         count_a += row_a is not None
         count_b += row_b is not None
         if row_a != row_b:
@@ -237,7 +261,7 @@ def _description(table: Table, row_a: _Row | None, row_b: _Row | None) -> str:
     place = " ".join(f"{name} {value}" for name, value in named)
     if row_a is None or row_b is None:
         return f"{place}: only in the {'first' if row_b is None else 'second'} run"
-    both = zip(table.columns, row_a, row_b, strict=True)
+    both = zip(table.columns, row_a, row_b, strict=False)  # without what one run lacks
     apart = ", ".join(f"{name} {_value_pair(x, y)}" for name, x, y in both if x != y)
     return f"{place}: {apart}"
 

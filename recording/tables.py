@@ -24,9 +24,13 @@ SCHEMA_DIGESTS = {
     15: "ddca9e6a84b5fb82",
     16: "3204b3eff040081d",
     17: "4f9c9e478ecb37fc",
+    18: "1044b8d0f8008482",
 }
 """`schema_digest()` by schema version. Never change an entry: add one with the next number."""
 SCHEMA_VERSION = max(SCHEMA_DIGESTS)
+ADDED: dict[int, dict[str, tuple[str, ...]]] = {18: {"trips": ("stops", "co2_g")}}
+"""Columns at the end of tables, by the schema version that added them: in runs of older versions,
+down to the one before the first of these, they are read as NULL."""
 _SQL_TYPES = {int: "INTEGER", float: "REAL", str: "TEXT", bytes: "BLOB"}
 
 
@@ -311,7 +315,10 @@ class AlignmentRow(NamedTuple):
 
 
 class TripRow(NamedTuple):
-    """One vehicle's journey; `arrive_s` is NULL if the run ended before it did."""
+    """One vehicle's journey; `arrive_s` is NULL if the run ended before it did.
+
+    `stops` and `co2_g` are NULL in a run that was recorded before they were.
+    """
 
     vehicle: str
     equipment: int
@@ -319,6 +326,8 @@ class TripRow(NamedTuple):
     arrive_s: float | None
     time_loss_s: float
     teleported: int
+    stops: int | None
+    co2_g: float | None
 
 
 class ClockRow(NamedTuple):

@@ -27,6 +27,7 @@ def draw_equipment(seed: int, vehicle: str, cav_rate: float, cv_rate: float) -> 
     return Equipment.CV if uniform < cav_rate + cv_rate else Equipment.NONE
 
 
+HALTED_MPS = 0.1  # slower is a stop, as in SUMO
 _EQUIPPED = (ObjectClass.CAR, ObjectClass.TRUCK)
 _UNSAFE = re.compile(rf"[/*$?#\s]|^(?={PARKED}|{PEDESTRIAN})")  # the latter would be taken for one
 
@@ -47,6 +48,9 @@ class Journey:
     lost_s: float
     within_radius: bool = True
     teleported: bool = False
+    is_halted: bool = False
+    stops: int = 0
+    co2_g: float = 0.0
 
     def trip(self, arrive_s: float | None) -> Trip:
         """Returns the journey as a message."""
@@ -57,6 +61,8 @@ class Journey:
             arrive_s=arrive_s,
             time_loss_s=self.lost_s - self.lost_before_s,
             teleported=self.teleported,
+            stops=self.stops,
+            co2_g=self.co2_g,
         )
 
 
@@ -83,13 +89,17 @@ class Journeys:
             self._under_way[vehicle].within_radius = True
         return [self._under_way[vehicle] for vehicle in vehicles]
 
-    def note_losses(self) -> None:
-        """Reads the time that each vehicle has lost so far: SUMO forgets it on arrival."""
-        api = self._sumo.vehicle
+    def note_step(self) -> None:
+        """Reads what each vehicle has lost so far, for SUMO forgets it, and did in this step."""
+        api, step_s = self._sumo.vehicle, self._traffic.step_s
         for vehicle in api.getIDList():
             journey = self._under_way.get(vehicle)
             if journey is not None and journey.within_radius:
                 journey.lost_s = api.getTimeLoss(vehicle)
+                journey.co2_g += api.getCO2Emission(vehicle) * step_s / 1000
+                was_halted = journey.is_halted
+                journey.is_halted = api.getSpeed(vehicle) < HALTED_MPS
+                journey.stops += journey.is_halted and not was_halted
 
     def note_teleport(self, vehicle: str) -> None:
         """Marks a vehicle that SUMO moved because it was stuck or had collided."""

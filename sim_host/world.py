@@ -188,7 +188,7 @@ class World:
             self._journeys.note_teleport(name)
         for name in sorted(arrived):
             self._journeys.end(name, self.time_ns / 1e9)
-        self._journeys.note_losses()
+        self._journeys.note_step()
         self._pedestrians.step(self.time_ns / 1e9)
 
     def bodies(self) -> TrafficState:

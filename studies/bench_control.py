@@ -86,9 +86,10 @@ def _checked_run(case: ControlCase, folder: Path) -> ControlRun:
 def print_control(rows: list[ControlRow], console: Console) -> None:
     """Prints a table of runs."""
     heads = ("net", "policy", "demand", "seed", "vehicles", "arrived", "delay s", "p95", "wait s")
-    table = empty_table((*heads, "ms p50", "p99"), left=2)
+    table = empty_table((*heads, "stops", "CO2 g", "ms p50", "p99"), left=2)
     for row in rows:
-        numbers = (row.delay_s, row.delay_p95_s, row.waited_s, row.decide_p50_ms, row.decide_p99_ms)
+        times = row.delay_s, row.delay_p95_s, row.waited_s
+        decided = row.decide_p50_ms, row.decide_p99_ms
         table.add_row(
             row.net,
             row.policy,
@@ -96,6 +97,9 @@ def print_control(rows: list[ControlRow], console: Console) -> None:
             f"{row.seed}",
             f"{row.vehicles}",
             f"{row.arrived}",
-            *(f"{value:.1f}" for value in numbers),
+            *(f"{value:.1f}" for value in times),
+            f"{row.stops:.2f}",
+            f"{row.co2_g:.0f}",
+            *(f"{value:.1f}" for value in decided),
         )
     print_whole(table, console)

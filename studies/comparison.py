@@ -38,6 +38,9 @@ def _at(*keys: str, factor: float = 1.0) -> Callable[[Summary], float | None]:
 
 METRICS = (
     Metric("delay per vehicle", "s", 2, _at("delay_s", "mean")),
+    Metric("delay, p95", "s", 1, _at("delay_s", "p95")),
+    Metric("stops per vehicle", "", 2, _at("stops")),
+    Metric("CO2 per vehicle", "g", 0, _at("co2_g")),
     Metric("E-CVPR", "%", 1, _at("e_cvpr", "mean", factor=100)),
     Metric("false detections a frame", "", 2, _at("detections_per_frame", "false")),
     Metric("uplink of all agents", "Mbit/s", 2, _at("uplink_mbps", "mean")),

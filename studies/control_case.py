@@ -12,8 +12,10 @@ from xml.etree import ElementTree
 from protocol.errors import ConfigError
 from protocol.roadmap import RoadMap
 from sim_host.cabinet import programme
+from sim_host.city_demand import SATURATION
 from sim_host.config import CabinetConfig
 from sim_host.junctions import DEMAND_VPH_PER_LANE
+from sim_host.networks import NETWORKS
 from sim_host.setup import OWN_CONFIG, SUMO_FOLDER, build_setup
 from studies.control_baselines import Tuning
 from studies.control_file import NETS
@@ -77,9 +79,7 @@ class ControlCase:
 def roads_of(case: ControlCase, folder: Path) -> tuple[Path, RoadMap]:
     """Returns the sumocfg of a case and its road map, with all its signals."""
     if case.net in NETS:
-        sides = {"west_in": _DEFAULT_LANE_VPH, "east_in": _DEFAULT_LANE_VPH, **DEMAND_VPH_PER_LANE}
-        demand = {edge: vph * case.demand for edge, vph in sides.items()}
-        traffic: dict[str, Any] = {"demand_vph_per_lane": demand}
+        traffic = _own_traffic(case)
         config = folder / SUMO_FOLDER / OWN_CONFIG
     else:
         found = [Path(case.net)]
@@ -87,7 +87,7 @@ def roads_of(case: ControlCase, folder: Path) -> tuple[Path, RoadMap]:
             found = sorted(found[0].glob("*.sumocfg"))
         if len(found) != 1:
             raise ConfigError(
-                f"--net {case.net}: must be {' or '.join(NETS)}, a .sumocfg or a folder with one"
+                f"--net {case.net}: must be {', '.join(NETS)}, a .sumocfg or a folder with one"
             )
         config = found[0]
         traffic = {"sumocfg": str(config)}
@@ -96,6 +96,14 @@ def roads_of(case: ControlCase, folder: Path) -> tuple[Path, RoadMap]:
     if case.net == "moving_peak":
         _move_peak(config.parent / "demand.rou.xml", case.duration_s)
     return config, setup.road_map
+
+
+def _own_traffic(case: ControlCase) -> dict[str, Any]:
+    """Returns the section `traffic` of a built-in net with its demand."""
+    if case.net in NETWORKS:
+        return {"network": case.net, "saturation": SATURATION * case.demand}
+    sides = {"west_in": _DEFAULT_LANE_VPH, "east_in": _DEFAULT_LANE_VPH, **DEMAND_VPH_PER_LANE}
+    return {"demand_vph_per_lane": {edge: vph * case.demand for edge, vph in sides.items()}}
 
 
 _PEAKS = {"north_in": (0.75, 2.2), "": (0.25, 1.0)}

@@ -27,7 +27,7 @@ from studies.page.model import (
 Row = dict[str, Any]
 _HEADS = (
     *("policy", "what its tuning set", "delay, s", "95th percentile, s", "longest wait, s"),
-    *("arrived", "difference, s", "difference, %"),
+    *("stops", "CO2, g", "arrived", "difference, s", "difference, %"),
 )
 
 
@@ -75,13 +75,15 @@ def group_table(rows: Sequence[Row]) -> Table:
             _with_half(row["delay_s"], row["delay_ci95_s"]),
             row["delay_p95_s"],
             row["waited_s"],
+            row["stops"],
+            row["co2_g"],
             f"{row['arrived']:.0f} of {row['vehicles']:.0f}",
             _with_half(row["difference_s"], row["difference_ci95_s"], "+"),
             None if row["difference_share"] is None else 100 * row["difference_share"],
         )
         for row in rows
     )
-    forms = ("", "", "", ".1f", ".0f", "", "", "+.0f")
+    forms = ("", "", "", ".1f", ".0f", ".2f", ".0f", "", "", "+.0f")
     return Table(tuple(map(Column, _HEADS, forms)), cells)
 
 

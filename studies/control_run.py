@@ -45,6 +45,8 @@ _QUEUED_MPS = 1.0  # who has been slower before the stop bar queues until he has
 class ControlRow(JsonRow):
     """What a run gave; times in s, of all vehicles. `waited_s` is the longest wait in one go.
 
+    `stops` and `co2_g` (by SUMO's emission model) are means of the vehicles.
+
     Of lanes whose queues a policy had to estimate, `queue_error` is the mean absolute error in
     vehicles, `queue_inside` how often the interval that is to hold it by 90 % did.
     """
@@ -58,6 +60,8 @@ class ControlRow(JsonRow):
     delay_s: float
     delay_p95_s: float
     waited_s: float
+    stops: float
+    co2_g: float
     decide_p50_ms: float
     decide_p99_ms: float
     queue_error: float | None = None
@@ -96,6 +100,7 @@ class ControlRun:
             "tripinfo-output": str(trips),
             "tripinfo-output.write-unfinished": "true",
             "tripinfo-output.write-undeparted": "true",
+            "device.emissions.probability": "1",
         }
         if self._case.policy in SUMO_TYPES:
             options["additional-files"] = write_programs(
@@ -111,6 +116,7 @@ class ControlRun:
         finally:
             self._sumo.close()
         delays, arrived = delays_s(trips, self._measured_from_s)
+        stops, co2_g = stops_and_co2(trips, self._measured_from_s)
         decide_ms = np.array(self._decide_ns or [0]) / 1e6
         return ControlRow(
             net=Path(self._case.net).name,
@@ -122,6 +128,8 @@ class ControlRun:
             delay_s=mean(delays) if delays else 0.0,
             delay_p95_s=float(np.quantile(delays, 0.95)) if delays else 0.0,
             waited_s=self._waited_s,
+            stops=stops,
+            co2_g=co2_g,
             decide_p50_ms=float(np.quantile(decide_ms, 0.5)),
             decide_p99_ms=float(np.quantile(decide_ms, 0.99)),
             queue_error=mean(off for off, _ in self._queues) if self._queues else None,
@@ -385,12 +393,29 @@ def delays_s(trips: Path, since_s: float = -math.inf) -> tuple[list[float], int]
         since_s: vehicles that arrived before do not count.
     """
     delays, arrived = [], 0
+    for trip in _trips(trips, since_s):
+        delays.append(float(trip.get("timeLoss", 0)) + float(trip.get("departDelay", 0)))
+        arrived += float(trip.get("arrival", -1)) >= 0
+    return delays, arrived
+
+
+def stops_and_co2(trips: Path, since_s: float) -> tuple[float, float]:
+    """Returns how often a vehicle stopped and its CO2 in g, means of those that `delays_s` takes.
+
+    Of those that never entered both are 0.
+    """
+    stops, co2_g = [], []
+    for trip in _trips(trips, since_s):
+        emissions = trip.find("emissions")
+        stops.append(int(trip.get("waitingCount", 0)))
+        co2_g.append(0.0 if emissions is None else float(emissions.get("CO2_abs", 0)) / 1000)
+    return (mean(stops), mean(co2_g)) if stops else (0.0, 0.0)
+
+
+def _trips(trips: Path, since_s: float) -> Iterator[ElementTree.Element]:
     for _, element in ElementTree.iterparse(trips):
         if element.tag == "tripinfo":
             arrival_s = float(element.get("arrival", -1))
             if arrival_s < 0 or arrival_s >= since_s:
-                loss_s = float(element.get("timeLoss", 0))
-                delays.append(loss_s + float(element.get("departDelay", 0)))
-                arrived += arrival_s >= 0
+                yield element
             element.clear()
-    return delays, arrived

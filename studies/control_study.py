@@ -342,6 +342,8 @@ def summaries(study: ControlStudy, results: Iterable[PolicyResult]) -> list[Row]
                 "delay_ci95_s": spread.half,
                 "delay_p95_s": mean(one.values("delay_p95_s")),
                 "waited_s": max(one.values("waited_s")),
+                "stops": mean(one.values("stops")),
+                "co2_g": mean(one.values("co2_g")),
                 "arrived": mean(one.values("arrived")),
                 "vehicles": mean(one.values("vehicles")),
                 "decide_p99_ms": max(one.values("decide_p99_ms")),

@@ -19,6 +19,9 @@ from studies.sweep.study_file import Study
 
 MEASURE_COLUMNS = (
     "delay_s",
+    "delay_p95_s",
+    "stops",
+    "co2_g",
     "e_cvpr",
     "e_cvpr_std",
     "visible_share",

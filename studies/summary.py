@@ -187,12 +187,19 @@ def _unknown_share(run: Run) -> float | None:
 def traffic_of(run: Run) -> Summary:
     """Returns delay, vehicles and switches of phase."""
     at_start, seen, finished, teleported = run.query(_VEHICLES)[0]
-    losses = run.query("SELECT time_loss_s FROM trips ORDER BY vehicle")
+    losses = [loss_s for (loss_s,) in run.query("SELECT time_loss_s FROM trips ORDER BY vehicle")]
+    stops, co2_g = run.query("SELECT avg(stops), avg(co2_g) FROM trips")[0]
     waiting = run.meta.get("end_waiting")
-    mean, std = _mean_std([loss_s for (loss_s,) in losses])
+    mean, std = _mean_std(losses)
     greens = run.query(_GREENS)
     return {
-        "delay_s": {"mean": mean, "std": std},
+        "delay_s": {
+            "mean": mean,
+            "std": std,
+            "p95": float(np.quantile(losses, 0.95)) if losses else None,
+        },
+        "stops": stops,
+        "co2_g": co2_g,
         "vehicles": {
             "at_start": at_start,
             "inserted": seen - at_start,
@@ -287,6 +294,9 @@ def _truth_facts(summary: Summary) -> list[tuple[str, str]]:
     return [
         ("E-CVPR", _spread(summary["e_cvpr"], 100, 1, " %")),
         ("delay per vehicle", _spread(summary["delay_s"], 1, 1, " s")),
+        ("  p95, s", _number(summary["delay_s"]["p95"], 1)),
+        ("stops per vehicle", _number(summary["stops"], 2)),
+        ("CO2 per vehicle, g", _number(summary["co2_g"], 0)),
         ("vehicles at frame 0", str(vehicles["at_start"])),
         ("  inserted", str(vehicles["inserted"])),
         ("  finished", str(vehicles["finished"])),

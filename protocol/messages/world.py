@@ -233,7 +233,8 @@ class Sighting(Message):
 class Trip(Part):
     """One vehicle's journey over the signal.
 
-    `time_loss_s` is what it lost within reach of the signal, since frame 0 or since it came there.
+    `time_loss_s` is what it lost within reach of the signal, since frame 0 or since it came there;
+    so often it came to a halt there (slower than 0.1 m/s), so much CO2 it emitted, by SUMO's model.
     `arrive_s` is None while it is still under way at the end.
     """
 
@@ -243,6 +244,8 @@ class Trip(Part):
     arrive_s: float | None
     time_loss_s: float
     teleported: bool = False
+    stops: Count = 0
+    co2_g: float = 0.0
 
 
 class Trips(Message):

@@ -103,6 +103,9 @@ def _traffic(run: Run) -> Row:
     return {
         "delay_s": found["delay_s"]["mean"],
         "delay_std_s": found["delay_s"]["std"],
+        "delay_p95_s": found["delay_s"]["p95"],
+        "stops": found["stops"],
+        "co2_g": found["co2_g"],
         "switches": found["phases"]["switches"],
         **{f"vehicles_{name}": number for name, number in found["vehicles"].items()},
     }

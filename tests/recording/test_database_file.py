@@ -21,6 +21,7 @@ from recording.tables import (
     MetaRow,
     SightingRow,
     StageRow,
+    TripRow,
 )
 
 
@@ -165,8 +166,36 @@ def test_foreign_databases_and_versions_are_refused(tmp_path: Path) -> None:
         connection.close()
     with pytest.raises(ConfigError, match="not a run's database"):
         Run(tmp_path / "other")
-    with pytest.raises(ConfigError, match=f"version 99, this side reads {SCHEMA_VERSION}"):
+    with pytest.raises(ConfigError, match=f"version 99, this side reads 17 to {SCHEMA_VERSION}"):
         Run(tmp_path / "newer")
+
+
+def test_what_an_older_run_lacks_is_read_as_null_and_not_compared(tmp_path: Path) -> None:
+    trip = TripRow("a", 0, 0.0, 9.0, 4.0, 0, 1, 200.0)
+    for name in ("older", "newer"):
+        (tmp_path / name).mkdir()
+        database = Database(tmp_path / name)
+        database.add(TripRow, [trip])
+        database.close()
+    connection = sqlite3.connect(tmp_path / "older" / FILE_NAME)
+    for statement in (
+        "ALTER TABLE trips DROP COLUMN stops",
+        "ALTER TABLE trips DROP COLUMN co2_g",
+        "UPDATE meta SET value = '17' WHERE key = 'schema_version'",
+    ):
+        connection.execute(statement)
+    connection.commit()
+    connection.close()
+    with Run(tmp_path / "older") as run:
+        assert list(run.rows(TripRow)) == [trip._replace(stops=None, co2_g=None)]
+        assert run.query("SELECT avg(stops), sum(time_loss_s) FROM trips") == [(None, 4.0)]
+    assert differences(tmp_path / "older", tmp_path / "newer") == []
+    connection = sqlite3.connect(tmp_path / "older" / FILE_NAME)
+    connection.execute("UPDATE trips SET time_loss_s = 5")
+    connection.commit()
+    connection.close()
+    found = differences(tmp_path / "older", tmp_path / "newer")
+    assert [one.first for one in found] == ["vehicle a: time_loss_s 5.0 against 4.0"]
 
 
 def test_a_copy_without_its_wal_is_told_what_it_lacks(tmp_path: Path) -> None:

@@ -186,7 +186,7 @@ def test_every_value_of_a_trip_stands_in_its_own_column() -> None:
         trips=[
             Trip(
                 vehicle="a", equipment=Equipment.CAV, depart_s=1.5, arrive_s=61.5, time_loss_s=9.25,
-                teleported=True,
+                teleported=True, stops=3, co2_g=210.5,
             ),
             Trip(
                 vehicle="b", equipment=Equipment.NONE, depart_s=2.5, arrive_s=None, time_loss_s=4.0
@@ -194,8 +194,8 @@ def test_every_value_of_a_trip_stands_in_its_own_column() -> None:
         ],
     )  # fmt: skip
     assert list(trip_rows(message)) == [
-        TripRow("a", int(Equipment.CAV), 1.5, 61.5, 9.25, 1),
-        TripRow("b", int(Equipment.NONE), 2.5, None, 4.0, 0),
+        TripRow("a", int(Equipment.CAV), 1.5, 61.5, 9.25, 1, 3, 210.5),
+        TripRow("b", int(Equipment.NONE), 2.5, None, 4.0, 0, 0, 0.0),
     ]
 
 

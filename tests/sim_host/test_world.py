@@ -74,6 +74,9 @@ def test_journeys_end_with_their_time_loss(setup: Setup, run_dir: Path, flat: Gr
         passed = [t.time_loss_s for t in trips if not t.vehicle.startswith("north")]
         assert np.mean(waited) > np.mean(passed) + 5
         assert all(trip.arrive_s is None for trip in world.unfinished_trips())
+        assert np.mean([trip.stops > 0 for trip in trips if trip.time_loss_s > 10]) > 0.5
+        assert {trip.stops for trip in trips if trip.time_loss_s < 4} == {0}
+        assert all(10 < trip.co2_g < 2000 for trip in trips)
     finally:
         world.close()
 

@@ -26,6 +26,7 @@ STUDY = ControlStudy(
 
 def result(policy: str, *delays_s: float, demand: float = 1.0) -> PolicyResult:
     rest = {"delay_p95_s": 30.0, "waited_s": 60.0, "arrived": 90, "vehicles": 100}
+    rest |= {"stops": 1.2, "co2_g": 150.0}
     rows = [{"delay_s": delay_s, "decide_p99_ms": 1.0, **rest} for delay_s in delays_s]
     return PolicyResult(Group("t_junction", demand), policy, "", rows)
 
@@ -64,8 +65,9 @@ def test_a_table_has_the_best_first_and_what_the_studied_policy_takes_off_others
     page = control_page(STUDY, rows, "cpnet study own", {})
     (table,) = page.sections[0].blocks
     assert [row[0] for row in table.rows] == ["predictive", "max_pressure"]
-    assert table.rows[1][6].startswith("-2.50 ± ")
-    assert table.rows[0][6] is None
+    assert table.rows[1][5:7] == (1.2, 150.0)
+    assert table.rows[1][8].startswith("-2.50 ± ")
+    assert table.rows[0][8] is None
 
 
 def test_every_setting_that_is_tried_is_one_of_its_baseline() -> None:

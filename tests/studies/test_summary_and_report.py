@@ -70,9 +70,9 @@ def whole_run(run_dir: Path) -> None:
     database.add(
         TripRow,
         [
-            TripRow("a", 0, 0.0, 9.0, 4.0, 0),
-            TripRow("b", 1, 0.0, 8.0, 2.0, 1),
-            TripRow("c", 1, 0.0, None, 90.0, 0),
+            TripRow("a", 0, 0.0, 9.0, 4.0, 0, 1, 200.0),
+            TripRow("b", 1, 0.0, 8.0, 2.0, 1, 0, 100.0),
+            TripRow("c", 1, 0.0, None, 90.0, 0, 5, 600.0),
         ],
     )
     database.add(DropRow, [DropRow("edge", "late", 2), DropRow("sim", "late", 3)])
@@ -102,6 +102,8 @@ def test_the_summary_holds_the_figures_of_a_run(tmp_path: Path) -> None:
     assert summary["latency_ms"]["detect"]["p50"] == pytest.approx(5.5)
     assert summary["latency_ms"]["decode"]["p50"] is None
     assert summary["delay_s"]["mean"] == pytest.approx(32)  # of all, arrived or not
+    assert summary["delay_s"]["p95"] == pytest.approx(4 + 0.9 * 86)
+    assert (summary["stops"], summary["co2_g"]) == (2.0, 300.0)
     assert summary["vehicles"] == {
         "at_start": 0,
         "inserted": 3,
