@@ -117,7 +117,7 @@ def age(figure: Figure, record: Record) -> str:
 def compare_rows(names: list[str]) -> None:
     """Marks the older figures of rows whose code still gives the rows that were measured.
 
-    Runs of a learned detector count for the figures that show one.
+    Runs of a learned detector count for the figures that show one, so do runs with tracks.
 
     Raises:
         subprocess.CalledProcessError: a run failed, or a commit is not there any more.
@@ -132,7 +132,12 @@ def compare_rows(names: list[str]) -> None:
         now = _git("rev-parse", "HEAD")
         every = compared(ROOT, WORK / "same", commit, now)
         for figure in figures:
-            runs = [run for run in every if figure.learned or run.detector not in LEARNED]
+            runs = [
+                run
+                for run in every
+                if (figure.learned or run.detector not in LEARNED)
+                and (figure.tracked or not run.is_tracked)
+            ]
             found = [f"{run.title}: {one}" for run in runs for one in run.differences]
             says = "\n  ".join(found) or f"the same rows in {len(runs)} runs"
             sys.stderr.write(f"{figure.name}, measured at {commit[:7]}: {says}\n")

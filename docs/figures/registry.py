@@ -49,7 +49,8 @@ class Figure:
 
     The shell runs it in `runs/figures`, `$ROOT` is the repository. Without a command it cannot be
     made again by `scripts/figures`. One `of_rows` tells of what runs gave, and nothing of how fast;
-    if `learned`, some of these of the detector `pointpillars`.
+    if `learned`, some of these of the detector `pointpillars`; if not `tracked`, all of these of
+    detection alone.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Figure:
     read: Callable[[str], Any] = field(default=json.loads)
     of_rows: bool = False
     learned: bool = False
+    tracked: bool = True
 
     def digests(self, root: Path) -> dict[str, str]:
         """Returns a hash of each of its files; of pages without the ages put in later."""
@@ -201,6 +203,7 @@ _LIST = (
             Part("classes", "docs/detection.md", detection.accuracy_by_class),
         ),
         of_rows=True,
+        tracked=False,
         learned=True,
     ),
     Figure(
@@ -213,6 +216,7 @@ _LIST = (
             Part("classes", "docs/detection.md", detection.accuracy_by_class),
         ),
         of_rows=True,
+        tracked=False,
     ),
     Figure(
         "street",
@@ -222,6 +226,7 @@ _LIST = (
         6,
         (Part("all", "docs/detection.md", detection.accuracy),),
         of_rows=True,
+        tracked=False,
         learned=True,
     ),
     Figure(
@@ -256,6 +261,7 @@ _LIST = (
         (Part("age", "docs/results.md"),),
         files=("docs/results.md", "docs/results/*.png"),
         of_rows=True,
+        tracked=False,
         learned=True,
     ),
     Figure(
@@ -356,6 +362,7 @@ _LIST = (
             Part("readme", _GLANCE, comparison.ecvpr_shares),
         ),
         of_rows=True,
+        tracked=False,
     ),
     Figure(
         "delay",

@@ -24,6 +24,7 @@ class Compared:
 
     title: str
     detector: str
+    is_tracked: bool
     differences: list[str]
 
 
@@ -41,7 +42,12 @@ def compared(root: Path, work: Path, then: str, now: str) -> list[Compared]:
     shutil.copy(root / RUNS, work)
     made, before = _made(root, work, now), _made_at(root, work, then)
     return [
-        Compared(title, made[title].detector, [*differences(made[title].run, before[title].run)])
+        Compared(
+            title,
+            made[title].detector,
+            made[title].is_tracked,
+            [*differences(made[title].run, before[title].run)],
+        )
         for title in sorted(made)
     ]
 
@@ -50,6 +56,7 @@ def compared(root: Path, work: Path, then: str, now: str) -> list[Compared]:
 class _Made:
     run: Path
     detector: str
+    is_tracked: bool
 
 
 def _made_at(root: Path, work: Path, commit: str) -> dict[str, _Made]:
@@ -80,6 +87,10 @@ def _made(root: Path, work: Path, commit: str) -> dict[str, _Made]:
     )
     cells = [json.loads(one.read_text("utf-8")) for one in (out / "cells").glob("*.json")]
     return {
-        cell["title"]: _Made(out / "runs" / cell["id"], cell["scenario"]["edge"]["detector"])
+        cell["title"]: _Made(
+            out / "runs" / cell["id"],
+            cell["scenario"]["edge"]["detector"],
+            cell["scenario"]["edge"]["tracking"]["enabled"],
+        )
         for cell in cells
     }

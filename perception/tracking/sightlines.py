@@ -15,7 +15,9 @@ from numba import njit
 from perception.arrays import Bools, Floats, Floats32
 from perception.parallel import each
 
-SECTORS = 360
+SECTORS = 2880
+SLICES = 8  # of a box's middle part: through each of them ground may be seen
+ENOUGH = 4.0  # a place of which a quarter was seen through is empty: few points lie on the ground
 RINGS = 128
 RING_M = 1.0
 GROUND_M = 0.25  # over the road: what is lower is ground
@@ -51,7 +53,10 @@ class SightLines:
         return cls(np.ascontiguousarray(sensors), heights_m, ground)
 
     def empty(self, boxes: Floats) -> Floats:
-        """Returns the share (N,) of each box (N, 7) through which the ground was seen, 0 to 1."""
+        """Returns how surely each box (N, 7) is no longer there: ground was seen through it (N,).
+
+        From 0, nothing was, to 1. What was seen beside a box does not count.
+        """
         return np.asarray(
             _empty(np.ascontiguousarray(boxes), self.sensors, self.heights_m, self.ground)
         )
@@ -65,6 +70,16 @@ def _draw(points: Floats32, sensor: Floats, ground: Bools) -> None:
             ring = int(np.hypot(x, y) / RING_M)
             if ring < RINGS:
                 ground[int(np.arctan2(y, x) * (SECTORS / (2 * np.pi))) % SECTORS, ring] = True
+
+
+@njit("boolean(boolean[:,::1], int64, int64, int64, int64)", cache=True, nogil=True)
+def _any_ground(ground: Bools, begin: int, end: int, first: int, last: int) -> bool:
+    """Whether ground was seen in the sectors from `begin` to before `end`, in some rings."""
+    for sector in range(begin, end):
+        for ring in range(first, last + 1):
+            if ground[sector % SECTORS, ring]:
+                return True
+    return False
 
 
 @njit(
@@ -90,13 +105,14 @@ def _empty(boxes: Floats, sensors: Floats, heights_m: Floats, ground: Bools) -> 
             shadow_m = range_m * heights_m[sensor] / over_m if over_m > 0.1 else np.inf
             first = int((range_m + MARGIN_M) / RING_M)
             last = int(min(shadow_m, range_m + 25.0, RINGS * RING_M - 1) / RING_M)
-            low = int(np.floor((bearing - half_m / range_m) * (SECTORS / (2 * np.pi))))
+            low = int(np.ceil((bearing - half_m / range_m) * (SECTORS / (2 * np.pi))))
             high = int(np.floor((bearing + half_m / range_m) * (SECTORS / (2 * np.pi))))
+            slices = min(SLICES, high - low)
             through = 0
-            for sector in range(low, high + 1):
-                for ring in range(first, last + 1):
-                    if ground[sensor, sector % SECTORS, ring]:
-                        through += 1
-                        break
-            shares[index] = max(shares[index], through / (high - low + 1))
+            for part in range(slices):
+                begin = low + part * (high - low) // slices
+                end = low + (part + 1) * (high - low) // slices
+                through += _any_ground(ground[sensor], begin, end, first, last)
+            if slices > 0:
+                shares[index] = max(shares[index], min(1.0, ENOUGH * through / slices))
     return shares

@@ -209,12 +209,6 @@ _PAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "latency": ("latency in ms",),
         "loss": ("packets lost, %",),
     },
-    "value": {
-        "rate": ("upload", "uplink in Mbit/s", "controller"),
-        "latency": ("latency in ms", "controller"),
-        "cavs": ("traffic.cav_rate", "controller"),
-        "reports": ("traffic.cv_rate", "controller"),
-    },
 }
 """By page, the grids that it needs, with their axes."""
 
@@ -241,7 +235,8 @@ class Study(Section):
     page: Literal["plain", "paper", "bandwidth", "value"] = Field(
         "plain",
         description="plain: a section for each grid; paper: as Chen et al. 2022 has them; "
-        "bandwidth: what an uplink must carry; value: delay under two controllers, in pairs",
+        "bandwidth: what an uplink must carry; value: from where on delay suffers, and two "
+        "controllers in pairs",
     )
 
     @model_validator(mode="before")

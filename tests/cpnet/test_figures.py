@@ -98,9 +98,16 @@ def test_a_figure_of_rows_stays_fresh_where_the_code_gives_the_same_rows(
 
     def compared(root: Path, work: Path, then: str, now: str) -> list[SimpleNamespace]:
         commits.append(then)
-        learned = SimpleNamespace(title="b", detector="pointpillars", differences=["other rows"])
-        differences = [] if len(commits) > 1 else ["other rows"]
-        return [SimpleNamespace(title="a", detector="fast", differences=differences), learned]
+        differing = [] if len(commits) > 1 else ["other rows"]
+        return [
+            SimpleNamespace(
+                title=title, detector=detector, is_tracked=True, differences=differences
+            )
+            for title, detector, differences in (
+                ("a", "fast", differing),
+                ("b", "pointpillars", ["other rows"]),
+            )
+        ]
 
     monkeypatch.setattr(make, "compared", compared)
     make.compare_rows([])
@@ -110,6 +117,27 @@ def test_a_figure_of_rows_stays_fresh_where_the_code_gives_the_same_rows(
     assert told.endswith("; in 1 runs commit c0ffee0 gives the same rows")
     make.compare_rows([])  # it is fresh, and not compared again
     assert commits == ["0123456789"] * 2
+
+
+def test_what_tracks_give_ages_no_figure_of_detection_alone(make, monkeypatch, tmp_path) -> None:
+    figures = {name: make.FIGURES[name] for name in ("ecvpr", "delay")}
+    before = {"sources": "before", "commit": "0123456789", "same": {}}
+    records = {name: make.load(figure) | before for name, figure in figures.items()}
+    monkeypatch.setattr(make, "FOLDER", tmp_path)
+    monkeypatch.setattr(make, "FIGURES", figures)
+    for name, record in records.items():
+        make.save(figures[name], record)
+    monkeypatch.setattr(make, "_git", lambda *_: "c0ffee0123")
+    runs = [
+        SimpleNamespace(title="a", detector="fast", is_tracked=True, differences=["other rows"]),
+        SimpleNamespace(title="b", detector="fast", is_tracked=False, differences=[]),
+    ]
+    monkeypatch.setattr(make, "compared", lambda *_: runs)
+    make.compare_rows([])
+    assert {name: make.is_fresh(one) for name, one in figures.items()} == {
+        "ecvpr": True,
+        "delay": False,
+    }
 
 
 def test_a_figure_that_shows_a_learned_detector_is_older_than_its_weights(make) -> None:

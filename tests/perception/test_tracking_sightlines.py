@@ -34,6 +34,12 @@ def test_ground_where_a_car_would_hide_it_says_that_there_is_none(ground, is_emp
     assert bool(share[0] > 0.9) is is_empty
 
 
+def test_ground_beside_a_car_that_is_far_away_says_nothing() -> None:
+    """It stands in a queue, hidden, and between the lanes the road is seen."""
+    beside = [(x, y, 0.0) for x in np.arange(60, 70, 0.5) for y in (-1.2, -1.0, 1.0, 1.2)]
+    assert of(*beside).empty(np.array([[60.0, *CAR[1:]]]))[0] == 0
+
+
 def test_the_sensor_that_saw_most_counts() -> None:
     sensors = np.array([[0, 0, 2.5], [40, 0, 2.5]])
     lowest = [np.zeros((0, 3), np.float32), np.array(fan(13.0), np.float32)]

@@ -15,6 +15,7 @@ from studies.study_page import RATE, bandwidth_page, plain_page  # noqa: E402
 from studies.study_tables import StudyResults  # noqa: E402
 from studies.sweep.study_file import Study, read_study  # noqa: E402
 from studies.sweep.worker import HISTOGRAM_BINS  # noqa: E402
+from studies.value_page import value_page  # noqa: E402
 
 ROW = {
     "frames": 10, "e_cvpr": 0.6, "e_cvpr_std": 0.1, "e_cvpr_hist": [1] * HISTOGRAM_BINS,
@@ -216,3 +217,26 @@ def test_a_study_without_a_finished_cell_has_a_page():
     study = plain_study()
     empty = findings(study).frame.clear()
     assert to_html(plain_page(StudyResults(study, empty, "cpnet study mine")))
+
+
+def test_delay_suffers_from_the_first_point_that_is_worse_than_the_best_in_pairs() -> None:
+    controllers = {name: {"signal.policy": "predictive"} for name in ("predictive", "max pressure")}
+    axes = {"link.profile": ["1mbit", "2mbit", "3mbit"], "controller": controllers}
+    latencies = {ms: {"link.profile": f"1mbit,{ms}ms"} for ms in ("20", "900")}
+    delays = {"latency in ms": latencies, "controller": controllers}
+    grids = [{"name": "rate", "axes": axes}, {"name": "late", "axes": delays}]
+    study = Study.model_validate({"name": "value", "seeds": [1, 2, 3], "grids": grids})
+
+    def change(row: dict[str, Any]) -> dict[str, Any]:
+        is_slow = row["controller"] == "predictive" and row.get("link.profile") == "1mbit"
+        little = 0.2 * (row.get("link.profile") == "2mbit")
+        late = 3.0 * (row.get("latency in ms") == "900")
+        return {"delay_s": 10 + row["seed"] + 2.5 * is_slow + little + late}
+
+    page = value_page(findings(study, change=change))
+    rate, late = (block for block in page.sections[0].blocks if isinstance(block, Table))
+    assert rate.rows == (
+        ("predictive", "3mbit", 12.0, "1mbit", "2.50 ± 0.00"),
+        ("max pressure", "3mbit", 12.0, None, None),
+    )
+    assert {row[1:] for row in late.rows} == {("20", 12.0, "900", "3.00 ± 0.00")}

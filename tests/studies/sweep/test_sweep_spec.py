@@ -20,7 +20,7 @@ axes:
 """
 
 
-OF_CONTROL = {"control"}  # studies of signal policies, see test_control_study.py
+OF_CONTROL = {"control", "control_city"}
 
 
 def refused(tmp_path, text):
