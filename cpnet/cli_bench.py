@@ -160,8 +160,8 @@ def bench_control_command(  # noqa: PLR0913 - one parameter per option of the co
     net: Annotated[
         list[str] | None,
         typer.Option(
-            help="t_junction, moving_peak, corridor, grid, town or a folder with a .sumocfg; may be "
-            "given several times"
+            help="t_junction, moving_peak, corridor, grid, town or a folder with a .sumocfg; may "
+            "be given several times"
         ),
     ] = None,
     policies: Annotated[

@@ -190,6 +190,7 @@ def validate(data: dict[str, Any], source: str) -> Scenario:
     _check_mounts(scenario, source)
     _check_recording(scenario, source)
     _check_link(scenario, source)
+    _check_advice(scenario, source)
     return scenario
 
 
@@ -365,6 +366,14 @@ def _check_link(scenario: Scenario, source: str) -> None:
         raise ConfigError(
             f"{source}: link.apply is {link.apply}, but in mode {scenario.mode} links can only be "
             f"{fits[scenario.mode]}; write auto, or change the mode"
+        )
+
+
+def _check_advice(scenario: Scenario, source: str) -> None:
+    if scenario.signal.speed_advice and scenario.cabinet.control == "actuated":
+        raise ConfigError(
+            f"{source}: signal.speed_advice tells of greens that are requested: cabinet.control is "
+            "actuated, which ignores requests, must be requests"
         )
 
 

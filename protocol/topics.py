@@ -136,6 +136,7 @@ TOPICS = _table(
     Topic("clock", "world/clock/{process}", m.ClockReading, _W, _T, _CLOCKS, _RECORD),
     Topic("state", "signal/{tls}/state", m.SignalState, _V, _P, _SIM, _EDGE | _SIGNAL | _RECORD),
     Topic("request", "signal/{tls}/request", m.SignalRequest, _V, _P, _SIGNAL, _SIM | _RECORD),
+    Topic("advice", "signal/{tls}/advice/{agent}", m.SpeedAdvice, _V, _P, _SIGNAL, _SIM),
     Topic("roster", "{region}/roster/{process}", m.Roster, _V, _P, _AGENTS, _EDGE),
     Topic("pose", "{region}/pose/{process}/{agent}", m.AgentPose, _V, _P, _AGENTS, _EDGE),
     Topic(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from protocol.config import Section
 from protocol.plugins import Catalogue, PluginSettings
@@ -35,6 +35,14 @@ class SignalConfig(Section):
     )
     pedestrian_green_s: float = Field(
         7, ge=0, le=60, description="predictive: least green of a phase in which people walk"
+    )
+    speed_advice: bool = Field(
+        False,
+        description="predictive: vehicles that report themselves are advised the speed at which "
+        "they reach the stop bar when they may pass (GLOSA), and drive so",
+    )
+    advice_min_mps: float = Field(
+        5, ge=1, le=30, description="who would have to drive slower than this is not advised"
     )
     plugin: PluginSettings = Field({})
     unseen: Literal["alike", "empty"] = Field(
@@ -81,3 +89,11 @@ class SignalConfig(Section):
         description="counts farther than this, in simulated time, from the signal's newest state "
         "are not acted on",
     )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.speed_advice and self.policy != "predictive":
+            raise ValueError(
+                f"speed_advice needs policy predictive, which plans ahead; policy is {self.policy}"
+            )
+        return self

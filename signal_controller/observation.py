@@ -14,6 +14,7 @@ from protocol.messages import Detections, LaneCounts, ObjectClass, SignalState
 from protocol.roadmap import RoadMap, Signal
 
 Floats = npt.NDArray[np.float64]
+_LIDAR = "lidar"  # the source of a detection that is no agent's own, see `Detections`
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +56,7 @@ class LaneVehicles:
     `distances_m` is the way of the front bumper to the stop bar, negative behind it, as in
     `Detections`; `speeds_mps` is NaN where it is unknown. Ids are empty strings where nothing tells
     who is who; then `places_m` (N, 2), x and y in the map frame, let `VehicleAssociation` do so.
+    `agents` names those that have reported themselves in this frame, with empty strings for others.
     """
 
     lanes: list[str]
@@ -63,6 +65,7 @@ class LaneVehicles:
     lengths_m: Floats
     ids: list[str]
     places_m: Floats | None = None
+    agents: list[str] | None = None
 
     def take(self, rows: npt.NDArray[np.int64]) -> Self:
         """Returns some of them, by index."""
@@ -73,6 +76,7 @@ class LaneVehicles:
             lengths_m=self.lengths_m[rows],
             ids=[self.ids[i] for i in rows],
             places_m=None if self.places_m is None else self.places_m[rows],
+            agents=None if self.agents is None else [self.agents[i] for i in rows],
         )
 
     @classmethod
@@ -86,7 +90,8 @@ class LaneVehicles:
             if lane and kind != ObjectClass.PEDESTRIAN
         ]
         boxes = detections.boxes[keep].astype(np.float64)
-        tracks = detections.track_ids[keep]
+        tracks, reported = detections.track_ids[keep], detections.coasted_s[keep] == 0
+        sources = [detections.sources[index] for index in keep]
         return cls(
             lanes=[detections.lanes[index] for index in keep],
             distances_m=detections.distances_m[keep].astype(np.float64) - boxes[:, 3] / 2,
@@ -94,6 +99,10 @@ class LaneVehicles:
             lengths_m=boxes[:, 3],
             ids=[str(track) if track else "" for track in tracks.tolist()],
             places_m=boxes[:, :2],
+            agents=[
+                source if source != _LIDAR and is_new else ""
+                for source, is_new in zip(sources, reported.tolist(), strict=True)
+            ],
         )
 
 

@@ -6,7 +6,7 @@ The entry point of a plug-in (group `cpnet.signal_policies`) names a `PolicyMake
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
 from protocol.messages import LaneCounts, SignalState
@@ -23,6 +23,7 @@ from signal_controller.queue_estimator import (
     uncovered_lanes,
     weighted_counts,
 )
+from signal_controller.speed_advice import SpeedAdviser
 
 Unseen = Literal["alike", "empty"]
 
@@ -32,12 +33,14 @@ class Decision:
     """A green state, one character per link, and the pressure of each of the signal's phases.
 
     `policy` is what decided; `unknown` are lanes whose vehicles were estimated, not counted.
+    `advice` has speeds in m/s by agent, None where earlier advice ends; see `speed_advice`.
     """
 
     state: str
     pressures: list[float]
     policy: str
     unknown: tuple[str, ...] = ()
+    advice: Mapping[str, float | None] = field(default_factory=dict)
 
 
 def max_pressure(
@@ -229,9 +232,21 @@ class Predictive:
                 saturation_vph=config.estimator_saturation_vph,
             ),
         )
+        self._adviser = (
+            SpeedAdviser(self.planner, config.advice_min_mps) if config.speed_advice else None
+        )
 
     def decide(self, observation: Observation) -> Decision:
         """See `SignalPolicy.decide`."""
+        decision, shown = self._decide(observation), observation.shown
+        if self._adviser is None:
+            return decision
+        if decision.policy != "predictive" or shown is None:
+            return replace(decision, advice=self._adviser.release())
+        time_s = observation.counts.sim_time_ns / 1e9
+        return replace(decision, advice=self._adviser.advise(time_s, shown))
+
+    def _decide(self, observation: Observation) -> Decision:
         counts, shown = observation.counts, observation.shown
         unknown = tuple(uncovered_lanes(self._site.lanes, counts.coverage_upstream))
         if observation.vehicles is None or shown is None:

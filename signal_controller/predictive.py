@@ -30,6 +30,27 @@ MAX_VEHICLES = 1000
 """Vehicles that one decision looks at: the nearest."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ExpectedVehicles:
+    """Vehicles (N,) before the stop bars, none of them parked, as if nothing held them.
+
+    Attributes:
+        rows: which of the `LaneVehicles` they are.
+        lanes: that they are on.
+        distances_m: to their stop bars.
+        limits_mps: mean of the speeds allowed on their way there.
+        arrival_s: from now until they are there.
+        shares: (N, L) probability of each stop bar.
+    """
+
+    rows: list[int]
+    lanes: list[str]
+    distances_m: Floats
+    limits_mps: Floats
+    arrival_s: Floats
+    shares: Floats
+
+
 @dataclass(frozen=True, slots=True)
 class PlannerSettings:
     """How far and how long the planner searches, and what it must not do.
@@ -61,6 +82,8 @@ class PredictivePlanner:
         self.memory = TrafficMemory(self.model, settings.inflow_vph, settings.saturation_vph)
         self.queues = QueueFilter(self.model, settings.inflow_vph, settings.saturation_vph)
         self.plan: Plan | None = None
+        self.planned_s = 0.0
+        self.vehicles = LaneVehicles([], np.zeros(0), np.zeros(0), np.zeros(0), [])
         self._association = VehicleAssociation()
         self._green_since_s: tuple[str, float] = "", 0.0
         self._compile()
@@ -81,7 +104,7 @@ class PredictivePlanner:
             coverage: share of each lane before the stop bars that sensors cover, 1 where it is not
                 named; empty where vehicles report themselves alone.
         """
-        vehicles = self._association.take(time_s, self._nearest(vehicles))
+        vehicles = self.vehicles = self._association.take(time_s, self._nearest(vehicles))
         model, memory = self.model, self.memory
         unseen = uncovered_lanes(model.lanes, coverage) if coverage else model.lanes
         memory.take(time_s, vehicles, shown.state, unseen)
@@ -100,7 +123,8 @@ class PredictivePlanner:
         if left_s > 1e-6:
             return model.phases[phase]
         forced = self._overdue_phase(time_s, phase)
-        problem = self._problem(time_s, self.arrivals(vehicles), phase)
+        problem = self.problem(time_s, self.arrivals(vehicles), phase)
+        self.planned_s = time_s
         self.plan = search(problem, self._settings.prices, self._settings.max_nodes, forced)
         if forced is not None:
             return model.phases[forced]
@@ -110,9 +134,29 @@ class PredictivePlanner:
     def _compile(self) -> None:
         """Searches once, so that no decision waits for the compiler."""
         nothing = np.zeros((len(self.model.lanes), 1))
-        search(self._problem(0.0, nothing, 0), self._settings.prices, 1)
+        search(self.problem(0.0, nothing, 0), self._settings.prices, 1)
 
-    def _problem(self, time_s: float, arrivals: Floats, phase: int) -> Problem:
+    def phases_ahead(
+        self, time_s: float, shown: SignalState
+    ) -> tuple[list[tuple[int, float]], int]:
+        """Returns the plan's phases from the one that is shown on, and how many of them have begun.
+
+        Each has the step from now at which it is asked for. Within a change to a phase, and within
+        the shortest green after it, the one before it stands first. Without phases the signal does
+        not do what was planned.
+        """
+        if self.plan is None:
+            return [], 0
+        passed = (time_s - self.planned_s) / STEP_S
+        phases = [(phase, step - passed) for phase, step in self.plan.phases]
+        now = sum(step <= 0 for _, step in phases) - 1 if passed > 0 else 0
+        if phases[now][0] != self.model.phase_of(shown.green):
+            return [], 0
+        first = max(0, now - 1)
+        return phases[first:], now - first + 1
+
+    def problem(self, time_s: float, arrivals: Floats, phase: int) -> Problem:
+        """Returns what is known at a time at which a phase is shown; see `arrivals`."""
         model, memory = self.model, self.memory
         may = memory.shares * memory.has_room
         status = model.pair_status
@@ -142,27 +186,44 @@ class PredictivePlanner:
 
         Those that queue unseen stand at the stop bar; from where nobody is seen, others may come.
         """
+        expected = self.expected(vehicles)
+        result = np.zeros((len(self.model.lanes), self.steps))
+        add_arrivals(result, expected.arrival_s, expected.shares)
+        self.add_unseen(result)
+        return result
+
+    @property
+    def steps(self) -> int:
+        """How far a plan reaches."""
+        return round(self._settings.horizon_s / STEP_S)
+
+    def expected(self, vehicles: LaneVehicles) -> ExpectedVehicles:
+        """Returns the vehicles before the stop bars with when they would be there."""
         model, memory = self.model, self.memory
-        steps = round(self._settings.horizon_s / STEP_S)
-        result = np.zeros((len(model.lanes), steps))
         upstream, parked = model.approaches.upstream, memory.parked
-        chosen = [
+        rows = [
             index
             for index, (lane, name) in enumerate(zip(vehicles.lanes, vehicles.ids, strict=True))
             if lane in upstream and name not in parked
         ]
-        if chosen:
-            lanes = [vehicles.lanes[i] for i in chosen]
-            distances_m = vehicles.distances_m[chosen]
-            free_s = np.array(
-                [model.free_flow_s(*of) for of in zip(lanes, distances_m.tolist(), strict=True)]
-            )
-            limits_mps = np.maximum(1.0, distances_m / np.maximum(free_s, 0.1))
-            after_s = memory.arrival_s(distances_m, vehicles.speeds_mps[chosen], limits_mps)
-            at = np.minimum(after_s / STEP_S, steps).astype(np.int64)
-            for lane, step in zip(lanes, at.tolist(), strict=True):
-                if step < steps:
-                    result[:, step] += memory.chosen_lanes(lane)
+        lanes = [vehicles.lanes[i] for i in rows]
+        distances_m = vehicles.distances_m[rows]
+        free_s = np.array(
+            [model.free_flow_s(*of) for of in zip(lanes, distances_m.tolist(), strict=True)]
+        )
+        limits_mps = np.maximum(1.0, distances_m / np.maximum(free_s, 0.1))
+        return ExpectedVehicles(
+            rows,
+            lanes,
+            distances_m,
+            limits_mps,
+            memory.arrival_s(distances_m, vehicles.speeds_mps[rows], limits_mps),
+            np.array([memory.chosen_lanes(one) for one in lanes]).reshape(-1, len(model.lanes)),
+        )
+
+    def add_unseen(self, result: Floats) -> None:
+        """Adds to arrivals (L, T) those of vehicles that are not known one by one."""
+        model, memory, steps = self.model, self.memory, result.shape[1]
         queues = self.queues
         result[:, 0] += np.maximum(0.0, queues.expected() - queues.queued())
         inflow_per_s = np.where(queues.is_seen, memory.arrivals_per_s, queues.arrivals_per_s)
@@ -171,7 +232,6 @@ class PredictivePlanner:
         is_beyond = at_s >= model.reach_s[:, None]
         reported = np.where(is_beyond, 0.0, queues.reporting)
         result += (at_s >= seen_s[:, None]) * (1 - reported) * inflow_per_s[:, None] * STEP_S
-        return result
 
     def _overdue_phase(self, time_s: float, phase: int) -> int | None:
         """Returns the phase that must come next because somebody has waited too long."""
@@ -197,3 +257,12 @@ class PredictivePlanner:
             away_m = np.abs(vehicles.distances_m[order])
             order = np.sort(order[np.argsort(away_m, kind="stable")[:MAX_VEHICLES]])
         return vehicles.take(order)
+
+
+def add_arrivals(result: Floats, arrival_s: Floats, shares: Floats) -> None:
+    """Adds to arrivals (L, T) vehicles (N,) that come so soon, with shares (N, L) of each lane."""
+    steps = result.shape[1]
+    at = np.minimum(arrival_s / STEP_S, steps).astype(np.int64)
+    for step, share in zip(at.tolist(), shares, strict=True):
+        if step < steps:
+            result[:, step] += share

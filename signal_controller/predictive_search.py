@@ -9,6 +9,8 @@ arrivals are uncertain.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -123,6 +125,67 @@ def search(
         np.array([prices.stop, prices.switch, prices.left_s]),
     )
     return Plan(tuple((int(phase), int(step)) for phase, step in path), float(cost), int(nodes))
+
+
+def discharged(problem: Problem, phases: Sequence[tuple[int, float]]) -> Floats:
+    """Returns how many vehicles have passed each stop bar by the end of each step (L, T).
+
+    Lanes discharge as in the search, except that who stands first is taken to want what his lane
+    may do.
+
+    Args:
+        problem: as known now.
+        phases: with the step from now at which each is asked for, as in `Plan`; the first one is
+            shown, and a later one with a step before now is what it changes to, or did.
+    """
+    lanes, steps = problem.arrivals.shape
+    queue, inside, begin = np.zeros(lanes), problem.inside.copy(), problem.begin.copy()
+    queues, at = np.zeros((lanes, steps)), 0
+    arrivals = np.ascontiguousarray(problem.arrivals)
+    protected = np.ascontiguousarray(problem.protected)
+    permitted = np.ascontiguousarray(problem.permitted)
+    open_share = protected + permitted
+    for stretch in _stretches(problem, phases):
+        if stretch.green > 0:
+            closed = open_share[stretch.before] <= 0.0
+            begin[closed] = stretch.green + problem.lost_s[closed]
+        until = math.floor(min(stretch.until, steps))
+        for step in range(at, until):
+            _run(queue, np.ones(lanes), inside, begin, stretch.row, stretch.phase, step, step + 1,
+                 arrivals, protected, permitted, problem.headway_s, problem.foes,
+                 problem.foe_shares, 0.0)  # fmt: skip
+            queues[:, step] = queue
+        at = max(at, until)
+    passed = problem.arrivals.cumsum(axis=1) - np.maximum(queues, 0.0)
+    return np.asarray(np.maximum.accumulate(passed, axis=1))
+
+
+@dataclass(frozen=True, slots=True)
+class _Stretch:
+    """A part of a plan in which the same lanes are green, those of a row of `Problem`.
+
+    Where a green begins, at step `green`, `before` is the row of the change that led to it.
+    """
+
+    row: int
+    phase: int
+    until: float
+    green: float = 0.0
+    before: int = -1
+
+
+def _stretches(problem: Problem, phases: Sequence[tuple[int, float]]) -> Iterator[_Stretch]:
+    """Yields the greens of a plan, with the yellows that are used, and the rest of its changes."""
+    count, (phase, _) = len(problem.min_green_steps), phases[0]
+    green, before = 0.0, -1
+    for after, asked in phases[1:]:
+        change = int(problem.change_steps[phase, after])
+        pair = count + phase * count + after
+        yellow_ends = asked + min(change, YELLOW_USED_STEPS)
+        yield _Stretch(phase, phase, yellow_ends, green, before)
+        yield _Stretch(pair, phase, asked + change)
+        phase, green, before = after, asked + change, pair
+    yield _Stretch(phase, phase, math.inf, green, before)
 
 
 _FOLLOW_UP_S = 2.5  # between permitted turns that use the same gap in the opposing traffic

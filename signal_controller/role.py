@@ -9,7 +9,15 @@ from typing import TypeVar
 
 from protocol.inbox import Envelope, Presence
 from protocol.instances import region_of
-from protocol.messages import Detections, LaneCounts, Metrics, SignalRequest, SignalState, Span
+from protocol.messages import (
+    Detections,
+    LaneCounts,
+    Metrics,
+    SignalRequest,
+    SignalState,
+    Span,
+    SpeedAdvice,
+)
 from protocol.process import Context
 from protocol.sequence_window import SequenceWindow
 from signal_controller.config import SignalConfig
@@ -142,6 +150,7 @@ class SignalRole:
         config = SignalConfig.model_validate(scenario["signal"])
         self._context = context
         self._region = region_of(context.id)
+        self._advises = config.speed_advice
         self._drops: Counter[str] = Counter()
         signals = context.setup.road_map.by_tls
         self._deciders = {
@@ -226,11 +235,27 @@ class SignalRole:
             policy=decision.policy,
             pressures=decision.pressures,
             unknown=list(decision.unknown),
+            advised=len(decision.advice) if self._advises else 0,
             delay_sim_ns=counts.delay_sim_ns,
         )
+        if self._advises:
+            self._publish_advice(tls, counts, decision)
         decided_ns = time.monotonic_ns()  # before it is sent: the cabinet may act at once
         self._context.v2x.publish("request", request, tls=tls)
         return Span(stage="decide", agent=tls, start_ns=start_ns, end_ns=decided_ns)
+
+    def _publish_advice(self, tls: str, counts: LaneCounts, decision: Decision) -> None:
+        """Publishes a speed for each agent; the request says how many there are."""
+        for agent, speed_mps in sorted(decision.advice.items()):
+            advice = SpeedAdvice(
+                frame=counts.frame,
+                sim_time_ns=counts.sim_time_ns,
+                tls=tls,
+                agent=agent,
+                speed_mps=speed_mps,
+                delay_sim_ns=counts.delay_sim_ns,
+            )
+            self._context.v2x.publish("advice", advice, tls=tls, agent=agent)
 
     def _publish_metrics(self, counts: LaneCounts, spans: list[Span]) -> None:
         drops = dict(+(Counter(self._context.inbox.drops) + self._drops))

@@ -14,12 +14,22 @@ from protocol.errors import BusError, CpnetError
 from protocol.inbox import Envelope, Presence
 from protocol.instances import WORLD_HOST, instances_of
 from protocol.limits import MAX_ITEMS
-from protocol.messages import End, Metrics, Setup, SignalRequest, Span, TileRequest, Trips
+from protocol.messages import (
+    End,
+    Metrics,
+    Setup,
+    SignalRequest,
+    Span,
+    SpeedAdvice,
+    TileRequest,
+    Trips,
+)
 from protocol.process import Context
 from protocol.topics import BusName
 from sensing.config import SceneConfig
 from sensing.recorded_scans import Recording
 from sensing.terrain import Terrain
+from sim_host.advised_speeds import AdvisedSpeeds, SpeedBounds
 from sim_host.cabinet import ActuatedCabinet, Cabinet, SignalCabinet, loop_parameters, programme
 from sim_host.config import CabinetConfig
 from sim_host.presence import Fleet, Readiness
@@ -84,10 +94,14 @@ class SimRole:
         world: Traffic,
         cabinets: Mapping[str, Cabinet] | None = None,
         *,
+        advised: AdvisedSpeeds | None = None,
         first_frame: int = 0,
         speed: float = 1.0,
     ) -> None:
-        """Begins with `first_frame`; in realtime, `speed` is simulated over wall time."""
+        """Begins with `first_frame`; in realtime, `speed` is simulated over wall time.
+
+        With `advised`, vehicles follow speed advice.
+        """
         scenario = context.setup.scenario
         self._context = context
         self._world = world
@@ -106,6 +120,7 @@ class SimRole:
             )
             for one in context.setup.road_map.intersections
         }
+        self._advised = advised
         self._unknown_signal = 0
         frames = max(1, round(scenario["duration_s"] / scenario["frame_period_s"]))
         self._end_frame = first_frame + frames
@@ -130,19 +145,21 @@ class SimRole:
         seed: int = setup.scenario["seed"]
         recording = setup.scenario.get("recording")
         world: Traffic
-        cabinets = None
+        cabinets = advised = None
         if recording:
             step_ns = round(traffic_config(setup.scenario).step_s * 1e9)
             world = RecordedWorld(Recording(Path(recording)), step_ns)
         else:
             world = World(setup, context.run_dir, Terrain(setup.road_map, scene, seed))
             world.start(seed)
-            cabinets = _sumo_control(setup, world)
-        return cls(context, world, cabinets).open()
+            cabinets, advised = _sumo_control(setup, world), _speed_advice(setup, world)
+        return cls(context, world, cabinets, advised=advised).open()
 
     def open(self) -> SimRole:
         """Subscribes to what is asked of the world and announces the role."""
         self._context.v2x.subscribe("request")
+        if self._advised is not None:
+            self._context.v2x.subscribe("advice")
         self._context.world.subscribe("tiles")
         self._context.world.watch()
         self._context.v2x.watch()
@@ -155,6 +172,8 @@ class SimRole:
             self._note_presence(item)
         elif isinstance(item.message, SignalRequest):
             self._take_request(item, item.message)
+        elif isinstance(item.message, SpeedAdvice):
+            self._take_advice(item, item.message)
         elif isinstance(item.message, TileRequest):
             self._ticking.answer(item.message)
 
@@ -214,11 +233,20 @@ class SimRole:
         if control is None:
             self._unknown_signal += 1
             return
-        answers = (request.frame, request.sim_time_ns) == (self._frame, self._tick_ns)
-        awaited = answers and self._stage is Stage.FRAME
+        awaited = self._is_awaited(request)
         control.take(item, request, self._world.time_ns, awaited=awaited)
         if not self._lockstep:
             self._actuate([control])
+
+    def _take_advice(self, item: Envelope, advice: SpeedAdvice) -> None:
+        if self._advised is not None:
+            awaited = self._is_awaited(advice)
+            self._advised.take(advice, item.parts, self._world.time_ns, awaited=awaited)
+
+    def _is_awaited(self, message: SignalRequest | SpeedAdvice) -> bool:
+        """Whether a message answers the frame that has begun."""
+        answers = (message.frame, message.sim_time_ns) == (self._frame, self._tick_ns)
+        return answers and self._stage is Stage.FRAME
 
     def _warm_up(self) -> None:
         until_ns = time.monotonic_ns() + _WARM_UP_SLICE_NS
@@ -235,6 +263,8 @@ class SimRole:
         if not self._lockstep:
             self._clock.begin_frame(self._since_ns)
         self._stage = Stage.FRAME
+        if self._advised is not None:
+            self._advised.begin_frame()
         for tls, control in self._controls.items():
             self._context.v2x.publish("state", control.spat(frame, now_ns), tls=tls)
         self._ticking.publish(frame, now_ns, bodies, self._fleet)
@@ -246,16 +276,22 @@ class SimRole:
         if not self._lockstep:
             return self._frame_time_is_over(now_ns)
         waited_ns = now_ns - self._since_ns
-        missing = [control for control in self._controls.values() if not control.has_answer]
+        missing = [one for one in self._controls.values() if not self._is_answered(one)]
         if missing and waited_ns > self._cabinet_config.request_timeout_s * 1e9:
             raise BusError(self._hang(missing))
         return not missing
 
+    def _is_answered(self, control: SignalControl) -> bool:
+        """Whether a signal's request has come, with the advice that belongs to it."""
+        arrived = self._advised.arrived(control.tls) if self._advised else control.advised
+        return control.has_answer and arrived >= control.advised
+
     def _hang(self, missing: list[SignalControl]) -> str:
         refusals = sum((Counter(one.cabinet.refusals) for one in missing), Counter[str]())
         refused = ", ".join(f"{n} {why}" for why, n in refusals.items())
+        lacks = "complete speed advice" if all(one.has_answer for one in missing) else "request"
         return (
-            f"no request for frame {self._frame} for {', '.join(one.tls for one in missing[:5])} "
+            f"no {lacks} for frame {self._frame} for {', '.join(one.tls for one in missing[:5])} "
             f"within cabinet.request_timeout_s, {self._cabinet_config.request_timeout_s:g} s: edge "
             "or signal hangs"
             + (f", or asks for what the cabinet refuses ({refused})" if refused else "")
@@ -279,6 +315,8 @@ class SimRole:
         start_ns = time.monotonic_ns()
         for _ in range(self._steps):
             self._actuate(self._controls.values())
+            if self._advised is not None:
+                self._advised.actuate(self._world.time_ns)
             self._step()
         stepped = Span(stage="world", start_ns=start_ns, end_ns=time.monotonic_ns())
         self._publish_trips(with_unfinished=False)
@@ -335,6 +373,8 @@ class SimRole:
         found = Counter(self._context.inbox.drops)
         for control in self._controls.values():
             found += control.drops()
+        if self._advised is not None:
+            found += self._advised.drops()
         found["request_wrong_tls"] += self._unknown_signal
         found["late"] = self._clock.late
         return dict(+found)
@@ -363,3 +403,14 @@ def _sumo_control(setup: Setup, world: World) -> dict[str, Cabinet] | None:
         world.run_actuated(one.tls, programme(one.signal, config), loop_parameters(config))
         found[one.tls] = ActuatedCabinet(one.signal, partial(world.shown, one.tls))
     return found
+
+
+def _speed_advice(setup: Setup, world: World) -> AdvisedSpeeds | None:
+    """Returns what lets vehicles follow speed advice, if the scenario wants that."""
+    signal = setup.scenario.get("signal", {})
+    if not signal.get("speed_advice"):
+        return None
+    fastest_mps = max(lane.speed_mps for lane in setup.road_map.lanes)
+    bounds = SpeedBounds(signal["advice_min_mps"], fastest_mps)
+    lockstep = setup.scenario["mode"] == "lockstep"
+    return AdvisedSpeeds(world, {*setup.road_map.by_tls}, bounds, lockstep=lockstep)

@@ -42,6 +42,12 @@ class SignalControl:
         """Whether the present frame was answered; in lockstep."""
         return self._answer is not None
 
+    @property
+    def advised(self) -> int:
+        """How much speed advice belongs to the answer; in lockstep."""
+        answer = self._answer.message if self._answer is not None else None
+        return answer.advised if isinstance(answer, SignalRequest) else 0
+
     def spat(self, frame: int, now_ns: int) -> SignalState:
         """Begins a frame; returns phase and timing."""
         self._answer = None

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from protocol.errors import ConfigError
 from protocol.geometry import Floats
-from protocol.messages import PEDESTRIAN, Setup, Trip, Truth
+from protocol.messages import PEDESTRIAN, Equipment, Setup, Trip, Truth
 from sensing.recorded_scans import Recording
 from sim_host.cabinet import Interval
 from sim_host.journeys import Journey, Journeys, safe_id
@@ -123,6 +123,7 @@ class World:
         self._setup = setup
         self._shown: dict[str, str] = {}
         self._widths_m: dict[str, float] = {}
+        self._radios: dict[str, str] = {}  # SUMO's ids of the agents within the radius
         self._sumo: Any = None
         self.counts = TrafficCounts()
         self.time_ns = 0
@@ -188,6 +189,7 @@ class World:
             self._journeys.note_teleport(name)
         for name in sorted(arrived):
             self._journeys.end(name, self.time_ns / 1e9)
+            self._radios.pop(safe_id(name), None)
         self._journeys.note_step()
         self._pedestrians.step(self.time_ns / 1e9)
 
@@ -202,6 +204,11 @@ class World:
         near = _nearest_m(fronts, self._centres) <= self._traffic.radius_m
         names = [name for name, is_near in zip(names, near, strict=True) if is_near]
         journeys = self._journeys.within_radius(names)
+        self._radios = {
+            journey.name: name
+            for journey, name in zip(journeys, names, strict=True)
+            if journey.equipment is not Equipment.NONE
+        }
         lanes = [vehicle.getLaneID(name) for name in names]
         yaw = np.radians(90.0 - np.array([vehicle.getAngle(name) for name in names]))
         half = np.array([journey.type.length_m / 2 for journey in journeys])
@@ -297,6 +304,21 @@ class World:
         if state != self._shown.get(tls):
             self._sumo.trafficlight.setRedYellowGreenState(tls, state)
             self._shown[tls] = state
+
+    def signals_ahead(self, agent: str) -> set[str] | None:
+        """Returns the signals on an agent's way; None if no such agent is within the radius."""
+        name = self._radios.get(agent)
+        return None if name is None else {one[0] for one in self._sumo.vehicle.getNextTLS(name)}
+
+    def set_speed(self, agent: str, speed_mps: float | None) -> None:
+        """Lets an agent drive at a speed from now on, as far as SUMO's rules of driving let it.
+
+        It keeps its distance, stops at red and yields, and is never faster than its driver would
+        be. None lets it drive freely.
+        """
+        vehicle, name = self._sumo.vehicle, self._radios[agent]
+        most_mps = vehicle.getAllowedSpeed(name)
+        vehicle.setSpeed(name, -1 if speed_mps is None else min(speed_mps, most_mps))
 
     def take_trips(self) -> list[Trip]:
         """Returns the journeys that ended since the last call."""

@@ -92,6 +92,8 @@ EXAMPLES: list[m.Message] = [
                 depart_s=1.0,
                 arrive_s=None,
                 time_loss_s=2.5,
+                stops=2,
+                co2_g=120.5,
             )
         ],
     ),
@@ -243,6 +245,7 @@ EXAMPLES: list[m.Message] = [
         speeds_mps=np.array([1, 2], np.float32),
     ),
     m.TileRequest(tiles=np.array([[0, -1], [3, 2]], np.int32)),
+    m.SpeedAdvice(frame=1, sim_time_ns=1, tls="J", agent="a", speed_mps=8.5),
 ]
 
 

@@ -34,6 +34,7 @@ from protocol.messages.v2x import (
     Scan,
     SignalRequest,
     SignalState,
+    SpeedAdvice,
 )
 from protocol.messages.world import (
     PARKED,
@@ -89,6 +90,7 @@ __all__ = [
     "SignalRequest",
     "SignalState",
     "Span",
+    "SpeedAdvice",
     "Tick",
     "TileBodies",
     "TileRequest",

@@ -14,6 +14,7 @@ from protocol.limits import (
     MAX_LENGTH_M,
     MAX_MBPS,
     MAX_POSITION_STD_M,
+    MAX_SPEED_MPS,
     MAX_WIDTH_M,
 )
 from protocol.messages.fields import (
@@ -288,7 +289,8 @@ class SignalRequest(Message):
     """A policy's wish: the green state to be shown, one character per link.
 
     `policy` is what decided, "plan" where the policy knew too little and fell back on the fixed
-    plan. `unknown` are the lanes without sensor coverage, whose vehicles were estimated.
+    plan. `unknown` are the lanes without sensor coverage, whose vehicles were estimated. `advised`
+    is how many vehicles get a `SpeedAdvice` in this frame, which may arrive before it or after it.
     """
 
     kind: ClassVar[int] = 7
@@ -299,4 +301,20 @@ class SignalRequest(Message):
     policy: Text
     pressures: Annotated[list[float], *BOUNDED] = Field([])
     unknown: Annotated[list[NetId], *BOUNDED] = Field([])
+    advised: int = Field(0, ge=0, le=MAX_ITEMS)
+    delay_sim_ns: DelayNs | None = None
+
+
+class SpeedAdvice(Message):
+    """At what speed a vehicle reaches a signal's stop bar when it may pass (GLOSA).
+
+    None ends an earlier advice of the same signal: the vehicle drives freely.
+    """
+
+    kind: ClassVar[int] = 23
+    frame: FrameNumber
+    sim_time_ns: TimeNs
+    tls: NetId
+    agent: AgentId
+    speed_mps: Annotated[float, Field(gt=0, le=MAX_SPEED_MPS)] | None
     delay_sim_ns: DelayNs | None = None

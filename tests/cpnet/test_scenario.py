@@ -170,3 +170,13 @@ def test_each_renamed_key_is_gone_and_its_new_name_is_a_key_of_today():
     today = keys_of(Scenario)
     assert not today & scenarios.RENAMED_KEYS.keys()
     assert today >= set(scenarios.RENAMED_KEYS.values())
+
+
+def test_speed_advice_needs_a_policy_that_plans_ahead_and_a_cabinet_that_is_asked():
+    advising = {"signal.speed_advice": True}
+    with pytest.raises(ConfigError, match="signal: speed_advice needs policy predictive.*max_pres"):
+        load("t_junction", advising)
+    predictive = advising | {"signal.policy": "predictive"}
+    assert load("t_junction", predictive).signal.speed_advice
+    with pytest.raises(ConfigError, match="speed_advice.* cabinet.control is actuated"):
+        load("t_junction", predictive | {"cabinet.control": "actuated"})

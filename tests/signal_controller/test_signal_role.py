@@ -40,6 +40,7 @@ class Rig:
         self.inbox, self.seen = Inbox(), Inbox()
         self.others = v2x.bus(self.seen)
         self.others.subscribe("request")
+        self.others.subscribe("advice")
         self.others.watch()
         world.bus(self.seen).subscribe("metrics")
         bus = v2x.bus(self.inbox)
@@ -65,7 +66,9 @@ class Rig:
         )
         self.others.publish("lanes", counts, region="r0", tls="j")
 
-    def say_detections(self, frame: int, *distances_m: float, age_ns: int = 0) -> None:
+    def say_detections(
+        self, frame: int, *distances_m: float, age_ns: int = 0, sources: list[str] | None = None
+    ) -> None:
         count = len(distances_m)
         detections = m.Detections(
             frame=frame,
@@ -76,7 +79,7 @@ class Rig:
             classes=np.zeros(count, np.uint8),
             lanes=["side"] * count,
             distances_m=np.array(distances_m, np.float32),
-            sources=["lidar"] * count,
+            sources=sources or ["lidar"] * count,
             track_ids=np.zeros(count, np.int64),
             **{
                 name: np.zeros(count, np.float32)
@@ -309,3 +312,34 @@ def test_policies_of_counts_alone_get_no_vehicles() -> None:
     rig.say_detections(4, 4.0)
     rig.say_counts(4, main=1, side=3)
     assert requests(rig.turn()) == [(4, 4 * 10**8, "rG", "max_pressure")]
+
+
+@pytest.mark.parametrize("is_on", [True, False])
+def test_those_who_report_themselves_are_advised_where_that_is_on(
+    is_on: bool,
+) -> None:
+    rig = Rig(policy="predictive", speed_advice=is_on)
+    rig.say_state(60, "Gr")
+    rig.say_counts(60, main=0, side=4)
+    rig.say_detections(60, 4.0, 11.0, 90.0, 110.0, sources=["a", "lidar", "lidar", "b"])
+    heard = [one for one in rig.turn() if isinstance(one, m.SpeedAdvice | m.SignalRequest)]
+    assert requests(heard) == [(60, 6 * 10**9, "rG", "predictive")]
+    advised = [one for one in heard if isinstance(one, m.SpeedAdvice)]
+    assert [(one.frame, one.sim_time_ns, one.tls, one.agent) for one in advised] == (
+        [(60, 6 * 10**9, "j", "b")] if is_on else []
+    )
+    assert isinstance(heard[-1], m.SignalRequest)
+    assert heard[-1].advised == len(advised)
+    assert all(5 <= one.speed_mps <= 14 for one in advised)
+
+
+def test_whoever_is_gone_is_told_once_that_advice_has_ended() -> None:
+    rig, told = Rig(policy="predictive", speed_advice=True), []
+    for frame in range(60, 63):
+        rig.say_state(frame, "Gr")
+        rig.say_counts(frame, main=0, side=4)
+        sources = ["lidar", "b" if frame == 60 else "lidar"]
+        rig.say_detections(frame, 4.0, 110.0, sources=sources)
+        heard = [one for one in rig.turn() if isinstance(one, m.SpeedAdvice)]
+        told.append([(one.agent, one.speed_mps is None) for one in heard])
+    assert told == [[("b", False)], [("b", True)], []]

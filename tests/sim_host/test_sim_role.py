@@ -102,6 +102,16 @@ class Rig:
         request = m.SignalRequest.model_validate(asked | other)
         self.listener_v2x.publish("request", request, tls="J")
 
+    def advise(self, tick: m.Tick, agent: str, speed_mps: float | None, frame: int = 0) -> None:
+        advice = m.SpeedAdvice(
+            frame=tick.frame + frame,
+            sim_time_ns=tick.sim_time_ns,
+            tls="J",
+            agent=agent,
+            speed_mps=speed_mps,
+        )
+        self.listener_v2x.publish("advice", advice, tls="J", agent=agent)
+
 
 @pytest.fixture
 def make(tmp_path: Path) -> Iterator[type[Rig]]:
@@ -322,3 +332,59 @@ def test_realtime_acts_on_a_true_request_amid_hostile_ones(make: type[Rig]) -> N
         "request_wrong_tls": 1,
     }
     assert only(said, m.Metrics)[1].drops["request_replayed"] == 1
+
+
+ADVISING = {"policy": "predictive", "speed_advice": True, "advice_min_mps": 5}
+
+
+def driving(truth: m.Truth) -> str:
+    """Returns the agent on the main road that drives fast and is farthest from its stop bar."""
+    rows = zip(truth.ids, truth.lanes, truth.speeds_mps, truth.equipment, strict=True)
+    places = dict(zip(truth.ids, truth.lane_positions_m, strict=True))
+    names = [name for name, lane, v, kind in rows if kind and v > 10 and "_in_" in lane]
+    return min(names, key=places.__getitem__)
+
+
+@pytest.mark.parametrize("is_on", [True, False])
+def test_agents_follow_speed_advice_where_the_scenario_says_so(
+    make: type[Rig], is_on: bool
+) -> None:
+    rig = make(duration_s=1, signal=ADVISING | {"speed_advice": is_on})
+    rig.appear(*OTHERS)
+    said = rig.until_frame()
+    [tick], [truth] = only(said, m.Tick), only(said, m.Truth)
+    agent = driving(truth)
+    [bystander, *_] = [n for n, k in zip(truth.ids, truth.equipment, strict=True) if not k]
+    speeds = []
+    for _ in range(9):
+        rig.advise(tick, agent, 6.0)
+        rig.advise(tick, bystander, 6.0)
+        rig.advise(tick, agent, 7.0, frame=1)
+        rig.ask(tick, MAIN)
+        said = rig.turn()
+        [tick], [truth] = only(said, m.Tick), only(said, m.Truth)
+        speeds.append(truth.speeds_mps[truth.ids.index(agent)])
+    assert (min(speeds) < 9) == is_on
+    drops = only(said, m.Metrics)[-1].drops
+    assert drops == ({"advice_unknown_agent": 9, "advice_out_of_turn": 9} if is_on else {})
+
+
+def test_a_frame_waits_for_the_advice_that_its_request_counts(make: type[Rig]) -> None:
+    rig = make(signal=ADVISING, cabinet={"request_timeout_s": 5})
+    rig.appear(*OTHERS)
+    said = rig.until_frame()
+    [tick], [truth] = only(said, m.Tick), only(said, m.Truth)
+    rig.advise(tick, driving(truth), 6.0)
+    rig.ask(tick, MAIN, advised=2)
+    assert rig.turn() == []
+    rig.advise(tick, "nobody", 6.0)
+    assert len(only(rig.turn(), m.Tick)) == 1
+
+
+def test_advice_that_never_comes_ends_the_run(make: type[Rig]) -> None:
+    rig = make(signal=ADVISING, cabinet={"request_timeout_s": 0.05})
+    rig.appear(*OTHERS)
+    [tick] = only(rig.until_frame(), m.Tick)
+    rig.ask(tick, MAIN, advised=1)
+    with pytest.raises(BusError, match="no complete speed advice for frame 0 for J"):
+        rig.until(lambda _: False)
