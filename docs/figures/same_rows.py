@@ -7,6 +7,7 @@ where all their rows are the same, the figure says so instead of being older tha
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -74,9 +75,11 @@ def _made_at(root: Path, work: Path, commit: str) -> dict[str, _Made]:
 def _made(root: Path, work: Path, commit: str) -> dict[str, _Made]:
     """Makes those runs that are not there with the code in a folder; returns all by their titles.
 
-    By title, for a run's folder is named after the code that it is of, too.
+    By title, for a run's folder is named after the code that it is of, too; so what was made of
+    another list of runs stands elsewhere.
     """
-    out = work / f"at-{commit[:7]}"
+    runs = hashlib.sha256((work / "same_rows.yaml").read_bytes()).hexdigest()
+    out = work / f"at-{commit[:7]}-{runs[:7]}"
     command = [sys.executable, "-m", "cpnet", "study", str(work / "same_rows.yaml")]
     subprocess.run(
         [*command, "--keep-runs", "--out", str(out)],
