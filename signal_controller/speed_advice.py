@@ -7,7 +7,7 @@ policy plans, from how lanes discharge in them, and from who is before the vehic
 The times of a plan that rolls on are not kept: a green that is to come in ten seconds is brought
 forward or put off. Whoever drives slowly towards it misses the one or has to stop all the same. So
 what counts is the earliest time: the phases come in the plan's order, each as soon as the cabinet
-lets it, and last as long as needed. Nobody is later by such advice.
+lets it, and last as long as needed. As far as the model is right nobody is later by such advice.
 """
 
 from __future__ import annotations
