@@ -172,6 +172,10 @@ def bench_control_command(  # noqa: PLR0913 - one parameter per option of the co
         float, typer.Option(min=0.1, max=3, help="factor of a built-in net's demand")
     ] = 1.0,
     duration: Annotated[int, typer.Option(min=60, help="simulated seconds of each")] = 3600,
+    reporting: Annotated[
+        float,
+        typer.Option(min=0.01, max=1, help="share of the vehicles that policies know of"),
+    ] = 1.0,
     upstream: Annotated[float, typer.Option(help="m before stop bars that are known")] = 200,
     downstream: Annotated[float, typer.Option(help="m behind them that count")] = 100,
     processes: Annotated[int, typer.Option(min=1, max=64, help="runs at a time")] = 1,
@@ -188,6 +192,7 @@ def bench_control_command(  # noqa: PLR0913 - one parameter per option of the co
             seed=seed,
             demand=demand,
             duration_s=duration,
+            reporting=reporting,
             upstream_m=upstream,
             downstream_m=downstream,
         )

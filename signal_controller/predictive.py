@@ -14,6 +14,7 @@ import numpy as np
 
 from protocol.messages import SignalState
 from signal_controller.observation import LaneVehicles, SignalSite, VehicleAssociation
+from signal_controller.predictive_discharge import Problem
 from signal_controller.predictive_model import (
     PERMITTED,
     PROTECTED,
@@ -21,13 +22,14 @@ from signal_controller.predictive_model import (
     Floats,
     JunctionModel,
 )
-from signal_controller.predictive_search import Plan, Prices, Problem, search
+from signal_controller.predictive_search import Plan, Prices, search
 from signal_controller.predictive_traffic import TrafficMemory
 from signal_controller.queue_estimator import uncovered_lanes
 from signal_controller.queue_filter import QueueFilter
 
 MAX_VEHICLES = 1000
 """Vehicles that one decision looks at: the nearest."""
+_SOON_STEPS = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +40,6 @@ class ExpectedVehicles:
         rows: which of the `LaneVehicles` they are.
         lanes: that they are on.
         distances_m: to their stop bars.
-        limits_mps: mean of the speeds allowed on their way there.
         arrival_s: from now until they are there.
         shares: (N, L) probability of each stop bar.
     """
@@ -46,7 +47,6 @@ class ExpectedVehicles:
     rows: list[int]
     lanes: list[str]
     distances_m: Floats
-    limits_mps: Floats
     arrival_s: Floats
     shares: Floats
 
@@ -125,11 +125,28 @@ class PredictivePlanner:
         forced = self._overdue_phase(time_s, phase)
         problem = self.problem(time_s, self.arrivals(vehicles), phase)
         self.planned_s = time_s
-        self.plan = search(problem, self._settings.prices, self._settings.max_nodes, forced)
+        self.plan = self._planned(problem, forced)
         if forced is not None:
             return model.phases[forced]
         after = [planned for planned, step in self.plan.phases if step == 0]
         return model.phases[after[-1]]
+
+    def _planned(self, problem: Problem, forced: int | None) -> Plan:
+        """Returns the best plan found.
+
+        Where lanes are not seen, arrivals are as likely at any time, and a change that comes soon
+        could as well come a little later, each time anew. So there it is looked for by itself
+        whether to change at once is no worse: the search keeps few of the plans that do.
+        """
+        prices, max_nodes = self._settings.prices, self._settings.max_nodes
+        plan = search(problem, prices, max_nodes, forced)
+        if forced is not None or not plan.phases[1:] or self.queues.is_seen.all():
+            return plan
+        phase, step = plan.phases[1]
+        if not 0 < step <= _SOON_STEPS:
+            return plan
+        at_once = search(problem, prices, max_nodes, phase)
+        return at_once if at_once.cost <= plan.cost else plan
 
     def _compile(self) -> None:
         """Searches once, so that no decision waits for the compiler."""
@@ -216,7 +233,6 @@ class PredictivePlanner:
             rows,
             lanes,
             distances_m,
-            limits_mps,
             memory.arrival_s(distances_m, vehicles.speeds_mps[rows], limits_mps),
             np.array([memory.chosen_lanes(one) for one in lanes]).reshape(-1, len(model.lanes)),
         )
@@ -226,12 +242,16 @@ class PredictivePlanner:
         model, memory, steps = self.model, self.memory, result.shape[1]
         queues = self.queues
         result[:, 0] += np.maximum(0.0, queues.expected() - queues.queued())
-        inflow_per_s = np.where(queues.is_seen, memory.arrivals_per_s, queues.arrivals_per_s)
+        counted_per_s = memory.arrivals_per_s
+        inflow_per_s = np.where(queues.is_seen, counted_per_s, queues.arrivals_per_s)
+        unreported_per_s = np.where(
+            queues.is_seen, (1 - queues.reporting) * counted_per_s, queues.unreported_per_s
+        )
         at_s = np.arange(steps)[None, :] * STEP_S
         seen_s = np.where(queues.is_seen, queues.shares, 0.0) * model.reach_s
         is_beyond = at_s >= model.reach_s[:, None]
-        reported = np.where(is_beyond, 0.0, queues.reporting)
-        result += (at_s >= seen_s[:, None]) * (1 - reported) * inflow_per_s[:, None] * STEP_S
+        unknown_per_s = np.where(is_beyond, inflow_per_s[:, None], unreported_per_s[:, None])
+        result += (at_s >= seen_s[:, None]) * unknown_per_s * STEP_S
 
     def _overdue_phase(self, time_s: float, phase: int) -> int | None:
         """Returns the phase that must come next because somebody has waited too long."""

@@ -3,25 +3,28 @@
 Forward dynamic programming over time and phase, in the spirit of COP (Sen and Head 1997): of the
 plans that are in the same phase at the same time, the best few are kept, by their cost so far and
 an estimate of what their queues will still cost. Unlike COP, phases come in any order and queues
-are expectations: vehicles by lane, in steps of a second, with a fractional vehicle where turns or
-arrivals are uncertain.
+are expectations, see `predictive_discharge`.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
+from signal_controller.predictive_discharge import (
+    YELLOW_USED_STEPS,
+    Floats,
+    Ints,
+    Problem,
+    run,
+    turn_head,
+)
 
 MAX_STEPS = 120
-YELLOW_USED_STEPS = 2  # of yellow, in which vehicles still pass
+_YIELDING = 0.3  # of a lane's discharge, where its turns yield
+_BUSIEST = 0.8  # of what a lane can discharge: more does not come in the long run
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,44 +40,6 @@ class Prices:
     stop: float = 6.0
     switch: float = 1.0
     left_s: float = 12.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Problem:
-    """What is known at the time of planning; R = P + P * P + 1 rows as `pair_status`.
-
-    Attributes:
-        arrivals: (L, T) vehicles that reach the stop bar in each step if nothing holds them.
-        protected: (R, L) share of a lane's vehicles that may go, with right of way.
-        permitted: (R, L) share that may go and yields.
-        head: (P, L) probability that the first vehicle of a lane may go in a phase.
-        inside: (L,) vehicles of a lane that wait for a gap behind its stop bar and block it.
-        headway_s: (L,) between vehicles of a queue; `lost_s` (L,) from green to the first one.
-        begin: (L,) step from which on a lane discharges, in what is shown now.
-        foe_shares: (P, L, F) share of the vehicles of `foes` that are in a lane's way.
-        foes, change_steps, min_green_steps: of `JunctionModel`.
-        phase: that is shown, or that the present change leads to.
-        before: row of what is green during the rest of the present change.
-        ready: step at which the present green begins; 0 if it has.
-        free: step from which on the present green may end.
-    """
-
-    arrivals: Floats
-    protected: Floats
-    permitted: Floats
-    head: Floats
-    inside: Floats
-    headway_s: Floats
-    lost_s: Floats
-    begin: Floats
-    foes: Ints
-    foe_shares: Floats
-    change_steps: Ints
-    min_green_steps: Ints
-    phase: int
-    before: int
-    ready: int
-    free: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,212 +92,90 @@ def search(
     return Plan(tuple((int(phase), int(step)) for phase, step in path), float(cost), int(nodes))
 
 
-def discharged(problem: Problem, phases: Sequence[tuple[int, float]]) -> Floats:
-    """Returns how many vehicles have passed each stop bar by the end of each step (L, T).
-
-    Lanes discharge as in the search, except that who stands first is taken to want what his lane
-    may do.
-
-    Args:
-        problem: as known now.
-        phases: with the step from now at which each is asked for, as in `Plan`; the first one is
-            shown, and a later one with a step before now is what it changes to, or did.
-    """
-    lanes, steps = problem.arrivals.shape
-    queue, inside, begin = np.zeros(lanes), problem.inside.copy(), problem.begin.copy()
-    queues, at = np.zeros((lanes, steps)), 0
-    arrivals = np.ascontiguousarray(problem.arrivals)
-    protected = np.ascontiguousarray(problem.protected)
-    permitted = np.ascontiguousarray(problem.permitted)
-    open_share = protected + permitted
-    for stretch in _stretches(problem, phases):
-        if stretch.green > 0:
-            closed = open_share[stretch.before] <= 0.0
-            begin[closed] = stretch.green + problem.lost_s[closed]
-        until = math.floor(min(stretch.until, steps))
-        for step in range(at, until):
-            _run(queue, np.ones(lanes), inside, begin, stretch.row, stretch.phase, step, step + 1,
-                 arrivals, protected, permitted, problem.headway_s, problem.foes,
-                 problem.foe_shares, 0.0)  # fmt: skip
-            queues[:, step] = queue
-        at = max(at, until)
-    passed = problem.arrivals.cumsum(axis=1) - np.maximum(queues, 0.0)
-    return np.asarray(np.maximum.accumulate(passed, axis=1))
-
-
-@dataclass(frozen=True, slots=True)
-class _Stretch:
-    """A part of a plan in which the same lanes are green, those of a row of `Problem`.
-
-    Where a green begins, at step `green`, `before` is the row of the change that led to it.
-    """
-
-    row: int
-    phase: int
-    until: float
-    green: float = 0.0
-    before: int = -1
-
-
-def _stretches(problem: Problem, phases: Sequence[tuple[int, float]]) -> Iterator[_Stretch]:
-    """Yields the greens of a plan, with the yellows that are used, and the rest of its changes."""
-    count, (phase, _) = len(problem.min_green_steps), phases[0]
-    green, before = 0.0, -1
-    for after, asked in phases[1:]:
-        change = int(problem.change_steps[phase, after])
-        pair = count + phase * count + after
-        yellow_ends = asked + min(change, YELLOW_USED_STEPS)
-        yield _Stretch(phase, phase, yellow_ends, green, before)
-        yield _Stretch(pair, phase, asked + change)
-        phase, green, before = after, asked + change, pair
-    yield _Stretch(phase, phase, math.inf, green, before)
-
-
-_FOLLOW_UP_S = 2.5  # between permitted turns that use the same gap in the opposing traffic
-_CRITICAL_GAP_STEPS = 4  # the least gap that they take
-_FORCED_HEADWAY_S = 25.0  # through a dense one: at the end of green
-
-
-@njit(cache=True)
-def _gap_headway_s(
-    queue: Floats,
-    lane: int,
-    phase: int,
-    step: int,
-    arrivals: Floats,
-    foes: Ints,
-    foe_shares: Floats,
-) -> float:
-    """Returns the headway of a lane's permitted turns, by gap acceptance.
-
-    With the probability that nobody is in the way for a critical gap they follow each other, as in
-    the Highway Capacity Manual's model of permitted left turns.
-    """
-    free, steps = 1.0, arrivals.shape[1]
-    for index in range(foes.shape[2]):
-        foe = foes[phase, lane, index]
-        if foe < 0:
-            break
-        coming = max(queue[foe], 0.0)
-        for ahead in range(step, min(step + _CRITICAL_GAP_STEPS, steps)):
-            coming += arrivals[foe, ahead]
-        free *= 1.0 - min(1.0, coming) * foe_shares[phase, lane, index]
-    return 1.0 / (free / _FOLLOW_UP_S + (1.0 - free) / _FORCED_HEADWAY_S)
-
-
-@njit(cache=True)
-def _run(
-    queue: Floats,
-    fresh: Floats,
-    inside: Floats,
-    begin: Floats,
-    row: int,
-    phase: int,
-    first: int,
-    last: int,
-    arrivals: Floats,
-    protected: Floats,
-    permitted: Floats,
-    headway_s: Floats,
-    foes: Ints,
-    foe_shares: Floats,
-    stop_price: float,
-) -> float:
-    """Lets lanes discharge by a row from step `first` to `last`; returns the cost."""
-    cost = 0.0
-    steps = arrivals.shape[1]
-    for step in range(first, last):
-        for lane in range(queue.shape[0]):
-            come = arrivals[lane, step] if step < steps else 0.0
-            before = queue[lane]
-            open_share = protected[row, lane] + permitted[row, lane]
-            if permitted[row, lane] <= 0.0:
-                inside[lane] = 0.0  # the opposing traffic has stopped
-            part = min(1.0, step + 1.0 - begin[lane])
-            if open_share <= 0.0 or part <= 0.0:
-                after = max(before, 0.0) + come
-                cost += stop_price * come
-                queue[lane] = after
-                cost += after
-                continue
-            need_s = protected[row, lane] * headway_s[lane]
-            if permitted[row, lane] > 0.0:
-                gap_s = _gap_headway_s(queue, lane, phase, step, arrivals, foes, foe_shares)
-                need_s += permitted[row, lane] * gap_s
-                cost += inside[lane]
-                part *= 1.0 - inside[lane]
-                inside[lane] *= max(0.0, 1.0 - 1.0 / gap_s)
-            rate = part * open_share / need_s
-            may = rate * fresh[lane]
-            after = max(before + come - may, fresh[lane] * (min(1.0, rate) - 1.0))
-            served = before + come - after
-            if before > 0.5:
-                cost += stop_price * come
-            if open_share < 1.0 and served > 0.0:
-                fresh[lane] *= max(0.0, 1.0 - (1.0 - open_share) * served)
-            queue[lane] = after
-            cost += max(after, 0.0)
-    return cost
-
-
 @njit(cache=True)
 def _left(
     queue: Floats,
     fresh: Floats,
+    begin: Floats,
+    step: int,
     row: int,
     protected: Floats,
     permitted: Floats,
-    headway_s: Floats,
     left_s: float,
+    drain_s: Floats,
+    served_in: Ints,
+    held_per_s: Floats,
+    held_s: Floats,
+    green_s: Floats,
 ) -> float:
-    """Estimates the delay of the vehicles that are still there."""
+    """Estimates what the vehicles that are still there at a step will cost, themselves and others.
+
+    They wait for their green and for each other, and the green that they need holds up those who
+    come on other lanes meanwhile (`_held_up`). Without the latter, a queue whose green costs others
+    more than it saves before the plan ends would be put off from plan to plan.
+    """
     cost = 0.0
+    green_s[:] = 0.0
     for lane in range(queue.shape[0]):
         left = queue[lane]
         if left <= 0.0:
             continue
-        is_open = (protected[row, lane] + 0.3 * permitted[row, lane]) * fresh[lane]
-        cost += left * (left_s * (1.0 - is_open) + 0.5 * headway_s[lane] * left)
+        is_open = (protected[row, lane] + _YIELDING * permitted[row, lane]) * fresh[lane]
+        wait_s = left_s * (1.0 - is_open) + max(0.0, begin[lane] - step) * is_open
+        cost += left * (wait_s + 0.5 * drain_s[lane] * left)
+        phase = served_in[lane]
+        if phase >= 0:
+            served = protected[phase, lane] + _YIELDING * permitted[phase, lane]
+            green_s[phase] = max(green_s[phase], left * drain_s[lane] / served)
+    for phase in range(green_s.shape[0]):
+        cost += held_per_s[phase] * green_s[phase] * (0.5 * green_s[phase] + held_s[phase])
     return cost
 
 
 @njit(cache=True)
-def _turn_head(
-    queue: Floats,
-    fresh: Floats,
-    last_open: Ints,
-    old: int,
-    new: int,
-    phases: int,
+def _drain_s(arrivals: Floats, headway_s: Floats) -> Floats:
+    """Returns how long each vehicle of a queue takes to discharge, with those who join it (L,)."""
+    steps = arrivals.shape[1]
+    result = np.empty(arrivals.shape[0])
+    for lane in range(len(result)):
+        rate = arrivals[lane, steps // 2 :].mean()
+        result[lane] = headway_s[lane] / (1.0 - min(_BUSIEST, rate * headway_s[lane]))
+    return result
+
+
+@njit(cache=True)
+def _held_up(
+    arrivals: Floats,
     protected: Floats,
     permitted: Floats,
-    head: Floats,
-) -> None:
-    """Turns the probability that a lane's first vehicle may go into that for the new phase.
+    headway_s: Floats,
+    drain_s: Floats,
+    change_steps: Ints,
+) -> tuple[Ints, Floats, Floats]:
+    """Returns which phase serves each lane at least cost (L,), and what a green of each holds up.
 
-    A vehicle that the last open phase did not hold up wants one of the movements open in it; one
-    that it held up wants another.
+    The latter are the vehicles that come in a second of it on lanes that it does not serve, with
+    those who come until their queues have gone (P,), and how long such a lane is kept closed beside
+    the green itself (P,). Lanes that no phase serves have -1.
     """
-    for lane in range(fresh.shape[0]):
-        if protected[old, lane] + permitted[old, lane] > 0.0:
-            last_open[lane] = old
-        since = last_open[lane]
-        share = protected[new, lane] + permitted[new, lane]
-        if share <= 0.0:
-            continue  # whom the last open phase held up is still there in the next one
-        if since < 0:
-            fresh[lane] = head[new, lane]
-            continue
-        if queue[lane] <= 0.0:
-            fresh[lane] = share
-            continue
-        pair = phases + since * phases + new
-        was = protected[since, lane] + permitted[since, lane]
-        both = protected[pair, lane] + permitted[pair, lane]
-        value = fresh[lane] * both / was
-        if was < 1.0:
-            value += (1.0 - fresh[lane]) * max(0.0, share - both) / (1.0 - was)
-        fresh[lane] = min(1.0, value)
+    lanes, steps = arrivals.shape
+    phases = change_steps.shape[0]
+    per_s, closed_s = np.zeros(phases), np.zeros(phases)
+    for phase in range(phases):
+        for lane in range(lanes):
+            come = arrivals[lane, steps // 2 :].mean() * drain_s[lane] / headway_s[lane]
+            per_s[phase] += come * (1.0 - protected[phase, lane] - permitted[phase, lane])
+        for other in range(phases):
+            there_and_back = change_steps[phase, other] + change_steps[other, phase]
+            closed_s[phase] += (there_and_back - 2 * YELLOW_USED_STEPS) / max(1, phases - 1)
+    served_in = np.full(lanes, -1)
+    for lane in range(lanes):
+        least = np.inf
+        for phase in range(phases):
+            served = protected[phase, lane] + _YIELDING * permitted[phase, lane]
+            if served > 0.0 and (1e-6 + per_s[phase]) / served < least:
+                least, served_in[lane] = (1e-6 + per_s[phase]) / served, phase
+    return served_in, per_s, closed_s
 
 
 @njit(cache=True)
@@ -355,6 +198,11 @@ def _search(
     lanes, steps = arrivals.shape
     phases = min_green.shape[0]
     first_phase, before, ready, free, allowed, kept, max_nodes = start
+    drain_s = _drain_s(arrivals, headway_s)
+    served_in, held_per_s, held_s = _held_up(
+        arrivals, protected, permitted, headway_s, drain_s, change_steps
+    )
+    green_s = np.zeros(phases)
     stop_price, switch_price, left_s = prices
     slots = (steps + 1) * phases * kept
     queue = np.zeros((slots + 1, lanes))
@@ -378,21 +226,22 @@ def _search(
     paid = 0.0
     ready, free = min(ready, steps), min(max(free, ready), steps)
     if ready > 0:
-        paid += _run(queue[work], fresh[work], inside[work], begin[work], before,
+        paid += run(queue[work], fresh[work], inside[work], begin[work], before,
                      first_phase, 0, ready, arrivals, protected, permitted, headway_s, foes,
                      foe_shares, stop_price)  # fmt: skip
         for lane in range(lanes):
             if protected[before, lane] + permitted[before, lane] <= 0.0:
                 begin[work, lane] = ready + lost_s[lane]
-    paid += _run(queue[work], fresh[work], inside[work], begin[work], first_phase,
+    paid += run(queue[work], fresh[work], inside[work], begin[work], first_phase,
                  first_phase, ready, free, arrivals, protected, permitted, headway_s, foes,
                  foe_shares, stop_price)  # fmt: skip
     slot = (free * phases + first_phase) * kept
     queue[slot], fresh[slot], begin[slot] = queue[work], fresh[work], begin[work]
     inside[slot], last_open[slot] = inside[work], last_open[work]
     cost[slot] = paid
-    value[slot] = paid + _left(queue[work], fresh[work], first_phase, protected, permitted,
-                               headway_s, left_s)  # fmt: skip
+    value[slot] = paid + _left(queue[work], fresh[work], begin[work], free, first_phase,
+                               protected, permitted, left_s, drain_s, served_in, held_per_s,
+                               held_s, green_s)  # fmt: skip
     count[free, first_phase] = 1
     root = slot
 
@@ -424,7 +273,7 @@ def _search(
                         until = min(steps, step + (1 if step < 12 else 2 if step < 30 else 3))
                         if is_spent:
                             until = steps
-                        paid += _run(queue[work], fresh[work], inside[work], begin[work], phase,
+                        paid += run(queue[work], fresh[work], inside[work], begin[work], phase,
                                      phase, step, until, arrivals, protected, permitted, headway_s,
                                      foes, foe_shares, stop_price)  # fmt: skip
                     else:
@@ -435,22 +284,23 @@ def _search(
                         green = min(steps, step + change)
                         until = min(steps, max(step + change + min_green[after], step + 1))
                         paid += switch_price
-                        paid += _run(queue[work], fresh[work], inside[work], begin[work], phase,
+                        paid += run(queue[work], fresh[work], inside[work], begin[work], phase,
                                      phase, step, middle, arrivals, protected, permitted, headway_s,
                                      foes, foe_shares, stop_price)  # fmt: skip
-                        paid += _run(queue[work], fresh[work], inside[work], begin[work], pair,
+                        paid += run(queue[work], fresh[work], inside[work], begin[work], pair,
                                      phase, middle, green, arrivals, protected, permitted,
                                      headway_s, foes, foe_shares, stop_price)  # fmt: skip
-                        _turn_head(queue[work], fresh[work], last_open[work], phase, after,
+                        turn_head(queue[work], fresh[work], last_open[work], phase, after,
                                    phases, protected, permitted, head)  # fmt: skip
                         for lane in range(lanes):
                             if protected[pair, lane] + permitted[pair, lane] <= 0.0:
                                 begin[work, lane] = step + change + lost_s[lane]
-                        paid += _run(queue[work], fresh[work], inside[work], begin[work], after,
+                        paid += run(queue[work], fresh[work], inside[work], begin[work], after,
                                      after, green, until, arrivals, protected, permitted, headway_s,
                                      foes, foe_shares, stop_price)  # fmt: skip
-                    worth = paid + _left(queue[work], fresh[work], after, protected, permitted,
-                                         headway_s, left_s)  # fmt: skip
+                    worth = paid + _left(queue[work], fresh[work], begin[work], until, after,
+                                         protected, permitted, left_s, drain_s, served_in,
+                                         held_per_s, held_s, green_s)  # fmt: skip
                     base = (until * phases + after) * kept
                     place = base + count[until, after]
                     if count[until, after] == kept:

@@ -6,6 +6,11 @@ arrive as a Poisson process and leave one by one while the lane is green. What i
 after Comert and Cetin (2009): who stops joins at the end of the queue, so that his distance tells
 how many stand before him; who passes the stop bar has nobody of them before him any more; who still
 drives is behind the last one. So a few vehicles that report themselves tell of all others.
+
+Which share of all vehicles reports itself is unknown, too, and the same on all lanes: there is such
+a filter for each of some shares, and the share is as probable as it has foretold what came (a
+bank of filters, Magill 1965). Few reports alone could be of many vehicles or of few lanes; how many
+came and where they stopped together tell.
 """
 
 from __future__ import annotations
@@ -15,9 +20,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from signal_controller.observation import LaneVehicles
-from signal_controller.predictive_model import Bools, Floats, JunctionModel
+from signal_controller.predictive_model import Bools, Floats, Ints, JunctionModel
 from signal_controller.queue_estimator import MIN_COVERAGE, SPACING_M
 from signal_controller.tracked_vehicle import STOPPED_MPS
 
@@ -28,8 +34,8 @@ _RATE_SPREAD = 0.35  # of the logarithm of a rate that was counted
 _MOST_QUEUED = 60
 _LOST_S = 2.0  # from the begin of green to the first vehicle that leaves
 _YIELDING = 0.4  # of the saturation flow, of turns that yield
-_REPORTING_PRIOR = 0.3, 2.7  # vehicles that report themselves and others, of the share's prior
-_REPORTING_MEMORY = 400.0
+_REPORTING = np.geomspace(0.02, 1.0, 12)  # shares of all vehicles, at first of equal probability
+_REPORTING_MEMORY_S = 7200.0  # after which the share may have become another
 _PLACE_M, _PLACE_SHARE = 3.0, 0.08  # how far off its place in the queue one stands, by distance
 _MISTAKE = 1e-3  # likelihood of what cannot be: places are not exact, lanes are changed
 _LOST_AFTER_S = 2.0
@@ -50,12 +56,20 @@ class LaneQueue:
 
 @dataclass(slots=True)
 class _Seen:
-    """A vehicle before a stop bar, as last seen; `joined_s` is when it first stood."""
+    """A vehicle before a stop bar, as last seen.
+
+    Of one that has stood `due_s` is when it would have been at the stop bar if nothing had held it.
+    """
 
     lane: int
     distance_m: float
     time_s: float
-    joined_s: float = math.nan
+    due_s: float = math.nan
+
+    @property
+    def queues(self) -> bool:
+        """Whether it has stood."""
+        return not math.isnan(self.due_s)
 
 
 class QueueFilter:
@@ -63,7 +77,6 @@ class QueueFilter:
 
     Attributes:
         shares: (L,) part of each lane, from the stop bar on, that sensors see.
-        reporting: share of all vehicles that report themselves.
     """
 
     def __init__(self, model: JunctionModel, inflow_vph: float, saturation_vph: float) -> None:
@@ -74,9 +87,9 @@ class QueueFilter:
         self._reach_m = np.maximum(SPACING_M, model.reach_m)
         self._most = np.minimum(_MOST_QUEUED, np.ceil(self._reach_m / SPACING_M)).astype(int)
         self._numbers = np.arange(self._most.max(initial=1) + 1)
-        self._joint = np.zeros((lanes, len(_RATE_FACTORS), len(self._numbers)))
-        self._joint[:, :, 0] = _rate_weights(self._rates_per_s, inflow_vph / 3600)
-        self._report_counts = np.array(_REPORTING_PRIOR)
+        self._joint = np.zeros((len(_REPORTING), lanes, len(_RATE_FACTORS), len(self._numbers)))
+        self._joint[:, :, :, 0] = _rate_weights(self._rates_per_s, inflow_vph / 3600)
+        self._weights = np.full(len(_REPORTING), 1 / len(_REPORTING))
         self._seen: dict[str, _Seen] = {}
         self._green_s = np.zeros(lanes)
         self._time_s: float | None = None
@@ -85,13 +98,23 @@ class QueueFilter:
 
     @property
     def reporting(self) -> float:
-        """See the class."""
-        return float(self._report_counts[0] / self._report_counts.sum())
+        """Expected share of all vehicles that report themselves."""
+        return float(self._weights @ _REPORTING)
 
     @property
     def arrivals_per_s(self) -> Floats:
         """Expected rate of arrival (L,), of lanes that are not seen."""
-        return np.asarray(self._joint.sum(axis=2) @ self._rates_per_s)
+        return np.asarray(self._weights @ self._rates)
+
+    @property
+    def unreported_per_s(self) -> Floats:
+        """The same of those (L,) that do not report themselves."""
+        return np.asarray((self._weights * (1 - _REPORTING)) @ self._rates)
+
+    @property
+    def _rates(self) -> Floats:
+        """Expected rate of arrival for each share that reports itself (S, L)."""
+        return np.asarray(self._joint.sum(axis=3) @ self._rates_per_s)
 
     @property
     def is_seen(self) -> Bools:
@@ -107,12 +130,12 @@ class QueueFilter:
         """Returns the vehicles (L,) of those given that queue."""
         found = np.zeros(len(self.shares))
         for one in self._seen.values():
-            found[one.lane] += not math.isnan(one.joined_s)
+            found[one.lane] += one.queues
         return found
 
     def queue(self, lane: int) -> LaneQueue:
         """Returns what is known of a lane's queue."""
-        numbers = self._joint[lane].sum(axis=0)
+        numbers = self._weights @ self._joint[:, lane].sum(axis=1)
         below = np.append(0.0, np.cumsum(numbers))
         ends = np.minimum(np.searchsorted(below, below[:-1] + _INSIDE - 1e-9), len(numbers))
         widths = np.where(below[ends] - below[:-1] >= _INSIDE - 1e-6, ends, np.inf) - self._numbers
@@ -121,7 +144,7 @@ class QueueFilter:
 
     def expected(self) -> Floats:
         """Returns the expected queues (L,)."""
-        return np.asarray(self._joint.sum(axis=1) @ self._numbers)
+        return np.asarray(self._weights @ (self._joint.sum(axis=2) @ self._numbers))
 
     def take(
         self,
@@ -153,31 +176,24 @@ class QueueFilter:
         driving = vehicles.take(np.array(in_lane, np.int64))
         self._follow(time_s, driving, is_red=open_shares.sum(axis=1) <= 0)
         self._note_seen()
-        self._joint /= self._joint.sum(axis=(1, 2), keepdims=True)
 
     def _predict(self, passed_s: float, open_shares: Floats) -> None:
         """Lets unseen vehicles arrive and leave for a part of a second."""
         flow = open_shares @ np.array([1.0, _YIELDING])
         self._green_s = np.where(flow > 0, self._green_s + passed_s, 0.0)
         leave = np.where(self._green_s > _LOST_S, flow * self._saturation_per_s * passed_s, 0.0)
-        leave = np.minimum(1.0, leave)[:, None, None]
-        joint = self._joint * (1 - leave)
-        joint[:, :, :-1] += leave * self._joint[:, :, 1:]
-        joint[:, :, :1] += leave * self._joint[:, :, :1]
-        come = self._rates_per_s[:, None] * (1 - self.reporting) * passed_s
-        come = np.minimum(1.0, np.broadcast_to(come, joint.shape)).copy()
-        come[leave[:, 0, 0] > 0, :, 0] = 0.0  # they pass without having to stop
-        for lane, most in enumerate(self._most):
-            come[lane, :, most:] = 0.0
-        moved = joint * come
-        joint -= moved
-        joint[:, :, 1:] += moved[:, :, :-1]
-        # Nobody came of whom one would know, else he is counted in `_follow`; and rates change.
-        known = np.where(self.is_seen, 1.0, self.reporting)
-        joint *= np.exp(-known[:, None] * self._rates_per_s * passed_s)[:, :, None]
-        change = passed_s / _RATE_MEMORY_S
-        joint += change * (joint.mean(axis=1, keepdims=True) - joint)
-        self._joint = joint / joint.sum(axis=(1, 2), keepdims=True)
+        leave = np.minimum(1.0, leave)
+        # Nobody came of whom one would know, else he is counted in `_follow`.
+        known = np.where(self.is_seen, 1.0, _REPORTING[:, None])
+        totals = _advance(
+            self._joint, self._rates_per_s, _REPORTING, known, leave, self._most, passed_s
+        )
+        self._weigh_shares(np.where(self.is_seen, 1.0, totals).prod(axis=1))
+        self._joint += (
+            passed_s / _RATE_MEMORY_S * (self._joint.mean(axis=2, keepdims=True) - self._joint)
+        )
+        prior = 1 / len(_REPORTING)
+        self._weights += passed_s / _REPORTING_MEMORY_S * (prior - self._weights)
 
     def _follow(self, time_s: float, vehicles: LaneVehicles, *, is_red: Bools) -> None:
         """Follows each vehicle from where it is first known until it passes the stop bar."""
@@ -196,9 +212,13 @@ class QueueFilter:
                 one = self._seen[name] = _Seen(lane, distance_m, time_s)
                 if not self.is_seen[lane]:
                     self._weigh(lane, self._rates_per_s[:, None])
+                    self._weigh_shares(_REPORTING)
             one.lane, one.distance_m, one.time_s = lane, distance_m, time_s
-            if math.isnan(one.joined_s):
-                self._note_speed(one, speed_mps, is_red=bool(is_red[lane]))
+            if not one.queues and speed_mps < STOPPED_MPS:
+                one.due_s = time_s + self._model.free_flow_s(lane_name, distance_m)
+                self._join(one)
+            elif not one.queues and speed_mps > _FREE_MPS and is_red[lane]:
+                self._not_behind(one)
         gone += [n for n, one in self._seen.items() if time_s - one.time_s > _LOST_AFTER_S]
         for name in gone:
             one = self._seen.pop(name, None)
@@ -209,56 +229,52 @@ class QueueFilter:
             else:
                 self._pass(one, time_s)
 
-    def _note_speed(self, one: _Seen, speed_mps: float, *, is_red: bool) -> None:
-        """Takes how fast a vehicle is that has not stood yet."""
-        if speed_mps < STOPPED_MPS:
-            self._join(one)
-        elif speed_mps > _FREE_MPS and is_red and not self.is_seen[one.lane]:
+    def _not_behind(self, one: _Seen) -> None:
+        """Takes that a vehicle still drives: the queue ends before it."""
+        if not self.is_seen[one.lane]:
             is_behind = self._numbers * SPACING_M > one.distance_m + _PLACE_M
             self._weigh(one.lane, np.where(is_behind, _MISTAKE, 1.0))
 
     def _join(self, one: _Seen) -> None:
         """Takes that a vehicle stopped: as many stand before it as fit between it and the bar."""
-        one.joined_s, lane = one.time_s, one.lane
+        lane = one.lane
         if self.is_seen[lane]:
             return
-        ahead = [
-            other
-            for other in self._seen.values()
-            if other.lane == lane and other.distance_m < one.distance_m
-        ]
-        places = max(len(ahead), round(one.distance_m / SPACING_M))
-        self._report_counts += len(ahead), places - len(ahead)
-        self._report_counts *= min(1.0, _REPORTING_MEMORY / self._report_counts.sum())
         away_m = self._numbers * SPACING_M - one.distance_m
         deviation_m = _PLACE_M + _PLACE_SHARE * one.distance_m
         self._weigh(lane, np.exp(-0.5 * (away_m / deviation_m) ** 2) + _MISTAKE)
-        joint = self._joint[lane]
-        longest = joint[:, -1].copy()
-        joint[:, 1:] = joint[:, :-1].copy()
-        joint[:, 0] = 0.0
-        joint[:, -1] += longest
+        joint = self._joint[:, lane]
+        longest = joint[..., -1].copy()
+        joint[..., 1:] = joint[..., :-1].copy()
+        joint[..., 0] = 0.0
+        joint[..., -1] += longest
 
     def _weigh(self, lane: int, likelihood: Floats) -> None:
         """Corrects a lane by what was seen; a likelihood of at least `_MISTAKE` somewhere."""
-        joint = self._joint[lane] * likelihood
-        self._joint[lane] = joint / joint.sum()
+        joint = self._joint[:, lane] * likelihood
+        totals = joint.sum(axis=(1, 2))
+        self._joint[:, lane] = joint / totals[:, None, None]
+        if not self.is_seen[lane]:
+            self._weigh_shares(totals)
+
+    def _weigh_shares(self, likelihood: Floats) -> None:
+        """Corrects the probabilities of the shares that report themselves."""
+        self._weights = self._weights * likelihood
+        self._weights /= self._weights.sum()
 
     def _pass(self, one: _Seen, time_s: float) -> None:
         """Takes that a vehicle passed the stop bar: only who came after it can be there still."""
         lane = one.lane
-        weights = self._joint[lane].sum(axis=1)
-        behind = sum(
-            other.lane == lane and not math.isnan(other.joined_s) for other in self._seen.values()
-        )
-        since_s = 1.0 if math.isnan(one.joined_s) else time_s - one.joined_s
-        expected = self._rates_per_s * (1 - self.reporting) * since_s
+        weights = self._joint[:, lane].sum(axis=2)
+        behind = sum(other.lane == lane and other.queues for other in self._seen.values())
+        since_s = max(1.0, time_s - one.due_s) if one.queues else 1.0
+        expected = (1 - _REPORTING)[:, None] * self._rates_per_s * since_s
         numbers = np.maximum(0, self._numbers - behind)
-        log = numbers * np.log(expected[:, None] + 1e-9) - expected[:, None]
+        log = numbers * np.log(expected[..., None] + 1e-9) - expected[..., None]
         log -= np.array([math.lgamma(n + 1) for n in numbers])
         chance = np.exp(log) * (self._numbers >= behind) * (self._numbers <= self._most[lane])
         chance += 1e-12
-        self._joint[lane] = weights[:, None] * chance / chance.sum(axis=1, keepdims=True)
+        self._joint[:, lane] = weights[..., None] * chance / chance.sum(axis=2, keepdims=True)
 
     def _note_seen(self) -> None:
         """Takes the queues that are seen; a queue that fills what is seen may be longer."""
@@ -267,7 +283,7 @@ class QueueFilter:
         queued = self.queued()
         tails_m = np.zeros(len(self.shares))
         for one in self._seen.values():
-            if not math.isnan(one.joined_s):
+            if one.queues:
                 tails_m[one.lane] = max(tails_m[one.lane], one.distance_m)
         for lane in np.flatnonzero(self.is_seen):
             share = self.shares[lane]
@@ -275,13 +291,55 @@ class QueueFilter:
             seen_m = share * self._reach_m[lane]
             is_whole = share > _WHOLE or tails_m[lane] < seen_m - _HIDDEN_M
             allowed = self._numbers == number if is_whole else self._numbers >= number
-            weights = self._joint[lane].sum(axis=1, keepdims=True)
-            joint = self._joint[lane] * allowed
-            total = joint.sum(axis=1, keepdims=True)
+            weights = self._joint[:, lane].sum(axis=2, keepdims=True)
+            joint = self._joint[:, lane] * allowed
+            total = joint.sum(axis=2, keepdims=True)
             exact = weights * (self._numbers == number)
-            self._joint[lane] = np.where(
+            self._joint[:, lane] = np.where(
                 total > 1e-9, joint * weights / np.maximum(total, 1e-12), exact
             )
+
+
+@njit(
+    "float64[:,::1](float64[:,:,:,::1], float64[::1], float64[::1], float64[:,::1], float64[::1], "
+    "int64[::1], float64)",
+    cache=True,
+)
+def _advance(
+    joint: Floats,
+    rates_per_s: Floats,
+    reporting: Floats,
+    known: Floats,
+    leave: Floats,
+    most: Ints,
+    passed_s: float,
+) -> Floats:
+    """Lets unseen vehicles leave (L,) and come, and nobody come of those that would be known.
+
+    Returns the probability (S, L) of the latter; joint (S, L, R, N) is changed in place, and its
+    sum over R and N is 1 again.
+    """
+    totals = np.zeros(known.shape)
+    last = joint.shape[3] - 1
+    for share in range(joint.shape[0]):
+        for lane in range(joint.shape[1]):
+            goes = leave[lane]
+            for rate in range(joint.shape[2]):
+                own, per_s = joint[share, lane, rate], rates_per_s[rate]
+                stays = np.exp(-known[share, lane] * per_s * passed_s)
+                come = min(1.0, per_s * (1 - reporting[share]) * passed_s)
+                own[0] += goes * own[1]
+                for number in range(1, last):
+                    own[number] += goes * (own[number + 1] - own[number])
+                own[last] -= goes * own[last]
+                for number in range(most[lane] - 1, -1, -1):
+                    if number > 0 or goes == 0.0:  # else they pass without having to stop
+                        own[number + 1] += come * own[number]
+                        own[number] -= come * own[number]
+                own *= stays
+                totals[share, lane] += own.sum()
+            joint[share, lane] /= totals[share, lane]
+    return totals
 
 
 def _rate_weights(rates_per_s: Floats, rate_per_s: float) -> Floats:

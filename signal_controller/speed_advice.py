@@ -20,8 +20,8 @@ import numpy as np
 
 from protocol.messages import SignalState
 from signal_controller.predictive import ExpectedVehicles, PredictivePlanner, add_arrivals
+from signal_controller.predictive_discharge import Problem, discharged
 from signal_controller.predictive_model import STEP_S, Floats
-from signal_controller.predictive_search import Problem, discharged
 
 _LEAST_DELAY_S = 2.0  # who is held up for less passes without a stop
 _SURE = 0.5  # of a vehicle whose stop bar is known so well

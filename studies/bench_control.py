@@ -20,6 +20,7 @@ from studies.bench import empty_table, print_whole
 from studies.control_baselines import OWN_SETTINGS
 from studies.control_case import OWN_PLAN, WEBSTER, ControlCase
 from studies.control_run import ControlRow, ControlRun
+from studies.page.model import DASH
 from studies.run_pool import run_each
 
 
@@ -86,7 +87,9 @@ def _checked_run(case: ControlCase, folder: Path) -> ControlRun:
 def print_control(rows: list[ControlRow], console: Console) -> None:
     """Prints a table of runs."""
     heads = ("net", "policy", "demand", "seed", "vehicles", "arrived", "delay s", "p95", "wait s")
-    table = empty_table((*heads, "stops", "CO2 g", "ms p50", "p99"), left=2)
+    estimated = any(row.queue_error is not None for row in rows)
+    after = ("queue error", "in interval") if estimated else ()
+    table = empty_table((*heads, "stops", "CO2 g", "ms p50", "p99", *after), left=2)
     for row in rows:
         times = row.delay_s, row.delay_p95_s, row.waited_s
         decided = row.decide_p50_ms, row.decide_p99_ms
@@ -101,5 +104,13 @@ def print_control(rows: list[ControlRow], console: Console) -> None:
             f"{row.stops:.2f}",
             f"{row.co2_g:.0f}",
             *(f"{value:.1f}" for value in decided),
+            *(_estimates(row) if estimated else ()),
         )
     print_whole(table, console)
+
+
+def _estimates(row: ControlRow) -> tuple[str, str]:
+    """Returns how good the queues were that a policy estimated."""
+    if row.queue_error is None or row.queue_inside is None:
+        return DASH, DASH
+    return f"{row.queue_error:.2f}", f"{100 * row.queue_inside:.0f} %"

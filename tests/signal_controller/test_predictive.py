@@ -16,8 +16,9 @@ from signal_controller.config import SignalConfig
 from signal_controller.observation import LaneVehicles, Observation, VehicleAssociation
 from signal_controller.policies import Predictive
 from signal_controller.predictive import PlannerSettings, PredictivePlanner
+from signal_controller.predictive_discharge import Problem
 from signal_controller.predictive_model import JunctionModel
-from signal_controller.predictive_search import Prices, Problem, search
+from signal_controller.predictive_search import Prices, search
 from signal_controller.predictive_traffic import TrafficMemory
 from sim_host.cabinet import SignalCabinet
 from sim_host.config import CabinetConfig
@@ -70,6 +71,61 @@ def two_lanes(waiting: float, coming: float, ahead: int = 40) -> Problem:
         ready=0,
         free=0,
     )
+
+
+def longest_queues(main_lanes: int, main_per_s: float, side_per_s: float) -> tuple[float, float]:
+    """Replans each second for 10 min as vehicles flow; returns the most on a main lane, the side.
+
+    Many lanes are green together on the main road, one on the side.
+    """
+
+    def on_lanes(rows: np.ndarray) -> np.ndarray:
+        return np.concatenate([np.repeat(rows[:, :1], main_lanes, axis=1), rows[:, 1:]], axis=1)
+
+    rates_per_s = np.array([main_per_s] * main_lanes + [side_per_s])
+    queues, most = np.zeros(main_lanes + 1), np.zeros(main_lanes + 1)
+    base, phase, since = two_lanes(waiting=0, coming=0, ahead=60), 0, -60
+    for second in range(600):
+        is_open = on_lanes(base.protected)[phase] > 0
+        queues += rates_per_s
+        if second >= since + 1.5:
+            queues[is_open] = np.maximum(0, queues[is_open] - 0.5)
+        most = np.maximum(most, queues)
+        if second < since + 5:
+            continue
+        arrivals = np.repeat(rates_per_s[:, None], 60, axis=1)
+        arrivals[:, 0] += queues
+        lanes = len(queues)
+        problem = replace(
+            base,
+            arrivals=arrivals,
+            protected=on_lanes(base.protected),
+            permitted=np.zeros((7, lanes)),
+            head=on_lanes(base.head),
+            inside=np.zeros(lanes),
+            headway_s=np.full(lanes, 2.0),
+            lost_s=np.full(lanes, 1.5),
+            begin=np.where(is_open, since - second + 1.5, 1.5),
+            foes=np.full((2, lanes, 1), -1),
+            foe_shares=np.zeros((2, lanes, 1)),
+            phase=phase,
+        )
+        planned = search(problem, Prices(), 1500).phases
+        if len(planned) > 1 and planned[1][1] == 0:
+            phase, since = planned[1][0], second + 5
+    return float(most[:-1].max()), float(most[-1])
+
+
+@pytest.mark.parametrize(
+    ("lanes", "main_per_s", "side_per_s"),
+    [(8, 0.19, 0.14), (8, 0.25, 0.1), (4, 0.19, 0.14), (8, 0.14, 0.1), (2, 0.2, 0.2)],
+)
+def test_who_waits_on_the_side_road_is_not_put_off_from_plan_to_plan(
+    lanes: int, main_per_s: float, side_per_s: float
+) -> None:
+    main, side = longest_queues(lanes, main_per_s, side_per_s)
+    assert main < 10
+    assert side < 15  # what comes in two cycles of a fixed plan
 
 
 def test_a_green_that_serves_nobody_ends_for_a_vehicle_that_waits() -> None:
@@ -190,7 +246,8 @@ def test_people_get_their_least_green() -> None:
         planner.request(60.0 + n, found, green(NS + "G", (60 + n) * S, 50 * S), {})
         for n in range(10)
     ]
-    assert asked == [NS + "G"] * 9 + [EW + "r"]
+    assert asked[:9] == [NS + "G"] * 9
+    assert asked[9] != NS + "G"
 
 
 def test_without_a_lane_in_sight_the_plan_is_asked_for() -> None:
@@ -217,26 +274,30 @@ def test_a_vehicle_that_does_not_go_at_green_is_not_counted_on() -> None:
 
 
 def test_a_ghost_at_the_stop_bar_holds_no_green_while_others_wait() -> None:
-    known, found = policy(), vehicles(*queue("n_0", 1), *queue("e_0", 3))
-    shown, since, served = NS, 0, 0
-    for second in range(120):
+    known, shown, since, waited_s, served_s = policy(), NS, 0, [0] * 240, 0
+    for second in range(240):
+        is_served = shown[LANES.index("e_0")] in "Gg"
+        served_s = served_s + 1 if is_served else 0
+        waiting = [] if served_s > 5 else queue("e_0", 3)
+        waited_s[second] = waited_s[second - 1] + 1 if waiting and not is_served else 0
+        found = vehicles(*queue("n_0", 1), *waiting)
         decision = known.decide(
             Observation(counts(0, second * S), green(shown, second * S, since * S), found)
         )
         if decision.state != shown:
             shown, since = decision.state, second
-        served += shown[LANES.index("e_0")] in "Gg"
-    assert served > 20
+    assert max(waited_s) < 60
 
 
 def test_parked_cars_whose_tracks_change_hold_no_green_while_others_wait() -> None:
     """Two stand beside the lane, under other ids every 20 s; three others come at each red."""
-    known, shown, since, comers = policy(), NS, 0, 0
+    known, shown, since, comers, served_s = policy(), NS, 0, 0, 0
     all_seen = dict.fromkeys(LANES, 1.0)
     waited_s = [0] * 300
     for second in range(300):
         is_served = shown[LANES.index("e_0")] in "Gg"
-        waiting = [] if is_served and second - since > 5 else queue("e_0", 3)
+        served_s = served_s + 1 if is_served else 0
+        waiting = [] if served_s > 5 else queue("e_0", 3)
         comers += not waiting
         waited_s[second] = waited_s[second - 1] + 1 if waiting and not is_served else 0
         found = vehicles(("n_0", 25.0, 0.0), ("s_0", 40.0, 0.4), *waiting)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import count
+
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from signal_controller.observation import LaneVehicles
 from signal_controller.predictive_model import JunctionModel
 from signal_controller.queue_filter import QueueFilter
 from tests.signal_controller.crossing import LANES, SITE, vehicles
@@ -72,6 +76,50 @@ def test_where_all_report_themselves_nobody_else_is_expected() -> None:
         rows = [(lane, 3 + 7.0 * n, 0.0) for lane in LANES for n in range(second // 6)]
         take(known, second, *rows)
     assert known.reporting > 0.9 > before
+
+
+class Traffic:
+    """Vehicles that come at random on all lanes, queue at red, and report themselves or not."""
+
+    def __init__(self, rate_vph: float, reporting: float, seed: int) -> None:
+        self._rng, self._names = np.random.default_rng(seed), count()
+        self._rate_per_s, self._reporting = rate_vph / 3600, reporting
+        self._lanes: list[list[list]] = [[] for _ in LANES]  # name, metres to go, reports
+
+    def step(self, second: int, *, is_green: bool) -> LaneVehicles:
+        rows = []
+        for lane, there in zip(LANES, self._lanes, strict=True):
+            if self._rng.random() < self._rate_per_s:
+                reports = self._rng.random() < self._reporting
+                there.append([f"v{next(self._names)}", 195.0, reports])
+            if there and is_green and there[0][1] <= 10.0 and second % 2 == 0:
+                there.pop(0)
+            for place, one in enumerate(there):
+                ahead_m = max(one[1] - 10.0, 7.0 * place)
+                if one[2]:
+                    rows.append((one[0], lane, ahead_m, one[1] - ahead_m))
+                one[1] = ahead_m
+        names, lanes, distances_m, speeds_mps = zip(*rows, strict=True) if rows else ((),) * 4
+        return LaneVehicles(
+            list(lanes), np.array(distances_m, float), np.array(speeds_mps, float),
+            np.full(len(rows), 4.5), list(names),
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("reporting", [0.1, 0.3, 0.6])
+@pytest.mark.parametrize("rate_vph", [250, 600])
+def test_how_many_report_themselves_is_learnt_with_how_many_come(rate_vph, reporting) -> None:
+    known, traffic = QueueFilter(MODEL, 500, 1900), Traffic(rate_vph, reporting, seed=1)
+    shares, rates_vph = [], []
+    for second in range(1200):
+        is_green = second % 60 >= 30
+        found = traffic.step(second, is_green=is_green)
+        known.take(second, found, GREEN if is_green else RED, NOBODY)
+        if second > 600:
+            shares.append(known.reporting)
+            rates_vph.append(3600 * known.arrivals_per_s.mean())
+    assert reporting / 1.5 < np.mean(shares) < 1.5 * reporting
+    assert rate_vph / 1.35 < np.mean(rates_vph) < 1.35 * rate_vph
 
 
 @settings(deadline=None, max_examples=30)
