@@ -29,8 +29,9 @@ from signal_controller.tracked_vehicle import STOPPED_MPS
 
 _FREE_MPS = 5.0  # who drives so fast does not stand in the queue
 _RATE_FACTORS = np.array([0.1, 0.25, 0.5, 0.75, 1.0, 1.5, 2.2, 3.0])  # of the expected inflow
-_RATE_MEMORY_S = 900.0  # after which a rate may have become another
-_RATE_SPREAD = 0.35  # of the logarithm of a rate that was counted
+_RATE_MEMORY_S = 300.0  # after which a rate may have become that of another lane
+_ANY_RATE = 0.05  # probability that it has become any
+_RATE_SPREAD = 0.7  # of the logarithm of a rate of which nothing is known but what is expected
 _MOST_QUEUED = 60
 _LOST_S = 2.0  # from the begin of green to the first vehicle that leaves
 _YIELDING = 0.4  # of the saturation flow, of turns that yield
@@ -189,11 +190,19 @@ class QueueFilter:
             self._joint, self._rates_per_s, _REPORTING, known, leave, self._most, passed_s
         )
         self._weigh_shares(np.where(self.is_seen, 1.0, totals).prod(axis=1))
-        self._joint += (
-            passed_s / _RATE_MEMORY_S * (self._joint.mean(axis=2, keepdims=True) - self._joint)
-        )
+        self._change_rates(passed_s / _RATE_MEMORY_S)
         prior = 1 / len(_REPORTING)
         self._weights += passed_s / _REPORTING_MEMORY_S * (prior - self._weights)
+
+    def _change_rates(self, probability: float) -> None:
+        """Lets rates become others: those that the signal's lanes have, or any.
+
+        So lanes of which little is known are taken to be like the others.
+        """
+        of_lanes = self._joint.sum(axis=3).mean(axis=1)
+        pooled = (1 - _ANY_RATE) * of_lanes + _ANY_RATE / len(_RATE_FACTORS)
+        changed = pooled[:, None, :, None] * self._joint.sum(axis=2)[:, :, None, :]
+        self._joint += probability * (changed - self._joint)
 
     def _follow(self, time_s: float, vehicles: LaneVehicles, *, is_red: Bools) -> None:
         """Follows each vehicle from where it is first known until it passes the stop bar."""

@@ -482,7 +482,8 @@ def test_a_planner_says_which_phases_it_plans() -> None:
     state = green(NS, 60 * S)
     planner.request(60.0, vehicles(*queue("e_0", 5)), state, {})
     assert planner.plan is not None
-    assert [phase for phase, _ in planner.plan.phases][:2] == [0, 2]
+    now, following = (phase for phase, _ in planner.plan.phases[:2])
+    assert (now, PHASES[following][LANES.index("e_0")]) == (0, "G")
 
 
 @pytest.mark.parametrize("coverage", [{}, dict.fromkeys(LANES, 1.0) | {"e_1": 0.0}])
