@@ -45,7 +45,8 @@ _QUEUED_MPS = 1.0  # who has been slower before the stop bar queues until he has
 class ControlRow(JsonRow):
     """What a run gave; times in s, of all vehicles. `waited_s` is the longest wait in one go.
 
-    `stops` and `co2_g` (by SUMO's emission model) are means of the vehicles.
+    `reporting` is the share of the vehicles that the policy knew of; `stops` and `co2_g` (by SUMO's
+    emission model) are means of the vehicles.
 
     Of lanes whose queues a policy had to estimate, `queue_error` is the mean absolute error in
     vehicles, `queue_inside` how often the interval that is to hold it by 90 % did.
@@ -54,6 +55,7 @@ class ControlRow(JsonRow):
     net: str
     policy: str
     demand: float
+    reporting: float
     seed: int
     vehicles: int
     arrived: int
@@ -122,6 +124,7 @@ class ControlRun:
             net=Path(self._case.net).name,
             policy=self._case.policy,
             demand=self._case.demand,
+            reporting=self._case.reporting,
             seed=self._case.seed,
             vehicles=len(delays),
             arrived=arrived,
