@@ -9,8 +9,8 @@ drives is behind the last one. So a few vehicles that report themselves tell of 
 
 Which share of all vehicles reports itself is unknown, too, and the same on all lanes: there is such
 a filter for each of some shares, and the share is as probable as it has foretold what came (a
-bank of filters, Magill 1965). Few reports alone could be of many vehicles or of few lanes; how many
-came and where they stopped together tell.
+bank of filters, Magill 1965). Few reports could be of few vehicles or of many: how many came and
+where they stopped tell together, and on lanes that are seen, who reports himself.
 """
 
 from __future__ import annotations
@@ -35,7 +35,10 @@ _RATE_SPREAD = 0.7  # of the logarithm of a rate of which nothing is known but w
 _MOST_QUEUED = 60
 _LOST_S = 2.0  # from the begin of green to the first vehicle that leaves
 _YIELDING = 0.4  # of the saturation flow, of turns that yield
-_REPORTING = np.geomspace(0.02, 1.0, 12)  # shares of all vehicles, at first of equal probability
+_REPORTING = np.geomspace(0.02, 1.0, 12)  # shares of all vehicles
+_REPORTING_PRIOR = (
+    _REPORTING**-0.5 / (_REPORTING**-0.5).sum()
+)  # of which a mean of 0.14 is expected
 _REPORTING_MEMORY_S = 7200.0  # after which the share may have become another
 _PLACE_M, _PLACE_SHARE = 3.0, 0.08  # how far off its place in the queue one stands, by distance
 _MISTAKE = 1e-3  # likelihood of what cannot be: places are not exact, lanes are changed
@@ -57,7 +60,7 @@ class LaneQueue:
 
 @dataclass(slots=True)
 class _Seen:
-    """A vehicle before a stop bar, as last seen.
+    """A vehicle before a stop bar, as last seen; `reports` is whether it has reported itself.
 
     Of one that has stood `due_s` is when it would have been at the stop bar if nothing had held it.
     """
@@ -66,6 +69,7 @@ class _Seen:
     distance_m: float
     time_s: float
     due_s: float = math.nan
+    reports: bool = False
 
     @property
     def queues(self) -> bool:
@@ -90,7 +94,7 @@ class QueueFilter:
         self._numbers = np.arange(self._most.max(initial=1) + 1)
         self._joint = np.zeros((len(_REPORTING), lanes, len(_RATE_FACTORS), len(self._numbers)))
         self._joint[:, :, :, 0] = _rate_weights(self._rates_per_s, inflow_vph / 3600)
-        self._weights = np.full(len(_REPORTING), 1 / len(_REPORTING))
+        self._weights = _REPORTING_PRIOR.copy()
         self._seen: dict[str, _Seen] = {}
         self._green_s = np.zeros(lanes)
         self._time_s: float | None = None
@@ -191,8 +195,7 @@ class QueueFilter:
         )
         self._weigh_shares(np.where(self.is_seen, 1.0, totals).prod(axis=1))
         self._change_rates(passed_s / _RATE_MEMORY_S)
-        prior = 1 / len(_REPORTING)
-        self._weights += passed_s / _REPORTING_MEMORY_S * (prior - self._weights)
+        self._weights += passed_s / _REPORTING_MEMORY_S * (_REPORTING_PRIOR - self._weights)
 
     def _change_rates(self, probability: float) -> None:
         """Lets rates become others: those that the signal's lanes have, or any.
@@ -208,9 +211,10 @@ class QueueFilter:
         """Follows each vehicle from where it is first known until it passes the stop bar."""
         upstream, index_of = self._model.approaches.upstream, self._model.lane_index
         speeds_mps, distances_m = vehicles.speeds_mps.tolist(), vehicles.distances_m.tolist()
-        rows = zip(vehicles.ids, vehicles.lanes, distances_m, speeds_mps, strict=True)
+        agents = vehicles.agents or [""] * len(vehicles.ids)
+        rows = zip(vehicles.ids, vehicles.lanes, distances_m, speeds_mps, agents, strict=True)
         gone = []
-        for name, lane_name, distance_m, speed_mps in rows:
+        for name, lane_name, distance_m, speed_mps, agent in rows:
             side = upstream.get(lane_name)
             if side is None or distance_m > self._reach_m[index_of[side.counts_for]]:
                 gone.append(name)
@@ -223,20 +227,25 @@ class QueueFilter:
                     self._weigh(lane, self._rates_per_s[:, None])
                     self._weigh_shares(_REPORTING)
             one.lane, one.distance_m, one.time_s = lane, distance_m, time_s
+            one.reports |= agent != ""
             if not one.queues and speed_mps < STOPPED_MPS:
                 one.due_s = time_s + self._model.free_flow_s(lane_name, distance_m)
                 self._join(one)
             elif not one.queues and speed_mps > _FREE_MPS and is_red[lane]:
                 self._not_behind(one)
         gone += [n for n, one in self._seen.items() if time_s - one.time_s > _LOST_AFTER_S]
-        for name in gone:
-            one = self._seen.pop(name, None)
-            if one is None or one.distance_m >= _HEAD_M:
-                continue
-            if self.is_seen[one.lane]:
-                self._weigh(one.lane, self._rates_per_s[:, None])
-            else:
-                self._pass(one, time_s)
+        for one in [self._seen.pop(name) for name in gone if name in self._seen]:
+            if one.distance_m < _HEAD_M:
+                self._leave(one, time_s, tells=vehicles.agents is not None)
+
+    def _leave(self, one: _Seen, time_s: float, *, tells: bool) -> None:
+        """Takes that a vehicle passed the stop bar; `tells`: it is known who reports himself."""
+        if not self.is_seen[one.lane]:
+            self._pass(one, time_s)
+            return
+        self._weigh(one.lane, self._rates_per_s[:, None])
+        if tells:
+            self._weigh_shares(_REPORTING if one.reports else 1 - _REPORTING)
 
     def _not_behind(self, one: _Seen) -> None:
         """Takes that a vehicle still drives: the queue ends before it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import count
 
 import numpy as np
@@ -126,6 +127,16 @@ def test_how_many_report_themselves_is_learnt_with_how_many_come(rate_vph, repor
     found = np.mean([learnt(rate_vph, reporting, seed) for seed in (1, 2, 3)], axis=0)
     assert 0.7 < found[0] / reporting < 1.4
     assert 0.8 < found[1] / rate_vph < 1.3
+
+
+def test_on_lanes_that_are_seen_it_is_counted_who_reports_himself() -> None:
+    known, seen = QueueFilter(MODEL, 500, 1900), dict.fromkeys(LANES, 1.0)
+    for number in range(60):
+        found = vehicles(("n_0", 4.0, 8.0))
+        agent = "cav" if number % 4 == 0 else ""
+        found = replace(found, ids=[f"v{number}"], agents=[agent])
+        known.take(4.0 * number, found, GREEN, seen)
+    assert 0.17 < known.reporting < 0.33
 
 
 @settings(deadline=None, max_examples=30)
