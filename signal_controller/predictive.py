@@ -8,7 +8,7 @@ and durations of least cost, and the first of them is requested. In the spirit o
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from signal_controller.queue_filter import QueueFilter
 
 MAX_VEHICLES = 1000
 """Vehicles that one decision looks at: the nearest."""
-_SOON_STEPS = 10
+_SOON_STEPS = 10  # a change that is planned within these is tried at once, see `_planned`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +57,7 @@ class PlannerSettings:
 
     Attributes:
         horizon_s: how far a plan reaches.
-        max_nodes: partial plans that a decision may extend.
+        max_nodes: partial plans that a search may extend; a decision takes one or two of them.
         max_red_s: after which a movement for which somebody waits comes next.
         pedestrian_green_s: the least green of a phase in which people walk.
         inflow_vph: expected on each lane as long as nothing was learnt.
@@ -146,7 +146,8 @@ class PredictivePlanner:
         if not 0 < step <= _SOON_STEPS:
             return plan
         at_once = search(problem, prices, max_nodes, phase)
-        return at_once if at_once.cost <= plan.cost else plan
+        best = at_once if at_once.cost <= plan.cost else plan
+        return replace(best, nodes=plan.nodes + at_once.nodes)
 
     def _compile(self) -> None:
         """Searches once, so that no decision waits for the compiler."""

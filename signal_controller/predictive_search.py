@@ -24,6 +24,8 @@ from signal_controller.predictive_discharge import (
 
 MAX_STEPS = 120
 _YIELDING = 0.3  # of a lane's discharge, where its turns yield
+_SERVED = 0.05  # of a lane's vehicles: a phase that serves fewer is of no help to its queue
+_LONGEST_GREEN_S = 120.0  # that a queue is taken to need
 _BUSIEST = 0.8  # of what a lane can discharge: more does not come in the long run
 
 
@@ -105,7 +107,7 @@ def _left(
     drain_s: Floats,
     served_in: Ints,
     held_per_s: Floats,
-    held_s: Floats,
+    closed_s: float,
     green_s: Floats,
 ) -> float:
     """Estimates what the vehicles that are still there at a step will cost, themselves and others.
@@ -113,6 +115,21 @@ def _left(
     They wait for their green and for each other, and the green that they need holds up those who
     come on other lanes meanwhile (`_held_up`). Without the latter, a queue whose green costs others
     more than it saves before the plan ends would be put off from plan to plan.
+
+    Args:
+        queue: vehicles of each lane (L,); `fresh` and `begin` (L,) are as of `run`.
+        fresh: see `queue`.
+        begin: see `queue`.
+        step: at which they are there, in a phase `row`; (R, L) as of `Problem`.
+        row: see `step`.
+        protected: see `step`.
+        permitted: see `step`.
+        left_s: that who is not served waits for his green.
+        drain_s: seconds of each vehicle (L,), see `_drain_s`.
+        served_in: the phase that serves a lane (L,), -1 for none.
+        held_per_s: vehicles that a second of a phase holds up (P,).
+        closed_s: how long they are held up beside that, see `_closed_s`.
+        green_s: to work in (P,).
     """
     cost = 0.0
     green_s[:] = 0.0
@@ -125,16 +142,18 @@ def _left(
         cost += left * (wait_s + 0.5 * drain_s[lane] * left)
         phase = served_in[lane]
         if phase >= 0:
-            served = protected[phase, lane] + _YIELDING * permitted[phase, lane]
-            green_s[phase] = max(green_s[phase], left * drain_s[lane] / served)
+            may = protected[phase, lane] + permitted[phase, lane]
+            pace = (protected[phase, lane] + _YIELDING * permitted[phase, lane]) / may
+            need_s = min(_LONGEST_GREEN_S, left * drain_s[lane] / pace)
+            green_s[phase] = max(green_s[phase], need_s)
     for phase in range(green_s.shape[0]):
-        cost += held_per_s[phase] * green_s[phase] * (0.5 * green_s[phase] + held_s[phase])
+        cost += held_per_s[phase] * green_s[phase] * (0.5 * green_s[phase] + closed_s)
     return cost
 
 
 @njit(cache=True)
 def _drain_s(arrivals: Floats, headway_s: Floats) -> Floats:
-    """Returns how long each vehicle of a queue takes to discharge, with those who join it (L,)."""
+    """Returns the seconds (L,) that each vehicle of a queue takes, with those who join it."""
     steps = arrivals.shape[1]
     result = np.empty(arrivals.shape[0])
     for lane in range(len(result)):
@@ -144,38 +163,48 @@ def _drain_s(arrivals: Floats, headway_s: Floats) -> Floats:
 
 
 @njit(cache=True)
+def _closed_s(change_steps: Ints) -> float:
+    """Returns how long the changes to a phase and back keep the other lanes closed, on average."""
+    phases, total = change_steps.shape[0], 0.0
+    for one in range(phases):
+        for other in range(phases):
+            if one != other:
+                change = change_steps[one, other]
+                total += 2 * (change - min(change, YELLOW_USED_STEPS))
+    return float(total / max(1, phases * (phases - 1)))
+
+
+@njit(cache=True)
 def _held_up(
     arrivals: Floats,
     protected: Floats,
     permitted: Floats,
     headway_s: Floats,
     drain_s: Floats,
-    change_steps: Ints,
-) -> tuple[Ints, Floats, Floats]:
+    phases: int,
+) -> tuple[Ints, Floats]:
     """Returns which phase serves each lane at least cost (L,), and what a green of each holds up.
 
-    The latter are the vehicles that come in a second of it on lanes that it does not serve, with
-    those who come until their queues have gone (P,), and how long such a lane is kept closed beside
-    the green itself (P,). Lanes that no phase serves have -1.
+    The latter are the vehicles (P,) that come in a second of it on lanes that it does not serve,
+    with those who come until their queues have gone. Lanes that no phase serves have -1, and are
+    not held up.
     """
     lanes, steps = arrivals.shape
-    phases = change_steps.shape[0]
-    per_s, closed_s = np.zeros(phases), np.zeros(phases)
-    for phase in range(phases):
-        for lane in range(lanes):
+    per_s = np.zeros(phases)
+    for lane in range(lanes):
+        may = protected[:phases, lane] + permitted[:phases, lane]
+        if may.max() >= _SERVED:
             come = arrivals[lane, steps // 2 :].mean() * drain_s[lane] / headway_s[lane]
-            per_s[phase] += come * (1.0 - protected[phase, lane] - permitted[phase, lane])
-        for other in range(phases):
-            there_and_back = change_steps[phase, other] + change_steps[other, phase]
-            closed_s[phase] += (there_and_back - 2 * YELLOW_USED_STEPS) / max(1, phases - 1)
+            per_s += come * (1.0 - may)
     served_in = np.full(lanes, -1)
     for lane in range(lanes):
         least = np.inf
         for phase in range(phases):
             served = protected[phase, lane] + _YIELDING * permitted[phase, lane]
-            if served > 0.0 and (1e-6 + per_s[phase]) / served < least:
+            may = protected[phase, lane] + permitted[phase, lane]
+            if may >= _SERVED and (1e-6 + per_s[phase]) / served < least:
                 least, served_in[lane] = (1e-6 + per_s[phase]) / served, phase
-    return served_in, per_s, closed_s
+    return served_in, per_s
 
 
 @njit(cache=True)
@@ -199,10 +228,8 @@ def _search(
     phases = min_green.shape[0]
     first_phase, before, ready, free, allowed, kept, max_nodes = start
     drain_s = _drain_s(arrivals, headway_s)
-    served_in, held_per_s, held_s = _held_up(
-        arrivals, protected, permitted, headway_s, drain_s, change_steps
-    )
-    green_s = np.zeros(phases)
+    served_in, held_per_s = _held_up(arrivals, protected, permitted, headway_s, drain_s, phases)
+    closed_s, green_s = _closed_s(change_steps), np.zeros(phases)
     stop_price, switch_price, left_s = prices
     slots = (steps + 1) * phases * kept
     queue = np.zeros((slots + 1, lanes))
@@ -241,7 +268,7 @@ def _search(
     cost[slot] = paid
     value[slot] = paid + _left(queue[work], fresh[work], begin[work], free, first_phase,
                                protected, permitted, left_s, drain_s, served_in, held_per_s,
-                               held_s, green_s)  # fmt: skip
+                               closed_s, green_s)  # fmt: skip
     count[free, first_phase] = 1
     root = slot
 
@@ -300,7 +327,7 @@ def _search(
                                      foes, foe_shares, stop_price)  # fmt: skip
                     worth = paid + _left(queue[work], fresh[work], begin[work], until, after,
                                          protected, permitted, left_s, drain_s, served_in,
-                                         held_per_s, held_s, green_s)  # fmt: skip
+                                         held_per_s, closed_s, green_s)  # fmt: skip
                     base = (until * phases + after) * kept
                     place = base + count[until, after]
                     if count[until, after] == kept:

@@ -29,6 +29,7 @@ from signal_controller.tracked_vehicle import STOPPED_MPS
 
 _FREE_MPS = 5.0  # who drives so fast does not stand in the queue
 _RATE_FACTORS = np.array([0.1, 0.25, 0.5, 0.75, 1.0, 1.5, 2.2, 3.0])  # of the expected inflow
+_LEAST_INFLOW_VPH = 1.0  # who expects nobody could not learn
 _RATE_MEMORY_S = 300.0  # after which a rate may have become that of another lane
 _ANY_RATE = 0.05  # probability that it has become any
 _RATE_SPREAD = 0.7  # of the logarithm of a rate of which nothing is known but what is expected
@@ -60,9 +61,13 @@ class LaneQueue:
 
 @dataclass(slots=True)
 class _Seen:
-    """A vehicle before a stop bar, as last seen; `reports` is whether it has reported itself.
+    """A vehicle before a stop bar, as last seen.
 
-    Of one that has stood `due_s` is when it would have been at the stop bar if nothing had held it.
+    Attributes:
+        due_s: of one that has stood, when it would have been at the stop bar if nothing held it.
+        reports: it has reported itself.
+        is_counted: its arrival has told of the rate.
+        ends_m: it drives, so that no queue reaches back to this distance.
     """
 
     lane: int
@@ -70,6 +75,8 @@ class _Seen:
     time_s: float
     due_s: float = math.nan
     reports: bool = False
+    is_counted: bool = False
+    ends_m: float = math.inf
 
     @property
     def queues(self) -> bool:
@@ -87,6 +94,7 @@ class QueueFilter:
     def __init__(self, model: JunctionModel, inflow_vph: float, saturation_vph: float) -> None:
         self._model = model
         lanes = len(model.lanes)
+        inflow_vph = max(inflow_vph, _LEAST_INFLOW_VPH)
         self._rates_per_s = inflow_vph / 3600 * _RATE_FACTORS
         self._saturation_per_s = saturation_vph / 3600
         self._reach_m = np.maximum(SPACING_M, model.reach_m)
@@ -94,7 +102,7 @@ class QueueFilter:
         self._numbers = np.arange(self._most.max(initial=1) + 1)
         self._joint = np.zeros((len(_REPORTING), lanes, len(_RATE_FACTORS), len(self._numbers)))
         self._joint[:, :, :, 0] = _rate_weights(self._rates_per_s, inflow_vph / 3600)
-        self._weights = _REPORTING_PRIOR.copy()
+        self._reporting_weights = _REPORTING_PRIOR.copy()
         self._seen: dict[str, _Seen] = {}
         self._green_s = np.zeros(lanes)
         self._time_s: float | None = None
@@ -104,17 +112,17 @@ class QueueFilter:
     @property
     def reporting(self) -> float:
         """Expected share of all vehicles that report themselves."""
-        return float(self._weights @ _REPORTING)
+        return float(self._reporting_weights @ _REPORTING)
 
     @property
     def arrivals_per_s(self) -> Floats:
         """Expected rate of arrival (L,), of lanes that are not seen."""
-        return np.asarray(self._weights @ self._rates)
+        return np.asarray(self._reporting_weights @ self._rates)
 
     @property
     def unreported_per_s(self) -> Floats:
         """The same of those (L,) that do not report themselves."""
-        return np.asarray((self._weights * (1 - _REPORTING)) @ self._rates)
+        return np.asarray((self._reporting_weights * (1 - _REPORTING)) @ self._rates)
 
     @property
     def _rates(self) -> Floats:
@@ -140,7 +148,7 @@ class QueueFilter:
 
     def queue(self, lane: int) -> LaneQueue:
         """Returns what is known of a lane's queue."""
-        numbers = self._weights @ self._joint[:, lane].sum(axis=1)
+        numbers = self._reporting_weights @ self._joint[:, lane].sum(axis=1)
         below = np.append(0.0, np.cumsum(numbers))
         ends = np.minimum(np.searchsorted(below, below[:-1] + _INSIDE - 1e-9), len(numbers))
         widths = np.where(below[ends] - below[:-1] >= _INSIDE - 1e-6, ends, np.inf) - self._numbers
@@ -149,7 +157,7 @@ class QueueFilter:
 
     def expected(self) -> Floats:
         """Returns the expected queues (L,)."""
-        return np.asarray(self._weights @ (self._joint.sum(axis=2) @ self._numbers))
+        return np.asarray(self._reporting_weights @ (self._joint.sum(axis=2) @ self._numbers))
 
     def take(
         self,
@@ -179,7 +187,8 @@ class QueueFilter:
             self._predict(part_s, open_shares)
         in_lane = [n for n, name in enumerate(vehicles.ids) if name not in parked]
         driving = vehicles.take(np.array(in_lane, np.int64))
-        self._follow(time_s, driving, is_red=open_shares.sum(axis=1) <= 0)
+        goes_on = 0.0 < passed_s <= _LOST_AFTER_S
+        self._follow(time_s, driving, open_shares.sum(axis=1) <= 0, goes_on=goes_on)
         self._note_seen()
 
     def _predict(self, passed_s: float, open_shares: Floats) -> None:
@@ -193,9 +202,11 @@ class QueueFilter:
         totals = _advance(
             self._joint, self._rates_per_s, _REPORTING, known, leave, self._most, passed_s
         )
-        self._weigh_shares(np.where(self.is_seen, 1.0, totals).prod(axis=1))
+        self._weigh_reporting(np.where(self.is_seen, 1.0, totals).prod(axis=1))
         self._change_rates(passed_s / _RATE_MEMORY_S)
-        self._weights += passed_s / _REPORTING_MEMORY_S * (_REPORTING_PRIOR - self._weights)
+        self._reporting_weights += (
+            passed_s / _REPORTING_MEMORY_S * (_REPORTING_PRIOR - self._reporting_weights)
+        )
 
     def _change_rates(self, probability: float) -> None:
         """Lets rates become others: those that the signal's lanes have, or any.
@@ -207,27 +218,30 @@ class QueueFilter:
         changed = pooled[:, None, :, None] * self._joint.sum(axis=2)[:, :, None, :]
         self._joint += probability * (changed - self._joint)
 
-    def _follow(self, time_s: float, vehicles: LaneVehicles, *, is_red: Bools) -> None:
-        """Follows each vehicle from where it is first known until it passes the stop bar."""
+    def _follow(
+        self, time_s: float, vehicles: LaneVehicles, is_red: Bools, *, goes_on: bool
+    ) -> None:
+        """Follows each vehicle from where it is first known until it passes the stop bar.
+
+        The nearest come first: who stops behind them stops later. Where it does not `goes_on` from
+        the frame before, who is there has come some time ago.
+        """
         upstream, index_of = self._model.approaches.upstream, self._model.lane_index
-        speeds_mps, distances_m = vehicles.speeds_mps.tolist(), vehicles.distances_m.tolist()
-        agents = vehicles.agents or [""] * len(vehicles.ids)
-        rows = zip(vehicles.ids, vehicles.lanes, distances_m, speeds_mps, agents, strict=True)
         gone = []
-        for name, lane_name, distance_m, speed_mps, agent in rows:
+        for row in np.argsort(vehicles.distances_m, kind="stable").tolist():
+            name, lane_name = vehicles.ids[row], vehicles.lanes[row]
+            distance_m, speed_mps = vehicles.distances_m.item(row), vehicles.speeds_mps.item(row)
             side = upstream.get(lane_name)
             if side is None or distance_m > self._reach_m[index_of[side.counts_for]]:
                 gone.append(name)
                 continue
             lane = index_of[side.counts_for]
-            one = self._seen.get(name)
-            if one is None:
-                one = self._seen[name] = _Seen(lane, distance_m, time_s)
-                if not self.is_seen[lane]:
-                    self._weigh(lane, self._rates_per_s[:, None])
-                    self._weigh_shares(_REPORTING)
+            is_old = not goes_on and not self.is_seen[lane]
+            one = self._seen.setdefault(name, _Seen(lane, distance_m, time_s, is_counted=is_old))
             one.lane, one.distance_m, one.time_s = lane, distance_m, time_s
-            one.reports |= agent != ""
+            one.reports |= vehicles.agents is None or vehicles.agents[row] != ""
+            if one.reports and not one.is_counted and not self.is_seen[lane]:
+                self._count(one, _REPORTING)
             if not one.queues and speed_mps < STOPPED_MPS:
                 one.due_s = time_s + self._model.free_flow_s(lane_name, distance_m)
                 self._join(one)
@@ -242,16 +256,24 @@ class QueueFilter:
         """Takes that a vehicle passed the stop bar; `tells`: it is known who reports himself."""
         if not self.is_seen[one.lane]:
             self._pass(one, time_s)
-            return
+        elif not one.is_counted:
+            reporting = _REPORTING if one.reports else 1 - _REPORTING
+            self._count(one, reporting if tells else np.ones(len(_REPORTING)))
+
+    def _count(self, one: _Seen, likelihood: Floats) -> None:
+        """Takes that a vehicle has come, so likely by the share (S,) that reports itself."""
+        one.is_counted = True
         self._weigh(one.lane, self._rates_per_s[:, None])
-        if tells:
-            self._weigh_shares(_REPORTING if one.reports else 1 - _REPORTING)
+        self._weigh_reporting(likelihood)
 
     def _not_behind(self, one: _Seen) -> None:
         """Takes that a vehicle still drives: the queue ends before it."""
-        if not self.is_seen[one.lane]:
-            is_behind = self._numbers * SPACING_M > one.distance_m + _PLACE_M
-            self._weigh(one.lane, np.where(is_behind, _MISTAKE, 1.0))
+        if self.is_seen[one.lane] or one.distance_m > one.ends_m - SPACING_M:
+            return
+        tails_m = self._numbers * SPACING_M - _PLACE_M
+        is_behind = (tails_m > one.distance_m) & (tails_m <= one.ends_m)
+        one.ends_m = one.distance_m
+        self._weigh(one.lane, np.where(is_behind, _MISTAKE, 1.0))
 
     def _join(self, one: _Seen) -> None:
         """Takes that a vehicle stopped: as many stand before it as fit between it and the bar."""
@@ -273,12 +295,12 @@ class QueueFilter:
         totals = joint.sum(axis=(1, 2))
         self._joint[:, lane] = joint / totals[:, None, None]
         if not self.is_seen[lane]:
-            self._weigh_shares(totals)
+            self._weigh_reporting(totals)
 
-    def _weigh_shares(self, likelihood: Floats) -> None:
+    def _weigh_reporting(self, likelihood: Floats) -> None:
         """Corrects the probabilities of the shares that report themselves."""
-        self._weights = self._weights * likelihood
-        self._weights /= self._weights.sum()
+        self._reporting_weights = self._reporting_weights * likelihood
+        self._reporting_weights /= self._reporting_weights.sum()
 
     def _pass(self, one: _Seen, time_s: float) -> None:
         """Takes that a vehicle passed the stop bar: only who came after it can be there still."""
@@ -361,8 +383,9 @@ def _advance(
 
 
 def _rate_weights(rates_per_s: Floats, rate_per_s: float) -> Floats:
-    """Returns the probabilities (K,) of rates around one that was counted or is expected."""
-    away = np.log(rates_per_s / max(rate_per_s, rates_per_s[0])) / _RATE_SPREAD
+    """Returns the probabilities (R,) of rates of which this one is expected."""
+    median_per_s = rate_per_s * math.exp(-(_RATE_SPREAD**2) / 2)
+    away = np.log(rates_per_s / median_per_s) / _RATE_SPREAD
     weights = np.exp(-0.5 * away**2) + 0.02
     return np.asarray(weights / weights.sum())
 

@@ -45,8 +45,9 @@ _QUEUED_MPS = 1.0  # who has been slower before the stop bar queues until he has
 class ControlRow(JsonRow):
     """What a run gave; times in s, of all vehicles. `waited_s` is the longest wait in one go.
 
-    `reporting` is the share of the vehicles that the policy knew of; `stops` and `co2_g` (by SUMO's
-    emission model) are means of the vehicles.
+    `reporting` is the share of the vehicles that cpnet's policies knew of (fixed plans and SUMO's
+    own control do without); `stops` and `co2_g` (by SUMO's emission model) are means of the
+    vehicles.
 
     Of lanes whose queues a policy had to estimate, `queue_error` is the mean absolute error in
     vehicles, `queue_inside` how often the interval that is to hold it by 90 % did.
