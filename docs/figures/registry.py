@@ -386,6 +386,20 @@ _LIST = (
         (Part("all", "docs/comparison.md", comparison.tuned),),
     ),
     Figure(
+        "reports",
+        "for demand in 1 1.4; do for share in 1 0.3 0.1 0.05; do printf '\\f'; cpnet bench control "
+        "--policies predictive --reporting $share --demand $demand --seeds 5 --processes 2 --json; "
+        "done; printf '\\f'; cpnet bench control --policies webster --demand $demand --seeds 5 "
+        "--processes 2 --json; done",
+        (
+            *("sim_host", "protocol", "signal_controller", "studies/bench_control.py"),
+            *(f"studies/control_{one}.py" for one in ("baselines", "case", "run")),
+        ),
+        8,
+        (Part("delay", "docs/control.md", comparison.reports),),
+        read=comparison.of_lists,
+    ),
+    Figure(
         "lidars",
         "python $ROOT/docs/figures/study_rows.py",
         ("sensing/config.py", "cpnet/realism", "cpnet/scenarios", "docs/figures/study_rows.py"),

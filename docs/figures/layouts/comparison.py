@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from statistics import mean
 
 from layouts.tables import Rows, Table, between, fixed
 from layouts.worlds import LIDAR_HEADS, lidar_cells
@@ -131,4 +133,41 @@ def tuned(rows: Rows) -> Table:
                 f"{row['waited_s']:.0f}",
             ]
         )
+    return table
+
+
+def of_lists(output: str) -> Rows:
+    """Reads lists of rows in JSON, each after a form feed."""
+    return [row for part in output.split("\f")[1:] for row in json.loads(part)]
+
+
+def reports(rows: Rows) -> Table:
+    """Returns delay by the share of vehicles that are known, beside all of them and a timer."""
+    table = [["demand", "vehicles known", "delay, s", "more than if all were known, s", "%",
+              "queue off by, vehicles", "in its 90 % interval, %", "longest wait, s"]]  # fmt: skip
+    for demand in dict.fromkeys(row["demand"] for row in rows):
+        own = [row for row in rows if row["demand"] == demand]
+        whole = {
+            row["seed"]: row["delay_s"]
+            for row in own
+            if (row["policy"], row["reporting"]) == ("predictive", 1)
+        }
+        for policy, share in dict.fromkeys((row["policy"], row["reporting"]) for row in own):
+            part = [row for row in own if (row["policy"], row["reporting"]) == (policy, share)]
+            more = [row["delay_s"] - whole[row["seed"]] for row in part]
+            errors = [row["queue_error"] for row in part if row["queue_error"] is not None]
+            inside = [row["queue_inside"] for row in part if row["queue_inside"] is not None]
+            is_whole = policy == "predictive" and share == 1
+            table.append(
+                [
+                    f"x{demand:g}",
+                    f"{100 * share:g} %" if policy == "predictive" else f"none: `{policy}`",
+                    between([row["delay_s"] for row in part], 1),
+                    "" if is_whole else between(more, 1),
+                    "" if is_whole else f"{100 * sum(more) / sum(whole.values()):.0f}",
+                    fixed(mean(errors) if errors else None, 2),
+                    fixed(mean(inside) if inside else None, 0, 100),
+                    f"{max(row['waited_s'] for row in part):.0f}",
+                ]
+            )
     return table
