@@ -249,7 +249,7 @@ class PredictivePlanner:
             queues.is_seen, (1 - queues.reporting) * counted_per_s, queues.unreported_per_s
         )
         at_s = np.arange(steps)[None, :] * STEP_S
-        seen_s = np.where(queues.is_seen, queues.shares, 0.0) * model.reach_s
+        seen_s = np.where(queues.is_seen, queues.coverage, 0.0) * model.reach_s
         is_beyond = at_s >= model.reach_s[:, None]
         unknown_per_s = np.where(is_beyond, inflow_per_s[:, None], unreported_per_s[:, None])
         result += (at_s >= seen_s[:, None]) * unknown_per_s * STEP_S

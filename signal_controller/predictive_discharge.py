@@ -11,11 +11,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
+from signal_controller.predictive_model import Floats, Ints
 
 YELLOW_USED_STEPS = 2  # of yellow, in which vehicles still pass
 _FOLLOW_UP_S = 2.5  # between permitted turns that use the same gap in the opposing traffic

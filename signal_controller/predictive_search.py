@@ -13,14 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from signal_controller.predictive_discharge import (
-    YELLOW_USED_STEPS,
-    Floats,
-    Ints,
-    Problem,
-    run,
-    turn_head,
-)
+from signal_controller.predictive_discharge import YELLOW_USED_STEPS, Problem, run, turn_head
+from signal_controller.predictive_model import Floats, Ints
 
 MAX_STEPS = 120
 _YIELDING = 0.3  # of a lane's discharge, where its turns yield

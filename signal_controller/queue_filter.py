@@ -37,9 +37,7 @@ _MOST_QUEUED = 60
 _LOST_S = 2.0  # from the begin of green to the first vehicle that leaves
 _YIELDING = 0.4  # of the saturation flow, of turns that yield
 _REPORTING = np.geomspace(0.02, 1.0, 12)  # shares of all vehicles
-_REPORTING_PRIOR = (
-    _REPORTING**-0.5 / (_REPORTING**-0.5).sum()
-)  # of which a mean of 0.14 is expected
+_REPORTING_PRIOR = _REPORTING**-0.5 / (_REPORTING**-0.5).sum()  # a mean of 0.14
 _REPORTING_MEMORY_S = 7200.0  # after which the share may have become another
 _PLACE_M, _PLACE_SHARE = 3.0, 0.08  # how far off its place in the queue one stands, by distance
 _MISTAKE = 1e-3  # likelihood of what cannot be: places are not exact, lanes are changed
@@ -52,7 +50,7 @@ _INSIDE = 0.9  # of the probability, in the interval
 
 @dataclass(frozen=True, slots=True)
 class LaneQueue:
-    """Vehicles that queue on a lane: expectation, and the shortest interval that holds 90 %."""
+    """Vehicles that queue on a lane: expectation, and the interval that holds 90 %."""
 
     mean: float
     low: float
@@ -88,7 +86,7 @@ class QueueFilter:
     """Follows the queues of a signal's lanes from frame to frame.
 
     Attributes:
-        shares: (L,) part of each lane, from the stop bar on, that sensors see.
+        coverage: (L,) part of each lane, from the stop bar on, that sensors see.
     """
 
     def __init__(self, model: JunctionModel, inflow_vph: float, saturation_vph: float) -> None:
@@ -106,7 +104,7 @@ class QueueFilter:
         self._seen: dict[str, _Seen] = {}
         self._green_s = np.zeros(lanes)
         self._time_s: float | None = None
-        self.shares = np.ones(lanes)
+        self.coverage = np.ones(lanes)
         self._unseen_s = 0.0
 
     @property
@@ -132,7 +130,7 @@ class QueueFilter:
     @property
     def is_seen(self) -> Bools:
         """Whether a lane (L,) is seen at least before the stop bar."""
-        return self.shares >= MIN_COVERAGE
+        return self.coverage >= MIN_COVERAGE
 
     @property
     def blind_s(self) -> float:
@@ -141,7 +139,7 @@ class QueueFilter:
 
     def queued(self) -> Floats:
         """Returns the vehicles (L,) of those given that queue."""
-        found = np.zeros(len(self.shares))
+        found = np.zeros(len(self.coverage))
         for one in self._seen.values():
             found[one.lane] += one.queues
         return found
@@ -149,11 +147,7 @@ class QueueFilter:
     def queue(self, lane: int) -> LaneQueue:
         """Returns what is known of a lane's queue."""
         numbers = self._reporting_weights @ self._joint[:, lane].sum(axis=1)
-        below = np.append(0.0, np.cumsum(numbers))
-        ends = np.minimum(np.searchsorted(below, below[:-1] + _INSIDE - 1e-9), len(numbers))
-        widths = np.where(below[ends] - below[:-1] >= _INSIDE - 1e-6, ends, np.inf) - self._numbers
-        low = int(np.argmin(widths))
-        return LaneQueue(float(numbers @ self._numbers), low, int(ends[low]) - 1)
+        return LaneQueue(float(numbers @ self._numbers), *shortest_interval(numbers))
 
     def expected(self) -> Floats:
         """Returns the expected queues (L,)."""
@@ -178,7 +172,7 @@ class QueueFilter:
         """
         passed_s = 0.0 if self._time_s is None else max(0.0, min(10.0, time_s - self._time_s))
         self._time_s = time_s
-        self.shares = np.array(
+        self.coverage = np.array(
             [coverage.get(lane, 1.0) if coverage else 0.0 for lane in self._model.lanes]
         )
         is_blind = not self.is_seen.any() and not len(vehicles.ids)
@@ -321,15 +315,15 @@ class QueueFilter:
         if not self.is_seen.any():
             return
         queued = self.queued()
-        tails_m = np.zeros(len(self.shares))
+        tails_m = np.zeros(len(self.coverage))
         for one in self._seen.values():
             if one.queues:
                 tails_m[one.lane] = max(tails_m[one.lane], one.distance_m)
         for lane in np.flatnonzero(self.is_seen):
-            share = self.shares[lane]
+            covered = self.coverage[lane]
             number = min(int(queued[lane]), len(self._numbers) - 1)
-            seen_m = share * self._reach_m[lane]
-            is_whole = share > _WHOLE or tails_m[lane] < seen_m - _HIDDEN_M
+            seen_m = covered * self._reach_m[lane]
+            is_whole = covered > _WHOLE or tails_m[lane] < seen_m - _HIDDEN_M
             allowed = self._numbers == number if is_whole else self._numbers >= number
             weights = self._joint[:, lane].sum(axis=2, keepdims=True)
             joint = self._joint[:, lane] * allowed
@@ -380,6 +374,23 @@ def _advance(
                 totals[share, lane] += own.sum()
             joint[share, lane] /= totals[share, lane]
     return totals
+
+
+def shortest_interval(probabilities: Floats) -> tuple[int, int]:
+    """Returns the first and the last of the fewest numbers that hold 90 % of probabilities (N,).
+
+    Hardly any numbers hold just that: half of what the less likely end holds may be missing, so
+    that on average it is 90 % and not more (mid-P, Lancaster 1961).
+    """
+    below = np.append(0.0, np.cumsum(probabilities))
+    ends = np.minimum(np.searchsorted(below, below[:-1] + _INSIDE - 1e-9), len(probabilities))
+    holds = below[ends] - below[:-1] >= _INSIDE - 1e-6
+    low = int(np.argmin(np.where(holds, ends - np.arange(len(probabilities)), np.inf)))
+    high = int(ends[low]) - 1
+    least = min(probabilities[low], probabilities[high])
+    if high == low or below[high + 1] - below[low] - least / 2 <= _INSIDE:
+        return low, high
+    return (low + 1, high) if probabilities[low] < probabilities[high] else (low, high - 1)
 
 
 def _rate_weights(rates_per_s: Floats, rate_per_s: float) -> Floats:

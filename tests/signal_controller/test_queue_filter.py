@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from signal_controller.observation import LaneVehicles
 from signal_controller.predictive_model import JunctionModel
-from signal_controller.queue_filter import QueueFilter
+from signal_controller.queue_filter import QueueFilter, shortest_interval
 from tests.signal_controller.crossing import LANES, SITE, vehicles
 
 MODEL = JunctionModel(SITE, 7)
@@ -157,6 +157,21 @@ def test_whatever_is_reported_probabilities_stay_probabilities(frames, share: fl
             queue = known.queue(lane)
             assert 0 <= queue.low <= queue.high <= 60
             assert 0 <= queue.mean <= 60
+
+
+@given(st.lists(st.floats(0.001, 1), min_size=1, max_size=20))
+def test_an_interval_holds_90_percent_to_within_half_of_what_an_end_holds(weights) -> None:
+    chance = np.array(weights) / sum(weights)
+    low, high = shortest_interval(chance)
+    inside = chance[low : high + 1]
+    beside = [*chance[max(0, low - 1) : low], *chance[high + 1 : high + 2]]
+    assert inside.sum() >= 0.9 - max(beside, default=0.0) / 2 - 1e-5
+    assert len(inside) == 1 or inside.sum() - min(inside[0], inside[-1]) / 2 <= 0.9 + 1e-5
+
+
+def test_a_likely_number_alone_may_be_the_interval() -> None:
+    assert shortest_interval(np.array([0.87, 0.08, 0.05])) == (0, 0)
+    assert shortest_interval(np.array([0.05, 0.1, 0.6, 0.2, 0.05])) == (1, 3)
 
 
 def test_of_a_lane_seen_half_of_the_time_the_same_rate_is_learnt() -> None:
