@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 study_app = typer.Typer()
 REPORT = "report.html"  # in the folder of results
+_SCENARIO = "t_junction"  # whose defaults controls with perception have
 
 
 @study_app.command("study")
@@ -135,6 +136,7 @@ def _run_control(
         from recording.database import versions
         from studies.control_page import control_page, print_control_study
         from studies.control_study import run_control_study, summaries
+        from studies.perceived_study import perceived_cases, run_perceived_controls
         from studies.sweep.cluster import usable_cores
     if markdown is not None:
         check_target(markdown, "--markdown")
@@ -144,7 +146,13 @@ def _run_control(
         if last:
             errors.print(f"{done}/{total}  {last}", markup=False, highlight=False, soft_wrap=True)
 
-    results = run_control_study(study, folder, jobs or len(usable_cores()), report)
+    cases = perceived_cases(study, folder, lambda keys: resolved(_SCENARIO, keys))
+    if cases:
+        check_simulator()
+        compile_ahead(errors)
+    processes = jobs or len(usable_cores())
+    results = run_control_study(study, folder, processes, report)
+    results += run_perceived_controls(study, cases, folder, processes, report)
     rows = summaries(study, results)
     if as_json:
         typer.echo(json.dumps(rows, indent=2))

@@ -17,6 +17,7 @@ from protocol.roadmap import Intersection, Lane, RoadMap
 REACH_M = 300.0  # before a stop bar, as far as vehicles are looked at
 INTERVAL_S = 10.0  # of which the queue is a mean
 _STANDING_MPS = 1.4  # 5 km/h
+_WAITING_MPS = 0.1  # as SUMO has it
 _WINDS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 
 
@@ -34,6 +35,9 @@ class ApproachLog:
 
     An approach is an edge that ends at a stop bar, with the lanes that lead to it, up to `REACH_M`.
     Time lost is what driving slower than the lane's limit costs.
+
+    Attributes:
+        waited_s: the longest that any vehicle stood still in one go, wherever it was.
     """
 
     def __init__(self, road_map: RoadMap, period_s: float) -> None:
@@ -49,11 +53,15 @@ class ApproachLog:
         self._lost_s: dict[str, float] = defaultdict(float)
         self._vehicles: dict[str, set[str]] = defaultdict(set)
         self._queues: dict[int, list[int]] = defaultdict(list)
+        self._stood_s: dict[str, float] = {}
+        self.waited_s = 0.0
 
     def note(self, time_s: float, samples: Iterable[VehicleSample]) -> None:
         """Takes where all vehicles are, `time_s` after the first measured moment."""
-        standing = 0
+        standing, stood_s = 0, {}
         for one in samples:
+            if one.speed_mps < _WAITING_MPS:
+                stood_s[one.vehicle] = self._stood_s.get(one.vehicle, 0.0) + self._period_s
             found = self._lanes.get(one.lane)
             if found is None:
                 continue
@@ -65,6 +73,8 @@ class ApproachLog:
             self._vehicles[name].add(one.vehicle)
             standing += one.speed_mps < _STANDING_MPS
         self._queues[int(time_s // INTERVAL_S)].append(standing)
+        self._stood_s = stood_s
+        self.waited_s = max(self.waited_s, *stood_s.values(), 0.0)
 
     def as_json(self) -> dict[str, Any]:
         """Returns mean seconds lost by approach, and the vehicles that stood, by interval."""

@@ -22,7 +22,7 @@ from studies.control_baselines import TUNINGS, Tuning
 from studies.control_file import ControlStudy
 from studies.control_study import CaseStore, Report, Row, run_control_study
 from studies.perceived_case import PerceivedCase, run_perceived
-from studies.post_places import HEIGHT_M, post_place
+from studies.post_places import post_mounts
 from studies.sweep.cells import Resolve
 
 ALL_KNOWN = "every vehicle"
@@ -31,7 +31,6 @@ MAX_PRESSURE, PREDICTIVE = "max_pressure", "predictive"
 BASELINES = (PLAN, WEBSTER, ACTUATED)
 POLICIES = (MAX_PRESSURE, PREDICTIVE)
 STAGES = ("demand", "tuning", "baselines", "perception")
-_POST = "post"
 _FRAME_WORK = 10.0  # of a frame with perception, over a second of SUMO alone
 _TUNED: Mapping[str, Sequence[Tuning]] = {
     policy: TUNINGS[policy] for policy in (WEBSTER, ACTUATED, MAX_PRESSURE)
@@ -140,7 +139,7 @@ def perceived_cases(
         "junctions": sorted(comparison.road_map.by_tls),
         "traffic.sumocfg": str(comparison.config),
         "traffic.cav_rate": 0 if sight == POSTS else asked.cav_rate,
-        "roadside_mounts": _mounts(comparison, mounts),
+        "roadside_mounts": post_mounts(comparison.road_map, mounts),
         "signal.policy": policy,
     }
     if fence is not None:
@@ -151,14 +150,6 @@ def perceived_cases(
         scenario = resolve({**asked.common_settings, **settings, "seed": seed})
         draws = policy == PREDICTIVE and seed == asked.seeds[0]
         yield PerceivedCase(title, scenario, draws)
-
-
-def _mounts(comparison: Comparison, signals: Sequence[str]) -> list[dict[str, Any]]:
-    places = [post_place(comparison.road_map, tls) for tls in signals]
-    return [
-        {"id": f"{_POST}-{n}", "tls": tls, "x_m": x_m, "y_m": y_m, "height_m": HEIGHT_M}
-        for n, (tls, (x_m, y_m)) in enumerate(zip(signals, places, strict=True))
-    ]
 
 
 def weights(comparison: Comparison) -> dict[str, tuple[int, float]]:

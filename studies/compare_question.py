@@ -11,7 +11,7 @@ from protocol.errors import ConfigError
 from protocol.roadmap import RoadMap
 from sim_host.setup import build_setup, config_file, sumo_files, traffic_config
 from studies.compare_files import check_contents, check_flows, check_no_folders
-from studies.sumo_config import write_config
+from studies.sumo_config import PAIRED_SETTINGS, SAME_FOR_ALL, write_config
 from studies.sweep.cells import Resolve
 
 POSTS, CAVS, BOTH = "posts", "CAVs", "posts and CAVs"
@@ -33,11 +33,6 @@ _RULED = {
     "traffic.default_demand_vph_per_lane": "--demand",
 }
 """Keys of a scenario that options of the command set."""
-_SAME_FOR_ALL = (
-    *("mode", "cabinet", "traffic.step_s", "traffic.lateral.lane_change_s"),
-    "traffic.pedestrians_per_hour",
-)
-"""Keys that would change SUMO or the cabinet in a part of the runs only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +96,7 @@ class Question:
         for key in self.settings or {}:
             if key in _RULED:
                 raise ConfigError(f"--set {key}: give {_RULED[key]} instead")
-            if any(f"{key}.".startswith(f"{one}.") for one in _SAME_FOR_ALL):
+            if any(f"{key}.".startswith(f"{one}.") for one in SAME_FOR_ALL):
                 raise ConfigError(
                     f"--set {key}: is the same for all that is compared, and cannot be set here"
                 )
@@ -127,13 +122,10 @@ class Question:
     def common_settings(self) -> dict[str, Any]:
         """Keys of every scenario that is compared."""
         return {
-            "realism": "clear",
-            "mode": "lockstep",
+            **PAIRED_SETTINGS,
             "frame_period_s": self.frame_period_s,
             "duration_s": self.duration_s,
             "traffic.warmup_s": self.warmup_s,
-            "traffic.lateral.lane_change_s": 0,  # SUMO is the same in all runs
-            "traffic.pedestrians_per_hour": 0,  # baselines have nobody who stops who turns
             **(self.settings or {}),
         }
 

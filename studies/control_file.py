@@ -36,6 +36,11 @@ class ControlStudy(Section):
         "of your own net 1 alone",
     )
     policies: list[str] = Field(min_length=2, description="as in `cpnet bench control`")
+    perceived: dict[str, dict[str, Any]] = Field(
+        {},
+        description="with perception in the loop, by a name each: dotted keys of the scenario, "
+        "such as signal.policy",
+    )
     studied: str = Field("predictive", description="whose difference to the others is shown")
     seeds: list[Seed] = Field([1, 2, 3, 4, 5], min_length=1, description="that are reported")
     tuning_seeds: list[Seed] = Field([101, 102], description="others; none: nothing is tuned")
@@ -55,8 +60,13 @@ class ControlStudy(Section):
         both = sorted(set(self.seeds) & set(self.tuning_seeds))
         if both:
             raise ConfigError(f"study {self.name}: seed {both[0]} is for tuning and reported")
-        if self.studied not in self.policies:
-            raise ConfigError(f"study {self.name}: studied is {self.studied}, must be of policies")
+        twice = sorted(set(self.policies) & set(self.perceived))
+        if twice:
+            raise ConfigError(f"study {self.name}: {twice[0]} is of policies and of perceived")
+        if self.studied not in (*self.policies, *self.perceived):
+            raise ConfigError(
+                f"study {self.name}: studied is {self.studied}, must be of policies or perceived"
+            )
         for net, factors in self.nets.items():
             if net not in NETS and factors != [1.0]:
                 raise ConfigError(f"study {self.name}: {net} has a demand of its own: [1]")

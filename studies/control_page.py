@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ _HEADS = (
     *("policy", "what its tuning set", "delay, s", "95th percentile, s", "longest wait, s"),
     *("stops", "CO2, g", "arrived", "difference, s", "difference, %"),
 )
+_PERCEIVED_HEADS = "E-CVPR, %", "uplink, Mbit/s"
 
 
 def control_page(
@@ -36,12 +37,13 @@ def control_page(
 ) -> Page:
     """Returns a section for each net and demand, best policy first, and what was run."""
     groups = groups_of(rows)
+    seen = f", but for {_listed(study.perceived)}, with perception" if study.perceived else ""
     lead = (
-        "SUMO alone: every policy is given the true places of the vehicles near the signals. Delay "
-        "is time loss plus departure delay of all vehicles, those still on the way and those kept "
-        f"outside as well, a mean over {len(study.seeds)} seeds ± half the width of its 95 % "
-        f"interval. A difference is that of {study.studied} to the policy, seed by seed; one "
-        "within its interval cannot be told from none. "
+        "SUMO alone: every policy is given the true places of the vehicles near the signals"
+        f"{seen}. Delay is time loss plus departure delay of all vehicles, those still on the way "
+        f"and those kept outside as well, a mean over {len(study.seeds)} seeds ± half the width of "
+        f"its 95 % interval. A difference is that of {study.studied} to the control, seed by seed; "
+        "one within its interval cannot be told from none. "
     )
     lead += (
         f"Each baseline is tuned for each net and demand on seeds {_listed(study.tuning_seeds)}, "
@@ -68,6 +70,7 @@ def groups_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 def group_table(rows: Sequence[Row]) -> Table:
     """Returns a line for each policy."""
+    is_perceived = any(row["e_cvpr"] is not None for row in rows)
     cells = tuple(
         (
             row["policy"],
@@ -80,18 +83,26 @@ def group_table(rows: Sequence[Row]) -> Table:
             f"{row['arrived']:.0f} of {row['vehicles']:.0f}",
             _with_half(row["difference_s"], row["difference_ci95_s"], "+"),
             None if row["difference_share"] is None else 100 * row["difference_share"],
+            *(_perceived(row) if is_perceived else ()),
         )
         for row in rows
     )
-    forms = ("", "", "", ".1f", ".0f", ".2f", ".0f", "", "", "+.0f")
-    return Table(tuple(map(Column, _HEADS, forms)), cells)
+    heads = (*_HEADS, *(_PERCEIVED_HEADS if is_perceived else ()))
+    forms = ("", "", "", ".1f", ".0f", ".2f", ".0f", "", "", "+.0f", ".1f", ".2f")
+    return Table(tuple(map(Column, heads, forms)), cells)
+
+
+def _perceived(row: Row) -> tuple[float | None, float | None]:
+    share: float | None = row["e_cvpr"]
+    return None if share is None else 100 * share, row["uplink_mbps"]
 
 
 def print_control_study(rows: Sequence[Row], console: Console) -> None:
     """Prints a table for each net and demand."""
     for title, part in groups_of(rows).items():
-        table = empty_table(_HEADS, title=title, left=2)
-        for cells in text_rows(group_table(part)):
+        found = group_table(part)
+        table = empty_table([one.name for one in found.columns], title=title, left=2)
+        for cells in text_rows(found):
             table.add_row(*cells)
         print_whole(table, console)
 
@@ -127,5 +138,5 @@ def _origin(study: ControlStudy, command: str, versions: dict[str, str]) -> Sect
     return Section("How it was made", tuple(blocks))
 
 
-def _listed(seeds: Sequence[int]) -> str:
-    return ", ".join(map(str, seeds)) or DASH
+def _listed(values: Iterable[object]) -> str:
+    return ", ".join(map(str, values)) or DASH

@@ -80,7 +80,6 @@ class ControlRun:
         self._config, self._road_map = roads_of(case, folder)
         self._sumo = load_libsumo()
         self._decide_ns: list[int] = []
-        self._waited_s = 0.0
         self._queues: list[tuple[float, bool]] = []
         self.passed: Counter[str] = Counter()
         self.log = ApproachLog(self._road_map, 1.0)
@@ -131,7 +130,7 @@ class ControlRun:
             arrived=arrived,
             delay_s=mean(delays) if delays else 0.0,
             delay_p95_s=float(np.quantile(delays, 0.95)) if delays else 0.0,
-            waited_s=self._waited_s,
+            waited_s=self.log.waited_s,
             stops=stops,
             co2_g=co2_g,
             decide_p50_ms=float(np.quantile(decide_ms, 0.5)),
@@ -152,7 +151,6 @@ class ControlRun:
             if second >= warmup_s:
                 on_plan = [signal for signal in on_plan if not self._take_over(signal)]
             if rest == 0 and second >= warmup_s:
-                self._note_waits()
                 truth.read(self._sumo)
                 self._note_passages(truth.all)
                 self.log.note(now_ns / 1e9 - self._measured_from_s, self._vehicles())
@@ -218,11 +216,6 @@ class ControlRun:
             if before in incoming and lane not in incoming:
                 self.passed[before] += 1
             self._lane_of[name] = lane
-
-    def _note_waits(self) -> None:
-        vehicle = self._sumo.vehicle
-        for name in vehicle.getIDList():
-            self._waited_s = max(self._waited_s, vehicle.getWaitingTime(name))
 
 
 class _Controller:

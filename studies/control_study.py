@@ -56,6 +56,11 @@ class Group:
         return Path(self.net).name.removesuffix(".sumocfg") + factor
 
 
+def groups_of_study(study: ControlStudy) -> list[Group]:
+    """Returns each net at each demand."""
+    return [Group(net, demand) for net, factors in study.nets.items() for demand in factors]
+
+
 class Case(Protocol):
     """A run that a `CaseStore` keeps."""
 
@@ -184,8 +189,17 @@ class PolicyResult:
     rows: list[Row]
 
     def values(self, measure: str) -> list[float]:
-        """Returns a measure, seed by seed."""
-        return [float(row[measure]) for row in self.rows]
+        """Returns a measure, seed by seed, where a run yields it."""
+        return [float(row[measure]) for row in self.rows if row.get(measure) is not None]
+
+    def mean(self, measure: str) -> float | None:
+        """Returns a measure's mean over the seeds; None if no run yields it."""
+        found = self.values(measure)
+        return mean(found) if found else None
+
+    def greatest(self, measure: str) -> float | None:
+        """Returns a measure's greatest value of all seeds; None if no run yields it."""
+        return max(self.values(measure), default=None)
 
     @property
     def delay_s(self) -> float:
@@ -213,7 +227,7 @@ def run_control_study(
         ConfigError: a net or a policy is none.
     """
     store = CaseStore(folder)
-    groups = [Group(net, demand) for net, factors in study.nets.items() for demand in factors]
+    groups = groups_of_study(study)
     flows = _flows(study, groups, store, processes, report)
     best = _tuned(study, groups, flows, store, processes, report, tunings)
     cells = [(group, policy) for group in groups for policy in study.policies]
@@ -321,6 +335,12 @@ def paired(values: Sequence[float], others: Sequence[float]) -> Difference:
     return Difference(mean(differences), t * stdev(differences) / math.sqrt(n))
 
 
+_MEANS = (
+    *("delay_p95_s", "stops", "co2_g", "arrived", "vehicles"),
+    *("e_cvpr", "uplink_mbps"),  # with perception alone
+)
+
+
 def summaries(study: ControlStudy, results: Iterable[PolicyResult]) -> list[Row]:
     """Returns a row for each group and policy, with what the studied policy takes off its delay."""
     results = list(results)
@@ -340,13 +360,9 @@ def summaries(study: ControlStudy, results: Iterable[PolicyResult]) -> list[Row]
                 "seeds": len(one.rows),
                 "delay_s": one.delay_s,
                 "delay_ci95_s": spread.half,
-                "delay_p95_s": mean(one.values("delay_p95_s")),
-                "waited_s": max(one.values("waited_s")),
-                "stops": mean(one.values("stops")),
-                "co2_g": mean(one.values("co2_g")),
-                "arrived": mean(one.values("arrived")),
-                "vehicles": mean(one.values("vehicles")),
-                "decide_p99_ms": max(one.values("decide_p99_ms")),
+                "waited_s": one.greatest("waited_s"),
+                **{measure: one.mean(measure) for measure in _MEANS},
+                "decide_p99_ms": one.greatest("decide_p99_ms"),
                 "difference_s": difference.mean if is_other else None,
                 "difference_ci95_s": difference.half if is_other else None,
                 "difference_share": difference.mean / one.delay_s if is_other else None,

@@ -79,6 +79,7 @@ def run_perceived(case: PerceivedCase) -> Row:
             scan = scan_kilobytes(run)
             found = {**measure(run_dir).row, **log.as_json()}
             found |= {"scan_kb": scan["mean"], "scan_peak_kb": scan["peak"]}
+            found["waited_s"] = log.waited_s
             if case.draws:
                 found["map"] = _map_points(run)
         delays, arrived = delays_s(trips, first_ns / 1e9)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from perception.arrays import Floats
@@ -26,6 +29,15 @@ def post_place(road_map: RoadMap, tls: str) -> tuple[float, float]:
     order = np.where(clear_m >= _CLEAR_M, away_m, 1e3 - clear_m)
     x_m, y_m = places[np.argmin(order)].tolist()
     return x_m, y_m
+
+
+def post_mounts(road_map: RoadMap, signals: Sequence[str]) -> list[dict[str, Any]]:
+    """Returns a post at each of some signals, as a scenario's `roadside_mounts`."""
+    places = [post_place(road_map, tls) for tls in signals]
+    return [
+        {"id": f"post-{n}", "tls": tls, "x_m": x_m, "y_m": y_m, "height_m": HEIGHT_M}
+        for n, (tls, (x_m, y_m)) in enumerate(zip(signals, places, strict=True))
+    ]
 
 
 def _clear_m(places: Floats, road_map: RoadMap) -> Floats:

@@ -3,11 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 from protocol.errors import ConfigError
 from sim_host.netfile import open_file
 
+PAIRED_SETTINGS: dict[str, Any] = {
+    "realism": "clear",
+    "mode": "lockstep",
+    "traffic.lateral.lane_change_s": 0,
+    "traffic.pedestrians_per_hour": 0,
+}
+"""Keys of a scenario whose traffic is to be that of SUMO alone, as in `studies.control_run`."""
+SAME_FOR_ALL = (
+    *("mode", "cabinet", "traffic.step_s", "traffic.lateral.lane_change_s"),
+    "traffic.pedestrians_per_hour",
+)
+"""Keys that would change SUMO or the cabinet in a part of such runs only."""
 _SHORT = {"n": "net-file", "r": "route-files", "a": "additional-files", "b": "begin", "e": "end"}
 _FILES = ("net-file", "route-files", "additional-files")
 

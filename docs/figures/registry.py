@@ -26,7 +26,7 @@ SYSTEM = (
 STUDY = (*SYSTEM, "studies", "learning")
 OTHER_COMMANDS = (
     *("studies/bench*.py", "studies/compare*.py", "studies/control*.py"),
-    "studies/run_pool.py",
+    *("studies/run_pool.py", "studies/perceived_study.py"),
     *("studies/comparison.py", "studies/trajectories.py", "studies/trajectory_section.py"),
 )
 """Of `cpnet bench`, `compare`, `study control`, `report`: no figure's but where it names them."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from studies.control_case import ControlCase
 from studies.control_file import ControlStudy, read_control_study
 from studies.control_page import control_page
 from studies.control_study import Group, PolicyResult, paired, summaries
+from studies.perceived_study import perceived_cases
 from studies.sweep.study_file import path_of
 
 STUDY = ControlStudy(
@@ -43,6 +45,7 @@ def test_the_built_in_study_is_of_its_kind_and_others_are_not() -> None:
     [
         ({"seeds": [101]}, "seed 101 is for tuning and reported"),
         ({"studied": "webster2"}, "studied is webster2"),
+        ({"perceived": {"webster": {}}}, "webster is of policies and of perceived"),
         ({"nets": {"resco/cologne1": [1.2]}}, "has a demand of its own"),
         ({"edge.detector": "fast"}, "--set edge.detector: a study of control allows: bench"),
         ({"duration_s": 3}, "duration_s"),
@@ -68,6 +71,52 @@ def test_a_table_has_the_best_first_and_what_the_studied_policy_takes_off_others
     assert table.rows[1][5:7] == (1.2, 150.0)
     assert table.rows[1][8].startswith("-2.50 ± ")
     assert table.rows[0][8] is None
+
+
+SEEN = {"signal.policy": "predictive", "traffic.cav_rate": 0.05}
+
+
+def perceiving(keys: dict) -> ControlStudy:
+    return STUDY.model_copy(update={"perceived": {"on posts": keys}, "studied": "on posts"})
+
+
+def settings_of(study: ControlStudy, folder: Path) -> list[dict]:
+    found: list[dict] = []
+    perceived_cases(study, folder, lambda keys: found.append(keys) or keys)
+    return found
+
+
+def test_controls_with_perception_have_posts_and_the_traffic_of_their_net_and_demand(
+    tmp_path: Path,
+) -> None:
+    found = settings_of(perceiving(SEEN), tmp_path)
+    assert [one["seed"] for one in found] == [1, 2, 1, 2]
+    assert len({one["traffic.sumocfg"] for one in found}) == 2
+    for one in found:
+        assert len(one["roadside_mounts"]) == 1
+        assert one["traffic.cav_rate"] == 0.05
+        assert Path(one["traffic.sumocfg"]).exists()
+    bare = settings_of(perceiving({**SEEN, "roadside_mounts": []}), tmp_path)
+    assert all(one["roadside_mounts"] == [] for one in bare)
+
+
+@pytest.mark.parametrize("key", ["seed", "traffic.step_s", "cabinet.all_red_s", "mode"])
+def test_what_would_not_be_the_same_for_all_controls_is_refused(tmp_path: Path, key: str) -> None:
+    with pytest.raises(ConfigError, match=f"perceived.on posts: {key} is the same for all"):
+        settings_of(perceiving({key: 2}), tmp_path)
+
+
+def test_what_a_control_with_perception_saw_stands_beside_its_delay() -> None:
+    seen = result("on posts", 8.0, 9.0)
+    rows = [{**row, "e_cvpr": 0.9, "uplink_mbps": 1.5} for row in seen.rows]
+    for row in rows:
+        del row["decide_p99_ms"]
+    study = perceiving(SEEN)
+    found = [result("max_pressure", 10.0, 12.0), replace(seen, rows=rows)]
+    (table,) = control_page(study, summaries(study, found), "", {}).sections[0].blocks
+    assert table.rows[0][0] == "on posts"
+    assert table.rows[0][10:] == (pytest.approx(90), 1.5)
+    assert table.rows[1][10:] == (None, None)
 
 
 def test_every_setting_that_is_tried_is_one_of_its_baseline() -> None:
