@@ -146,9 +146,10 @@ def _run_control(
         if last:
             errors.print(f"{done}/{total}  {last}", markup=False, highlight=False, soft_wrap=True)
 
+    if study.perceived:
+        check_simulator()
     cases = perceived_cases(study, folder, lambda keys: resolved(_SCENARIO, keys))
     if cases:
-        check_simulator()
         compile_ahead(errors)
     processes = jobs or len(usable_cores())
     results = run_control_study(study, folder, processes, report)

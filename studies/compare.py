@@ -13,14 +13,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
-from statistics import mean
 from typing import Any
 
 from protocol.errors import ConfigError
 from studies.compare_question import BOTH, CAVS, MIN_TUNING_S, POSTS, TUNING_SEEDS, Comparison
 from studies.control_baselines import TUNINGS, Tuning
 from studies.control_file import ControlStudy
-from studies.control_study import CaseStore, Report, Row, run_control_study
+from studies.control_study import CaseStore, Report, SeedRows, run_control_study
 from studies.perceived_case import PerceivedCase, run_perceived
 from studies.post_places import post_mounts
 from studies.sweep.cells import Resolve
@@ -38,39 +37,19 @@ _TUNED: Mapping[str, Sequence[Tuning]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Variant:
+class Variant(SeedRows):
     """A way to control the signals: what chooses, from what it sees, and a row for each seed.
 
     `sight` is empty for what sees nothing but loops; `setting` is what its tuning chose.
     """
 
-    policy: str
     sight: str
     setting: str
-    rows: list[Row]
 
     @property
     def is_perceived(self) -> bool:
         """Whether it acts on what LiDARs see."""
         return self.sight in (POSTS, CAVS, BOTH)
-
-    def values(self, measure: str) -> list[float]:
-        """Returns a measure, seed by seed, where a run yields it."""
-        return [float(row[measure]) for row in self.rows if row.get(measure) is not None]
-
-    def mean(self, measure: str) -> float | None:
-        """Returns a measure's mean over the seeds; None if no run yields it."""
-        found = self.values(measure)
-        return mean(found) if found else None
-
-    def greatest(self, measure: str) -> float | None:
-        """Returns a measure's greatest value of all seeds; None if no run yields it."""
-        return max(self.values(measure), default=None)
-
-    @property
-    def delay_s(self) -> float:
-        """Mean delay of a vehicle, over the seeds."""
-        return mean(self.values("delay_s"))
 
 
 def run_comparison(
@@ -85,9 +64,9 @@ def run_comparison(
     found = [
         Variant(
             one.policy,
+            one.rows,
             "" if one.policy in BASELINES else ALL_KNOWN,
             one.tuning.text if one.tuning else "",
-            one.rows,
         )
         for one in results
     ]
@@ -109,7 +88,7 @@ def run_comparison(
     own = {cell: [*islice(rows, len(runs))] for cell, runs in cases.items()}
     for policy, sight in cells:
         fence = fences.get(policy)
-        found.append(Variant(policy, sight, fence.text if fence else "", own[policy, sight]))
+        found.append(Variant(policy, own[policy, sight], sight, fence.text if fence else ""))
     return found
 
 

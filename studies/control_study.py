@@ -180,12 +180,10 @@ def file_digest(path: Path) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class PolicyResult:
-    """A policy in a group: what its tuning set, if it has any, and its rows by seed."""
+class SeedRows:
+    """A control's figures: a row for each seed."""
 
-    group: Group
     policy: str
-    tuning: Tuning | None
     rows: list[Row]
 
     def values(self, measure: str) -> list[float]:
@@ -203,8 +201,16 @@ class PolicyResult:
 
     @property
     def delay_s(self) -> float:
-        """Mean over the seeds."""
+        """Mean delay of a vehicle, over the seeds."""
         return mean(self.values("delay_s"))
+
+
+@dataclass(frozen=True, slots=True)
+class PolicyResult(SeedRows):
+    """A policy in a group; `tuning` is what its tuning set, if it has any."""
+
+    group: Group
+    tuning: Tuning | None
 
 
 def run_control_study(
@@ -236,12 +242,7 @@ def run_control_study(
     ]
     rows = iter(store.run(run_row, [*map(BenchCase, cases)], processes, report))
     return [
-        PolicyResult(
-            group,
-            policy,
-            best.get((group, policy)),
-            [next(rows) for _ in study.seeds],
-        )
+        PolicyResult(policy, [next(rows) for _ in study.seeds], group, best.get((group, policy)))
         for group, policy in cells
     ]
 

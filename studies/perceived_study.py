@@ -36,12 +36,15 @@ def perceived_cases(study: ControlStudy, folder: Path, resolve: Resolve) -> list
     The files of SUMO for nets that are built in are written into the folder.
 
     Raises:
-        ConfigError: a net is none, or a control sets what is not its own.
+        ConfigError: a net is none, a control sets what is not its own, or the folder is none.
     """
     found = []
     for group in groups_of_study(study) if study.perceived else ():
         own = folder / "nets" / re.sub(r"[^A-Za-z0-9.]+", "-", group.title)
-        own.mkdir(parents=True, exist_ok=True)
+        try:
+            own.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"--out {folder}: {error}") from None
         case = ControlCase(
             group.net,
             OWN_PLAN,
@@ -73,7 +76,7 @@ def run_perceived_controls(
     rows = iter(CaseStore(folder).run(run_perceived, cases, processes, report) if cases else ())
     cells = [(group, title) for group in groups_of_study(study) for title in study.perceived]
     return [
-        PolicyResult(group, title, None, [next(rows) for _ in study.seeds])
+        PolicyResult(title, [next(rows) for _ in study.seeds], group, None)
         for group, title in cells
     ]
 

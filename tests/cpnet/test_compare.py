@@ -112,7 +112,7 @@ def variant(policy: str, sight: str, delay_s: float, east_s: float = 20.0) -> Va
     }
     if sight in ("posts", "CAVs", "posts and CAVs"):
         row |= {"uplink_mbps": 0.3, "uplink_peak_mbps": 0.4, "scan_kb": 38.0, "scan_peak_kb": 42.0}
-    return Variant(policy, sight, "", [row])
+    return Variant(policy, [row], sight, "")
 
 
 @pytest.fixture

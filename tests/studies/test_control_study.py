@@ -30,7 +30,7 @@ def result(policy: str, *delays_s: float, demand: float = 1.0) -> PolicyResult:
     rest = {"delay_p95_s": 30.0, "waited_s": 60.0, "arrived": 90, "vehicles": 100}
     rest |= {"stops": 1.2, "co2_g": 150.0}
     rows = [{"delay_s": delay_s, "decide_p99_ms": 1.0, **rest} for delay_s in delays_s]
-    return PolicyResult(Group("t_junction", demand), policy, "", rows)
+    return PolicyResult(policy, rows, Group("t_junction", demand), None)
 
 
 def test_the_built_in_study_is_of_its_kind_and_others_are_not() -> None:
