@@ -191,6 +191,7 @@ def validate(data: dict[str, Any], source: str) -> Scenario:
     _check_recording(scenario, source)
     _check_link(scenario, source)
     _check_advice(scenario, source)
+    _check_weight(scenario, source)
     return scenario
 
 
@@ -374,6 +375,16 @@ def _check_advice(scenario: Scenario, source: str) -> None:
         raise ConfigError(
             f"{source}: signal.speed_advice tells of greens that are requested: cabinet.control is "
             "actuated, which ignores requests, must be requests"
+        )
+
+
+def _check_weight(scenario: Scenario, source: str) -> None:
+    signal = scenario.signal
+    is_queued = signal.policy == "max_pressure" and signal.weight == "queued"
+    if is_queued and not scenario.edge.tracking.enabled:
+        raise ConfigError(
+            f"{source}: signal.weight is queued: who stands still is known by tracks alone, and "
+            "edge.tracking.enabled is false, must be true"
         )
 
 

@@ -264,6 +264,16 @@ _LIST = (
         tracked=False,
         learned=True,
     ),
+    Figure(  # of the same runs, which are not run again
+        "paper-readme",
+        "cpnet study paper --out paper >&2; " + _rows_of("paper"),
+        STUDY,
+        90,
+        (Part("table", _GLANCE, comparison.paper_readme),),
+        of_rows=True,
+        tracked=False,
+        learned=True,
+    ),
     Figure(
         "bandwidth",
         "cpnet study bandwidth --out bandwidth --markdown ../../docs/bandwidth.md",
@@ -444,8 +454,7 @@ _LIST = (
             Part("parts", "docs/city.md", cities.scale_parts),
         ),
     ),
-    # By hand: from the pages of the studies, from a browser.
-    Figure("paper-readme", "", STUDY, 0, (Part("table", _GLANCE),)),
+    # By hand: from a browser.
     Figure("view", "", ("viewer",), 0, (), files=("docs/view.png",)),
 )
 FIGURES = {figure.name: figure for figure in _LIST}

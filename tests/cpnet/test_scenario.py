@@ -172,6 +172,15 @@ def test_each_renamed_key_is_gone_and_its_new_name_is_a_key_of_today():
     assert today >= set(scenarios.RENAMED_KEYS.values())
 
 
+def test_pressure_by_queues_needs_tracks_which_know_who_stands_still():
+    queued = {"signal.weight": "queued"}
+    assert load("t_junction", queued).signal.weight == "queued"
+    untracked = {"edge.tracking.enabled": False}
+    with pytest.raises(ConfigError, match=r"signal\.weight is queued.* edge\.tracking\.enabled"):
+        load("t_junction", queued | untracked)
+    assert load("t_junction", queued | untracked | {"signal.policy": "predictive"})
+
+
 def test_speed_advice_needs_a_policy_that_plans_ahead_and_a_cabinet_that_is_asked():
     advising = {"signal.speed_advice": True}
     with pytest.raises(ConfigError, match="signal: speed_advice needs policy predictive.*max_pres"):

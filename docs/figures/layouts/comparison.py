@@ -62,6 +62,59 @@ def ecvpr_shares(rows: Rows) -> Table:
     return table
 
 
+def paper_readme(rows: Rows) -> Table:
+    """Returns E-CVPR and delay of Chen et al.'s experiments, means of seeds, beside theirs."""
+
+    def cells(grid: str, key: str, measure: str, **where: str) -> dict[str | float, float]:
+        own = [row for row in rows if row["grid"] == grid]
+        own = [row for row in own if all(row[name] == value for name, value in where.items())]
+        return {
+            value: mean(row[measure] for row in own if row[key] == value)
+            for value in dict.fromkeys(row[key] for row in own)
+        }
+
+    def perception(detector: str, measure: str) -> list[float]:
+        where = {"edge.detector": detector}
+        return [*cells("perception", "traffic.cav_rate", measure, **where).values()]
+
+    def listed(values: Sequence[float], factor: float, unit: str) -> str:
+        return ", ".join(fixed(value, 1, factor) for value in values) + f" {unit}"
+
+    shares = ", ".join(f"{100 * share:g}" for share in _THEIRS)
+    by_detector = zip(*_THEIRS.values(), strict=True)
+    theirs = [", ".join(fixed(one, 1) for one in column) for column in by_detector]
+    fast, pillars = "fast", "pointpillars"
+    delays_s = perception(fast, "delay_s") + perception(pillars, "delay_s")
+    empty_s = cells("unseen-empty", "traffic.cav_rate", "delay_s")[0]
+    control_s = cells("control", "controller", "delay_s")
+    reported_s = cells("reports", "traffic.cv_rate", "delay_s")
+    known = (0.02, 0.05, 0.1, 0.3)
+    others_s = [control_s[name] for name in _PAPER_CONTROLS]
+    return [
+        ["", "cpnet", "Chen et al."],
+        [f"E-CVPR at {shares} % CAVs, clustering",
+         listed(perception(fast, "e_cvpr"), 100, "%"), f"{theirs[0]} %"],
+        ["the same, PointPillars",
+         listed(perception(pillars, "e_cvpr"), 100, "%"), f"{theirs[1]} %"],
+        ["what the LiDARs saw of all vehicles, at most",
+         listed(perception(fast, "visible_share"), 100, "%"), "–"],
+        ["mean delay, max pressure on these, a lane's unseen part as full as the rest (ours)",
+         f"{fixed(min(delays_s), 1)} to {fixed(max(delays_s), 1)} s", "–"],
+        ["… at 0 % CAVs, the unseen part empty, as in Chen et al.",
+         f"{fixed(empty_s, 1)} s", "10.6 to 11.0 s"],
+        ["… on perfect counts, the same on 50 m and none behind, SUMO's actuated control, the "
+         "net's fixed plan, Webster's", listed(others_s, 1, "s"), "–"],
+        [f"… on {', '.join(f'{100 * share:g}' for share in known)} % of vehicles that report "
+         "themselves", listed([reported_s[share] for share in known], 1, "s"), "–"],
+    ]  # fmt: skip
+
+
+_PAPER_CONTROLS = (
+    *("max pressure, perfect counts", "max pressure, perfect counts, tuned"),
+    *("actuated by loops", "fixed plan", "fixed plan by Webster"),
+)
+
+
 _CONTROLS = {
     "perception": "max pressure on perception (a post, no CAV), 200 m before and 100 m behind",
     "perception, unseen empty": "the same, what no LiDAR sees taken for empty, as in Chen et al.",
