@@ -19,6 +19,7 @@ from perception.object_classes import (
     WIDEST_VEHICLE_M,
     Shapes,
     classes_of,
+    is_car,
     usual_m,
 )
 from perception.parallel import each, threads
@@ -36,6 +37,10 @@ PERSON_M = 0.2  # but may be a person, if it is so high
 LINE_M, LINE_TOP_M = 1.0, 0.4  # of a side that one ring has hit: length, least height over ground
 SHARED = 0.2  # of the smaller box: vehicles do not overlap, but boxes of one seen in parts do
 OVER_M = 0.8  # over the ground: what begins higher is seen over something else
+END_M = 0.3  # this close to a box's end, points belong to it
+HIDDEN_M = np.array(  # lowest of a car's end over the ground; what lies before its rear, its front
+    [[0.8, 0.0, 0.0], [0.95, 0.55, 1.45], [1.5, 1.2, 1.9]]  # bumper; foot of a window; roof
+)
 CERTAIN_POINTS = 25.0  # about two thirds of full score
 
 
@@ -69,7 +74,9 @@ def fit_boxes(
     kept &= _stands(shapes, height_m) | _is_line(shapes, height_m)
     if completed:
         size_m = usual_m(kinds)
-        _complete(extents, middles, yaws, sensors, size_m, shapes.bottom_m > OVER_M)
+        ends_m = _lowest_at_ends(points, clusters.runs, middles, yaws, extents) - floor_m[:, None]
+        hidden_m = _hidden_m(ends_m) * is_car(kinds)[:, None]
+        _complete(extents, middles, yaws, sensors, size_m, hidden_m, shapes.bottom_m > OVER_M)
         extents[:, 0, 2] = floor_m
         extents[:, 1, 2] = np.maximum(extents[:, 1, 2], floor_m + size_m[:, 2])
     boxes = _boxes(extents, middles, yaws)
@@ -130,22 +137,45 @@ def certainty(members: Ints) -> Floats:
     return np.asarray(1.0 - np.exp(-members / CERTAIN_POINTS))
 
 
+def _hidden_m(ends_m: Floats) -> Floats:
+    """Returns how much of cars is hidden at their rear and front ends (C, 2), of such heights.
+
+    Where the lowest that is seen of an end is a window or the roof, boot or bonnet lie before it,
+    hidden by another vehicle or between two beams.
+    """
+    heights_m, *before_m = HIDDEN_M.T
+    each_end = zip(ends_m.T, before_m, strict=True)
+    return np.column_stack([np.interp(end_m, heights_m, one_m) for end_m, one_m in each_end])
+
+
 def _complete(
-    extents: Floats, middles: Floats, yaws: Floats, sensors: Floats, usual_m: Floats, over: Bools
+    extents: Floats,
+    middles: Floats,
+    yaws: Floats,
+    sensors: Floats,
+    usual_m: Floats,
+    hidden_m: Floats,
+    over: Bools,
 ) -> None:
     """Widens boxes to usual sizes (C, 3): the side turned to the sensor (C, 2) stays in place.
 
-    Of what is seen over something else alone (C,), that side is hidden, too: it is in the middle.
+    Only what is hidden (C, 2) of the end turned to it is put before. Of what else is seen over
+    something else alone (C,), that side is hidden, too: it is in the middle.
     """
     off = sensors - middles[:, :2]
     cos, sin = np.cos(yaws), np.sin(yaws)
     seen_from = np.stack([cos * off[:, 0] + sin * off[:, 1], cos * off[:, 1] - sin * off[:, 0]], -1)
     for axis in range(2):
         low, high = extents[:, 0, axis], extents[:, 1, axis]
-        missing_m = np.maximum(usual_m[:, axis] - (high - low), 0.0)
         ahead = np.where(seen_from[:, axis] > high, 0.0, 0.5)
         ahead = np.where(seen_from[:, axis] < low, 1.0, ahead)
-        ahead = np.where(over, 0.5, ahead)
+        is_hidden = over
+        if axis == 0:
+            high = high + (ahead == 0.0) * hidden_m[:, 1]
+            low = low - (ahead == 1.0) * hidden_m[:, 0]
+            is_hidden = over & (hidden_m == 0.0).all(axis=1)
+        missing_m = np.maximum(usual_m[:, axis] - (high - low), 0.0)
+        ahead = np.where(is_hidden, 0.5, ahead)
         extents[:, 1, axis] = high + ahead * missing_m
         extents[:, 0, axis] = low - (1.0 - ahead) * missing_m
 
@@ -170,6 +200,31 @@ def _floor_m(ground_m: Floats32, runs: Ints, members: Ints) -> Floats:
             below_m += ground_m[index]
         floor_m[label] += below_m
     return floor_m / members
+
+
+@njit(
+    "float64[:,::1](float32[:,::1], int64[:,::1], float64[:,::1], float64[::1], float64[:,:,::1])",
+    cache=True,
+    nogil=True,
+)
+def _lowest_at_ends(
+    points: Floats32, runs: Ints, middles: Floats, yaws: Floats, extents: Floats
+) -> Floats:
+    """Returns the height of the lowest point at the rear and at the front of each box (C, 2)."""
+    assert points.shape[1] == 3
+    lowest_m = np.full((middles.shape[0], 2), np.inf)
+    for run in range(runs.shape[0]):
+        label, first, end = runs[run, 0], runs[run, 1], runs[run, 2]
+        cos, sin = np.cos(yaws[label]), np.sin(yaws[label])
+        rear_m, front_m = extents[label, 0, 0] + END_M, extents[label, 1, 0] - END_M
+        for index in range(first, end):
+            x_m, y_m = points[index, 0] - middles[label, 0], points[index, 1] - middles[label, 1]
+            along_m, z_m = cos * x_m + sin * y_m, np.float64(points[index, 2])
+            if along_m <= rear_m:
+                lowest_m[label, 0] = min(lowest_m[label, 0], z_m)
+            if along_m >= front_m:
+                lowest_m[label, 1] = min(lowest_m[label, 1], z_m)
+    return lowest_m
 
 
 @njit("void(float64[:,::1], float64, float64[:,::1])", cache=True, nogil=True)

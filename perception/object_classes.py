@@ -96,6 +96,11 @@ def classes_of(kinds: Ints) -> Bytes:
     return np.asarray(_CLASSES[kinds])
 
 
+def is_car(kinds: Ints) -> Bools:
+    """Marks the cars, but for vans (C,), of what `Shapes.kinds` returned."""
+    return np.asarray(kinds == _CAR)
+
+
 def usual_m(kinds: Ints) -> Floats:
     """Returns the usual length, width and height in m (C, 3)."""
     return np.asarray(_USUAL_M[kinds])

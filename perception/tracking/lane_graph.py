@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from perception.arrays import Bytes, Floats, Ints
+from perception.arrays import Bools, Bytes, Floats, Ints
 from protocol.roadmap import RoadMap
 
 CELL_M = 20.0
@@ -30,7 +30,8 @@ class LaneGraph:
     i are `first[i]` to `first[i + 1]`. `followers[leads[i]:leads[i + 1]]` are the lanes after lane
     i. `cells` has for each square of the plane the segments near it: `near[cells[c]:cells[c + 1]]`,
     on a `grid` (5,) of origin x and y, side, columns and rows. `links` has by signal the numbers of
-    its lights and the ways into the junction that they are for.
+    its lights and the ways into the junction that they are for. `at_signal` marks the lanes (L,)
+    that end at a signal.
     """
 
     segments: Floats
@@ -45,6 +46,7 @@ class LaneGraph:
     cells: Ints
     near: Ints
     links: Mapping[str, list[tuple[int, int]]]
+    at_signal: Bools
 
     @classmethod
     def of(cls, road_map: RoadMap) -> LaneGraph:
@@ -70,6 +72,10 @@ class LaneGraph:
         followers = np.array([lane for one in after for lane in one], np.int64)
         starts = np.array(first, np.int64)
         grid, cells, near = _cells(segments)
+        at_signal = np.zeros(len(number), np.bool_)
+        signals = [one.signal.links for one in road_map.intersections]
+        starts_of = {link.from_lane for links in signals for link in links}
+        at_signal[[number[lane] for lane in sorted(starts_of) if lane in number]] = True
         return cls(
             segments=segments,
             owner=np.array(owner, np.int64),
@@ -83,6 +89,7 @@ class LaneGraph:
             cells=cells,
             near=near,
             links=_links(road_map, number, leads, followers),
+            at_signal=at_signal,
         )
 
     def lights(self, states: Mapping[str, str]) -> Bytes:

@@ -19,7 +19,8 @@ from perception.tracking.sightlines import SightLines
 from perception.tracking.states import CLASSES, TrackStates
 
 NEIGHBOUR_M = 40.0  # a new track on a lane takes the speed of one that is nearer
-NEIGHBOUR_STD_MPS = 9.0
+NEIGHBOUR_STD_MPS = 4.0  # deviation of a speed taken from others, or from the room ahead
+QUEUE_GAP_M, TIME_GAP_S = 7.5, 1.5  # from one vehicle's middle to the next's, standing and driving
 UNKNOWN_MPS = 8.0  # deviation of the speed of who was seen once, off the map
 TURN_RPS = 0.2  # and of its yaw rate
 FIRST_EXISTENCE = 0.6
@@ -68,20 +69,36 @@ def born(time_ns: int, new: Vehicles, std: Floats, first_id: int) -> TrackStates
 
 
 def place_on_lanes(born: TrackStates, known: TrackStates, lanes: LaneGraph) -> None:
-    """Gives new tracks their lanes, and the speed of the nearest known one there, or the lane's.
+    """Gives new tracks their lanes, and the speed of the nearest known one there, if any.
 
-    People are on no lane.
+    Else one that fits the room ahead (`_speed_by_room`). People are on no lane.
     """
     born.lane, born.along_m, born.off_m = lanes.locate(born.boxes)
     born.lane[born.votes.argmax(axis=1) == PERSON] = -1
+    every_lane = np.concatenate([known.lane, born.lane])
+    every_along_m = np.concatenate([known.along_m, born.along_m])
     for n in np.flatnonzero(born.lane >= 0):
-        near = np.flatnonzero(known.lane == born.lane[n])
-        gap_m = np.abs(known.along_m[near] - born.along_m[n])
-        is_alone = not len(near) or gap_m.min() > NEIGHBOUR_M
-        limit_mps = lanes.speed_mps[born.lane[n]]
-        likely = limit_mps if is_alone else known.mean[near[gap_m.argmin()], 3]
-        born.mean[n, 3] = likely
+        lane, along_m = born.lane[n], born.along_m[n]
+        near = np.flatnonzero(known.lane == lane)
+        gap_m = np.abs(known.along_m[near] - along_m)
+        if len(near) and gap_m.min() <= NEIGHBOUR_M:
+            born.mean[n, 3] = known.mean[near[gap_m.argmin()], 3]
+        else:
+            ahead_m = every_along_m[every_lane == lane] - along_m
+            born.mean[n, 3] = _speed_by_room(lane, along_m, ahead_m[ahead_m > 0], lanes)
         born.covariance[n, 3, 3] = NEIGHBOUR_STD_MPS**2
+
+
+def _speed_by_room(lane: int, along_m: float, ahead_m: Floats, lanes: LaneGraph) -> float:
+    """Returns the speed that a vehicle can have behind others so far ahead on its lane.
+
+    By Newell's simplified car following (2002): the gap less that in a queue, in a time gap. At a
+    stop bar nobody knows whether it stands.
+    """
+    room_m = ahead_m.min() - QUEUE_GAP_M if len(ahead_m) else np.inf
+    if lanes.at_signal[lane]:
+        room_m = min(room_m, lanes.length_m[lane] - along_m)
+    return float(min(max(room_m, 0.0) / TIME_GAP_S, lanes.speed_mps[lane]))
 
 
 def raised_existence(existence: Floats) -> Floats:

@@ -31,7 +31,7 @@ ACCEL_LIFE_S = 4.0  # of an acceleration
 STEADY_ACCEL_STD_MPS2 = 1.5  # of one of which nothing is known
 ROUGH = 0.02  # share of an acceleration's variance that changes at once
 ABEAM_M = 1.0  # beyond a box's end: a sensor that is not so far ahead or behind sees its side
-END_STD_M, END_STD_PER_M = 0.3, 0.005  # of the end turned to the sensor, and by its distance
+END_STD_M, END_STD_PER_M2 = 0.15, 4e-5  # of the end turned to the sensor, and by its distance
 AWAY, TOWARDS = 2.5, 3.0  # deviations: an end farther off weighs less
 
 
@@ -161,7 +161,7 @@ def predict(
 @njit("float64(float64, float64, float64, float64[:,:], float64[::1])", cache=True)
 def _of_end(towards_m: float, off_m: float, range_m: float, p: Floats, axis: Floats) -> float:
     """Returns the deviation of an end that is off by so much, `towards_m` the sensor or away."""
-    deviation = END_STD_M + END_STD_PER_M * range_m
+    deviation = END_STD_M + END_STD_PER_M2 * range_m**2
     total = deviation**2
     for i in range(2):
         for j in range(2):

@@ -110,12 +110,32 @@ def test_what_is_too_short_low_or_high_for_that_is_none(
     assert len(fit(roadway, line(length_m, height_m))) == 0
 
 
-def test_a_roof_seen_over_another_vehicle_is_in_the_middle_of_its_box(roadway: Roadway) -> None:
+@pytest.mark.parametrize("x", [-32.0, 32.0])
+@pytest.mark.parametrize(("lowest_m", "rear_m", "front_m"), [(0.4, 0, 0), (1.0, 0.6, 1.5)])
+def test_before_a_window_lie_a_bonnet_or_a_boot_that_nobody_sees(
+    roadway: Roadway, x: float, lowest_m: float, rear_m: float, front_m: float
+) -> None:
+    """Rear and front of a lane's vehicles are told apart by the way that the lane leads."""
     rng = np.random.default_rng(1)
-    roof = rng.uniform([31, 0.9, 1.0], [33, 2.6, 1.5], (40, 3))
+    for y in (-1.75, 1.75):
+        seen = rng.uniform([x - 1, y - 0.85, lowest_m], [x + 1, y + 0.85, 1.5], (400, 3))
+        (box,) = fit(roadway, seen).boxes
+        ahead = np.sign(np.cos(box[6]))
+        towards = -np.sign(x)
+        before_m = front_m if ahead == towards else rear_m
+        end = box[0] + towards * box[3] / 2
+        assert end == pytest.approx(x + towards * (1 + before_m), abs=0.1)
+        assert box[3] == pytest.approx(4.5, abs=0.1)
+
+
+def test_what_is_seen_of_a_van_over_another_vehicle_is_in_the_middle_of_its_box(
+    roadway: Roadway,
+) -> None:
+    rng = np.random.default_rng(1)
+    roof = rng.uniform([31, 0.9, 1.0], [33, 2.6, 2.5], (60, 3))
     found = fit(roadway, roof)
     np.testing.assert_allclose(found.boxes[0, :2], [32, 1.75], atol=0.15)
-    np.testing.assert_allclose(found.boxes[0, 3], 4.5, atol=0.1)
+    np.testing.assert_allclose(found.boxes[0, 3], 5.6, atol=0.1)
 
 
 def test_a_vehicle_seen_in_two_parts_gets_one_box(roadway: Roadway) -> None:
