@@ -24,12 +24,36 @@ CREEP_MPS = 1.0  # who is slower stands, and starts only after somebody near
 START_M = 12.0
 STANDS_MPS = 0.1  # who is slower does not move; it is known as well as this how fast
 WIDEST_STD_M = 0.8  # across a lane
+CRUISE_S = 1.5  # over which a speed that is kept is the mean
+CRUISE_SHARE, CRUISE_MPS2 = 0.5, 0.5  # who is faster, of what is allowed, and accelerates less,
+FULL_SHARE = 0.9  # or is so fast, keeps its speed
 LANE_TURN_RAD = 0.1  # deviation from its heading
+
+
+def cruising_mps(
+    before_mps: Floats, speed_mps: Floats, accel_mps2: Floats, limit_mps: Floats, dt_s: float
+) -> Floats:
+    """Returns the speeds (N,) that vehicles keep where nothing holds them up, infinite if unknown.
+
+    Drivers differ in how fast they like to drive. Who still accelerates has not shown it.
+
+    Args:
+        before_mps: what this returned for them in the last frame, before so much time.
+        speed_mps: of vehicles that were detected.
+        accel_mps2: the same.
+        limit_mps: what their lanes allow.
+        dt_s: see `before_mps`.
+    """
+    share = speed_mps / limit_mps
+    cruises = ((share > CRUISE_SHARE) & (accel_mps2 < CRUISE_MPS2)) | (share > FULL_SHARE)
+    kept = np.where(np.isfinite(before_mps), before_mps, speed_mps)
+    kept += (speed_mps - kept) * min(dt_s / CRUISE_S, 1.0)
+    return np.asarray(np.where(cruises, kept, np.inf))
 
 
 @njit("float64(float64, float64, float64, float64, boolean, float64)", cache=True)
 def _speed(
-    v: float, limit_mps: float, gap_m: float, ahead_mps: float, goes: bool, step_s: float
+    v: float, wish_mps: float, gap_m: float, ahead_mps: float, goes: bool, step_s: float
 ) -> float:
     """Returns the speed after a step, behind a vehicle at this gap; an infinite one is nobody.
 
@@ -37,11 +61,10 @@ def _speed(
     """
     if v < CREEP_MPS and gap_m > START_M and not goes:
         return max(v, 0.0)
-    wish = max(v, limit_mps)
     brake = BRAKE_MPS2 * REACTION_S
     room_m = max(gap_m - STANDSTILL_M, 0.0)
     safe = np.sqrt(brake**2 + ahead_mps**2 + 2 * BRAKE_MPS2 * room_m) - brake
-    return float(max(0.0, v - BRAKE_MPS2 * step_s, min(v + ACCEL_MPS2 * step_s, wish, safe)))
+    return float(max(0.0, v - BRAKE_MPS2 * step_s, min(v + ACCEL_MPS2 * step_s, wish_mps, safe)))
 
 
 @njit("Tuple((int64[::1], int64[::1]))(int64[::1], float64[::1], boolean[::1], int64)", cache=True)
@@ -133,7 +156,7 @@ _GRAPH = "float64[:,::1], int64[::1], float64[::1], float64[::1], int64[::1], in
 
 @njit(
     "void(float64[:,::1], float64[:,:,::1], float64[:,::1], int64[::1], float64[::1], float64[::1],"
-    f" float64[::1], float64, boolean[::1], boolean[::1], {_GRAPH}, float64[::1],"
+    f" float64[::1], float64[::1], float64, boolean[::1], boolean[::1], {_GRAPH}, float64[::1],"
     " uint8[::1])",
     cache=True,
 )
@@ -145,6 +168,7 @@ def follow_lanes(
     along_m: Floats,
     off_m: Floats,
     share: Floats,
+    wish_mps: Floats,
     dt_s: float,
     free: Bools,
     solid: Bools,
@@ -160,7 +184,7 @@ def follow_lanes(
     """Moves the means of tracks that are not free along their lanes, behind those ahead of them.
 
     Solid ones stand in the way of those behind them; free ones do only that. `dims` (N, 4) are z,
-    length, width, height; `lights` (E,) of `LaneGraph.lights`.
+    length, width, height; `wish_mps` (N,) of `TrackStates`, `lights` (E,) of `LaneGraph.lights`.
     `share` (N,) is multiplied by the probability of the way taken at each fork, and becomes 0 where
     a lane ends on the map.
     """
@@ -177,7 +201,9 @@ def follow_lanes(
                 continue
             v = mean[n, 3]
             if not free[n]:
-                v = _speed(v, speed_mps[lane[n]], gap_m[n], ahead_mps[n], goes[n], step_s)
+                is_known = np.isfinite(wish_mps[n])
+                wish = wish_mps[n] if is_known else max(v, speed_mps[lane[n]])
+                v = _speed(v, wish, gap_m[n], ahead_mps[n], goes[n], step_s)
                 mean[n, 3] = v
             along_m[n] += v * step_s
             while along_m[n] > length_m[lane[n]]:

@@ -63,6 +63,7 @@ def born(time_ns: int, new: Vehicles, std: Floats, first_id: int) -> TrackStates
         off_m=np.zeros(count),
         origin=number.copy(),
         in_view=np.zeros(count),
+        wish_mps=np.full(count, np.inf),
         seen=np.ones(count, np.bool_),
         owner=np.array(new.sources, object),
     )

@@ -7,13 +7,13 @@ with room for a jump, and at last a track takes back what a younger one holds in
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from perception.arrays import Bools, Floats, Ints
 from perception.detector import LIDAR, Vehicles
-from perception.object_classes import LONGEST_VEHICLE_M
 from perception.tracking import motion
 from perception.tracking.association import associate, is_person
-from perception.tracking.places import overlapping
+from perception.tracking.places import is_same
 from perception.tracking.states import TrackStates
 
 POSE_JUMP_M = 25.0  # an agent that is farther from its track is somewhere else: a new track
@@ -76,17 +76,33 @@ def _reclaim(states: TrackStates, observed: Vehicles, pairs: Ints, time_ns: int)
     left = np.flatnonzero(unpaired(pairs, len(states)))
     if not len(taken) or not len(left):
         return
-    coasted_s = (time_ns - states.last_ns[left]) / 1e9
-    order = np.argsort(-states.hits[left], kind="stable")
-    boxes = states.boxes
-    for i in order:
-        n = left[i]
-        near = taken[np.abs(observed.boxes[taken, 0] - boxes[n, 0]) < LONGEST_VEHICLE_M]
-        near = near[overlapping(observed.boxes[near], boxes[n : n + 1])]
-        for m in near:
+    first = left[np.argsort(-states.hits[left], kind="stable")]
+    coasted_s = (time_ns - states.last_ns[first]) / 1e9
+    boxes = np.ascontiguousarray(observed.boxes, np.float64)
+    _reclaim_each(first, coasted_s, states.boxes, taken, boxes, states.hits, pairs)
+
+
+@njit(
+    "void(int64[::1], float64[::1], float64[:,::1], int64[::1], float64[:,::1], int64[::1],"
+    " int64[::1])",
+    cache=True,
+)
+def _reclaim_each(
+    left: Ints,
+    coasted_s: Floats,
+    places: Floats,
+    taken: Ints,
+    boxes: Floats,
+    hits: Ints,
+    pairs: Ints,
+) -> None:
+    for index in range(left.size):
+        n = left[index]
+        for m in taken:
             other = pairs[m]
-            is_young = states.hits[other] < states.hits[n]
-            if is_young and (coasted_s[i] <= RECENT_S or states.hits[other] <= RECENT_HITS):
+            is_young = hits[other] < hits[n]
+            may = coasted_s[index] <= RECENT_S or hits[other] <= RECENT_HITS
+            if is_young and may and is_same(boxes[m], places[n]):
                 pairs[m] = n
                 break
 

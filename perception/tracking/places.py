@@ -12,7 +12,7 @@ SAME_ALONG, SAME_ACROSS_M = 0.6, 1.2  # boxes nearer, of their mean length, are 
 
 
 @njit("boolean(float64[:], float64[:])", cache=True)
-def _is_same(box: Floats, other: Floats) -> bool:
+def is_same(box: Floats, other: Floats) -> bool:
     """Whether two boxes lie so much in one place that they are of one vehicle."""
     x, y = box[0] - other[0], box[1] - other[1]
     cos, sin = np.cos(other[6]), np.sin(other[6])
@@ -26,9 +26,7 @@ def overlapping(boxes: Floats, others: Floats) -> Bools:
     result = np.zeros(boxes.shape[0], np.bool_)
     for n in range(boxes.shape[0]):
         for m in range(others.shape[0]):
-            if abs(boxes[n, 0] - others[m, 0]) < LONGEST_VEHICLE_M and _is_same(
-                boxes[n], others[m]
-            ):
+            if abs(boxes[n, 0] - others[m, 0]) < LONGEST_VEHICLE_M and is_same(boxes[n], others[m]):
                 result[n] = True
                 break
     return result
@@ -41,7 +39,7 @@ def first_of_each(boxes: Floats) -> Bools:
     for n in range(boxes.shape[0]):
         result[n] = True
         for m in range(n):
-            if result[m] and _is_same(boxes[n], boxes[m]):
+            if result[m] and is_same(boxes[n], boxes[m]):
                 result[n] = False
                 break
     return result

@@ -11,7 +11,7 @@ from perception.detector import LIDAR, Vehicles
 from perception.tracking import motion
 from perception.tracking.association import PERSON
 from perception.tracking.config import TrackingConfig
-from perception.tracking.lane_following import follow_lanes
+from perception.tracking.lane_following import cruising_mps, follow_lanes
 from perception.tracking.lane_graph import LaneGraph
 from perception.tracking.life_cycle import (
     born,
@@ -97,7 +97,7 @@ class Tracker:
         self._states = self._states.take(self._states.existence >= self._config.min_existence)
         new = self._is_new(observed, pairs)
         self._states = self._states + self._born(time_ns, observed.take(new), std[new])
-        self._locate()
+        self._locate(dt_s)
         self._last = self._published(time_ns)
         return self._last
 
@@ -183,8 +183,9 @@ class Tracker:
         solid = states.hits >= self._config.confirm_hits
         follow_lanes(
             states.mean, states.covariance, states.dims, states.lane, states.along_m, states.off_m,
-            states.existence, dt_s, free, solid, lanes.segments, lanes.first, lanes.length_m,
-            lanes.speed_mps, lanes.leads, lanes.followers, self._trips, lanes.lights(signals),
+            states.existence, states.wish_mps, dt_s, free, solid, lanes.segments, lanes.first,
+            lanes.length_m, lanes.speed_mps, lanes.leads, lanes.followers, self._trips,
+            lanes.lights(signals),
         )  # fmt: skip
 
     def _correct(
@@ -244,8 +245,8 @@ class Tracker:
             place_on_lanes(result, self._states.take(sure), self._lanes)
         return result
 
-    def _locate(self) -> None:
-        """Finds the lanes of the tracks that were detected, and learns which ways vehicles take."""
+    def _locate(self, dt_s: float) -> None:
+        """Finds the lanes of who was detected; learns how fast they drive, which ways they take."""
         states, lanes = self._states, self._lanes
         seen = np.flatnonzero(states.seen)
         if lanes is None or not len(seen):
@@ -254,6 +255,13 @@ class Tracker:
         is_person = states.votes[seen].argmax(axis=1) == PERSON
         lane[is_person] = -1
         states.lane[seen], states.along_m[seen], states.off_m[seen] = lane, along_m, off_m
+        states.wish_mps[seen] = cruising_mps(
+            states.wish_mps[seen],
+            states.mean[seen, 3],
+            states.mean[seen, 5],
+            lanes.speed_mps[lane],
+            dt_s,
+        )
         sure = (lane >= 0) & (along_m > np.minimum(SURE_M, lanes.length_m[lane] / 2))
         for n, new in zip(seen[sure].tolist(), lane[sure].tolist(), strict=True):
             old = states.origin[n]

@@ -186,6 +186,35 @@ def test_a_vehicle_hidden_for_5_s_comes_back_under_its_id(speed_mps) -> None:
     assert (tracks.track_ids.tolist(), tracks.coasted_s.tolist()) == ([1], [0.0])
 
 
+@pytest.mark.parametrize("speed_mps", [8.0, 11.0, 15.0])
+def test_who_drives_more_slowly_or_faster_than_is_allowed_keeps_its_speed_unseen(speed_mps) -> None:
+    """Drivers differ: here 13.9 m/s are allowed."""
+    tracker = Tracker(TrackingConfig(publish_probability=0.05), STRAIGHT)
+    follow(tracker, speed_mps, 60)
+    for k in range(60, 90):
+        tracks = tracker.step(k * DT, cars(), NOBODY)
+    assert tracks.coasted_s[0] == pytest.approx(3.0)
+    assert tracks.boxes[0, 0] == pytest.approx(speed_mps * 8.9, abs=2.0)
+
+
+def test_who_still_accelerates_goes_on_to_do_so_unseen() -> None:
+    tracker = Tracker(TrackingConfig(publish_probability=0.05), STRAIGHT)
+    for k in range(50):
+        place_m = 0.5 * 1.5 * (k / 10) ** 2
+        tracker.step(k * DT, cars((place_m, 0)), NOBODY)
+    for k in range(50, 80):
+        tracks = tracker.step(k * DT, cars(), NOBODY)
+    assert tracks.speeds_mps[0] > 10.5
+
+
+@pytest.mark.parametrize(("gap_m", "stands"), [(8.0, True), (60.0, False)])
+def test_in_the_first_frame_who_is_close_behind_another_stands(gap_m, stands) -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    tracks = tracker.step(0, cars((100, 0), (100 - gap_m, 0)), NOBODY)
+    behind = tracks.boxes[:, 0].argmin()
+    assert (tracks.speeds_mps[behind] < 1.0) == stands
+
+
 def test_who_stands_unseen_stays_where_it_is() -> None:
     tracker = Tracker(CONFIG, STRAIGHT)
     follow(tracker, 0.0, 30, start_m=50.0)

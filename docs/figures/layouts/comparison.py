@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from statistics import mean
+from collections.abc import Mapping, Sequence
+from statistics import mean, stdev
+
+from scipy.stats import t as student_t
 
 from layouts.tables import Rows, Table, between, fixed
 from layouts.worlds import LIDAR_HEADS, lidar_cells
@@ -210,6 +212,45 @@ def loop(rows: Rows) -> Table:
             ]
         )
     return table
+
+
+_GIVEN = {
+    "rate-whole-scans": ("uplink of an agent, whole scans", "uplink in Mbit/s", "Mbit/s"),
+    "rate-parts-as-EMP": ("the same, each agent its part (EMP)", "uplink in Mbit/s", "Mbit/s"),
+    "rate-boxes": ("the same, boxes", "uplink in Mbit/s", "Mbit/s"),
+    "latency": ("round trip, on 10 Mbit/s", "latency in ms", "ms"),
+}
+_SUFFERS_SHARE = 0.05  # as in `studies.value_page`
+
+
+def value_readme(rows: Rows) -> Table:
+    """Returns from which uplink and latency on delay is more than at best, by controller."""
+    table = [["what is limited", "control", "delay at best, s", "suffers from", "by, s; paired"]]
+    for grid, (words, axis, unit) in _GIVEN.items():
+        for control in dict.fromkeys(row["controller"] for row in rows):
+            curve: dict[float, dict[int, float]] = {}
+            for row in rows:
+                if (row["grid"], row["controller"]) == (grid, control):
+                    curve.setdefault(row[axis], {})[row["seed"]] = row["delay_s"]
+            best, *rest = sorted(curve, reverse=unit != "ms")
+            base = curve[best]
+            worse = (
+                (given, more)
+                for given in rest
+                if _is_worse(more := [curve[given][s] - base[s] for s in base], base)
+            )
+            given, more = next(worse, (None, []))
+            cells = ["–", ""] if given is None else [f"{given:g} {unit}", between(more, 1)]
+            table.append(
+                [f"{words}: {best:g} {unit}", control, between([*base.values()], 1), *cells]
+            )
+    return table
+
+
+def _is_worse(more_s: Sequence[float], best_s: Mapping[int, float]) -> bool:
+    """Tells whether delay is more than 5 % above that at best, and above what cannot be told."""
+    half_s = float(student_t.ppf(0.975, len(more_s) - 1)) * stdev(more_s) / len(more_s) ** 0.5
+    return mean(more_s) > max(_SUFFERS_SHARE * mean(best_s.values()), half_s)
 
 
 def of_lists(output: str) -> Rows:
