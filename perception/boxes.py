@@ -35,6 +35,7 @@ LEAST_POINTS, NEAR_M = 8, 50.0  # so near a sensor, fewer are a sliver of what s
 LEAST_M, LEAST_HEIGHT_M = 0.5, 0.1  # what is smaller is no vehicle
 PERSON_M = 0.2  # but may be a person, if it is so high
 LINE_M, LINE_TOP_M = 1.0, 0.4  # of a side that one ring has hit: length, least height over ground
+LONGEST_CAR_M = 5.0  # no hidden end makes a car longer
 SHARED = 0.2  # of the smaller box: vehicles do not overlap, but boxes of one seen in parts do
 OVER_M = 0.8  # over the ground: what begins higher is seen over something else
 END_M = 0.3  # this close to a box's end, points belong to it
@@ -75,7 +76,8 @@ def fit_boxes(
     if completed:
         size_m = usual_m(kinds)
         ends_m = _lowest_at_ends(points, clusters.runs, middles, yaws, extents) - floor_m[:, None]
-        hidden_m = _hidden_m(ends_m) * is_car(kinds)[:, None]
+        room_m = np.clip(LONGEST_CAR_M - along_m, 0.0, None) * is_car(kinds)
+        hidden_m = np.minimum(_hidden_m(ends_m), room_m[:, None])
         _complete(extents, middles, yaws, sensors, size_m, hidden_m, shapes.bottom_m > OVER_M)
         extents[:, 0, 2] = floor_m
         extents[:, 1, 2] = np.maximum(extents[:, 1, 2], floor_m + size_m[:, 2])
