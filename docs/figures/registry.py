@@ -292,6 +292,23 @@ _LIST = (
         of_rows=True,
     ),
     Figure(
+        "value",
+        "cpnet study value --out value --markdown ../../docs/value.md",
+        STUDY,
+        90,
+        (Part("age", "docs/value.md"),),
+        files=("docs/value.md", "docs/value/*.png"),
+        of_rows=True,
+    ),
+    Figure(  # of the same runs, which are not run again
+        "value-readme",
+        "cpnet study value --out value >&2; " + _rows_of("value"),
+        STUDY,
+        90,
+        (Part("table", "README.md", comparison.value_readme),),
+        of_rows=True,
+    ),
+    Figure(
         "frame",
         f"rm -rf frame; {_RUN} --out frame >&2; "
         "cpnet draw frame --frame 1100 --png $ROOT/docs/frame.png",
@@ -394,6 +411,17 @@ _LIST = (
         ),
         8,
         (Part("all", "docs/comparison.md", comparison.tuned),),
+    ),
+    Figure(
+        "loop",
+        "cpnet study $ROOT/docs/figures/loop.yaml --out loop --json",
+        (
+            *SYSTEM,
+            *(f"studies/control_{one}.py" for one in ("baselines", "case", "file", "run", "study")),
+            *("studies/perceived_case.py", "studies/perceived_study.py"),
+        ),
+        45,
+        (Part("all", "docs/control.md", comparison.loop),),
     ),
     Figure(
         "reports",

@@ -215,36 +215,46 @@ def loop(rows: Rows) -> Table:
 
 
 _GIVEN = {
-    "rate-whole-scans": ("uplink of an agent, whole scans", "uplink in Mbit/s", "Mbit/s"),
-    "rate-parts-as-EMP": ("the same, each agent its part (EMP)", "uplink in Mbit/s", "Mbit/s"),
-    "rate-boxes": ("the same, boxes", "uplink in Mbit/s", "Mbit/s"),
-    "latency": ("round trip, on 10 Mbit/s", "latency in ms", "ms"),
+    "rate-whole-scans": ("uplink in Mbit/s", "uplink of an agent, Mbit/s: whole scans"),
+    "rate-parts-as-EMP": ("uplink in Mbit/s", "the same: each agent its part (EMP)"),
+    "rate-boxes": ("uplink in Mbit/s", "the same: boxes"),
+    "latency": ("latency in ms", "round trip on 10 Mbit/s, ms"),
 }
 _SUFFERS_SHARE = 0.05  # as in `studies.value_page`
 
 
 def value_readme(rows: Rows) -> Table:
-    """Returns from which uplink and latency on delay is more than at best, by controller."""
-    table = [["what is limited", "control", "delay at best, s", "suffers from", "by, s; paired"]]
-    for grid, (words, axis, unit) in _GIVEN.items():
-        for control in dict.fromkeys(row["controller"] for row in rows):
+    """Returns down to which uplink and up to which latency delay is as at best, by control."""
+    controls = [*dict.fromkeys(row["controller"] for row in rows)]
+    heads = [
+        text
+        for name in controls
+        for text in (f"{name}: delay at best, s", "not worse to", "worse from, by s")
+    ]
+    table = [["what is limited", *heads]]
+    for grid, (axis, words) in _GIVEN.items():
+        cells = []
+        for control in controls:
             curve: dict[float, dict[int, float]] = {}
             for row in rows:
                 if (row["grid"], row["controller"]) == (grid, control):
                     curve.setdefault(row[axis], {})[row["seed"]] = row["delay_s"]
-            best, *rest = sorted(curve, reverse=unit != "ms")
-            base = curve[best]
-            worse = (
-                (given, more)
-                for given in rest
-                if _is_worse(more := [curve[given][s] - base[s] for s in base], base)
-            )
-            given, more = next(worse, (None, []))
-            cells = ["–", ""] if given is None else [f"{given:g} {unit}", between(more, 1)]
-            table.append(
-                [f"{words}: {best:g} {unit}", control, between([*base.values()], 1), *cells]
-            )
+            cells += _knee(curve, "latency" not in axis)
+        table.append([words, *cells])
     return table
+
+
+def _knee(curve: Mapping[float, Mapping[int, float]], is_more_better: bool) -> list[str]:
+    """Returns delay at the best of a curve, the last point as good, the first that is worse."""
+    best, *rest = sorted(curve, reverse=is_more_better)
+    base, as_good = curve[best], best
+    shown = f"{between([*base.values()], 1)}, at {best:g}"
+    for given in rest:
+        more = [curve[given][seed] - base[seed] for seed in base]
+        if _is_worse(more, base):
+            return [shown, f"{as_good:g}", f"{given:g}: {between(more, 1)}"]
+        as_good = given
+    return [shown, f"{as_good:g}", "–"]
 
 
 def _is_worse(more_s: Sequence[float], best_s: Mapping[int, float]) -> bool:
