@@ -413,17 +413,6 @@ _LIST = (
         (Part("all", "docs/comparison.md", comparison.tuned),),
     ),
     Figure(
-        "loop",
-        "cpnet study $ROOT/docs/figures/loop.yaml --out loop --json",
-        (
-            *SYSTEM,
-            *(f"studies/control_{one}.py" for one in ("baselines", "case", "file", "run", "study")),
-            *("studies/perceived_case.py", "studies/perceived_study.py"),
-        ),
-        45,
-        (Part("all", "docs/control.md", comparison.loop),),
-    ),
-    Figure(
         "reports",
         "for demand in 1 1.4; do for share in 1 0.3 0.1 0.05; do printf '\\f'; cpnet bench control "
         "--policies predictive --reporting $share --demand $demand --seeds 5 --processes 2 --json; "
