@@ -35,12 +35,15 @@ LEAST_POINTS, NEAR_M = 8, 50.0  # so near a sensor, fewer are a sliver of what s
 LEAST_M, LEAST_HEIGHT_M = 0.5, 0.1  # what is smaller is no vehicle
 PERSON_M = 0.2  # but may be a person, if it is so high
 LINE_M, LINE_TOP_M = 1.0, 0.4  # of a side that one ring has hit: length, least height over ground
-LONGEST_CAR_M = 5.0  # no hidden end makes a car longer
+EXTENDED_M = 5.0  # no hidden end makes a car longer
 SHARED = 0.2  # of the smaller box: vehicles do not overlap, but boxes of one seen in parts do
 OVER_M = 0.8  # over the ground: what begins higher is seen over something else
+ACROSS_RAD = 1.0  # a box turned farther from the road's direction stands across it
 END_M = 0.3  # this close to a box's end, points belong to it
-HIDDEN_M = np.array(  # lowest of a car's end over the ground; what lies before its rear, its front
-    [[0.8, 0.0, 0.0], [0.95, 0.55, 1.45], [1.5, 1.2, 1.9]]  # bumper; foot of a window; roof
+HIDDEN_M = (
+    np.array(  # rows: height of the lowest seen of a car's end; length before a rear, a front
+        [[OVER_M, 0.0, 0.0], [0.95, 0.55, 1.45], [1.5, 1.2, 1.9]]  # bumper; foot of a window; roof
+    )
 )
 CERTAIN_POINTS = 25.0  # about two thirds of full score
 
@@ -57,7 +60,8 @@ def fit_boxes(
     """Boxes clusters of points (N, 3), map frame, over ground at the heights (N,).
 
     A completed box stands on the ground, reaches up to its highest point and has at least the usual
-    size of its class; else it holds its points and no more. `sensors` (C, 2) are the places that
+    size of its class; a car's end of which only a window or the roof is seen has a bonnet or a boot
+    before it. Else a box holds its points and no more. `sensors` (C, 2) are the places that
     most of each cluster's points were seen from.
     """
     if clusters.count == 0:
@@ -65,7 +69,8 @@ def fit_boxes(
     members, middles = clusters.means(points)
     starts = np.concatenate([[0], np.cumsum(members)])
     floor_m = _floor_m(ground_m, clusters.runs, members)
-    yaws = roadway.yaw_at(middles)
+    road_yaws = roadway.yaw_at(middles)
+    yaws = road_yaws.copy()
     extents = _fit(points, clusters.runs, starts, middles, yaws, floor_m)
     along_m, across_m, height_m = (extents[:, 1] - extents[:, 0]).T
     shapes = Shapes(along_m, across_m, extents[:, 0, 2] - floor_m, extents[:, 1, 2] - floor_m)
@@ -76,9 +81,13 @@ def fit_boxes(
     if completed:
         size_m = usual_m(kinds)
         ends_m = _lowest_at_ends(points, clusters.runs, middles, yaws, extents) - floor_m[:, None]
-        room_m = np.clip(LONGEST_CAR_M - along_m, 0.0, None) * is_car(kinds)
-        hidden_m = np.minimum(_hidden_m(ends_m), room_m[:, None])
-        _complete(extents, middles, yaws, sensors, size_m, hidden_m, shapes.bottom_m > OVER_M)
+        cars = is_car(kinds)
+        hidden_m = _hidden_m(ends_m, _turned_rad(yaws, road_yaws) > ACROSS_RAD)
+        hidden_m = np.minimum(hidden_m, np.clip(EXTENDED_M - along_m, 0.0, None)[:, None])
+        hidden_m *= cars[:, None]
+        is_over = shapes.bottom_m > OVER_M
+        in_middle = np.column_stack([is_over & ~cars, is_over])
+        _complete(extents, middles, yaws, sensors, size_m, hidden_m, in_middle)
         extents[:, 0, 2] = floor_m
         extents[:, 1, 2] = np.maximum(extents[:, 1, 2], floor_m + size_m[:, 2])
     boxes = _boxes(extents, middles, yaws)
@@ -139,15 +148,23 @@ def certainty(members: Ints) -> Floats:
     return np.asarray(1.0 - np.exp(-members / CERTAIN_POINTS))
 
 
-def _hidden_m(ends_m: Floats) -> Floats:
+def _turned_rad(yaws: Floats, road_yaws: Floats) -> Floats:
+    """Returns by how much boxes (C,) are turned from the road."""
+    return np.asarray(np.abs((yaws - road_yaws + np.pi) % (2 * np.pi) - np.pi))
+
+
+def _hidden_m(ends_m: Floats, across: Bools) -> Floats:
     """Returns how much of cars is hidden at their rear and front ends (C, 2), of such heights.
 
     Where the lowest that is seen of an end is a window or the roof, boot or bonnet lie before it,
-    hidden by another vehicle or between two beams.
+    hidden by another vehicle or between two beams. A vehicle is taken to look the way that the road
+    leads; of those across the road (C,), where nobody knows, no end has more than a boot.
     """
     heights_m, *before_m = HIDDEN_M.T
     each_end = zip(ends_m.T, before_m, strict=True)
-    return np.column_stack([np.interp(end_m, heights_m, one_m) for end_m, one_m in each_end])
+    rear_m, front_m = (np.interp(end_m, heights_m, one_m) for end_m, one_m in each_end)
+    front_m = np.where(across, np.interp(ends_m[:, 1], heights_m, before_m[0]), front_m)
+    return np.column_stack([rear_m, front_m])
 
 
 def _complete(
@@ -157,12 +174,12 @@ def _complete(
     sensors: Floats,
     usual_m: Floats,
     hidden_m: Floats,
-    over: Bools,
+    in_middle: Bools,
 ) -> None:
     """Widens boxes to usual sizes (C, 3): the side turned to the sensor (C, 2) stays in place.
 
-    Only what is hidden (C, 2) of the end turned to it is put before. Of what else is seen over
-    something else alone (C,), that side is hidden, too: it is in the middle.
+    What is hidden (C, 2) before the end turned to the sensor is added there. Those stay in the
+    middle, along and across (C, 2), of which that side is hidden by what they are seen over.
     """
     off = sensors - middles[:, :2]
     cos, sin = np.cos(yaws), np.sin(yaws)
@@ -171,13 +188,11 @@ def _complete(
         low, high = extents[:, 0, axis], extents[:, 1, axis]
         ahead = np.where(seen_from[:, axis] > high, 0.0, 0.5)
         ahead = np.where(seen_from[:, axis] < low, 1.0, ahead)
-        is_hidden = over
         if axis == 0:
             high = high + (ahead == 0.0) * hidden_m[:, 1]
             low = low - (ahead == 1.0) * hidden_m[:, 0]
-            is_hidden = over & (hidden_m == 0.0).all(axis=1)
         missing_m = np.maximum(usual_m[:, axis] - (high - low), 0.0)
-        ahead = np.where(is_hidden, 0.5, ahead)
+        ahead = np.where(in_middle[:, axis], 0.5, ahead)
         extents[:, 1, axis] = high + ahead * missing_m
         extents[:, 0, axis] = low - (1.0 - ahead) * missing_m
 

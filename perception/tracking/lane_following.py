@@ -24,31 +24,35 @@ CREEP_MPS = 1.0  # who is slower stands, and starts only after somebody near
 START_M = 12.0
 STANDS_MPS = 0.1  # who is slower does not move; it is known as well as this how fast
 WIDEST_STD_M = 0.8  # across a lane
-CRUISE_S = 1.5  # over which a speed that is kept is the mean
-CRUISE_SHARE, CRUISE_MPS2 = 0.5, 0.5  # who is faster, of what is allowed, and accelerates less,
-FULL_SHARE = 0.9  # or is so fast, keeps its speed
+CRUISE_S = 1.5  # over which the speed that a driver keeps is the mean
+CRUISE_SHARE = 0.5  # of the speed allowed: who is slower is held up
+CRUISE_MPS2 = 0.5  # who changes speed more does not keep it ...
+FULL_SHARE = 0.9  # ... but for those that are so fast already
+CRUISE_STD_MPS = 1.0  # of a speed that tells anything
 LANE_TURN_RAD = 0.1  # deviation from its heading
 
 
-def cruising_mps(
-    before_mps: Floats, speed_mps: Floats, accel_mps2: Floats, limit_mps: Floats, dt_s: float
+def cruise(
+    before: Floats, speed_mps: Floats, accel_mps2: Floats, limit_mps: Floats, dt_s: float
 ) -> Floats:
-    """Returns the speeds (N,) that vehicles keep where nothing holds them up, infinite if unknown.
+    """Returns the shares of the speed allowed that drivers keep where nothing is in the way.
 
-    Drivers differ in how fast they like to drive. Who still accelerates has not shown it.
+    NaN (N,) as long as that is unknown. Drivers differ in it; who accelerates, brakes or is slow
+    shows nothing of it.
 
     Args:
-        before_mps: what this returned for them in the last frame, before so much time.
-        speed_mps: of vehicles that were detected.
+        before: what this returned for them (N,) when they were last detected.
+        speed_mps: of vehicles that are detected (N,).
         accel_mps2: the same.
-        limit_mps: what their lanes allow.
-        dt_s: see `before_mps`.
+        limit_mps: what their lanes allow (N,).
+        dt_s: since the last frame.
     """
-    share = speed_mps / limit_mps
-    cruises = ((share > CRUISE_SHARE) & (accel_mps2 < CRUISE_MPS2)) | (share > FULL_SHARE)
-    kept = np.where(np.isfinite(before_mps), before_mps, speed_mps)
-    kept += (speed_mps - kept) * min(dt_s / CRUISE_S, 1.0)
-    return np.asarray(np.where(cruises, kept, np.inf))
+    share = speed_mps / np.maximum(limit_mps, 1e-3)
+    keeps = (share > CRUISE_SHARE) & (np.abs(accel_mps2) < CRUISE_MPS2)
+    keeps |= (share > FULL_SHARE) & (accel_mps2 > -CRUISE_MPS2)
+    kept = np.where(np.isnan(before), share, before)
+    kept += (share - kept) * min(dt_s / CRUISE_S, 1.0)
+    return np.asarray(np.where(keeps, kept, np.maximum(before, share)))
 
 
 @njit("float64(float64, float64, float64, float64, boolean, float64)", cache=True)
@@ -56,6 +60,8 @@ def _speed(
     v: float, wish_mps: float, gap_m: float, ahead_mps: float, goes: bool, step_s: float
 ) -> float:
     """Returns the speed after a step, behind a vehicle at this gap; an infinite one is nobody.
+
+    It rises to `wish_mps`, and falls to it as fast as a driver brakes.
 
     Who stands with nobody near stays, unless it `goes` for a light is green.
     """
@@ -168,7 +174,7 @@ def follow_lanes(
     along_m: Floats,
     off_m: Floats,
     share: Floats,
-    wish_mps: Floats,
+    cruise: Floats,
     dt_s: float,
     free: Bools,
     solid: Bools,
@@ -184,7 +190,7 @@ def follow_lanes(
     """Moves the means of tracks that are not free along their lanes, behind those ahead of them.
 
     Solid ones stand in the way of those behind them; free ones do only that. `dims` (N, 4) are z,
-    length, width, height; `wish_mps` (N,) of `TrackStates`, `lights` (E,) of `LaneGraph.lights`.
+    length, width, height; `cruise` (N,) of `TrackStates`, `lights` (E,) of `LaneGraph.lights`.
     `share` (N,) is multiplied by the probability of the way taken at each fork, and becomes 0 where
     a lane ends on the map.
     """
@@ -201,8 +207,8 @@ def follow_lanes(
                 continue
             v = mean[n, 3]
             if not free[n]:
-                is_known = np.isfinite(wish_mps[n])
-                wish = wish_mps[n] if is_known else max(v, speed_mps[lane[n]])
+                limit = speed_mps[lane[n]]
+                wish = max(v, limit) if np.isnan(cruise[n]) else cruise[n] * limit
                 v = _speed(v, wish, gap_m[n], ahead_mps[n], goes[n], step_s)
                 mean[n, 3] = v
             along_m[n] += v * step_s

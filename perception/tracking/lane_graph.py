@@ -106,6 +106,16 @@ class LaneGraph:
                 result[way] = GO if letter == "G" else STOP if letter in STOPS else UNKNOWN
         return result
 
+    def held(self, states: Mapping[str, str]) -> Bools:
+        """Marks the lanes (L,) that end at a signal which shows none of their ways that it may go.
+
+        The argument is as of `lights`.
+        """
+        goes = np.zeros(len(self.length_m), np.bool_)
+        ways_of = np.repeat(np.arange(len(goes)), np.diff(self.leads))
+        goes[ways_of[self.lights(states) == GO]] = True
+        return np.asarray(self.at_signal & ~goes)
+
     def locate(self, boxes: Floats) -> tuple[Ints, Floats, Floats]:
         """Finds the lane along each box (N, 7): its index (N,), -1 for none, metres along and off.
 

@@ -8,18 +8,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from perception.arrays import Floats
+from perception.arrays import Bools, Floats
 from perception.detector import Vehicles
 from perception.tracking import motion
 from perception.tracking.association import PERSON
 from perception.tracking.config import TrackingConfig
+from perception.tracking.lane_following import BAR_M
 from perception.tracking.lane_graph import LaneGraph
 from perception.tracking.places import overlapping
 from perception.tracking.sightlines import SightLines
 from perception.tracking.states import CLASSES, TrackStates
 
 NEIGHBOUR_M = 40.0  # a new track on a lane takes the speed of one that is nearer
-NEIGHBOUR_STD_MPS = 4.0  # deviation of a speed taken from others, or from the room ahead
+NEIGHBOUR_STD_MPS, ROOM_STD_MPS = 4.0, 6.0  # deviations of a speed taken from it, or from the room
 QUEUE_GAP_M, TIME_GAP_S = 7.5, 1.5  # from one vehicle's middle to the next's, standing and driving
 UNKNOWN_MPS = 8.0  # deviation of the speed of who was seen once, off the map
 TURN_RPS = 0.2  # and of its yaw rate
@@ -63,16 +64,25 @@ def born(time_ns: int, new: Vehicles, std: Floats, first_id: int) -> TrackStates
         off_m=np.zeros(count),
         origin=number.copy(),
         in_view=np.zeros(count),
-        wish_mps=np.full(count, np.inf),
+        cruise=np.full(count, np.nan),
         seen=np.ones(count, np.bool_),
         owner=np.array(new.sources, object),
     )
 
 
-def place_on_lanes(born: TrackStates, known: TrackStates, lanes: LaneGraph) -> None:
-    """Gives new tracks their lanes, and the speed of the nearest known one there, if any.
+def place_on_lanes(
+    born: TrackStates, known: TrackStates, sure: Bools, lanes: LaneGraph, held: Bools
+) -> None:
+    """Gives new tracks their lanes, and the speed of the nearest one there of which it is known.
 
     Else one that fits the room ahead (`_speed_by_room`). People are on no lane.
+
+    Args:
+        born: the new tracks.
+        known: all others, located in this frame.
+        sure: which of these have a speed that is known.
+        lanes: of the map.
+        held: see `LaneGraph.held`.
     """
     born.lane, born.along_m, born.off_m = lanes.locate(born.boxes)
     born.lane[born.votes.argmax(axis=1) == PERSON] = -1
@@ -80,26 +90,28 @@ def place_on_lanes(born: TrackStates, known: TrackStates, lanes: LaneGraph) -> N
     every_along_m = np.concatenate([known.along_m, born.along_m])
     for n in np.flatnonzero(born.lane >= 0):
         lane, along_m = born.lane[n], born.along_m[n]
-        near = np.flatnonzero(known.lane == lane)
+        near = np.flatnonzero(sure & (known.lane == lane))
         gap_m = np.abs(known.along_m[near] - along_m)
         if len(near) and gap_m.min() <= NEIGHBOUR_M:
             born.mean[n, 3] = known.mean[near[gap_m.argmin()], 3]
+            std_mps = NEIGHBOUR_STD_MPS
         else:
             ahead_m = every_along_m[every_lane == lane] - along_m
-            born.mean[n, 3] = _speed_by_room(lane, along_m, ahead_m[ahead_m > 0], lanes)
-        born.covariance[n, 3, 3] = NEIGHBOUR_STD_MPS**2
+            room_m = ahead_m[ahead_m > 0].min(initial=np.inf) - QUEUE_GAP_M
+            if held[lane]:
+                to_bar_m = lanes.length_m[lane] - along_m - born.dims[n, 1] / 2 - BAR_M
+                room_m = min(room_m, to_bar_m)
+            born.mean[n, 3] = _speed_by_room(room_m, lanes.speed_mps[lane])
+            std_mps = ROOM_STD_MPS
+        born.covariance[n, 3, 3] = std_mps**2
 
 
-def _speed_by_room(lane: int, along_m: float, ahead_m: Floats, lanes: LaneGraph) -> float:
-    """Returns the speed that a vehicle can have behind others so far ahead on its lane.
+def _speed_by_room(room_m: float, limit_mps: float) -> float:
+    """Returns how fast a vehicle may be that has so much room before it would have to stand.
 
-    By Newell's simplified car following (2002): the gap less that in a queue, in a time gap. At a
-    stop bar nobody knows whether it stands.
+    By Newell's simplified car following (2002): the room in a time gap.
     """
-    room_m = ahead_m.min() - QUEUE_GAP_M if len(ahead_m) else np.inf
-    if lanes.at_signal[lane]:
-        room_m = min(room_m, lanes.length_m[lane] - along_m)
-    return float(min(max(room_m, 0.0) / TIME_GAP_S, lanes.speed_mps[lane]))
+    return float(min(max(room_m, 0.0) / TIME_GAP_S, limit_mps))
 
 
 def raised_existence(existence: Floats) -> Floats:

@@ -31,7 +31,7 @@ ACCEL_LIFE_S = 4.0  # of an acceleration
 STEADY_ACCEL_STD_MPS2 = 1.5  # of one of which nothing is known
 ROUGH = 0.02  # share of an acceleration's variance that changes at once
 ABEAM_M = 1.0  # beyond a box's end: a sensor that is not so far ahead or behind sees its side
-END_STD_M, END_STD_PER_M2 = 0.15, 4e-5  # of the end turned to the sensor, and by its distance
+END_STD_M, END_STD_PER_M2 = 0.15, 4e-5  # of the end turned to the sensor, and by its range squared
 AWAY, TOWARDS = 2.5, 3.0  # deviations: an end farther off weighs less
 
 
@@ -160,7 +160,11 @@ def predict(
 
 @njit("float64(float64, float64, float64, float64[:,:], float64[::1])", cache=True)
 def _of_end(towards_m: float, off_m: float, range_m: float, p: Floats, axis: Floats) -> float:
-    """Returns the deviation of an end that is off by so much, `towards_m` the sensor or away."""
+    """Returns the deviation of an end that is off by so much, `towards_m` the sensor or away.
+
+    So is the middle of a box whose side a sensor sees. Where nobody knows from where a box was
+    seen, its own deviation along holds.
+    """
     deviation = END_STD_M + END_STD_PER_M2 * range_m**2
     total = deviation**2
     for i in range(2):
@@ -205,8 +209,9 @@ def correct(
                 side = np.sign(seen[m, 0])
                 if abs(seen[m, 0]) <= boxes[m, 3] / 2 + ABEAM_M:
                     side = 0.0
-                off += side * (boxes[m, 3] - length_m[n]) / 2
-                deviation = _of_end(side * off, abs(off), seen[m, 1], p, axes[0])
+                if seen[m, 1] > 0.0:
+                    off += side * (boxes[m, 3] - length_m[n]) / 2
+                    deviation = _of_end(side * off, abs(off), seen[m, 1], p, axes[0])
             _correct_by(mean[n], p, axes[axis], off, deviation**2)
         turned = (boxes[m, 6] - mean[n, 2] + np.pi / 2) % np.pi - np.pi / 2
         _correct_by(mean[n], p, axes[2], turned, std[m, 2] ** 2)

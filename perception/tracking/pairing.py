@@ -76,33 +76,34 @@ def _reclaim(states: TrackStates, observed: Vehicles, pairs: Ints, time_ns: int)
     left = np.flatnonzero(unpaired(pairs, len(states)))
     if not len(taken) or not len(left):
         return
-    first = left[np.argsort(-states.hits[left], kind="stable")]
-    coasted_s = (time_ns - states.last_ns[first]) / 1e9
+    by_age = left[np.argsort(-states.hits[left], kind="stable")]
+    coasted_s = (time_ns - states.last_ns[by_age]) / 1e9
     boxes = np.ascontiguousarray(observed.boxes, np.float64)
-    _reclaim_each(first, coasted_s, states.boxes, taken, boxes, states.hits, pairs)
+    _reclaim_each(by_age, coasted_s, states.boxes, states.hits, taken, boxes, pairs)
 
 
 @njit(
-    "void(int64[::1], float64[::1], float64[:,::1], int64[::1], float64[:,::1], int64[::1],"
+    "void(int64[::1], float64[::1], float64[:,::1], int64[::1], int64[::1], float64[:,::1],"
     " int64[::1])",
     cache=True,
 )
 def _reclaim_each(
-    left: Ints,
+    by_age: Ints,
     coasted_s: Floats,
-    places: Floats,
+    track_boxes: Floats,
+    hits: Ints,
     taken: Ints,
     boxes: Floats,
-    hits: Ints,
     pairs: Ints,
 ) -> None:
-    for index in range(left.size):
-        n = left[index]
+    """Changes `pairs`: tracks without a detection take the first `taken` one at their place."""
+    for index in range(by_age.size):
+        n = by_age[index]
         for m in taken:
             other = pairs[m]
-            is_young = hits[other] < hits[n]
-            may = coasted_s[index] <= RECENT_S or hits[other] <= RECENT_HITS
-            if is_young and may and is_same(boxes[m], places[n]):
+            is_younger = hits[other] < hits[n]
+            is_doubtful = coasted_s[index] <= RECENT_S or hits[other] <= RECENT_HITS
+            if is_younger and is_doubtful and is_same(boxes[m], track_boxes[n]):
                 pairs[m] = n
                 break
 

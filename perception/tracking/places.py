@@ -13,8 +13,13 @@ SAME_ALONG, SAME_ACROSS_M = 0.6, 1.2  # boxes nearer, of their mean length, are 
 
 @njit("boolean(float64[:], float64[:])", cache=True)
 def is_same(box: Floats, other: Floats) -> bool:
-    """Whether two boxes lie so much in one place that they are of one vehicle."""
+    """Whether a box (7,) lies so much in the place of another that both are of one vehicle.
+
+    The distance is measured along and across the other one.
+    """
     x, y = box[0] - other[0], box[1] - other[1]
+    if abs(x) >= LONGEST_VEHICLE_M:
+        return False
     cos, sin = np.cos(other[6]), np.sin(other[6])
     reach_m = SAME_ALONG * (box[3] + other[3]) / 2
     return bool(abs(cos * x + sin * y) < reach_m and abs(cos * y - sin * x) < SAME_ACROSS_M)

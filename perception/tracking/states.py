@@ -20,8 +20,8 @@ class TrackStates:
     `along_m` and `off_m` are as of `LaneGraph.locate` in this frame; `origin` is the lane that a
     track was on for sure before, -1 for none. `owner` is the agent whose
     poses a track follows, "lidar" for none; `seen` whether it was detected in this frame, else
-    `in_view` how much of its place was seen to be empty. `wish_mps` is how fast it drives where
-    nothing holds it up, as it was last detected, infinite as long as that is unknown.
+    `in_view` how much of its place was seen to be empty. `cruise` is the share of
+    the speed allowed at which its driver drives where nothing is in the way, NaN if unknown.
     """
 
     ids: Ints
@@ -39,7 +39,7 @@ class TrackStates:
     off_m: Floats
     origin: Ints
     in_view: Floats
-    wish_mps: Floats
+    cruise: Floats
     seen: Bools
     owner: np.ndarray
 
@@ -63,7 +63,7 @@ class TrackStates:
             off_m=real,
             origin=whole,
             in_view=real,
-            wish_mps=real,
+            cruise=real,
             seen=np.zeros(0, np.bool_),
             owner=np.zeros(0, object),
         )

@@ -11,7 +11,7 @@ from perception.detector import LIDAR, Vehicles
 from perception.tracking import motion
 from perception.tracking.association import PERSON
 from perception.tracking.config import TrackingConfig
-from perception.tracking.lane_following import cruising_mps, follow_lanes
+from perception.tracking.lane_following import CRUISE_STD_MPS, cruise, follow_lanes
 from perception.tracking.lane_graph import LaneGraph
 from perception.tracking.life_cycle import (
     born,
@@ -96,8 +96,9 @@ class Tracker:
         lower_existence(self._states, time_ns, dt_s, visible, self._config)
         self._states = self._states.take(self._states.existence >= self._config.min_existence)
         new = self._is_new(observed, pairs)
-        self._states = self._states + self._born(time_ns, observed.take(new), std[new])
         self._locate(dt_s)
+        born = self._born(time_ns, observed.take(new), std[new], signals or {})
+        self._states = self._states + born
         self._last = self._published(time_ns)
         return self._last
 
@@ -143,11 +144,16 @@ class Tracker:
     def _adopted(self, time_ns: int, others: Tracks) -> TrackStates:
         first_id = self._next_id
         found = Vehicles.from_lidar(others.boxes, others.existence, others.classes)
-        adopted = self._born(time_ns, found, np.tile(motion.BOX_STD, (len(others), 1)))
+        adopted = self._born(time_ns, found, np.tile(motion.BOX_STD, (len(others), 1)), {})
         self._next_id = first_id
         adopted.ids, adopted.existence = others.track_ids, others.existence.copy()
         adopted.mean[:, 3] = others.speeds_mps
         adopted.covariance[:, 3, 3] = ADOPTED_STD_MPS**2
+        if self._lanes is not None:
+            limit_mps = self._lanes.speed_mps[adopted.lane]
+            steady = np.zeros(len(adopted))
+            found_cruise = cruise(adopted.cruise, others.speeds_mps, steady, limit_mps, 0.0)
+            adopted.cruise = np.where(adopted.lane >= 0, found_cruise, np.nan)
         adopted.hits[:] = self._config.confirm_hits
         adopted.first_ns = others.first_seen_ns.copy()
         adopted.last_ns = time_ns - np.round(others.coasted_s * 1e9).astype(np.int64)
@@ -183,7 +189,7 @@ class Tracker:
         solid = states.hits >= self._config.confirm_hits
         follow_lanes(
             states.mean, states.covariance, states.dims, states.lane, states.along_m, states.off_m,
-            states.existence, states.wish_mps, dt_s, free, solid, lanes.segments, lanes.first,
+            states.existence, states.cruise, dt_s, free, solid, lanes.segments, lanes.first,
             lanes.length_m, lanes.speed_mps, lanes.leads, lanes.followers, self._trips,
             lanes.lights(signals),
         )  # fmt: skip
@@ -234,7 +240,9 @@ class Tracker:
         new[np.flatnonzero(new)[max(room, 0) :]] = False
         return np.asarray(new)
 
-    def _born(self, time_ns: int, new: Vehicles, std: Floats) -> TrackStates:
+    def _born(
+        self, time_ns: int, new: Vehicles, std: Floats, signals: Mapping[str, str]
+    ) -> TrackStates:
         """Returns new tracks, with ids of their own, on their lanes."""
         if not len(new):
             return TrackStates.none()
@@ -242,7 +250,7 @@ class Tracker:
         self._next_id += len(new)
         if self._lanes is not None:
             sure = self._states.hits >= self._config.confirm_hits
-            place_on_lanes(result, self._states.take(sure), self._lanes)
+            place_on_lanes(result, self._states, sure, self._lanes, self._lanes.held(signals))
         return result
 
     def _locate(self, dt_s: float) -> None:
@@ -255,12 +263,8 @@ class Tracker:
         is_person = states.votes[seen].argmax(axis=1) == PERSON
         lane[is_person] = -1
         states.lane[seen], states.along_m[seen], states.off_m[seen] = lane, along_m, off_m
-        states.wish_mps[seen] = cruising_mps(
-            states.wish_mps[seen],
-            states.mean[seen, 3],
-            states.mean[seen, 5],
-            lanes.speed_mps[lane],
-            dt_s,
+        self._learn_speeds(
+            seen[(lane >= 0) & (states.covariance[seen, 3, 3] < CRUISE_STD_MPS**2)], dt_s
         )
         sure = (lane >= 0) & (along_m > np.minimum(SURE_M, lanes.length_m[lane] / 2))
         for n, new in zip(seen[sure].tolist(), lane[sure].tolist(), strict=True):
@@ -269,6 +273,18 @@ class Tracker:
                 ways = slice(lanes.leads[old], lanes.leads[old + 1])
                 self._trips[ways] += lanes.followers[ways] == new
             states.origin[n] = new
+
+    def _learn_speeds(self, known: Ints, dt_s: float) -> None:
+        """Notes how fast some tracks on lanes drive, of which the speeds are known."""
+        states, lanes = self._states, self._lanes
+        assert lanes is not None
+        states.cruise[known] = cruise(
+            states.cruise[known],
+            states.mean[known, 3],
+            states.mean[known, 5],
+            lanes.speed_mps[states.lane[known]],
+            dt_s,
+        )
 
     def _published(self, time_ns: int) -> Tracks:
         states, config = self._states, self._config

@@ -128,6 +128,13 @@ def test_before_a_window_lie_a_bonnet_or_a_boot_that_nobody_sees(
         assert box[3] == pytest.approx(4.5, abs=0.1)
 
 
+def test_no_hidden_end_makes_a_car_longer_than_5_m(roadway: Roadway) -> None:
+    rng = np.random.default_rng(1)
+    seen = rng.uniform([30, 0.9, 1.0], [34.4, 2.6, 1.5], (400, 3))
+    (box,) = fit(roadway, seen).boxes
+    assert box[3] == pytest.approx(5.0, abs=0.1)
+
+
 def test_what_is_seen_of_a_van_over_another_vehicle_is_in_the_middle_of_its_box(
     roadway: Roadway,
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -197,6 +198,25 @@ def test_who_drives_more_slowly_or_faster_than_is_allowed_keeps_its_speed_unseen
     assert tracks.boxes[0, 0] == pytest.approx(speed_mps * 8.9, abs=2.0)
 
 
+def test_a_speed_that_was_guessed_at_birth_is_none_that_a_driver_keeps() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    follow(tracker, 9.0, 12)
+    for k in range(12, 32):
+        tracks = tracker.step(k * DT, cars(), NOBODY)
+    assert tracks.speeds_mps[0] < 11.0  # 13.9 m/s are allowed, and were guessed
+
+
+def test_who_leaves_a_slow_lane_drives_on_as_its_driver_likes() -> None:
+    slow = lane("slow", (0, 0), (60, 0), after=("fast",)).model_copy(update={"speed_mps": 7.0})
+    tracker = Tracker(
+        TrackingConfig(publish_probability=0.05), road(slow, lane("fast", (60, 0), (500, 0)))
+    )
+    follow(tracker, 6.3, 80)
+    for k in range(80, 140):
+        tracks = tracker.step(k * DT, cars(), NOBODY)
+    assert tracks.speeds_mps[0] == pytest.approx(0.9 * 13.9, abs=0.7)
+
+
 def test_who_still_accelerates_goes_on_to_do_so_unseen() -> None:
     tracker = Tracker(TrackingConfig(publish_probability=0.05), STRAIGHT)
     for k in range(50):
@@ -371,6 +391,16 @@ def test_a_neighbours_ids_are_taken_over_and_what_it_knows_is_known() -> None:
     assert tracks.track_ids.tolist() == [77, 78]
     assert tracks.boxes[1, 0] == pytest.approx(200.5, abs=0.3)
     assert tracks.coasted_s[1] == pytest.approx(1.1)
+
+
+def test_who_is_taken_over_unseen_keeps_the_speed_that_it_had() -> None:
+    tracker = Tracker(TrackingConfig(publish_probability=0.05), STRAIGHT)
+    tracker.step(0, cars(), NOBODY)
+    theirs = replace(known([7], (20.0, 0.0)), speeds_mps=np.array([9.0]))
+    tracker.adopt(0, theirs)
+    for k in range(1, 31):
+        tracks = tracker.step(k * DT, cars(), NOBODY)
+    assert tracks.speeds_mps[0] == pytest.approx(9.0, abs=0.2)
 
 
 def test_what_a_neighbour_knew_at_another_time_is_not_taken_over() -> None:

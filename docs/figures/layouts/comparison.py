@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from statistics import mean, stdev
-
-from scipy.stats import t as student_t
+from statistics import mean
 
 from layouts.tables import Rows, Table, between, fixed
 from layouts.worlds import LIDAR_HEADS, lidar_cells
+from studies.control_study import paired
+from studies.value_page import LESS_IS_MORE, SUFFERS_SHARE
 
 
 def ecvpr_steps(rows: Rows) -> Table:
@@ -220,7 +220,6 @@ _GIVEN = {
     "rate-boxes": ("uplink in Mbit/s", "the same: boxes"),
     "latency": ("latency in ms", "round trip on 10 Mbit/s, ms"),
 }
-_SUFFERS_SHARE = 0.05  # as in `studies.value_page`
 
 
 def value_readme(rows: Rows) -> Table:
@@ -237,30 +236,27 @@ def value_readme(rows: Rows) -> Table:
         for control in controls:
             curve: dict[float, dict[int, float]] = {}
             for row in rows:
-                if (row["grid"], row["controller"]) == (grid, control):
+                is_own = (row["grid"], row["controller"]) == (grid, control)
+                if is_own and row["delay_s"] is not None:
                     curve.setdefault(row[axis], {})[row["seed"]] = row["delay_s"]
-            cells += _knee(curve, "latency" not in axis)
+            cells += _knee(curve, is_more_better=not axis.startswith(LESS_IS_MORE))
         table.append([words, *cells])
     return table
 
 
-def _knee(curve: Mapping[float, Mapping[int, float]], is_more_better: bool) -> list[str]:
+def _knee(curve: Mapping[float, Mapping[int, float]], *, is_more_better: bool) -> list[str]:
     """Returns delay at the best of a curve, the last point as good, the first that is worse."""
     best, *rest = sorted(curve, reverse=is_more_better)
     base, as_good = curve[best], best
     shown = f"{between([*base.values()], 1)}, at {best:g}"
     for given in rest:
-        more = [curve[given][seed] - base[seed] for seed in base]
-        if _is_worse(more, base):
-            return [shown, f"{as_good:g}", f"{given:g}: {between(more, 1)}"]
+        both = sorted(set(base) & set(curve[given]))
+        found = paired([curve[given][s] for s in both], [base[s] for s in both])
+        if found.mean > max(SUFFERS_SHARE * mean(base.values()), found.half or 0.0):
+            more = [curve[given][s] - base[s] for s in both]
+            return [shown, f"{as_good:g}", f"{given:g}: {between(more, 2)}"]
         as_good = given
     return [shown, f"{as_good:g}", "–"]
-
-
-def _is_worse(more_s: Sequence[float], best_s: Mapping[int, float]) -> bool:
-    """Tells whether delay is more than 5 % above that at best, and above what cannot be told."""
-    half_s = float(student_t.ppf(0.975, len(more_s) - 1)) * stdev(more_s) / len(more_s) ** 0.5
-    return mean(more_s) > max(_SUFFERS_SHARE * mean(best_s.values()), half_s)
 
 
 def of_lists(output: str) -> Rows:
