@@ -105,6 +105,25 @@ def _rows_of(folder: str) -> str:
     return f"python -c '{read}; print(json.dumps(t.to_pylist()))'"
 
 
+def _study_figures(
+    study: str, page: str, minutes: int, part: Part, *, tracked: bool = True, learned: bool = False
+) -> tuple[Figure, Figure]:
+    """Returns the page of a built-in study, and a part elsewhere of the same runs."""
+    run = f"cpnet study {study} --out {study}"
+    kinds = {"of_rows": True, "tracked": tracked, "learned": learned}
+    whole = Figure(
+        study,
+        f"{run} --markdown ../../docs/{page}.md",
+        STUDY,
+        minutes,
+        (Part("age", f"docs/{page}.md"),),
+        files=(f"docs/{page}.md", f"docs/{page}/*.png"),
+        **kinds,
+    )
+    command = f"{run} >&2; {_rows_of(study)}"
+    return whole, Figure(f"{study}-readme", command, STUDY, minutes, (part,), **kinds)
+
+
 _LIST = (
     Figure(
         "run",
@@ -253,61 +272,18 @@ _LIST = (
         (Part("all", "docs/reliability.md", runs.text),),
         read=runs.as_text,
     ),
-    Figure(
+    *_study_figures(
         "paper",
-        "cpnet study paper --out paper --markdown ../../docs/results.md",
-        STUDY,
+        "results",
         90,
-        (Part("age", "docs/results.md"),),
-        files=("docs/results.md", "docs/results/*.png"),
-        of_rows=True,
+        Part("table", _GLANCE, comparison.paper_readme),
         tracked=False,
         learned=True,
     ),
-    Figure(  # of the same runs, which are not run again
-        "paper-readme",
-        "cpnet study paper --out paper >&2; " + _rows_of("paper"),
-        STUDY,
-        90,
-        (Part("table", _GLANCE, comparison.paper_readme),),
-        of_rows=True,
-        tracked=False,
-        learned=True,
+    *_study_figures(
+        "bandwidth", "bandwidth", 60, Part("table", "README.md", links.bandwidth_readme)
     ),
-    Figure(
-        "bandwidth",
-        "cpnet study bandwidth --out bandwidth --markdown ../../docs/bandwidth.md",
-        STUDY,
-        60,
-        (Part("age", "docs/bandwidth.md"),),
-        files=("docs/bandwidth.md", "docs/bandwidth/*.png"),
-        of_rows=True,
-    ),
-    Figure(  # of the same runs, which are not run again
-        "bandwidth-readme",
-        "cpnet study bandwidth --out bandwidth >&2; " + _rows_of("bandwidth"),
-        STUDY,
-        60,
-        (Part("table", "README.md", links.bandwidth_readme),),
-        of_rows=True,
-    ),
-    Figure(
-        "value",
-        "cpnet study value --out value --markdown ../../docs/value.md",
-        STUDY,
-        90,
-        (Part("age", "docs/value.md"),),
-        files=("docs/value.md", "docs/value/*.png"),
-        of_rows=True,
-    ),
-    Figure(  # of the same runs, which are not run again
-        "value-readme",
-        "cpnet study value --out value >&2; " + _rows_of("value"),
-        STUDY,
-        90,
-        (Part("table", "README.md", comparison.value_readme),),
-        of_rows=True,
-    ),
+    *_study_figures("value", "value", 90, Part("table", "README.md", comparison.value_readme)),
     Figure(
         "frame",
         f"rm -rf frame; {_RUN} --out frame >&2; "

@@ -191,29 +191,6 @@ def tuned(rows: Rows) -> Table:
     return table
 
 
-def loop(rows: Rows) -> Table:
-    """Returns delay by demand and control, and how far control on perception lies from it."""
-    heads = ["E-CVPR, %", "control on perception minus it, s", "%", "longest wait, s"]
-    table = [["demand", "control", f"delay, s; {rows[0]['seeds']} seeds of an hour", *heads]]
-    for row in rows:
-        less, seen = row["difference_s"], row.get("e_cvpr")
-        words = f", {row['setting']}" if row["setting"] else ""
-        name = row["policy"] if " " in row["policy"] else f"`{row['policy']}`"
-        net = "a peak that moves" if row["net"] == "moving_peak" else f"x{row['demand']:g}"
-        table.append(
-            [
-                net,
-                f"{name}{words}",
-                f"{row['delay_s']:.2f} ± {row['delay_ci95_s']:.2f}",
-                fixed(seen, 1, 100) if seen is not None else "",
-                "" if less is None else f"{less:.2f} ± {row['difference_ci95_s']:.2f}",
-                "" if less is None else fixed(row["difference_share"], 0, 100),
-                f"{row['waited_s']:.0f}",
-            ]
-        )
-    return table
-
-
 _GIVEN = {
     "rate-whole-scans": ("uplink in Mbit/s", "uplink of an agent, Mbit/s: whole scans"),
     "rate-parts-as-EMP": ("uplink in Mbit/s", "the same: each agent its part (EMP)"),
