@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -110,7 +110,6 @@ def _study_figures(
 ) -> tuple[Figure, Figure]:
     """Returns the page of a built-in study, and a part elsewhere of the same runs."""
     run = f"cpnet study {study} --out {study}"
-    kinds = {"of_rows": True, "tracked": tracked, "learned": learned}
     whole = Figure(
         study,
         f"{run} --markdown ../../docs/{page}.md",
@@ -118,10 +117,12 @@ def _study_figures(
         minutes,
         (Part("age", f"docs/{page}.md"),),
         files=(f"docs/{page}.md", f"docs/{page}/*.png"),
-        **kinds,
+        of_rows=True,
+        tracked=tracked,
+        learned=learned,
     )
-    command = f"{run} >&2; {_rows_of(study)}"
-    return whole, Figure(f"{study}-readme", command, STUDY, minutes, (part,), **kinds)
+    rows = f"{run} >&2; {_rows_of(study)}"
+    return whole, replace(whole, name=f"{study}-readme", command=rows, parts=(part,), files=())
 
 
 _LIST = (
