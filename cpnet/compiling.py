@@ -106,12 +106,7 @@ def _compile(todo: dict[str, set[str]], jobs: int, advance: Callable[[], object]
     """Imports modules in processes, each once those that it needs are done."""
     waiting, running = dict(todo), dict[Future[None], str]()
     done: set[str] = set()
-    context = multiprocessing.get_context("spawn")
-    with (
-        without_main(),
-        ProcessPoolExecutor(jobs, mp_context=context) as pool,
-        _ending_processes(),
-    ):
+    with without_main(), _pool(jobs) as pool, _ending_processes():
         while waiting or running:
             ready = [name for name, needs in waiting.items() if needs <= done]
             for name in sorted(ready, key=lambda name: -_weight(name)):
@@ -123,6 +118,11 @@ def _compile(todo: dict[str, set[str]], jobs: int, advance: Callable[[], object]
                 done.add(running.pop(future))
                 future.result()
                 advance()
+
+
+def _pool(jobs: int) -> ProcessPoolExecutor:
+    with signals_deferred():  # it imports modules, and an import that breaks off leaves a file open
+        return ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
 
 
 @contextmanager
