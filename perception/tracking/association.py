@@ -6,53 +6,56 @@ import lap
 import numpy as np
 from numba import njit
 
-from perception.arrays import Bytes, Floats, Ints
+from perception.arrays import Bools, Bytes, Floats, Ints
 from protocol.messages import ObjectClass
 
 PERSON = int(ObjectClass.PEDESTRIAN)
 SIZE_STD = 0.4  # of the logarithm of a length: boxes of one vehicle differ by its seen side
 SMALL_M = 2.6  # what is longer is no person; a bicycle may be taken for one
 OTHER_COST = 4.0  # of a person taken for a two-wheeler
-UNMATCHED_COST = 10.0  # over the gate: whoever can be paired is paired
+JUMP_COST = 4.0  # of a box that is a track's own only if it jumped
+UNSURE_COST = 3.0  # of a track that is not confirmed
+ALONE_COST = 15.0  # of a box and a track that could be paired and stay alone
 
 
 def associate(
     mean: Floats,
     covariance: Floats,
-    sizes: Floats,
-    existence: Floats,
+    traits: Floats,
     boxes: Floats,
     std: Floats,
+    jump_std: Floats,
     gate: float,
-) -> Ints:
-    """Returns for each box the track that it belongs to, an index or -1.
+) -> tuple[Ints, Bools]:
+    """Returns for each box the track that it belongs to, an index or -1, and whether that jumped.
 
     The sum of costs is the least: squared Mahalanobis distance, the logarithm of the determinant of
     its covariance, so that certain tracks come first, differences in size, doubts about the track.
+    What lies outside a track's gate may be its own if it jumped, at a cost.
 
     Args:
-        mean: states (N, 5) as in `motion`, with covariances (N, 5, 5).
+        mean: states (N, 6) as in `motion`, with covariances (N, 6, 6).
         covariance: see `mean`.
-        sizes: length of each track and whether it is a person (N, 2).
-        existence: of each track (N,).
+        traits: of each track (N, 4) length, whether it is a person, existence, whether confirmed.
         boxes: (M, 8): as detected, and whether it is a person.
         std: deviations along, across and in heading (M, 3).
+        jump_std: deviations along and across of a jump (2,).
         gate: the largest squared distance.
     """
-    result = np.full(len(boxes), -1, np.int64)
+    result, jumped = np.full(len(boxes), -1, np.int64), np.zeros(len(boxes), np.bool_)
     if not len(mean) or not len(boxes):
-        return result
-    box, track, cost = _pairs(mean, covariance, sizes, existence, boxes, std, gate)
+        return result, jumped
+    box, track, cost, jumps = _pairs(mean, covariance, traits, boxes, std, jump_std, gate)
     if not len(box):
-        return result
+        return result, jumped
+    limit = ALONE_COST - cost.min()
     cost -= cost.min()
-    limit = float(cost.max()) + gate + UNMATCHED_COST
     part = _parts(box, track, len(boxes), len(mean))
     order = np.argsort(part, kind="stable")
     starts = np.flatnonzero(np.diff(part[order], prepend=-1))
     ends = np.append(starts[1:], len(order))
     single = order[starts[ends - starts == 1]]
-    result[box[single]] = track[single]
+    result[box[single]], jumped[box[single]] = track[single], jumps[single]
     for start, end in zip(starts, ends, strict=True):
         if end - start == 1:
             continue
@@ -61,10 +64,13 @@ def associate(
         columns, column = np.unique(track[chosen], return_inverse=True)
         costs = np.full((len(rows), len(columns)), 4 * limit)
         costs[row, column] = cost[chosen]
-        _, of_row, _ = lap.lapjv(costs, extend_cost=True, cost_limit=2 * limit)
+        is_jump = np.zeros(costs.shape, np.bool_)
+        is_jump[row, column] = jumps[chosen]
+        _, of_row, _ = lap.lapjv(costs, extend_cost=True, cost_limit=limit)
         is_paired = of_row >= 0
         result[rows[is_paired]] = columns[of_row[is_paired]]
-    return result
+        jumped[rows[is_paired]] = is_jump[is_paired, of_row[is_paired]]
+    return result, jumped
 
 
 @njit(cache=True)
@@ -74,57 +80,71 @@ def _grown(column, room):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN20
     return longer
 
 
+@njit("UniTuple(float64, 2)(float64, float64, float64, float64, float64)", cache=True)
+def _distance2(x: float, y: float, xx: float, yy: float, xy: float) -> tuple[float, float]:
+    """Returns the squared Mahalanobis distance of (x, y), and the determinant of its covariance."""
+    det = xx * yy - xy * xy
+    return (yy * x * x - 2 * xy * x * y + xx * y * y) / det, det
+
+
+@njit("UniTuple(float64, 3)(float64, float64, float64)", cache=True)
+def _spread(yaw: float, along_m: float, across_m: float) -> tuple[float, float, float]:
+    """Returns xx, yy, xy of the covariance of deviations along and across a heading."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    a, b = along_m * along_m, across_m * across_m
+    return a * cos * cos + b * sin * sin, a * sin * sin + b * cos * cos, (a - b) * cos * sin
+
+
 @njit(
-    "Tuple((int64[::1], int64[::1], float64[::1]))(float64[:,::1], float64[:,:,::1], "
-    "float64[:,::1], float64[::1], float64[:,::1], float64[:,::1], float64)",
+    "Tuple((int64[::1], int64[::1], float64[::1], boolean[::1]))(float64[:,::1], float64[:,:,::1], "
+    "float64[:,::1], float64[:,::1], float64[:,::1], float64[::1], float64)",
     cache=True,
 )
 def _pairs(
     mean: Floats,
     covariance: Floats,
-    sizes: Floats,
-    existence: Floats,
+    traits: Floats,
     boxes: Floats,
     std: Floats,
+    jump_std: Floats,
     gate: float,
-) -> tuple[Ints, Ints, Floats]:
-    """Returns the pairs of box and track within the gate, and their costs."""
+) -> tuple[Ints, Ints, Floats, Bools]:
+    """Returns the pairs of box and track within the gate, their costs, and which are jumps."""
     room = 4 * (mean.shape[0] + boxes.shape[0]) + 16
     box, track, cost = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
+    jumps = np.empty(room, np.bool_)
     count = 0
+    jump2 = jump_std[0] ** 2 + jump_std[1] ** 2
     for n in range(mean.shape[0]):
         p = covariance[n]
-        reach2 = gate * (p[0, 0] + p[1, 1] + 2.0)
+        jump_xx, jump_yy, jump_xy = _spread(mean[n, 2], jump_std[0], jump_std[1])
+        reach2 = gate * (p[0, 0] + p[1, 1] + jump2 + 2.0)
+        doubt = -2 * np.log(max(traits[n, 2], 1e-3)) + (0.0 if traits[n, 3] else UNSURE_COST)
         for m in range(boxes.shape[0]):
             x, y = boxes[m, 0] - mean[n, 0], boxes[m, 1] - mean[n, 1]
             if x * x + y * y > reach2 + gate * std[m, 0] ** 2:
                 continue
-            is_other = sizes[n, 1] != boxes[m, 7]
-            if is_other and max(sizes[n, 0], boxes[m, 3]) > SMALL_M:
+            is_other = traits[n, 1] != boxes[m, 7]
+            if is_other and max(traits[n, 0], boxes[m, 3]) > SMALL_M:
                 continue
-            cos, sin = np.cos(boxes[m, 6]), np.sin(boxes[m, 6])
-            along, across = std[m, 0] ** 2, std[m, 1] ** 2
-            xx = p[0, 0] + along * cos * cos + across * sin * sin
-            yy = p[1, 1] + along * sin * sin + across * cos * cos
-            xy = p[0, 1] + (along - across) * cos * sin
-            det = xx * yy - xy * xy
-            d2 = (yy * x * x - 2 * xy * x * y + xx * y * y) / det
-            if d2 > gate:
-                continue
-            longer = np.log(max(boxes[m, 3], 0.3) / max(sizes[n, 0], 0.3)) / SIZE_STD
+            xx, yy, xy = _spread(boxes[m, 6], std[m, 0], std[m, 1])
+            xx, yy, xy = p[0, 0] + xx, p[1, 1] + yy, p[0, 1] + xy
+            d2, det = _distance2(x, y, xx, yy, xy)
+            is_jump = d2 > gate
+            if is_jump:
+                d2, det = _distance2(x, y, xx + jump_xx, yy + jump_yy, xy + jump_xy)
+                if d2 > gate:
+                    continue
+            longer = np.log(max(boxes[m, 3], 0.3) / max(traits[n, 0], 0.3)) / SIZE_STD
             if count == room:
                 room *= 2
                 box, track, cost = _grown(box, room), _grown(track, room), _grown(cost, room)
-            box[count], track[count] = m, n
-            cost[count] = (
-                d2
-                + np.log(det)
-                + min(longer**2, 9.0)
-                - 2 * np.log(max(existence[n], 1e-3))
-                + (OTHER_COST if is_other else 0.0)
-            )
+                jumps = _grown(jumps, room)
+            box[count], track[count], jumps[count] = m, n, is_jump
+            cost[count] = d2 + np.log(det) + min(longer**2, 9.0) + doubt
+            cost[count] += (JUMP_COST if is_jump else 0.0) + (OTHER_COST if is_other else 0.0)
             count += 1
-    return box[:count].copy(), track[:count].copy(), cost[:count].copy()
+    return box[:count].copy(), track[:count].copy(), cost[:count].copy(), jumps[:count].copy()
 
 
 @njit("int64[::1](int64[::1], int64[::1], int64, int64)", cache=True)

@@ -19,8 +19,8 @@ from perception.tracking.places import overlapping
 from perception.tracking.sightlines import SightLines
 from perception.tracking.states import CLASSES, TrackStates
 
-NEIGHBOUR_M = 40.0  # a new track on a lane takes the speed of one that is nearer
-NEIGHBOUR_STD_MPS, ROOM_STD_MPS = 4.0, 6.0  # deviations of a speed taken from it, or from the room
+NEAR_M = 40.0  # the vehicle ahead says more of a new track's speed if it is no farther
+NEAR_STD_MPS, ROOM_STD_MPS = 4.0, 6.0  # deviations of a speed by such a one, or by the room alone
 QUEUE_GAP_M, TIME_GAP_S = 7.5, 1.5  # from one vehicle's middle to the next's, standing and driving
 UNKNOWN_MPS = 8.0  # deviation of the speed of who was seen once, off the map
 TURN_RPS = 0.2  # and of its yaw rate
@@ -28,6 +28,7 @@ FIRST_EXISTENCE = 0.6
 MOST_EXISTENCE = 0.99
 HIT_ODDS = 4.0  # of a detection of a vehicle to one of nothing
 UNSURE_LIFE_S = 0.5  # of a track that is not confirmed
+SURE_HITS, SURE_S = 5, 0.65  # a track of so many detections, the last so lately, is no double
 HALF_CAR_M = 2.5  # a position is known where its error is less
 
 
@@ -73,9 +74,9 @@ def born(time_ns: int, new: Vehicles, std: Floats, first_id: int) -> TrackStates
 def place_on_lanes(
     born: TrackStates, known: TrackStates, sure: Bools, lanes: LaneGraph, held: Bools
 ) -> None:
-    """Gives new tracks their lanes, and the speed of the nearest one there of which it is known.
+    """Gives new tracks their lanes, and speeds as fit the room ahead and who drives there.
 
-    Else one that fits the room ahead (`_speed_by_room`). People are on no lane.
+    People are on no lane.
 
     Args:
         born: the new tracks.
@@ -88,30 +89,31 @@ def place_on_lanes(
     born.lane[born.votes.argmax(axis=1) == PERSON] = -1
     every_lane = np.concatenate([known.lane, born.lane])
     every_along_m = np.concatenate([known.along_m, born.along_m])
+    every_mps = np.concatenate(
+        [np.where(sure, known.mean[:, 3], np.nan), np.full(len(born), np.nan)]
+    )
     for n in np.flatnonzero(born.lane >= 0):
         lane, along_m = born.lane[n], born.along_m[n]
-        near = np.flatnonzero(sure & (known.lane == lane))
-        gap_m = np.abs(known.along_m[near] - along_m)
-        if len(near) and gap_m.min() <= NEIGHBOUR_M:
-            born.mean[n, 3] = known.mean[near[gap_m.argmin()], 3]
-            std_mps = NEIGHBOUR_STD_MPS
-        else:
-            ahead_m = every_along_m[every_lane == lane] - along_m
-            room_m = ahead_m[ahead_m > 0].min(initial=np.inf) - QUEUE_GAP_M
-            if held[lane]:
-                to_bar_m = lanes.length_m[lane] - along_m - born.dims[n, 1] / 2 - BAR_M
-                room_m = min(room_m, to_bar_m)
-            born.mean[n, 3] = _speed_by_room(room_m, lanes.speed_mps[lane])
-            std_mps = ROOM_STD_MPS
-        born.covariance[n, 3, 3] = std_mps**2
+        room_m, leader_mps = np.inf, np.nan
+        ahead = np.flatnonzero((every_lane == lane) & (every_along_m > along_m))
+        if len(ahead):
+            leader = ahead[every_along_m[ahead].argmin()]
+            room_m, leader_mps = every_along_m[leader] - along_m - QUEUE_GAP_M, every_mps[leader]
+        near = room_m < NEAR_M and not np.isnan(leader_mps)
+        if held[lane]:
+            to_bar_m = lanes.length_m[lane] - along_m - born.dims[n, 1] / 2 - BAR_M
+            room_m = min(room_m, to_bar_m)
+        born.mean[n, 3] = _birth_speed(room_m, leader_mps, lanes.speed_mps[lane])
+        born.covariance[n, 3, 3] = (NEAR_STD_MPS if near else ROOM_STD_MPS) ** 2
 
 
-def _speed_by_room(room_m: float, limit_mps: float) -> float:
-    """Returns how fast a vehicle may be that has so much room before it would have to stand.
+def _birth_speed(room_m: float, leader_mps: float, limit_mps: float) -> float:
+    """Returns how fast a vehicle may be with so much room before it would have to stand.
 
-    By Newell's simplified car following (2002): the room in a time gap.
+    By Newell's simplified car following (2002) the room in a time gap; no slower than the vehicle
+    ahead, whose speed is NaN where it is not known.
     """
-    return float(min(max(room_m, 0.0) / TIME_GAP_S, limit_mps))
+    return float(min(np.fmax(max(room_m, 0.0) / TIME_GAP_S, leader_mps), limit_mps))
 
 
 def raised_existence(existence: Floats) -> Floats:
@@ -129,7 +131,8 @@ def lower_existence(
 ) -> None:
     """Lowers the existence of who was not detected, by what should have been seen there.
 
-    It ends where another one was detected.
+    It ends where another one was detected, but for those that were seen themselves just before:
+    these are not published, and end soon unless they are detected again.
     """
     missed = np.flatnonzero(~states.seen)
     if not len(missed):
@@ -145,7 +148,11 @@ def lower_existence(
     unsure = states.hits[missed] < config.confirm_hits
     existence = existence * np.where(unsure, np.exp(-dt_s / UNSURE_LIFE_S), 1.0)
     existence[(time_ns - states.last_ns[missed]) / 1e9 > config.max_coast_s] = 0.0
-    existence[overlapping(states.boxes[missed], states.boxes[states.seen])] = 0.0
+    double = overlapping(states.boxes[missed], states.boxes[states.seen])
+    is_sure = states.hits[missed] >= SURE_HITS
+    is_sure &= (time_ns - states.last_ns[missed]) / 1e9 <= SURE_S
+    states.in_view[missed[double]] = 1.0
+    existence[double] *= np.where(is_sure[double], np.exp(-dt_s / config.empty_life_s), 0.0)
     states.existence[missed] = existence
 
 

@@ -23,8 +23,8 @@ BOX_STD = np.array([0.35, 0.2, 0.08])  # of a box near a sensor: along, across, 
 FAR_STD, FAR_M = 0.015, 40.0  # along, more for each metre beyond: only an end is seen
 NEAR_STD, NEAR_M = 1.5, 6.0  # along, nearer to a sensor, which sees over a part of the vehicle
 POSE_STD = np.array([0.1, 0.1, 0.02])  # of an agent's own pose, beside the deviation that it states
-JUMP_STD = np.array([1.5, 1.3, 2.0])  # along, across (a lane is 3.5 m wide), in speed
-JUMP_STD_OFF_MAP = np.array([0.5, 0.5, 1.0])
+JUMP_STD = np.array([1.5, 1.3])  # along, across (a lane is 3.5 m wide)
+JUMP_STD_OFF_MAP = np.array([0.5, 0.5])
 JUMPED_STD = np.array([0.3, 1.3, 0.0])  # of what has jumped: a change of lane, or another side seen
 TURN_LIFE_S = 1.0  # of a yaw rate: curves end
 ACCEL_LIFE_S = 4.0  # of an acceleration
@@ -32,6 +32,10 @@ STEADY_ACCEL_STD_MPS2 = 1.5  # of one of which nothing is known
 ROUGH = 0.02  # share of an acceleration's variance that changes at once
 ABEAM_M = 1.0  # beyond a box's end: a sensor that is not so far ahead or behind sees its side
 END_STD_M, END_STD_PER_M2 = 0.15, 4e-5  # of the end turned to the sensor, and by its range squared
+CROSSWISE_RAD = 0.9  # a box that is turned by more is of two vehicles abreast: it lies across ...
+CROSSWISE_STD_M = 2.0  # ... its track and says little of where that is ...
+CROSSWISE_M = 3.0  # ... if it is so long ...
+SURE_YAW_STD = 0.15  # ... and the track's heading is known so well
 AWAY, TOWARDS = 2.5, 3.0  # deviations: an end farther off weighs less
 
 
@@ -176,6 +180,21 @@ def _of_end(towards_m: float, off_m: float, range_m: float, p: Floats, axis: Flo
     return float(deviation * np.sqrt(max(far / TOWARDS, 1.0)))
 
 
+@njit("float64(float64)", cache=True)
+def _half_turn(angle: float) -> float:
+    """Returns an angle between headings, of which nobody knows which way round they are."""
+    return float((angle + np.pi / 2) % np.pi - np.pi / 2)
+
+
+@njit("boolean(float64, float64, float64, float64)", cache=True)
+def _is_crosswise(turned: float, variance: float, length_m: float, is_pose: float) -> bool:
+    """Whether a box that is `turned` lies across its track, whose heading is known."""
+    is_sure = variance < SURE_YAW_STD**2
+    return bool(
+        is_sure and is_pose == 0.0 and length_m > CROSSWISE_M and abs(turned) > CROSSWISE_RAD
+    )
+
+
 @njit(
     f"void({_STATE}, float64[::1], int64[::1], float64[:,::1], float64[:,::1], float64[:,::1])",
     cache=True,
@@ -194,6 +213,7 @@ def correct(
     A box's heading may be the wrong way round; a vehicle that goes backwards for good has been
     taken for the wrong way round itself. `seen` (M, 3) is as of `deviations`. Along, what counts is
     the end that is turned to the sensor, as of a vehicle of `length_m` (N,): the other is hidden.
+    A box that lies across its track is that of two vehicles abreast, and corrects little.
     """
     axes = np.zeros((3, 6))
     axes[2, 2] = 1.0
@@ -202,6 +222,12 @@ def correct(
         p = covariance[n]
         cos, sin = np.cos(boxes[m, 6]), np.sin(boxes[m, 6])
         axes[0, 0], axes[0, 1], axes[1, 0], axes[1, 1] = cos, sin, -sin, cos
+        turned = _half_turn(boxes[m, 6] - mean[n, 2])
+        if _is_crosswise(turned, p[2, 2], boxes[m, 3], seen[m, 2]):
+            x, y = boxes[m, 0] - mean[n, 0], boxes[m, 1] - mean[n, 1]
+            _correct_by(mean[n], p, axes[0], cos * x + sin * y, CROSSWISE_STD_M**2)
+            _correct_by(mean[n], p, axes[1], cos * y - sin * x, CROSSWISE_STD_M**2)
+            continue
         for axis in range(2):
             x, y = boxes[m, 0] - mean[n, 0], boxes[m, 1] - mean[n, 1]
             off, deviation = axes[axis, 0] * x + axes[axis, 1] * y, std[m, axis]
@@ -213,7 +239,7 @@ def correct(
                     off += side * (boxes[m, 3] - length_m[n]) / 2
                     deviation = _of_end(side * off, abs(off), seen[m, 1], p, axes[0])
             _correct_by(mean[n], p, axes[axis], off, deviation**2)
-        turned = (boxes[m, 6] - mean[n, 2] + np.pi / 2) % np.pi - np.pi / 2
+        turned = _half_turn(boxes[m, 6] - mean[n, 2])
         _correct_by(mean[n], p, axes[2], turned, std[m, 2] ** 2)
         if mean[n, 3] < -2.0:
             mean[n, 2] += np.pi

@@ -1,7 +1,7 @@
-"""Pairing: which track each detection of a frame belongs to, in rounds.
+"""Pairing: which track each detection of a frame belongs to.
 
-An agent's own pose is that of its track; all else is assigned at once (`association`), once more
-with room for a jump, and at last a track takes back what a younger one holds in its place.
+An agent's own pose is that of its track; all else is assigned at once (`association`), and at last
+a track takes back what a younger one holds in its place.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ def pair(
     *,
     gate: float,
     jump_std: Floats,
+    confirm_hits: int,
 ) -> Ints:
     """Returns for each detection (M,) its track, an index or -1: an agent's own one first.
 
-    Who is left is paired once more with room for a jump; the states of those get it.
+    The states of tracks that jump get room for it.
 
     Args:
         states: predicted for this frame.
@@ -40,7 +41,8 @@ def pair(
         std: their deviations (M, 3), see `motion.deviations`.
         time_ns: of the frame.
         gate: the largest squared distance, see `associate`.
-        jump_std: along, across, of the speed (3,), that a jump may be beyond noise.
+        jump_std: along and across (2,), what a jump may be beyond noise.
+        confirm_hits: detections that confirm a track.
     """
     pairs = np.full(len(observed), -1, np.int64)
     if not len(states):
@@ -55,14 +57,9 @@ def pair(
             pairs[m] = n
         else:
             states.owner[n] = LIDAR
-    _assign(states, observed, std, pairs, gate)
-    kept = states.covariance.copy()
-    again = unpaired(pairs, len(states))
-    motion.loosen(states.mean, states.covariance, np.flatnonzero(again), jump_std)
-    _assign(states, observed, std, pairs, gate)
-    states.covariance[again] = kept[again]
-    again &= ~unpaired(pairs, len(states))
-    motion.loosen(states.mean, states.covariance, np.flatnonzero(again), motion.JUMPED_STD)
+    confirmed = states.hits >= confirm_hits
+    jumped = _assign(states, observed, std, pairs, confirmed, jump_std=jump_std, gate=gate)
+    motion.loosen(states.mean, states.covariance, jumped, motion.JUMPED_STD)
     _reclaim(states, observed, pairs, time_ns)
     return pairs
 
@@ -108,24 +105,35 @@ def _reclaim_each(
                 break
 
 
-def _assign(states: TrackStates, observed: Vehicles, std: Floats, pairs: Ints, gate: float) -> None:
-    """Fills in the tracks of detections that have none yet."""
+def _assign(
+    states: TrackStates,
+    observed: Vehicles,
+    std: Floats,
+    pairs: Ints,
+    confirmed: Bools,
+    *,
+    jump_std: Floats,
+    gate: float,
+) -> Ints:
+    """Fills in the tracks of detections that have none yet; returns those that jump."""
     boxes = np.flatnonzero(pairs < 0)
     tracks = np.flatnonzero(unpaired(pairs, len(states)))
     if not len(boxes) or not len(tracks):
-        return
+        return np.zeros(0, np.int64)
     seen, person = observed.take(boxes), is_person(states.votes[tracks].argmax(axis=1))
-    found = associate(
+    length_m, existence = states.dims[tracks, 1], states.existence[tracks]
+    found, jumped = associate(
         states.mean[tracks],
         states.covariance[tracks],
-        np.column_stack([states.dims[tracks, 1], person]),
-        states.existence[tracks],
+        np.column_stack([length_m, person, existence, confirmed[tracks]]),
         np.column_stack([seen.boxes, is_person(seen.classes)]),
         std[boxes],
+        jump_std,
         gate,
     )
     is_paired = found >= 0
     pairs[boxes[is_paired]] = tracks[found[is_paired]]
+    return tracks[found[jumped]]
 
 
 def unpaired(pairs: Ints, tracks: int) -> Bools:

@@ -90,8 +90,10 @@ class Tracker:
         std, seen = motion.deviations(observed, visible)
         self._predict(dt_s, signals or {})
         jump_std = motion.JUMP_STD if self._lanes is not None else motion.JUMP_STD_OFF_MAP
-        gate = self._config.gate
-        pairs = pair(self._states, observed, std, time_ns, gate=gate, jump_std=jump_std)
+        gate, hits = self._config.gate, self._config.confirm_hits
+        pairs = pair(
+            self._states, observed, std, time_ns, gate=gate, jump_std=jump_std, confirm_hits=hits
+        )
         self._correct(time_ns, observed, std, seen, pairs)
         lower_existence(self._states, time_ns, dt_s, visible, self._config)
         self._states = self._states.take(self._states.existence >= self._config.min_existence)
