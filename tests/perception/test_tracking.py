@@ -158,6 +158,41 @@ def test_a_change_of_lane_in_one_frame_is_no_new_vehicle() -> None:
     assert tracks.track_ids.tolist() == [1]
 
 
+def test_a_change_of_lane_is_not_given_to_a_track_that_may_be_anywhere() -> None:
+    tracker = Tracker(CONFIG, road(lane("a", (0, 0), (400, 0)), lane("b", (0, 3.5), (400, 3.5))))
+    for k in range(2):
+        tracks = tracker.step(k * DT, cars((10.0 * k / 10, 0), (60.0 + k, 7.5)), NOBODY)
+    mine = tracks.track_ids[tracks.boxes[:, 0] < 20]
+    for k in range(2, 50):  # the other one is lost, and with time it may be anywhere
+        tracker.step(k * DT, cars((10.0 * k / 10, 0)), NOBODY)
+    tracks = tracker.step(50 * DT, cars((50.0, 3.5)), NOBODY)
+    assert tracks.track_ids[tracks.coasted_s == 0].tolist() == mine.tolist()
+
+
+def test_two_vehicles_abreast_that_are_seen_as_one_across_the_road_drive_on() -> None:
+    tracker = Tracker(CONFIG, road(lane("a", (0, 0), (400, 0)), lane("b", (0, 3.0), (400, 3.0))))
+    for k in range(20):
+        tracks = tracker.step(k * DT, cars((1.0 * k, 0), (1.0 * k, 3.0)), NOBODY)
+    ids = tracks.track_ids.tolist()
+    tracks = tracker.step(20 * DT, cars((19.5, 1.0, np.pi / 2)), NOBODY)
+    assert set(tracks.track_ids.tolist()) <= set(ids)
+    assert tracks.speeds_mps == pytest.approx(10.0, abs=0.7)
+    tracks = tracker.step(21 * DT, cars((21.0, 0), (21.0, 3.0)), NOBODY)
+    assert tracks.track_ids.tolist() == ids
+
+
+def test_a_vehicle_whose_place_another_track_seems_to_take_for_a_frame_keeps_its_id() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(20):
+        stands = [(20.0, 2.0, np.pi / 2)] if k >= 10 else []
+        tracks = tracker.step(k * DT, cars((1.0 * k, 0), *stands), NOBODY)
+    passing, standing = tracks.track_ids.tolist()
+    tracks = tracker.step(20 * DT, cars((20.0, 1.4, np.pi / 2)), NOBODY)
+    assert tracks.track_ids[tracks.coasted_s == 0].tolist() == [standing]
+    tracks = tracker.step(21 * DT, cars((21.0, 0)), NOBODY)
+    assert passing in tracks.track_ids[tracks.coasted_s == 0]
+
+
 def test_an_agent_keeps_its_track_however_far_it_is_off() -> None:
     tracker = Tracker(CONFIG, STRAIGHT)
     for k in range(10):
@@ -233,6 +268,22 @@ def test_in_the_first_frame_who_is_close_behind_another_stands(gap_m, stands) ->
     tracks = tracker.step(0, cars((100, 0), (100 - gap_m, 0)), NOBODY)
     behind = tracks.boxes[:, 0].argmin()
     assert (tracks.speeds_mps[behind] < 1.0) == stands
+
+
+def test_a_new_vehicle_does_not_stand_because_one_stands_behind_it() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(5):
+        tracker.step(k * DT, cars((50.0, 0)), NOBODY)
+    tracks = tracker.step(5 * DT, cars((50.0, 0), (70.0, 0)), NOBODY)
+    assert tracks.speeds_mps[tracks.boxes[:, 0] > 60] == pytest.approx(13.9)
+
+
+def test_a_new_vehicle_is_no_slower_than_the_one_ahead() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(20):
+        tracker.step(k * DT, cars((50.0 + k, 0)), NOBODY)
+    tracks = tracker.step(20 * DT, cars((62.0, 0), (70.0, 0)), NOBODY)
+    assert tracks.speeds_mps[tracks.boxes[:, 0] < 65] == pytest.approx(10.0, abs=0.5)
 
 
 def test_who_stands_unseen_stays_where_it_is() -> None:
