@@ -30,6 +30,10 @@ OTHER_COMMANDS = (
     *("studies/comparison.py", "studies/trajectories.py", "studies/trajectory_section.py"),
 )
 """Of `cpnet bench`, `compare`, `study control`, `report`: no figure's but where it names them."""
+CONTROL = (
+    *("sim_host", "protocol", "signal_controller"),
+    *(f"studies/control_{one}.py" for one in ("baselines", "case", "file", "run", "study")),
+)
 LEARNED = ("pointpillars",)
 """Detectors whose weights change rows. Runs of `pointpillars-full` are not compared."""
 
@@ -76,8 +80,8 @@ class Figure:
 
 
 _RESCO = (
-    'for net in cologne3 ingolstadt7; do [ -e resco/$net ] || { echo "runs/figures/resco/$net is '
-    "missing: a folder of RESCO's nets\" >&2; exit 1; }; done; "
+    "for net in cologne1 ingolstadt1 cologne3 ingolstadt7; do [ -e resco/$net ] || { echo "
+    '"runs/figures/resco/$net is missing: a folder of RESCO\'s nets" >&2; exit 1; }; done; '
 )
 _MINE = (
     'python -c \'import os, re, pathlib; page = pathlib.Path(os.environ["ROOT"]); '
@@ -310,13 +314,6 @@ _LIST = (
         files=("docs/gallery/*.png",),
     ),
     Figure(
-        "city",
-        f"{_RESCO}cpnet study $ROOT/docs/figures/city.yaml --out city >&2; " + _rows_of("city"),
-        STUDY,
-        60,
-        (Part("control", "docs/city.md", cities.city),),
-    ),
-    Figure(
         "unseen",
         f"rm -rf hard15; {_HARD15} >&2; "
         "cpnet study $ROOT/docs/figures/unseen.yaml --out unseen >&2; " + _rows_of("unseen"),
@@ -382,12 +379,17 @@ _LIST = (
     Figure(
         "tuned",
         "cpnet study $ROOT/docs/figures/tuned.yaml --out tuned --json",
-        (
-            *("sim_host", "protocol", "signal_controller"),
-            *(f"studies/control_{one}.py" for one in ("baselines", "case", "file", "run", "study")),
-        ),
+        CONTROL,
         8,
         (Part("all", "docs/comparison.md", comparison.tuned),),
+    ),
+    Figure(
+        "loop-resco",
+        f"{_RESCO}cpnet study $ROOT/docs/figures/loop_resco.yaml --out loop_resco --json",
+        (*SYSTEM, *CONTROL, "studies/perceived_case.py", "studies/perceived_study.py"),
+        60,
+        (Part("all", "docs/city.md", comparison.loop),),
+        of_rows=True,
     ),
     Figure(
         "reports",

@@ -4,28 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from layouts.tables import Rows, Table, fixed, interval
-
-
-def city(rows: Rows) -> Table:
-    """Returns a line for each net and control; differences are paired by seed, 95 % intervals."""
-    seen, *others = dict.fromkeys(row["control"] for row in rows)
-    heads = ["delay, s", "perception saves, s", "E-CVPR, %", "count error", "Mbit/s"]
-    table = [["net", "control", "seeds", *heads]]
-    for net in dict.fromkeys(row["net"] for row in rows):
-        by = {name: {r["seed"]: r for r in rows if (r["net"], r["control"]) == (net, name)}
-              for name in (seen, *others)}  # fmt: skip
-        for name, own in by.items():
-            both = sorted(own.keys() & by[seen].keys())
-            gains = [own[seed]["delay_s"] - by[seen][seed]["delay_s"] for seed in both]
-            cells = [interval([row["delay_s"] for row in own.values()], 1)]
-            cells.append("" if name == seen else interval(gains, 1))
-            if name == seen:
-                cells += [interval([100 * row["e_cvpr"] for row in own.values()], 1)]
-                for key in ("count_error", "uplink_mbps"):
-                    cells.append(interval([row[key] for row in own.values()], 2))
-            table.append([net, name, str(len(own)), *cells, *[""] * (len(heads) - len(cells))])
-    return table
+from layouts.tables import Rows, Table, fixed
 
 
 def city_runs(runs: dict[str, dict[str, Any]]) -> Table:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from statistics import mean
+from typing import Any
 
 from layouts.tables import Rows, Table, between, fixed
 from layouts.worlds import LIDAR_HEADS, lidar_cells
@@ -189,6 +190,36 @@ def tuned(rows: Rows) -> Table:
             ]
         )
     return table
+
+
+def loop(rows: Rows) -> Table:
+    """Returns delay by traffic and control, and how far control on perception lies from it."""
+    heads = ["arrived, %", "E-CVPR, %", "control on perception minus it, s", "%", "longest wait, s"]
+    table = [["traffic", "control", f"delay, s; {rows[0]['seeds']} seeds of an hour", *heads]]
+    order = [*dict.fromkeys(_traffic(row) for row in rows)]
+    for row in sorted(rows, key=lambda row: order.index(_traffic(row))):
+        less, seen = row["difference_s"], row.get("e_cvpr")
+        words = f", {row['setting']}" if row["setting"] else ""
+        name = row["policy"] if " " in row["policy"] else f"`{row['policy']}`"
+        table.append(
+            [
+                _traffic(row),
+                f"{name}{words}",
+                f"{row['delay_s']:.2f} ± {row['delay_ci95_s']:.2f}",
+                fixed(row["arrived"] / row["vehicles"], 1, 100),
+                fixed(seen, 1, 100) if seen is not None else "",
+                "" if less is None else f"{less:.2f} ± {row['difference_ci95_s']:.2f}",
+                "" if less is None else fixed(row["difference_share"], 0, 100),
+                f"{row['waited_s']:.0f}",
+            ]
+        )
+    return table
+
+
+def _traffic(row: Mapping[str, Any]) -> str:
+    if row["net"] == "moving_peak":
+        return "a peak that moves"
+    return f"x{row['demand']:g}" if row["net"] == "t_junction" else str(row["net"])
 
 
 _GIVEN = {
