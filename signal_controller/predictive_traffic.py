@@ -39,6 +39,7 @@ _PARKED = 0.5  # it is taken for parked from such a probability on
 _FORGIVEN_S = 120.0  # in which doubt fades
 _GREENS = (PROTECTED, PERMITTED)
 _ROOM_M = 8.0  # that an exit needs for one more vehicle
+_SHORT_M = 6.0  # on a shorter lane before a stop bar no middle of a vehicle may ever be seen
 _ACCELERATION_MPS2 = 2.0
 _LOST_AFTER_S = 2.0  # a vehicle unseen for so long is forgotten
 _TURN_OFF_S = 1.5  # one that vanishes so near the end of its lane has turned off there
@@ -77,6 +78,7 @@ class TrafficMemory:
         self._parked_places = ParkedPlaces()
         self._exits = _exit_starts(model)
         self._ends_m = _lane_ends(model)
+        self._bars = _bars(model, self._ends_m)
         self._has_protected = (model.status == PROTECTED).any(axis=0)
         self._time_s: float | None = None
 
@@ -222,7 +224,7 @@ class TrafficMemory:
             self.has_room[index] = max(room_m) >= _ROOM_M
 
     def _follow(self, time_s: float, vehicles: LaneVehicles) -> None:
-        upstream, index_of = self._model.approaches.upstream, self._model.lane_index
+        upstream = self._model.approaches.upstream
         rows = zip(
             vehicles.ids,
             vehicles.lanes,
@@ -237,7 +239,7 @@ class TrafficMemory:
             if track is None:
                 track = self._tracks[name] = TrackedVehicle(lane, -1, distance_m, time_s)
             if lane in upstream:
-                track.incoming = index_of.get(lane, -1)
+                track.incoming = self._bars.get(lane, -1)
                 track.passed = -1
                 track.visited.add(lane)
                 track.has_stopped |= speed_mps < STOPPED_MPS
@@ -418,3 +420,13 @@ def _lane_ends(model: JunctionModel) -> dict[str, float]:
         for lane, side in model.approaches.upstream.items()
         if lane in by_id and lane not in model.lane_index
     }
+
+
+def _bars(model: JunctionModel, ends_m: dict[str, float]) -> dict[str, int]:
+    """Returns the lane, by index, whose stop bar comes next for those on each lane at one.
+
+    So close before a stop bar that nobody need be seen on a short lane between count as at it.
+    """
+    upstream, index_of = model.approaches.upstream, model.lane_index
+    close = [lane for lane, end_m in ends_m.items() if end_m < _SHORT_M]
+    return {lane: index_of[upstream[lane].counts_for] for lane in close} | index_of

@@ -13,7 +13,13 @@ from hypothesis import strategies as st
 
 from protocol.messages import SignalRequest
 from signal_controller.config import SignalConfig
-from signal_controller.observation import LaneVehicles, Observation, VehicleAssociation
+from signal_controller.observation import (
+    CabinetTimes,
+    LaneVehicles,
+    Observation,
+    SignalSite,
+    VehicleAssociation,
+)
 from signal_controller.policies import Predictive
 from signal_controller.predictive import PlannerSettings, PredictivePlanner
 from signal_controller.predictive_discharge import Problem
@@ -22,7 +28,7 @@ from signal_controller.predictive_search import Prices, search
 from signal_controller.predictive_traffic import TrafficMemory
 from sim_host.cabinet import SignalCabinet
 from sim_host.config import CabinetConfig
-from tests.roads import lane, one_junction
+from tests.roads import lane, one_junction, signal
 from tests.signal_controller.crossing import (
     LANES,
     PHASES,
@@ -329,6 +335,26 @@ def test_turns_headways_and_arrivals_are_learnt_from_tracks() -> None:
         )
     assert memory.arrivals_per_s[model.lane_index["n_0"]] > 4 * before
     assert memory.arrivals_per_s[model.lane_index["e_0"]] < before
+
+
+def test_arrivals_are_learnt_where_nobody_is_seen_on_a_short_lane_before_the_stop_bar() -> None:
+    roads = [
+        lane("a_0", [(-200, 0, 0), (-1, 0, 0)], "bar_0"),
+        lane("bar_0", [(-1, 0, 0), (0, 0, 0)], "out_0"),
+        lane("side_0", [(5, -200, 0), (5, -3, 0)], "out_0"),
+        lane("out_0", [(10, 0, 0), (200, 0, 0)]),
+    ]
+    one = signal("j", ("bar_0", "out_0"), ("side_0", "out_0"), plan=((30, "Gr"), (20, "rG")))
+    site = SignalSite(one, one_junction("short", roads, one), REACH_M, CabinetTimes())
+    model = JunctionModel(site, 7)
+    memory, index = TrafficMemory(model, 100, 1800), model.lane_index["bar_0"]
+    before = memory.arrivals_per_s[index]
+    for second in range(0, 300, 3):
+        found = vehicles(("a_0", 3.0, 8.0), ("out_0", -20.0, 8.0))
+        ids = [f"v{second}", f"v{second - 3}"]
+        memory.take(second, replace(found, ids=ids), "Gr")
+    assert memory.arrivals_per_s[index] > 4 * before
+    assert memory.chosen_lanes("a_0")[index] > 0.9
 
 
 def test_arrivals_are_counted_over_the_time_that_a_lane_is_seen() -> None:
