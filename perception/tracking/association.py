@@ -15,7 +15,8 @@ SMALL_M = 2.6  # what is longer is no person; a bicycle may be taken for one
 OTHER_COST = 4.0  # of a person taken for a two-wheeler
 JUMP_COST = 4.0  # of a box that is a track's own only if it jumped
 UNSURE_COST = 3.0  # of a track that is not confirmed
-ALONE_COST = 15.0  # of a box and a track that could be paired and stay alone
+ALONE_COST = 15.0  # of a box and a track of several that could be paired, and stay alone
+LEAST_LIMIT = 1e-6  # above the cheapest pair, so that no cost outside the gates is below it
 
 
 def associate(
@@ -48,7 +49,7 @@ def associate(
     box, track, cost, jumps = _pairs(mean, covariance, traits, boxes, std, jump_std, gate)
     if not len(box):
         return result, jumped
-    limit = ALONE_COST - cost.min()
+    limit = max(ALONE_COST - cost.min(), LEAST_LIMIT)
     cost -= cost.min()
     part = _parts(box, track, len(boxes), len(mean))
     order = np.argsort(part, kind="stable")
