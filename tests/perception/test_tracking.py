@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perception.detector import LIDAR, Vehicles
+from perception.tracking.association import associate
 from perception.tracking.config import TrackingConfig
 from perception.tracking.lane_graph import GO, STOP, UNKNOWN, LaneGraph
 from perception.tracking.sightlines import RINGS, SECTORS, SightLines
@@ -167,6 +168,16 @@ def test_a_change_of_lane_is_not_given_to_a_track_that_may_be_anywhere() -> None
         tracker.step(k * DT, cars((10.0 * k / 10, 0)), NOBODY)
     tracks = tracker.step(50 * DT, cars((50.0, 3.5)), NOBODY)
     assert tracks.track_ids[tracks.coasted_s == 0].tolist() == mine.tolist()
+
+
+def test_however_dear_all_pairs_are_none_outside_the_gates_is_chosen() -> None:
+    mean, covariance = np.zeros((2, 6)), np.tile(60.0**2 * np.eye(6), (2, 1, 1))
+    mean[1, 0] = 300.0
+    boxes = np.column_stack([cars((-100, 0), (150, 0)).boxes, np.zeros(2)])
+    traits = np.tile([4.5, 0.0, 0.9, 1.0], (2, 1))
+    std = np.full((2, 3), 0.3)
+    found, _ = associate(mean, covariance, traits, boxes, std, np.array([1.5, 1.3]), 9.0)
+    assert found[0] != 1  # 400 m away, where the gate is 180 m
 
 
 def test_two_vehicles_abreast_that_are_seen_as_one_across_the_road_drive_on() -> None:
