@@ -56,14 +56,10 @@ def test_a_tape_holds_what_the_database_was_made_of(shell):
         assert len(heard["scan"]) == len([*run.rows(UploadRow)])
 
 
-def size_bytes(path: Path) -> int:
-    return path.stat().st_size if path.exists() else 0
-
-
-def frames_on(run_dir: Path) -> list[int]:
-    """Returns the frames whose tick can be read off a recording that may still grow."""
+def frames_on(recording: Path, kind: str = "tick") -> list[int]:
+    """Returns the frames of a kind that can be read off a recording that may still grow."""
     try:
-        return [item.message.frame for item in McapReader(run_dir).messages(["tick"])]
+        return [item.message.frame for item in McapReader(recording).messages([kind])]
     except ConfigError:  # not so far yet
         return []
 
@@ -107,8 +103,10 @@ def test_a_tape_is_started_again_and_others_come_and_go(shell):
     until_told.read_until("Ctrl-C ends it")
     status, output = shell.run("record", "--duration=1")
     assert status == 0, output
+    until_told.wait_until(lambda: frames_on(shell.folder / "mine.mcap", "detections"))
     until_told.process.send_signal(signal.SIGINT)
-    to_the_end.wait_until(lambda: size_bytes(run_dir / "run-2.mcap") > 300_000)
+    for name in ("run-2.mcap", "record.mcap"):
+        to_the_end.wait_until(lambda name=name: frames_on(run_dir / name, "detections"))
     command.process.send_signal(signal.SIGINT)
     assert command.finish()[0] == 130
     for command, name in ((to_the_end, run_dir / "record.mcap"), (until_told, "mine.mcap")):
@@ -119,10 +117,11 @@ def test_a_tape_is_started_again_and_others_come_and_go(shell):
         assert int(told[1]) == drops_on(shell.folder / name)
     ticks = [item.message.frame for item in McapReader(run_dir).messages(["tick"])]
     assert ticks == sorted(set(ticks))
-    names = (run_dir / "record.mcap", run_dir / "record-2.mcap", shell.folder / "mine.mcap")
+    names = (run_dir / "record.mcap", shell.folder / "mine.mcap", run_dir / "record-2.mcap")
     recordings = [McapReader(path) for path in (run_dir / "run-2.mcap", *names)]
     assert all(recording.is_whole for recording in recordings)
-    assert all([*recording.messages(["detections"])] for recording in recordings)
+    # record-2 has one second, in which a slow machine's edge may finish no frame
+    assert all([*recording.messages(["detections"])] for recording in recordings[:-1])
     assert [item.message.reason for item in recordings[1].messages(["end"])] == ["stopped"]
     assert not [*recordings[1].messages(["truth", "sighting"])]
 
