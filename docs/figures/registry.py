@@ -34,7 +34,6 @@ CONTROL = (
     *("sim_host", "protocol", "signal_controller"),
     *(f"studies/control_{one}.py" for one in ("baselines", "case", "file", "run", "study")),
 )
-LOOP = (*SYSTEM, *CONTROL, "studies/perceived_case.py", "studies/perceived_study.py")
 LEARNED = ("pointpillars",)
 """Detectors whose weights change rows. Runs of `pointpillars-full` are not compared."""
 
@@ -385,17 +384,9 @@ _LIST = (
         (Part("all", "docs/comparison.md", comparison.tuned),),
     ),
     Figure(
-        "loop",
-        "cpnet study $ROOT/docs/figures/loop.yaml --out loop --json",
-        LOOP,
-        30,
-        (Part("all", "docs/control.md", comparison.loop),),
-        of_rows=True,
-    ),
-    Figure(
         "loop-resco",
         f"{_RESCO}cpnet study $ROOT/docs/figures/loop_resco.yaml --out loop_resco --json",
-        LOOP,
+        (*SYSTEM, *CONTROL, "studies/perceived_case.py", "studies/perceived_study.py"),
         60,
         (Part("all", "docs/city.md", comparison.loop),),
         of_rows=True,
