@@ -79,10 +79,14 @@ class Figure:
         return found
 
 
-_RESCO = (
-    "for net in cologne1 ingolstadt1 cologne3 ingolstadt7; do [ -e resco/$net ] || { echo "
-    '"runs/figures/resco/$net is missing: a folder of RESCO\'s nets" >&2; exit 1; }; done; '
-)
+def _needs_resco(*nets: str) -> str:
+    """Returns a command that fails where RESCO's nets are not there."""
+    return (
+        f"for net in {' '.join(nets)}; do [ -e resco/$net ] || {{ echo "
+        '"runs/figures/resco/$net is missing: a folder of RESCO\'s nets" >&2; exit 1; }; done; '
+    )
+
+
 _MINE = (
     'python -c \'import os, re, pathlib; page = pathlib.Path(os.environ["ROOT"]); '
     'text = (page / "docs/own-junction.md").read_text("utf-8"); '
@@ -107,6 +111,20 @@ def _rows_of(folder: str) -> str:
     """Returns the command that prints a study's table as JSON."""
     read = f'import json, pyarrow.parquet as p; t = p.read_table("{folder}/results.parquet")'
     return f"python -c '{read}; print(json.dumps(t.to_pylist()))'"
+
+
+def _loop(city: str, *nets: str, minutes: int) -> Figure:
+    """Returns control on perception beside tuned baselines, on RESCO's nets of a city."""
+    chosen = ", ".join(f"resco/{net}: [1]" for net in nets)
+    return Figure(
+        f"loop-{city}",
+        f"{_needs_resco(*nets)}cpnet study $ROOT/docs/figures/loop_resco.yaml "
+        f"--set name=loop_{city} --set 'nets={{{chosen}}}' --out loop_{city} --json",
+        (*SYSTEM, *CONTROL, "studies/perceived_case.py", "studies/perceived_study.py"),
+        minutes,
+        (Part("all", "docs/city.md", comparison.loop),),
+        of_rows=True,
+    )
 
 
 def _study_figures(
@@ -383,14 +401,8 @@ _LIST = (
         8,
         (Part("all", "docs/comparison.md", comparison.tuned),),
     ),
-    Figure(
-        "loop-resco",
-        f"{_RESCO}cpnet study $ROOT/docs/figures/loop_resco.yaml --out loop_resco --json",
-        (*SYSTEM, *CONTROL, "studies/perceived_case.py", "studies/perceived_study.py"),
-        60,
-        (Part("all", "docs/city.md", comparison.loop),),
-        of_rows=True,
-    ),
+    _loop("cologne", "cologne1", "cologne3", minutes=30),
+    _loop("ingolstadt", "ingolstadt1", "ingolstadt7", minutes=35),
     Figure(
         "reports",
         "for demand in 1 1.4; do for share in 1 0.3 0.1 0.05; do printf '\\f'; cpnet bench control "
@@ -428,7 +440,7 @@ _LIST = (
     ),
     Figure(
         "city-run",
-        f"{_RESCO}rm -rf city-3 city-7; "
+        f"{_needs_resco('cologne3', 'ingolstadt7')}rm -rf city-3 city-7; "
         f"{_CITY_UP} --sumocfg resco/cologne3/cologne3.sumocfg --out city-3 >&2; "
         f"{_CITY_UP} --sumocfg resco/ingolstadt7/ingolstadt7.sumocfg --regions 2 --out city-7 >&2; "
         "printf '{\"cologne3\": '; cpnet report city-3 --json; "
