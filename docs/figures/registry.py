@@ -401,6 +401,13 @@ _LIST = (
         8,
         (Part("all", "docs/comparison.md", comparison.tuned),),
     ),
+    Figure(
+        "demands",
+        "cpnet study $ROOT/docs/figures/demands.yaml --out demands --json",
+        CONTROL,
+        20,
+        (Part("all", "docs/control.md", comparison.tuned),),
+    ),
     _loop("cologne", "cologne1", "cologne3", minutes=30),
     _loop("ingolstadt", "ingolstadt1", "ingolstadt7", minutes=35),
     Figure(

@@ -175,17 +175,20 @@ def _delay(rows: Rows, names: Sequence[str], bases: Sequence[str]) -> Table:
 
 
 def tuned(rows: Rows) -> Table:
-    """Returns the delay of each control as tuned, and how far `predictive` lies from it."""
+    """Returns the delay of each control as tuned, by traffic, and how far `predictive` lies off."""
     heads = [f"delay, s; {rows[0]['seeds']} seeds of an hour", "predictive control minus it, s"]
-    table = [["control", "tuning chosen on other seeds", *heads, "longest wait, s"]]
-    for row in rows:
+    table = [["traffic", "control", "tuning chosen on other seeds", *heads, "%", "longest wait, s"]]
+    order = [*dict.fromkeys(_traffic(row) for row in rows)]
+    for row in sorted(rows, key=lambda row: order.index(_traffic(row))):
         less = row["difference_s"]
         table.append(
             [
+                _traffic(row),
                 f"`{row['policy']}`",
                 row["setting"] or "–",
                 f"{row['delay_s']:.2f} ± {row['delay_ci95_s']:.2f}",
                 "" if less is None else f"{less:.2f} ± {row['difference_ci95_s']:.2f}",
+                "" if less is None else fixed(row["difference_share"], 0, 100),
                 f"{row['waited_s']:.0f}",
             ]
         )
